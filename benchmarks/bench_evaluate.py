@@ -7,7 +7,7 @@ from pathlib import Path
 
 from benchmarks.shared import Options, Section, Table, run_command
 
-FILTERS = "median,gaussian,bilateral,nlm,tv,wavelet,lee,kuan,frost,opening"
+FILTERS = "median,gaussian,bilateral,nlm,tv,wavelet,lee,kuan,frost,grey_opening"
 LAMPREY = Path(__file__).parents[1] / "examples/didson/lamprey.avi"
 
 

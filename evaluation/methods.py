@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from ..models import WEIGHTS_NAME
-from .filters import REGISTRY, chosen
+from .filters import chosen
 from .filters.base import Baseline, Parameters
 from .metrics.measure import Levels
 from .settings import EvaluationSettings
@@ -62,17 +62,6 @@ class Method:
         if self.given:
             return "pictures"
         return "baseline" if self.weights is None else "network"
-
-    @property
-    def looks(self) -> bool:
-        """Whether it sees several pictures of a scene at once."""
-        known = REGISTRY.get(self.name) if self.kind == "baseline" else None
-        return known is not None and known.looks
-
-    @property
-    def uses_geometry(self) -> bool:
-        """Whether it may ask where range and bearing are."""
-        return self.kind == "network" or REGISTRY[self.name].uses_geometry
 
     @property
     def output(self) -> str:

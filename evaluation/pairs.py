@@ -34,7 +34,7 @@ from .filters.base import Gray
 from .methods import Method
 from .metrics.fidelity import MetricError, finite_psnr
 from .metrics.measure import Figures, Picture, Scene, sector_of
-from .runner import MethodFailed, Subject
+from .runner import Subject
 from .settings import PicturesFolder
 
 if TYPE_CHECKING:
@@ -56,8 +56,6 @@ class Item:
 
     split, number: as `simnfnd export --to png` names it; of image files '' and their order.
     key: changes with the content of the pair.
-    looks: the noise variants of the same frame in the same split, this one last; methods of
-    several looks see all of them.
     """
 
     shard: str
@@ -69,7 +67,6 @@ class Item:
     scene: str
     frame: str
     variant: int
-    looks: tuple[Place, ...]
 
     @property
     def group(self) -> str:
@@ -86,7 +83,7 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     if image_files.is_folder_of_pairs(root):
         files = enumerate(image_files.noisy_files(root))
         return [
-            Item(f.name, (str(f), ROW), "", n, key, "", root.name, f.stem, 0, ())
+            Item(f.name, (str(f), ROW), "", n, key, "", root.name, f.stem, 0)
             for n, (f, key) in files
         ][:limit]
     manifest = load_manifest(root) if root.is_dir() else None
@@ -101,16 +98,12 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
             ]
     if not rows:
         raise FactoryError(f"dataset={root}: its shards hold no samples")
-    frames: dict[tuple[str, str, str], list[Place]] = {}
-    for _, place, _, identity in rows:
-        frames.setdefault(identity[:3], []).append(place)
     numbers: dict[str, int] = {}
     found = []
     for name, place, key, identity in rows:
         part = name.split("/")[0]
         numbers[part] = numbers.get(part, -1) + 1
-        looks = (*(one for one in frames[identity[:3]] if one != place), place)
-        found.append(Item(name, place, part, numbers[part], key, *identity, looks))
+        found.append(Item(name, place, part, numbers[part], key, *identity))
     return found[:limit]
 
 
@@ -139,6 +132,15 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
         else:
             columns[str(name)] = column.to_numpy(float)
     return columns
+
+
+def config_hash_of(item: Item) -> str:
+    """Of the dataset that an item is of; '' for a folder of image files."""
+    if item.place[1] == ROW:
+        return ""
+    with open_shard(Path(item.place[0])) as file:
+        value = file.attrs.get("config_hash", "")
+        return value.decode() if isinstance(value, bytes) else str(value)
 
 
 @lru_cache(maxsize=16)
@@ -193,19 +195,14 @@ class Pair(Subject):
     shadow_threshold: float
     texture: bool
 
-    def key(self, method: Method) -> str:
-        """The content of the pair and of the looks at it, and what is measured."""
-        looks = f"+{len(self.item.looks)}" if method.looks else ""
+    def key(self) -> str:
+        """The content of the pair, and what is measured."""
         texture = "texture" if self.texture else "plain"
-        return f"{self.item.key}{looks}-{texture}-{self.shadow_threshold:g}"
+        return f"{self.item.key}-{texture}-{self.shadow_threshold:g}"
 
-    def seen(self, method: Method) -> Gray:
-        """The noisy image (H, W), or all looks at it (T, H, W), this one last."""
-        if not method.looks:
-            return picture(self.item.place).noisy
-        if len(self.item.looks) < 2:
-            raise MethodFailed("needs several noise variants a frame")
-        return np.stack([picture(place).noisy for place in self.item.looks])
+    def seen(self) -> Gray:
+        """The noisy image (H, W)."""
+        return picture(self.item.place).noisy
 
     def geometry(self) -> FanGeometry | None:
         """Where range and bearing are, as the dataset says."""

@@ -17,7 +17,8 @@ from ..factory.cli import Parser
 from ..factory.errors import FactoryError
 from ..factory.files import check_writable
 from .commands import quoted
-from .report.page import REPORT_NAME, write_files
+from .report.build import REPORT_NAME
+from .report.document import write_files
 from .report.tables import as_markdown, beside_paper
 
 _NEWLOSS = ("loss=newloss", "loss.shadow=ste", "loss.weight=0.05")
@@ -64,13 +65,13 @@ class Plan:
 def main(words: Sequence[str]) -> int:
     """Make, train, judge, and print both tables; the exit code of the step that failed, or 0."""
     parser = Parser(prog="simnfnd evaluate paper")
-    parser.add_argument("--quick", action="store_true", help="10 minutes on two cores, few pairs")
+    parser.add_argument("--quick", action="store_true", help="6 minutes on two cores, few pairs")
     parser.add_argument("--scenes", type=Path, help="folder of FLSea VI (default: places made up)")
     parser.add_argument(
         "--real", type=Path, help="Marine Debris Dataset, for OldData (default: without that row)"
     )
     parser.add_argument("--frames", type=int, help="to render (default: 8000; quick: 32)")
-    parser.add_argument("--steps", type=int, help="of each training (default: 4000; quick: 70)")
+    parser.add_argument("--steps", type=int, help="of each training (default: 4000; quick: 200)")
     parser.add_argument("--out", type=Path, default=Path("outputs/paper"), help="folder of all")
     given = parser.parse_args(list(words))
     for key, least in (("frames", 4), ("steps", 1)):
@@ -81,7 +82,7 @@ def main(words: Sequence[str]) -> int:
             raise FactoryError(f"--{key} {folder}: no such folder")
     check_writable(given.out, "--out")
     frames = given.frames or (32 if given.quick else 8000)
-    steps = given.steps or (70 if given.quick else 4000)
+    steps = given.steps or (200 if given.quick else 4000)
     plan = Plan(given.out, given.scenes, given.real, given.quick, frames, steps)
     print(plan.about, flush=True)
     for step in steps_of(plan):

@@ -44,15 +44,12 @@ class MethodFailed(Exception):
 class Subject:
     """A picture that methods are judged on; it travels to the workers."""
 
-    def key(self, method: Method) -> str:
-        """Changes with everything that a method sees of it and is measured by; '': not stored."""
-        return ""
+    def key(self) -> str:
+        """Changes with everything that methods see of it and are measured by."""
+        raise NotImplementedError
 
-    def seen(self, method: Method) -> Gray:
-        """(H, W) in 0..1, or (T, H, W) for a method of several looks.
-
-        Raises FactoryError for a damaged picture, MethodFailed for a method that needs more.
-        """
+    def seen(self) -> Gray:
+        """(H, W) in 0..1.  Raises FactoryError for a damaged picture."""
         raise NotImplementedError
 
     def geometry(self) -> FanGeometry | None:
@@ -115,6 +112,11 @@ class Measured:
         ]
         return pd.DataFrame(rows, columns=None if rows else ["method", "picture"])
 
+    def wide(self) -> dict[str, pd.DataFrame]:
+        """Figure -> its values of each picture (rows, in order) by each method (columns)."""
+        table = self.table().set_index(["picture", "method"])
+        return {str(name): table[name].unstack("method") for name in table}
+
 
 def run(
     methods: Sequence[Method],
@@ -149,7 +151,7 @@ def run(
             for method in methods:
                 if method.label in found.lost:
                     continue
-                known = {} if store is None else _known(store, keys[method.label], method, some)
+                known = {} if store is None else _known(store, keys[method.label], some)
                 if len(known) == len(some):
                     found.figures[method.label] |= known
                 else:
@@ -175,7 +177,7 @@ def run(
                 found.figures[method.label] |= result.figures
                 found.images |= {(method.label, n): one for n, one in result.images.items()}
                 if store is not None and result.figures:
-                    pictures = [task.subjects[number].key(method) for number in result.figures]
+                    pictures = [task.subjects[number].key() for number in result.figures]
                     store.add(keys[method.label], pictures, list(result.figures.values()))
             if found.lost:
                 alive = [
@@ -188,11 +190,9 @@ def run(
     return found
 
 
-def _known(
-    store: FigureStore, key: str, method: Method, some: Mapping[int, Subject]
-) -> dict[int, Figures]:
+def _known(store: FigureStore, key: str, some: Mapping[int, Subject]) -> dict[int, Figures]:
     """What the store has of a method on these pictures."""
-    known = {number: store.get(key, subject.key(method)) for number, subject in some.items()}
+    known = {number: store.get(key, subject.key()) for number, subject in some.items()}
     return {number: figures for number, figures in known.items() if figures is not None}
 
 
@@ -250,8 +250,8 @@ def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray, float
             return subject.given(method), math.nan
         except FactoryError as error:
             raise MethodFailed(str(error)) from error
-    image = subject.seen(method)
-    geometry = subject.geometry() if method.uses_geometry else None
+    image = subject.seen()
+    geometry = subject.geometry() if method.weights is not None else None
     try:
         return _timed(method, image, geometry, device)
     except Exception as error:  # a method that crashes loses its row, not the report
@@ -264,7 +264,7 @@ def _timed(
     clock = time.process_time  # what other processes take does not count
     if method.weights is None:
         start = clock()
-        result = REGISTRY[method.name](image, method.parameters, geometry)
+        result = REGISTRY[method.name](image, method.parameters)
         return result, clock() - start
     loaded = network(method.weights, device)  # before the clock runs
     if loaded.runtime.on_gpu:

@@ -27,6 +27,7 @@ from .render.base import RenderSettings
 from .render.cache import CacheSettings
 from .scenes import Scenes
 from .scenes.base import INTEGERS_PER_M
+from .scenes.csv_list import CsvListSettings
 from .scenes.mesh import MeshSettings
 from .scenes.seabed.camera import HFOV_DEG
 from .scenes.seabed.reader import SeabedSettings
@@ -258,11 +259,11 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
         group = reduce(getitem, groups, values)
         if group[key] == usual:
             group.pop(key)
-    if (kind := config.scenes.kind) in INTEGERS_PER_M:
+    if isinstance(config.scenes, CsvListSettings):
         # The value that used to be the default, and the name that goes with it; one that is given
         # divides floating-point depth, too.
         if values["scenes"]["depth_scale"] is None:
-            values["scenes"]["depth_scale"] = INTEGERS_PER_M[kind]
+            values["scenes"]["depth_scale"] = INTEGERS_PER_M
         else:
             values["scenes"]["depth_scale_of"] = "all"
     for key in ("dir", "name", "preview_pairs", "licence"):

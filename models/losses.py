@@ -17,13 +17,11 @@ from torch.nn import functional
 
 from ..factory.errors import FactoryError
 from ..factory.settings import STRICT, build
-from .networks.lines import MapLines
 
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 BatchTensors = Mapping[str, Tensor]
-"""What else a batch holds (see `models`); losses read `noisy`, `shadow`, `shadow_logits`, `weight`,
-`progress` and the maps of the geometry."""
+"""What else a batch holds (see `models.networks`): `noisy`, `shadow`, `shadow_logits`, `weight`."""
 _PSNR_FLOOR = 1e-4
 """Added to the mean squared difference in `decibels`: below it, at 40 dB, gains count little."""
 _EQUAL = 1e-10
@@ -40,8 +38,6 @@ class Loss:
     decibels: weight of 10 log10 of the mean squared difference of each image, averaged over the
     images (after the PSNR loss of Chen et al., ECCV 2022, with a floor at 40 dB); nearly clean
     images count as much as noisy ones.
-    beams: weight of the mean absolute difference of the means along beams, of each image: what a
-    spoke changes, however faint it is; no effect where range and bearing are unknown.
     mask: weight of the binary cross entropy between the true shadow and the logits of the mask
     head; no effect without such a head or without a known shadow.
     blend: weight of the binary cross entropy between the weight that a network with heads gives its
@@ -51,7 +47,6 @@ class Loss:
 
     square: NotNegative = 0.0
     decibels: NotNegative = 0.0
-    beams: NotNegative = 0.0
     mask: NotNegative = 0.05
     blend: NotNegative = 0.02
 
@@ -70,8 +65,6 @@ class Loss:
         if self.decibels:
             each = (prediction - clean).square().mean(dim=(1, 2, 3))
             loss = loss + self.decibels * 10 * torch.log10(each + _PSNR_FLOOR).mean()
-        if self.beams and "azimuth_rad" in batch and "range_fraction" in batch:
-            loss = loss + self.beams * _along_beams(prediction - clean, batch).abs().mean()
         if self.mask and "shadow_logits" in batch and "shadow" in batch:
             logits, shadow = batch["shadow_logits"], batch["shadow"]
             loss = loss + self.mask * functional.binary_cross_entropy_with_logits(logits, shadow)
@@ -121,55 +114,21 @@ class NewLoss(Loss):
       literal  as printed.  A threshold has no slope, so this trains exactly as L1 does.
       ste      the same number; the gradient passes the threshold as if it were not there
                (straight-through estimator, Bengio et al. 2013).
-      sigmoid  L1 of sigmoid((prediction - t) / width) and Shadow(clean, t).
-      bce      binary cross entropy of the same two.
-      dice     soft Dice loss of the shadows of the same two (Milletari et al. 2016), by image.
-      zone     L1 of the images inside the true shadow alone (`shadow` of the batch; clean <= t
-               where the batch has none).
-    threshold: t, a grey value.  width: how soft the threshold is, in grey values.
-    width_start: what `width` is at the beginning of training; it shrinks by the same factor every
-    step, down to `width` (only where the batch holds `progress`).
+    threshold: t, a grey value.
     """
 
     kind: Literal["newloss"]
-    shadow: Literal["literal", "ste", "sigmoid", "bce", "dice", "zone"]
+    shadow: Literal["literal", "ste"]
     weight: NotNegative
     threshold: Annotated[float, Field(ge=0, lt=1)]
-    width: Positive
-    width_start: Positive
 
     def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
         """Scalar tensor."""
-        both = (prediction - clean).abs().mean()
-        return both + self.weight * self.term(prediction, clean, batch)
-
-    def term(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
-        """The term about shadow alone, without its weight."""
-        dark = clean <= self.threshold
-        if self.shadow == "zone":
-            zone = batch["shadow"].expand_as(clean) if "shadow" in batch else dark.to(clean.dtype)
-            total = ((prediction - clean).abs() * zone).sum()
-            return total / zone.sum().clamp_min(1)
-        lit = (~dark).to(prediction.dtype)
-        if self.shadow in ("literal", "ste"):
-            shown = (prediction > self.threshold).to(prediction.dtype)
-            if self.shadow == "ste":
-                shown = shown + (prediction - prediction.detach())
-            return (shown - lit).abs().mean()
-        logits = (prediction - self.threshold) / self._width(batch)
-        if self.shadow == "bce":
-            return functional.binary_cross_entropy_with_logits(logits, lit)
-        if self.shadow == "sigmoid":
-            return (torch.sigmoid(logits) - lit).abs().mean()
-        dark_shown, dark_true = torch.sigmoid(-logits), 1 - lit
-        axes = (1, 2, 3)
-        # One more pixel in both avoids 0 / 0 in an image without any shadow.
-        common = 2 * (dark_shown * dark_true).sum(axes) + 1
-        return (1 - common / (dark_shown.sum(axes) + dark_true.sum(axes) + 1)).mean()
-
-    def _width(self, batch: BatchTensors) -> float:
-        progress = float(batch["progress"]) if "progress" in batch else 1.0
-        return float(self.width_start * (self.width / self.width_start) ** progress)
+        lit = (clean > self.threshold).to(prediction.dtype)
+        shown = (prediction > self.threshold).to(prediction.dtype)
+        if self.shadow == "ste":
+            shown = shown + (prediction - prediction.detach())
+        return (prediction - clean).abs().mean() + self.weight * (shown - lit).abs().mean()
 
 
 LOSSES: dict[str, type[Loss]] = {"l1": L1, "charbonnier": Charbonnier, "newloss": NewLoss}
@@ -181,14 +140,3 @@ def build_loss(config: Mapping[str, object]) -> Loss:
     if kind not in LOSSES:
         raise FactoryError(f"loss.kind: {kind!r} is none of {', '.join(sorted(LOSSES))}")
     return build(LOSSES[kind], config, "loss")
-
-
-def _along_beams(x: Tensor, batch: BatchTensors) -> Tensor:
-    """(N, C, H, W) -> (N, C, W/2), means along beams; the picture is W pixels wide."""
-    azimuth_rad = batch["azimuth_rad"]
-    sector = batch.get("sector", torch.ones_like(azimuth_rad))
-    # At half the resolution, where hardly a beam is without a pixel.
-    halved = functional.avg_pool2d(x, 2, ceil_mode=True)
-    shape = (halved.shape[-2], halved.shape[-1])
-    lines = MapLines.of(azimuth_rad, batch["range_fraction"], sector, shape)
-    return lines.beam_means(halved)

@@ -70,7 +70,6 @@ class RendersData(DataSettings):
     kind: Literal["renders", "mixed"]
     pack: str | None
     cache: str | None
-    factory: tuple[str, ...]
     fewer: Share
     scales: Annotated[tuple[Multiple, ...], Field(min_length=1)]
     experiment: str | None
@@ -131,7 +130,6 @@ class TrainSettings:
 
     steps: Count
     check_every: Count
-    patience: Count | None
     learning_rate: Annotated[float, Field(gt=0)]
     weight_decay: Annotated[float, Field(ge=0)]
     warmup: Annotated[int, Field(ge=0)]

@@ -117,7 +117,7 @@ VERBS: dict[str, Verb] = {
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
     ),
     "export": Verb(
-        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD, COCO or YOLO",
+        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, COCO or YOLO",
         f"{_COMMANDS}.export:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
@@ -139,7 +139,6 @@ VERBS: dict[str, Verb] = {
         (
             "simnfnd denoise outputs/demo --out outputs/denoised",
             "simnfnd denoise dive.aris --out outputs/denoised",
-            "simnfnd denoise --watch incoming --out outputs/live",
             "simnfnd denoise dive.bag --topic /sonar/image --out outputs/denoised",
             "simnfnd denoise picture.png --out outputs/denoised --remove speckle,haze --compare",
             "simnfnd denoise lamprey.avi --frames 7 --out outputs/denoised",

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from ...factory.errors import FactoryError
 from .base import Baseline
 from .bm3d import bm3d
-from .deblur import richardson_lucy_range
-from .literature import LITERATURE
 from .plain import (
     bilateral,
     gaussian,
@@ -58,14 +56,10 @@ _FILTERS = (
     Baseline("srad", srad, {"iterations": 100, "initial_cv": 1.0, "step": 0.2, "decay": 1 / 6},
              {"iterations": (1, 10, 30, 100, 250), "initial_cv": (0.1, 0.3, 1.0, 3.0)},
              "Yu and Acton 2002"),
-    Baseline("richardson_lucy", richardson_lucy_range, {"sigma_px": 1.5, "iterations": 10},
-             {"sigma_px": (0.2, 0.6, 1.0, 2.0, 4.0, 6.0, 9.0, 13.0, 20.0),
-              "iterations": (1, 3, 10, 30)},
-             "Richardson 1972, Lucy 1974; along range"),
 )  # fmt: skip
 
-REGISTRY: dict[str, Baseline] = {one.name: one for one in (*_FILTERS, *LITERATURE)}
-"""All filters by name: those that users know first, then those after the literature."""
+REGISTRY: dict[str, Baseline] = {one.name: one for one in _FILTERS}
+"""All filters by name, those that users know first."""
 
 
 def chosen(names: Sequence[str]) -> list[Baseline]:

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError
 
-if TYPE_CHECKING:
-    from ...factory.sonar.geometry import FanGeometry
-
 Gray = npt.NDArray[np.float32]
-"""(H, W) in 0..1, 0 = no echo; for methods of several looks (T, H, W)."""
+"""(H, W) in 0..1, 0 = no echo."""
 
 Number = int | float
 Parameters = dict[str, Number]
@@ -31,8 +27,7 @@ class BaselineError(FactoryError, ValueError):
 class Baseline:
     """One method.
 
-    function: (image, **parameters) -> (H, W); the image is (H, W) or, with `looks`, (T, H, W).  One
-        with a parameter `geometry` gets where range and bearing are, or None.
+    function: (image, **parameters) -> (H, W).
     default: what its authors or its library recommend, scaled to 0..1.
     grid: the values to try of each parameter, ascending; parameters not in it stay at the default.
     source: where the method was published.
@@ -43,34 +38,21 @@ class Baseline:
     default: Mapping[str, Number]
     grid: Mapping[str, tuple[Number, ...]]
     source: str
-    looks: bool = False
-
-    @property
-    def uses_geometry(self) -> bool:
-        """Whether it can use where range and bearing are."""
-        return "geometry" in inspect.signature(self.function).parameters
 
     def points(self) -> list[Parameters]:
         """Every combination of the grid, completed by the defaults."""
         combinations = itertools.product(*self.grid.values())
         return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
 
-    def __call__(
-        self,
-        image: npt.NDArray[Any],
-        parameters: Mapping[str, Number],
-        geometry: FanGeometry | None = None,
-    ) -> Gray:
+    def __call__(self, image: npt.NDArray[Any], parameters: Mapping[str, Number]) -> Gray:
         """The denoised picture, (H, W) float32 clipped to 0..1.
 
-        geometry: where range and bearing are, if known; most methods do not look at it.
         Raises BaselineError when the method gives another shape or a value that is no number.
         """
         image = np.ascontiguousarray(image, dtype=np.float32)
-        known = {"geometry": geometry} if self.uses_geometry else {}
-        result = np.asarray(self.function(image, **parameters, **known))
-        if result.shape != image.shape[-2:]:
-            raise BaselineError(f"{self.name}: gave {result.shape} for {image.shape[-2:]}")
+        result = np.asarray(self.function(image, **parameters))
+        if result.shape != image.shape:
+            raise BaselineError(f"{self.name}: gave {result.shape} for {image.shape}")
         if not np.isfinite(result).all():
             raise BaselineError(f"{self.name}: gave NaN or infinite pixels")
         return np.clip(result, 0, 1).astype(np.float32)

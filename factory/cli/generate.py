@@ -63,7 +63,7 @@ def generate(composed: DictConfig) -> int:
         report, directory = run(config, arguments=sys.argv[1:])
         code = 1 if report.failures else 0
         if config.shard.count == 1:
-            note_result(directory, config, report, code)
+            note_result(directory, report, code)
     except FactoryError as error:
         note_failure("failed", str(error), EXIT_BAD_INPUT)
         raise

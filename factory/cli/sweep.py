@@ -21,7 +21,6 @@ from ..errors import FactoryError
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from ..config import FactoryConfig
     from ..scheduler.results import RunReport
 
 _RESULT = "result.json"
@@ -34,7 +33,7 @@ _FRAMES = 3
 _open: list[tuple[Path, list[list[str]]]] = []
 
 
-def note_result(directory: Path, config: FactoryConfig, report: RunReport, exit_code: int) -> None:
+def note_result(directory: Path, report: RunReport, exit_code: int) -> None:
     """Within a sweep, leave the row of a point that was made; else do nothing."""
     from ..dataset.describe.quality import noisiness
 

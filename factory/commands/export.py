@@ -15,7 +15,6 @@ _NEEDS = {
     "webdataset": ("webdataset", "cv2"),
     "huggingface": ("pyarrow", "cv2"),
     "png": ("cv2",),
-    "mdd": ("cv2",),
     "coco": ("cv2",),
     "yolo": ("cv2",),
 }

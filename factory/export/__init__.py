@@ -12,7 +12,7 @@ from ..files import refuse_files, whole_folder
 
 # Modules with `write(source, folder) -> str`, which fills an empty folder and returns one line that
 # says what it wrote.
-FORMATS = ("webdataset", "huggingface", "png", "mdd", "coco", "yolo")
+FORMATS = ("webdataset", "huggingface", "png", "coco", "yolo")
 
 
 def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") -> str:

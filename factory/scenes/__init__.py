@@ -12,20 +12,12 @@ from .csv_list import CsvListSettings
 from .flsea import FlseaSettings
 from .mesh import MeshSettings
 from .pack import PackSettings
-from .redwood import RedwoodSettings
 from .seabed import SeabedSettings
-from .tum import TumSettings
 
 __all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "open_reader"]
 
 Scenes = Annotated[
-    FlseaSettings
-    | TumSettings
-    | RedwoodSettings
-    | CsvListSettings
-    | SeabedSettings
-    | MeshSettings
-    | PackSettings,
+    FlseaSettings | CsvListSettings | SeabedSettings | MeshSettings | PackSettings,
     Field(discriminator="kind"),
 ]
 
@@ -33,8 +25,6 @@ Scenes = Annotated[
 # configuration loads no image or ray-casting library.
 _READERS = {
     "flsea": ("simnfnd.factory.scenes.flsea", "FlseaReader"),
-    "tum": ("simnfnd.factory.scenes.tum", "TumReader"),
-    "redwood": ("simnfnd.factory.scenes.redwood", "RedwoodReader"),
     "csv_list": ("simnfnd.factory.scenes.csv_list", "CsvListReader"),
     "mesh": ("simnfnd.factory.scenes.mesh", "MeshReader"),
     "pack": ("simnfnd.factory.scenes.pack", "PackReader"),

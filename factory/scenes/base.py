@@ -18,8 +18,8 @@ from ..errors import FactoryError
 from ..frame import Frame, FrameRef
 from ..settings import STRICT, ClassName
 
-INTEGERS_PER_M = {"csv_list": 1000.0, "redwood": 1000.0, "tum": 5000.0}
-"""scenes.kind -> what integer depth is divided by where `depth_scale` is null."""
+INTEGERS_PER_M = 1000.0
+"""What integer depth is divided by where `depth_scale` is null: millimetres."""
 
 
 def _given(root: str) -> str:
@@ -134,32 +134,6 @@ def root_folder(root: str, expected: str) -> Path:
     return folder
 
 
-class FolderReader:
-    """Finds recordings: the root, or the folders directly inside it.  Each is a scene."""
-
-    root: str
-    expected = "a recording"
-
-    def is_recording(self, folder: Path) -> bool:
-        """Whether the files of a recording lie in `folder`."""
-        raise NotImplementedError
-
-    def scan(self, folder: Path, found: Found) -> None:
-        """Add the frames of a recording, the notes about it, and what of it is no use."""
-        raise NotImplementedError
-
-    def discover(self) -> Discovery:
-        """See `Reader`."""
-        root, found = root_folder(self.root, self.expected), Found()
-        with readable(root):
-            folders = [root] if self.is_recording(root) else sorted(root.iterdir())
-            for folder in folders:
-                if folder.is_dir() and self.is_recording(folder):
-                    self.scan(folder, found)
-        nothing = f"scenes.root={self.root}: no frame found; set scenes.root to {self.expected}"
-        return found.discovery(nothing)
-
-
 def check_some_exist(frames: Sequence[FrameRef], given: str, remedy: str) -> None:
     """Raise FactoryError when none of the listed frames' pictures is there."""
     # Unlike Path.is_file, os.path.isfile raises nothing.
@@ -168,11 +142,6 @@ def check_some_exist(frames: Sequence[FrameRef], given: str, remedy: str) -> Non
             f"{given}: none of the {len(frames)} frames listed exists, the first is "
             f"{frames[0].paths[0]}; {remedy}"
         )
-
-
-def folder_name(folder: Path) -> str:
-    """The last part of the path, also for `.` and `..`; links keep the name they are known by."""
-    return Path(os.path.abspath(folder)).name
 
 
 def visible_files(folder: Path) -> list[str]:

@@ -32,12 +32,8 @@ _Positive = Annotated[float, Field(gt=0)]
 # The `intrinsics` key of readers: fx, fy, cx, cy in pixels of the images as they are.
 Pinhole = Annotated[tuple[_Positive, _Positive, float, float], BeforeValidator(_four)]
 
-# `Camera model: pinhole` in one kind of result, `type: <class '...DistortedPinhole...'>` in the
-# other; `Type: aprilgrid` with a capital is the calibration target.
-_MODEL = r"^\s*(?:Camera model|Distortion model|type):\s*(?:<class '.*\.)?(\w+)"
-_KNOWN_MODELS = frozenset(
-    {"pinhole", "radtan", "none", "DistortedPinholeCameraGeometry", "PinholeCameraGeometry"}
-)
+_MODEL = r"^\s*(?:Camera model|Distortion model):\s*(\w+)"
+_KNOWN_MODELS = frozenset({"pinhole", "radtan", "none"})
 
 
 def scaled(
@@ -68,7 +64,6 @@ def finished_frame(
     settings: SceneSettings,
     *,
     undistort: bool = False,
-    world_from_camera: npt.NDArray[np.float64] | None = None,
 ) -> Frame:
     """A checked frame with z depth, undistorted on demand.
 
@@ -79,9 +74,7 @@ def finished_frame(
     the file's pixels) and once more after undistortion, which moves pixels out of the picture.
     """
     try:
-        frame = checked(
-            Frame(ref, rgb, depth_m, intrinsics, world_from_camera), bad_depth=settings.bad_depth
-        )
+        frame = checked(Frame(ref, rgb, depth_m, intrinsics), bad_depth=settings.bad_depth)
         if undistort and intrinsics.distortion:
             rgb, depth_m = undistorted(frame.rgb, frame.depth_m, intrinsics)
             flat = replace(intrinsics, distortion=())
@@ -141,10 +134,8 @@ def z_from_range(
 
 @lru_cache(maxsize=16)
 def read_kalibr(path: Path) -> Intrinsics:
-    """Intrinsics of cam0 from a Kalibr result text: `results-imucam` or `results-cam`.
+    """Intrinsics of cam0 from a Kalibr result text, `results-imucam`.
 
-    The first lists `Focal length`, `Principal point` and `Distortion coefficients`, the second
-    `projection` [fx fy cx cy] and `distortion` [k1 k2 p1 p2], each with its uncertainty.
     Raises FactoryError unless it is a pinhole camera with radial-tangential distortion or none.
     """
     try:
@@ -157,10 +148,8 @@ def read_kalibr(path: Path) -> Intrinsics:
     other = next((model for model in models if model not in _KNOWN_MODELS), None)
     if other:
         raise _not_kalibr(path, f"the camera model is {other}")
-    projection = _numbers(camera, "projection") or (
-        _numbers(camera, "Focal length") + _numbers(camera, "Principal point")
-    )
-    distortion = _numbers(camera, "distortion") or _numbers(camera, "Distortion coefficients")
+    projection = _numbers(camera, "Focal length") + _numbers(camera, "Principal point")
+    distortion = _numbers(camera, "Distortion coefficients")
     if len(projection) != 4 or not all(map(math.isfinite, projection)) or min(projection[:2]) <= 0:
         raise _not_kalibr(path, "no focal lengths and principal point of cam0")
     expected = 0 if "none" in models else 4

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ..errors import FrameError
 from ..quiet import quiet_stderr
+from .base import INTEGERS_PER_M
 
 # Pillow modes whose conversion to RGB loses nothing but transparency.
 _COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})
@@ -38,13 +39,11 @@ def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
     return np.ascontiguousarray(np.asarray(coloured, dtype=np.uint8))
 
 
-def read_depth(
-    path: Path, units_per_m: float | None, integers_per_m: float = 1000.0
-) -> npt.NDArray[np.float32]:
+def read_depth(path: Path, units_per_m: float | None) -> npt.NDArray[np.float32]:
     """(H, W) float32 depth in metres, exactly as stored: NaN, negatives and 0 are kept.
 
     units_per_m: what the file's numbers are divided by (1000: millimetres); None: integers by
-        integers_per_m, and floating-point numbers are metres already.
+        `INTEGERS_PER_M`, and floating-point numbers are metres already.
     Raises FrameError when the file is missing, damaged or not a single-channel depth map.
     """
     if path.suffix.lower() == ".npy":
@@ -61,7 +60,7 @@ def read_depth(
         with np.errstate(over="ignore"):  # too large for float32 becomes infinite: checked later
             return np.ascontiguousarray(stored, dtype=np.float32)
     if stored.dtype.kind in "iu" and stored.dtype.itemsize > 1:
-        return np.ascontiguousarray(stored / (units_per_m or integers_per_m), dtype=np.float32)
+        return np.ascontiguousarray(stored / (units_per_m or INTEGERS_PER_M), dtype=np.float32)
     raise FrameError(
         f"{path}: depth is stored as {stored.dtype}, which holds no distances; "
         "give floating-point metres or integers of 16 bits or more"

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 import re
+from dataclasses import dataclass as plain_dataclass
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -26,7 +27,7 @@ from ..settings import STRICT
 from .base import Discovery, OwnClass, Root, SceneSettings
 
 if TYPE_CHECKING:
-    from .seabed.camera import Objects, Optics, Pose
+    from .seabed.camera import Objects, Pose
 
 _LARGEST_M = 3000.0
 _KEY = "scenes.file"
@@ -47,8 +48,7 @@ class PartClass(OwnClass):
 class MeshSettings(SceneSettings):
     """Keys of `scenes=mesh`.
 
-    file: .glb, .gltf, .obj, .ply, .stl, or .blend (whose pictures Cycles makes with its own
-        materials); z (of .glb: y) points up.  scale: metres per unit of the file.
+    file: .glb, .obj, .ply or .stl; z (of .glb: y) points up.  scale: metres per unit of the file.
     classes: see `PartClass`; other parts are Background.
     poses: a file of `time tx ty tz qx qy qz qw` lines (TUM; commas go, too): camera to world in
         metres, camera axes x right, y down, z forward; null: drawn paths.
@@ -83,6 +83,21 @@ class MeshSettings(SceneSettings):
         return self.classes
 
 
+@plain_dataclass(frozen=True, eq=False)
+class Course:
+    """A drawn path, at `level_m`: around `centre`, `aside_m` away from it, or straight past it.
+
+    reach_m: of what lies around the centre.  heading, tilt: rad, at the start.
+    """
+
+    centre: Points
+    reach_m: float
+    heading: float
+    aside_m: float
+    level_m: float
+    tilt: float
+
+
 class MeshReader:
     """Takes frames of one world; its name and the settings decide them."""
 
@@ -90,6 +105,7 @@ class MeshReader:
         """Nothing is read before it is needed."""
         self._settings = settings
         self._path = Path(settings.file).expanduser()
+        self._course = cache(self._measured)
 
     def discover(self) -> Discovery:
         """List the frames: scene `orbit-0003` is the path number 3, frame `0007` its view 7."""
@@ -98,20 +114,20 @@ class MeshReader:
         settings = self._settings
         paths, views = files_of(self._path, _KEY), settings.views_per_path
         scenes = [f"{settings.route}-{path:04d}" for path in range(settings.paths)]
-        assert self._world  # read, so that bad files show here
+        _, _, notes = self._world  # read, so that bad files show here
         if settings.poses is not None:
             scenes, views = ["poses"], len(self._recorded()[0])
             paths += (str(Path(settings.poses).expanduser()),)
         places = itertools.product(scenes, range(views))
         refs = (FrameRef(self._path.stem, scene, f"{view:04d}", paths) for scene, view in places)
-        return Discovery(tuple(refs))
+        return Discovery(tuple(refs), notes=notes)
 
     def load(self, ref: FrameRef) -> Frame:
         """See `Reader`."""
         from .boxes import boxes_of
         from .seabed.camera import camera, z_buffer
 
-        settings, (objects, _) = self._settings, self._world
+        settings, (objects, shades, _) = self._settings, self._world
         found = re.fullmatch(r"(poses|(?:orbit|transect)-(\d{4}))", ref.scene)
         if found is None or not ref.frame.isdecimal():
             raise FrameError(f"{ref.name}: no view of this world; names are like orbit-0003/0007")
@@ -123,7 +139,7 @@ class MeshReader:
         segmentation, instance = objects.shown(part)
         frame = Frame(
             ref=ref,
-            rgb=self._photograph(where, optics, seen.which),
+            rgb=shades[seen.which],
             depth_m=np.where(seen.which < 0, np.float32(0), seen.depth_m),
             intrinsics=optics.intrinsics,
             world_from_camera=where.matrix,
@@ -136,9 +152,9 @@ class MeshReader:
         return checked(frame, bad_depth=settings.bad_depth)
 
     @cached_property
-    def _world(self) -> tuple[Objects, npt.NDArray[np.uint8]]:
-        """The parts, and shades (T + 1, 3) of their faces and of nothing."""
-        from .mesh_parts import read_parts
+    def _world(self) -> tuple[Objects, npt.NDArray[np.uint8], tuple[str, ...]]:
+        """The parts, shades (T + 1, 3) of their faces and of nothing, and notes for the user."""
+        from .mesh_parts import read_parts, turned_note
         from .seabed.camera import objects_of
 
         settings = self._settings
@@ -160,27 +176,11 @@ class MeshReader:
         light = (0.65 + 0.35 * up)[:, None]  # from above, through water
         albedo = objects.mesh.colours[objects.mesh.triangles].mean(axis=1)
         shades = np.round(255 * np.clip(albedo * light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
-        return objects, np.append(shades, np.zeros((1, 3), np.uint8), axis=0)
-
-    def _photograph(
-        self, where: Pose, optics: Optics, face: npt.NDArray[np.int32]
-    ) -> npt.NDArray[np.uint8]:
-        if self._path.suffix.lower() != ".blend":
-            return self._world[1][face]
-        import cv2
-
-        from . import blend
-        from .mesh_parts import READING
-
-        matrix = where.matrix
-        matrix[:3, 3] /= self._settings.scale
-        given = matrix.tolist(), optics.lens.tolist(), optics.width, optics.height
-        content = READING.call(blend.photograph, self._path, *given, limit_s=600.0)
-        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-        return np.ascontiguousarray(picture[..., ::-1])
+        shades = np.append(shades, np.zeros((1, 3), np.uint8), axis=0)
+        return objects, shades, turned_note(self._path, parts)
 
     def _recorded(self) -> tuple[Points, Points]:
-        from .tum import trajectory
+        from .trajectory import trajectory
 
         return trajectory(Path(self._settings.poses or "").expanduser())
 
@@ -198,6 +198,21 @@ class MeshReader:
         """Drawn pose and time of a view."""
         from .seabed.camera import pose
 
+        course, travelled = self._course(path), self._settings.speed_m_s * view
+        if self._settings.route == "orbit":
+            distance_m = abs(course.aside_m)
+            heading = course.heading + travelled / course.aside_m
+            eye = self._clear(course.centre + distance_m * _level(heading), course.level_m)
+            heading, down = heading + np.pi, np.arctan2(eye[2] - course.centre[2], distance_m)
+        else:
+            heading, down = course.heading, course.tilt
+            ahead, aside = _level(heading), course.aside_m * _level(heading + np.pi / 2)
+            start = course.centre + (travelled - course.reach_m) * ahead + aside
+            eye = self._clear(start, course.level_m)
+        return pose(eye, float(np.rad2deg(heading)), float(np.rad2deg(down)), 0.0), float(view)
+
+    def _measured(self, path: int) -> Course:
+        """Draw a path, and measure the ground under it."""
         settings, objects = self._settings, self._world[0]
         rng = stream(0, "mesh", settings.route, path)
         targets = np.flatnonzero(objects.labels)
@@ -206,35 +221,35 @@ class MeshReader:
             first, _, last, _ = objects.parts[rng.choice(targets)]
             points = points[first:last]
         low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
-        centre, travelled = (low + high) / 2, settings.speed_m_s * view
-        reach = float(np.hypot(*(high - low)[:2])) / 2
-        height_m, heading = rng.uniform(*settings.height_m), rng.uniform(0, 2 * np.pi)
+        centre, reach_m = (low + high) / 2, float(np.hypot(*(high - low)[:2])) / 2
+        height_m, heading, tilt = rng.uniform(*settings.height_m), rng.uniform(0, 2 * np.pi), 0.0
         if settings.route == "orbit":
             distance_m, side = rng.uniform(*settings.distance_m), rng.choice([-1, 1])
-            distance_m += reach * (len(targets) > 0)
-            heading += side * travelled / distance_m
-            ring = centre + distance_m * _level(np.linspace(0, 2 * np.pi, 9)[1:])
-            eye = self._raised(centre + distance_m * _level(heading), height_m, ring)
-            heading, down = heading + np.pi, np.arctan2(eye[2] - centre[2], distance_m)
+            distance_m += reach_m * (len(targets) > 0)
+            aside_m = side * distance_m
+            under = centre + distance_m * _level(np.linspace(0, 2 * np.pi, 9)[1:])
         else:
-            aside = 2 * rng.uniform(-0.25, 0.25) * reach * _level(heading + np.pi / 2)
-            ahead = _level(heading)
-            line = centre + np.linspace(-1, 1, 9)[:, None] * ahead * reach + aside
-            eye = self._raised(centre + (travelled - reach) * ahead + aside, height_m, line)
-            down = np.deg2rad(rng.uniform(*settings.tilt_deg))
-        return pose(eye, float(np.rad2deg(heading)), float(np.rad2deg(down)), 0.0), float(view)
+            aside_m = 2 * rng.uniform(-0.25, 0.25) * reach_m
+            ahead, aside = _level(heading), aside_m * _level(heading + np.pi / 2)
+            under = centre + np.linspace(-1, 1, 9)[:, None] * ahead * reach_m + aside
+            tilt = np.deg2rad(rng.uniform(*settings.tilt_deg))
+        below = [self._below_top_m(place) for place in under]
+        known = [self._top_m - one for one in below if one is not None]
+        level_m = (float(np.median(known)) if known else float(centre[2])) + height_m
+        return Course(centre, reach_m, heading, aside_m, level_m, tilt)
 
-    def _raised(self, point: Points, height_m: float, path: Points) -> Points:
-        """The point so high above the middle height of the ground under a path.
+    def _clear(self, place: Points, level_m: float) -> Points:
+        """The place at a level, or higher: clear of what lies under it."""
+        below = self._below_top_m(place)
+        clear = level_m if below is None else max(level_m, self._top_m - below + _CLEAR_M)
+        return np.array([*place[:2], clear])
 
-        path: (N, 3).  It is clear of what lies under itself, and above itself without any ground.
-        """
-        top = float(self._world[0].mesh.vertices[:, 2].max()) + 1
-        below = [self._above_ground_m(np.array([x, y, top])) for x, y, _ in (point, *path)]
-        known = [top - one for one in below[1:] if one is not None]
-        level = (float(np.median(known)) if known else float(point[2])) + height_m
-        clear = level if below[0] is None else max(level, top - below[0] + _CLEAR_M)
-        return np.array([*point[:2], clear])
+    @cached_property
+    def _top_m(self) -> float:
+        return float(self._world[0].mesh.vertices[:, 2].max()) + 1
+
+    def _below_top_m(self, place: Points) -> float | None:
+        return self._above_ground_m(np.array([*place[:2], self._top_m]))
 
     def _above_ground_m(self, eye: Points) -> float | None:
         from .seabed.camera import Optics, pose, z_buffer

@@ -1,41 +1,56 @@
-"""Strangers' meshes: read in a process of their own, bounded, and said in one line what is wrong.
+"""Strangers' meshes: read by Open3D in a process of their own, and said in one line what is wrong.
 
-All by Open3D: .glb and .gltf after `gltf`, .blend after `blend` has made them that.
+Open3D joins what has one material and loses the names of nodes, by which a world's parts have their
+classes; so it reads a copy of a .glb in which each material is of one node.  Textures become
+colours of corners.
 """
 
 from __future__ import annotations
 
 import io
 import re
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..isolated import IsolatedProcess
-from ..small_files import one_line
-from .gltf import document_of, linked, with_own_materials
-from .painted import Part, linear, painted
+from ..small_files import one_line, parse_json
 from .seabed.meshes import GREY, Mesh, join, mesh
 
+Floats = npt.NDArray[np.float32]
+
+SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 MOST_FACES = 2_000_000
 _MOST_BYTES = 1 << 29
-# Blender reserves more than a gigabyte before it has read anything.
-_MEMORY_BYTES = 3 << 30
-SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".blend")
+_PROCESS = IsolatedProcess(3 << 30)
 _SMALLEST_M = 0.005
+_LEAST = 6000  # triangles of a textured part
 _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from y up, z towards the viewer
+# What names other files in an .obj, and in a file of materials.
+_LIBRARY, _PICTURE = "mtllib", r"(?:map_\w+|bump|disp|decal|refl|norm)"
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A mesh of a file and its name there, metres, z up.  turned: it came inside out."""
+
+    name: str
+    mesh: Mesh
+    turned: bool
 
 
 def files_of(path: Path, key: str) -> tuple[str, ...]:
-    """The file and those that it names (buffers, materials, textures), all of which are there.
+    """The file and, of an .obj, those that it names (materials, textures), all in its folder.
 
-    Raises FactoryError that names the key and what is missing.
+    Raises FactoryError that names the key, and what is missing or lies elsewhere.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise FactoryError(f"{key}={path}: no mesh; give one of {' '.join(SUFFIXES)}")
@@ -43,31 +58,28 @@ def files_of(path: Path, key: str) -> tuple[str, ...]:
         size = path.stat().st_size
         if not path.is_file() or size > _MOST_BYTES:
             raise FactoryError(f"{key}={path}: no file of at most {_MOST_BYTES >> 20} MB")
-        named = _named(path)
+        named = _named(path, _LIBRARY) if path.suffix.lower() == ".obj" else []
+        named += [one for library in named if library.is_file() for one in _named(library)]
+        folder = path.parent.resolve()
+        elsewhere = [one for one in named if not one.resolve().is_relative_to(folder)]
     except (OSError, ValueError) as error:
         raise FactoryError(f"{key}={path}: cannot be read ({one_line(error)})") from error
-    missing = [one for one in named if not one.is_file()]
+    if elsewhere:
+        raise FactoryError(
+            f"{key}={path}: names {elsewhere[0]}, which is not in the mesh's own folder; put it "
+            "there, or export with everything in one .glb"
+        )
+    missing = [one.name for one in named if not one.is_file()]
     if missing:
         raise FactoryError(
-            f"{key}={path}: its {missing[0].name} is missing; put it beside the mesh, or export "
-            "with everything in one .glb"
+            f"{key}={path}: its {missing[0]} is missing; put it beside the mesh, or export with "
+            "everything in one .glb"
         )
     return (str(path), *map(str, named))
 
 
-def _named(path: Path) -> list[Path]:
-    """Files that a .gltf or .obj names."""
-    if path.suffix.lower() == ".gltf":
-        return [path.parent / unquote(one["uri"]) for one in linked(document_of(path)[0])]
-    if path.suffix.lower() != ".obj":
-        return []
-    libraries = _words(path, "mtllib")
-    there = [library for library in libraries if library.is_file()]
-    return libraries + [one for library in there for one in _words(library, "map_Kd")]
-
-
-def _words(path: Path, keyword: str) -> list[Path]:
-    pattern = re.compile(rf"^\s*{keyword}\s+(?:-\S+\s+\S+\s+)*(.+?)\s*$", re.MULTILINE)
+def _named(path: Path, keyword: str = _PICTURE) -> list[Path]:
+    pattern = re.compile(rf"^\s*{keyword}\s+(?:-\S+\s+\S+\s+)*(.+?)\s*$", re.MULTILINE | re.I)
     return [path.parent / name for name in pattern.findall(path.read_text("utf-8", "replace"))]
 
 
@@ -83,8 +95,6 @@ def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[Pa
     except FactoryError as error:
         raise FactoryError(f"{key}={path}: {error}") from error
     points = np.concatenate([part.mesh.vertices for part in parts])
-    if not np.isfinite(points).all():
-        raise FactoryError(f"{key}={path}: has vertices that are no numbers; export it again")
     size_m = float(np.ptp(points, axis=0).max()) * scale
     if not _SMALLEST_M <= size_m <= largest_m:
         wanted = scale / 1000 if size_m > largest_m else scale * 1000
@@ -93,19 +103,23 @@ def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[Pa
             f"{key}={path}: is {size_m:,.4g} m long at scale {scale:g}, {unit} set "
             f"{key.rpartition('.')[0]}.scale to metres per unit of the file, such as {wanted:g}"
         )
-    return tuple(Part(part.name, part.mesh.moved(scale=scale)) for part in parts)
+    return tuple(replace(part, mesh=part.mesh.moved(scale=scale)) for part in parts)
+
+
+def turned_note(path: Path, parts: tuple[Part, ...]) -> tuple[str, ...]:
+    """A line that names the parts of a file that came inside out, if there are any."""
+    names = sorted({part.name for part in parts if part.turned})
+    return (f"{path.name}: inside out, turned: {', '.join(names)[:200]}",) if names else ()
 
 
 @lru_cache(maxsize=16)
 def _parts(path: str, _modified_ns: int) -> tuple[Part, ...]:
-    content = READING.call(load, Path(path), limit_s=300.0)
+    content = _PROCESS.call(load, Path(path), limit_s=300.0)
     with np.load(io.BytesIO(content), allow_pickle=False) as saved:
-        parts = enumerate(saved["names"].tolist())
-        return tuple(Part(name, Mesh(*(saved[f"{of}{k}"] for of in "vct"))) for k, name in parts)
-
-
-READING = IsolatedProcess(_MEMORY_BYTES)
-"""Where files are read: what hangs, crashes or takes all memory there harms nothing here."""
+        return tuple(
+            Part(name, Mesh(*(saved[f"{of}{k}"] for of in "vct")), bool(turned))
+            for k, (name, turned) in enumerate(zip(saved["names"], saved["turned"], strict=True))
+        )
 
 
 def load(path: Path) -> bytes:
@@ -117,28 +131,36 @@ def load(path: Path) -> bytes:
     try:
         with TemporaryDirectory() as folder:
             found = _by_open3d(path, suffix, Path(folder))
+    except ImportError as error:
+        raise FactoryError(
+            f"needs the module open3d ({one_line(error)}): pip install 'simnfnd[open3d]'"
+        ) from error
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OSError) as error:
         raise FactoryError(f"damaged, or no {suffix} file ({one_line(error)})") from error
-    found = [part for part in found if len(part.mesh.triangles)]
-    faces = sum(len(part.mesh.triangles) for part in found)
+    found = [(name, solid) for name, solid in found if len(solid.triangles)]
+    faces = sum(len(solid.triangles) for _, solid in found)
     if not faces:
         raise FactoryError("has no faces (points alone?); export a mesh of triangles")
     if faces > MOST_FACES:
         raise FactoryError(f"has {faces:,} faces; at most {MOST_FACES:,} go: decimate it")
-    arrays: dict[str, npt.NDArray[Any]] = {"names": np.array([part.name for part in found])}
-    for k, part in enumerate(found):
-        least, most = part.mesh.triangles.min(), part.mesh.triangles.max()
-        if least < 0 or most >= len(part.mesh.vertices):
+    arrays: dict[str, npt.NDArray[Any]] = {"names": np.array([name for name, _ in found])}
+    turned = []
+    for k, (_, solid) in enumerate(found):
+        if not np.isfinite(solid.vertices).all():
+            raise FactoryError("has vertices that are no numbers; export it again")
+        if solid.triangles.min() < 0 or solid.triangles.max() >= len(solid.vertices):
             raise FactoryError("damaged: its faces name vertices that are not there")
-        arrays |= {f"v{k}": part.mesh.vertices, f"c{k}": part.mesh.colours}
-        arrays[f"t{k}"] = _outside_out(part.mesh)
+        turned.append(_inside_out(solid))
+        triangles = solid.triangles[:, ::-1] if turned[-1] else solid.triangles
+        arrays |= {f"v{k}": solid.vertices, f"c{k}": solid.colours}
+        arrays[f"t{k}"] = np.ascontiguousarray(triangles)
     content = io.BytesIO()
-    np.savez(content, **arrays)
+    np.savez(content, turned=np.array(turned), **arrays)
     return content.getvalue()
 
 
-def _outside_out(solid: Mesh) -> npt.NDArray[np.int32]:
-    """Its triangles, turned where it is closed and inside out; light comes from outside."""
+def _inside_out(solid: Mesh) -> bool:
+    """Whether it is closed and its faces look inwards; light comes from outside."""
     corners = solid.vertices.astype(np.float64)[solid.triangles]
     corners -= corners.mean(axis=(0, 1))
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -146,71 +168,115 @@ def _outside_out(solid: Mesh) -> npt.NDArray[np.int32]:
     # The areas of a closed surface, as vectors, add up to nothing.
     area = np.linalg.norm(outward, axis=1).sum()
     closed = np.linalg.norm(outward.sum(axis=0)) < 1e-3 * area
-    if closed and (a * outward).sum() < 0:
-        return np.ascontiguousarray(solid.triangles[:, ::-1])
-    return solid.triangles
+    return bool(closed and (a * outward).sum() < 0)
 
 
-def _by_open3d(path: Path, suffix: str, folder: Path) -> list[Part]:
-    """folder: for copies, an empty one."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise FactoryError(
-            f"needs the module open3d ({one_line(error)}): pip install 'simnfnd[open3d]'"
-        ) from error
-    if (faces := _claimed_faces(path)) > MOST_FACES:
-        raise FactoryError(f"claims {faces:,} faces; at most {MOST_FACES:,} go: decimate it")
+def _by_open3d(path: Path, suffix: str, folder: Path) -> list[tuple[str, Mesh]]:
+    """Name and mesh of the parts.  folder: for a copy, an empty one."""
+    import open3d
+
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     reader: Any = open3d.io
     if suffix in (".ply", ".stl"):
         found = reader.read_triangle_mesh(str(path))
-        if not found.has_vertex_colors():  # .stl has each corner of each face
-            found.remove_duplicated_vertices()
         colours: npt.ArrayLike = GREY
         if found.has_vertex_colors():
-            colours = linear(np.asarray(found.vertex_colors) * 255)
+            colours = _linear(np.asarray(found.vertex_colors) * 255)
+        else:  # .stl has each corner of each face
+            found.remove_duplicated_vertices()
         solid = mesh(np.asarray(found.vertices), np.asarray(found.triangles), colours)
-        return [Part(path.stem, solid)]
-    if suffix == ".blend":
-        from .blend import as_gltf
-
-        source, path = path, folder / "scene.glb"
-        as_gltf(source, path)
+        with path.open("rb") as file:
+            claimed = re.search(rb"^element face (\d{1,18})", file.read(1 << 16), re.MULTILINE)
+        if claimed and int(claimed[1]) > len(solid.triangles):  # Open3D says nothing of the rest
+            raise ValueError(f"claims {int(claimed[1]):,} faces, holds {len(solid.triangles):,}")
+        return [(path.stem, solid)]
     if suffix == ".obj":
         model = reader.read_triangle_model(str(path))
-        meshes = [_of_model(one, model.materials[one.material_idx]) for one in model.meshes]
-        return [Part(path.stem, found) for found in meshes]
-    copy, owners = with_own_materials(path, folder)
+        return [(path.stem, _of_model(one, model)) for one in model.meshes]
+    copy, owners = _with_own_materials(path, folder)
     model = reader.read_triangle_model(str(copy))
     if owners and not model.meshes:
         raise ValueError("Open3D reads nothing of it; compressed?")
     nodes: dict[tuple[int, str], list[Mesh]] = {owner: [] for owner in owners}
     for one in model.meshes:
-        material = model.materials[one.material_idx]
-        made = _of_model(one, material, material.base_color[:3])
+        made = _of_model(one, model, tinted=True)
         nodes[owners[one.material_idx]].append(made.moved(_Z_UP))
-    return [Part(name, join(some)) for (_, name), some in nodes.items() if some]
+    return [(name, join(some)) for (_, name), some in nodes.items() if some]
 
 
-def _claimed_faces(path: Path) -> int:
-    """What the head of a .ply or a binary .stl says; 0 where it says nothing."""
-    with path.open("rb") as file:
-        head = file.read(1 << 16)
-    if path.suffix.lower() == ".stl" and not head.startswith(b"solid"):
-        return int.from_bytes(head[80:84], "little")
-    found = re.search(rb"^element face (\d{1,18})", head, re.MULTILINE)
-    return int(found[1]) if head.startswith(b"ply") and found else 0
+def _with_own_materials(path: Path, folder: Path) -> tuple[Path, list[tuple[int, str]]]:
+    """A copy whose materials are each of one node, and number and name of those."""
+    content = path.read_bytes()
+    end = 20 + int.from_bytes(content[12:16], "little")
+    if content[:4] != b"glTF":
+        raise ValueError("no glTF")
+    document = parse_json(content[20:end])
+    for item in (*document.get("buffers", ()), *document.get("images", ())):
+        if not item.get("uri", "data:").startswith("data:"):
+            raise FactoryError("names other files; export with everything in one .glb")
+    for buffer in document.get("buffers", ()):
+        if "uri" not in buffer:
+            (folder / "chunk.bin").write_bytes(content[end + 8 :])
+            buffer["uri"] = "chunk.bin"
+    nodes, owners = document.get("nodes", []), []
+    meshes: list[dict[str, Any]] = []
+    materials: list[dict[str, Any]] = []
+    for number, node in enumerate(nodes):
+        if "mesh" not in node:
+            continue
+        solid = deepcopy(document["meshes"][node["mesh"]])
+        for piece in solid["primitives"]:
+            given = document["materials"][piece["material"]] if "material" in piece else {}
+            surface = given.get("pbrMetallicRoughness") or {"baseColorFactor": [*GREY, 1]}
+            # Equal materials would be joined, too.
+            apart = {"roughnessFactor": len(materials) / 2**20}
+            piece["material"] = len(materials)
+            materials.append({"pbrMetallicRoughness": {**surface, **apart}})
+            owners.append((number, str(node.get("name") or solid.get("name") or f"part {number}")))
+        node["mesh"] = len(meshes)
+        meshes.append(solid)
+    children = {child for node in nodes for child in node.get("children", ())}
+    roots = [number for number in range(len(nodes)) if number not in children]
+    document |= {"meshes": meshes, "materials": materials, "scenes": [{"nodes": roots}], "scene": 0}
+    copy = folder / "own.gltf"
+    copy.write_text(dumps(document))
+    return copy, owners
 
 
-def _of_model(one: Any, material: Any, tint: npt.ArrayLike = 1) -> Mesh:
-    """tint: factor of its texture."""
-    found = one.mesh
+def _of_model(one: Any, model: Any, tinted: bool = False) -> Mesh:
+    """tinted: the colour of the material is a factor of its texture."""
+    found, material = one.mesh, model.materials[one.material_idx]
     points, triangles = np.asarray(found.vertices), np.asarray(found.triangles)
+    colour = np.asarray(material.base_color[:3], np.float32)
     picture = np.asarray(material.albedo_img) if material.albedo_img else np.empty(0)
     if picture.ndim == 3 and found.has_triangle_uvs():
         places = np.asarray(found.triangle_uvs).reshape(-1, 3, 2) * (1, -1) + (0, 1)
-        albedo = linear(picture[..., :3]) * np.asarray(tint, np.float32)
-        return painted(points[triangles].astype(np.float32), places, albedo)
-    colours = np.asarray(found.vertex_colors) if found.has_vertex_colors() else None
-    return mesh(points, triangles, material.base_color[:3] if colours is None else colours)
+        albedo = _linear(picture[..., :3]) * (colour if tinted else 1)
+        return _painted(points[triangles].astype(np.float32), places, albedo)
+    return mesh(points, triangles, found.vertex_colors if found.has_vertex_colors() else colour)
+
+
+def _linear(srgb: npt.NDArray[Any]) -> Floats:
+    """Albedo of sRGB values 0 to 255."""
+    return np.asarray((np.asarray(srgb, np.float32) / 255) ** 2.2, np.float32)
+
+
+def _painted(corners: Floats, places: npt.NDArray[Any], picture: Floats) -> Mesh:
+    """A mesh with the colours of its texture, cut so fine that its corners show them.
+
+    corners: (T, 3, 3).  places: (T, 3, 2) in widths and heights of the (H, W, 3) picture, whose
+    top row has place 0.
+    """
+    cut = np.concatenate([corners, places], axis=-1).astype(np.float32)
+    while 0 < len(cut) < _LEAST:
+        a, b, c = cut[:, 0], cut[:, 1], cut[:, 2]
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        pieces = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        cut = np.concatenate([np.stack(piece, axis=1) for piece in pieces])
+    points = cut.reshape(-1, 5)
+    size = np.array(picture.shape[1::-1])
+    # The far edge belongs to the picture, and what lies beyond it repeats it.
+    inside = np.where(points[:, 3:] == 1, np.float32(1 - 1e-6), points[:, 3:]) % 1
+    column, row = (np.floor(inside * size).astype(np.int64) % size).T
+    triangles = np.arange(len(points), dtype=np.int32).reshape(-1, 3)
+    return Mesh(np.ascontiguousarray(points[:, :3]), picture[row, column], triangles)

@@ -1,7 +1,7 @@
 """Local copies of datasets on a storage: small files at once, shards when they are asked for.
 
-A copy is a folder like any dataset's, so that whatever reads a dataset reads it.  Shards that were
-not used for longest go when all copies together take more than SIMNFND_CLOUD_CACHE_BYTES.
+A copy is a folder like any dataset's, so that whatever reads a dataset reads it.  The oldest shards
+go when all copies together take more than SIMNFND_CLOUD_CACHE_BYTES.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import hashlib
 import os
 import re
 import secrets
-import time
 import zlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -31,8 +30,7 @@ _SMALL = re.compile(
 _MOST_SMALL_BYTES = 1 << 28
 _KEPT_BYTES = 10_000_000_000
 _LIMIT = "SIMNFND_CLOUD_CACHE_BYTES"
-# Lock files of each copy, which shards share by their names; and how long one waits for another.
-_LOCKS, _LONGEST_S = 64, 120.0
+_LOCKS = 64  # lock files of each copy, which shards share by their names
 
 
 def copies_folder() -> Path:
@@ -117,34 +115,25 @@ def shard_names(names: Mapping[str, int]) -> list[str]:
     return [name for name in sorted(names) if _SHARD.fullmatch(name)]
 
 
-def fetched(path: Path, look: Callable[[Path], None] | None = None, *, wait: bool = True) -> None:
-    """Fetch the shard of a copy that is not here.
+def fetched(path: Path, look: Callable[[Path], None] | None = None) -> None:
+    """Fetch the shard of a copy that is not here; who else wants it now waits for that.
 
-    wait: for another that fetches it now (two minutes at most), or leave it to that.
     look: called with the file before it gets its name; what it raises leaves nothing behind.
     Nothing is done about any other file, or where the storage does not have it.
     """
     url = url_of(path.parent.parent)
     name = f"{path.parent.name}/{path.name}"
-    if url is None or not _SHARD.fullmatch(name) or _touch(path):
+    if url is None or not _SHARD.fullmatch(name) or path.exists():
         return
-    from filelock import FileLock, Timeout
+    from filelock import FileLock
 
     with explain_os_errors(path, "SIMNFND_CLOUD_CACHE"):
         path.parent.mkdir(parents=True, exist_ok=True)
         number = zlib.crc32(path.name.encode()) % _LOCKS
-        alone = FileLock(path.parent.parent / f".fetching-{number:02d}", thread_local=False)
-        with suppress(Timeout):  # after so long it is fetched twice at worst
-            alone.acquire(timeout=_LONGEST_S if wait else 0, poll_interval=0.005)
-        try:
-            # Another has fetched it meanwhile, or does so now.
-            if not _touch(path) and (wait or alone.is_locked):
-                content = Store(url).get(name)
-                if content is not None:
-                    _write(path, content, look)
-                    make_room(spare=path)
-        finally:
-            alone.release()
+        with FileLock(path.parent.parent / f".fetching-{number:02d}"):
+            if not path.exists() and (content := Store(url).get(name)) is not None:
+                _write(path, content, look)
+                make_room(spare=path)
 
 
 def most_bytes() -> int:
@@ -157,7 +146,7 @@ def most_bytes() -> int:
 
 
 def make_room(spare: Path) -> None:
-    """Remove shards of copies, those not used for longest first, until the rest is small enough.
+    """Remove shards of copies, the oldest first, until the rest is small enough.
 
     spare: the shard that came just now, which stays.
     """
@@ -165,24 +154,12 @@ def make_room(spare: Path) -> None:
     for path in copies_folder().glob("*/t*/*.h5"):
         with suppress(OSError):
             state = path.stat()
-            found.append((state.st_atime_ns, state.st_size, path))
+            found.append((state.st_mtime_ns, state.st_size, path))
     total, most = sum(size for _, size, _ in found), most_bytes()
     for _, size, path in sorted(found):
         if total > most and path != spare:
             path.unlink(missing_ok=True)
             total -= size
-
-
-def _touch(path: Path) -> bool:
-    """Note that a shard is in use, so that others go first; returns whether it is there.
-
-    By its time of access alone: the time of change tells whether it is the file that it was.
-    """
-    try:
-        os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
-    except OSError:
-        return path.exists()
-    return True
 
 
 def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = None) -> None:
@@ -191,7 +168,6 @@ def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = Non
         aside.write_bytes(content)
         if look:
             look(aside)
-        _touch(aside)  # it may have waited for the look, and is not the oldest for that
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)

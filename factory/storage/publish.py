@@ -29,7 +29,6 @@ from .store import Store
 LOCK_NAME = ".lock"
 _BEAT_S = 20.0
 _SILENT_S = 600.0
-_TRIES = 5
 
 
 class StoreLock:
@@ -72,20 +71,18 @@ class StoreLock:
         return read_lock(self.store, self.name).get("token") == self.token
 
     def _take(self) -> None:
-        for _ in range(_TRIES):
-            if self.store.create(self.name, self._text()):
-                # Some servers do not know the condition and overwrite.
-                if self.store.create(self.name, self._text()):
-                    raise FactoryError(
-                        f"{self.store.url}: this storage overwrites where it is told not to, so "
-                        "nothing would keep two runs apart; make the dataset in a folder and copy "
-                        "it"
-                    )
-                return
+        if not self.store.create(self.name, self._text()):
             owner = self._refuse_if_held(self.name)
             if read_lock(self.store, self.name) == owner:
                 self.store.remove(self.name)
-        raise FactoryError(f"{self.store.url}: others take its lock again and again; try later")
+            if not self.store.create(self.name, self._text()):
+                raise FactoryError(f"{self.store.url}: another run takes its lock; try later")
+        # Some servers do not know the condition and overwrite.
+        if self.store.create(self.name, self._text()):
+            raise FactoryError(
+                f"{self.store.url}: this storage overwrites where it is told not to, so nothing "
+                "would keep two runs apart; make the dataset in a folder and copy it"
+            )
 
     def _beat(self) -> None:
         while not self._ended.wait(_BEAT_S):

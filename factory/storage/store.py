@@ -11,8 +11,8 @@ from typing import Any
 from ..errors import FactoryError
 
 _URL = re.compile(r"([a-z][a-z0-9+.-]*)://(.+)")
-# What pip has to bring for a protocol; for any other the extra `cloud`.
-_PACKAGES = {"gs": "gcsfs", "gcs": "gcsfs", "ssh": "paramiko", "sftp": "paramiko"}
+# What is written there can be seen half finished.
+_FILES = ("file", "local", "ssh", "sftp", "ftp", "smb")
 
 
 def is_url(name: object) -> bool:
@@ -35,6 +35,8 @@ class Store:
         match = _URL.fullmatch(self.url)
         if match is None or "::" in self.url or "?" in self.url or "#" in self.url:
             raise FactoryError(f"{self.url}: no URL of a storage, such as s3://bucket/folder")
+        if match[1] in _FILES:
+            raise FactoryError(f"{self.url}: objects are stored, no files; mount it, give a folder")
         object.__setattr__(self, "url", self.url.rstrip("/"))
 
     def sizes(self) -> dict[str, int]:
@@ -55,15 +57,7 @@ class Store:
     def put(self, name: str, content: bytes) -> None:
         """Write an object; readers see the old one or the new one, and never a part."""
         with self._place("written", name) as (system, root):
-            path = f"{root}/{name}"
-            if not self._has_folders:
-                system.pipe_file(path, content)
-                return
-            # A file system: written aside and moved.
-            folder, _, last = path.rpartition("/")
-            system.makedirs(folder, exist_ok=True)
-            system.pipe_file(f"{folder}/.{last}.part", content)
-            system.mv(f"{folder}/.{last}.part", path)
+            system.pipe_file(f"{root}/{name}", content)
 
     def create(self, name: str, content: bytes) -> bool:
         """Write an object that is not there yet; returns whether it was not.
@@ -72,8 +66,6 @@ class Store:
         """
         with self._place("written", name) as (system, root):
             try:
-                if self._has_folders:
-                    system.makedirs(f"{root}/{name}".rpartition("/")[0], exist_ok=True)
                 system.pipe_file(f"{root}/{name}", content, mode="create")
             except FileExistsError:
                 return False
@@ -89,10 +81,6 @@ class Store:
         with self._place("removed", name) as (system, root), suppress(FileNotFoundError):
             system.rm_file(f"{root}/{name}")
 
-    @property
-    def _has_folders(self) -> bool:
-        return self.url.partition(":")[0] in ("file", "local", "ssh", "sftp")
-
     @contextmanager
     def _place(self, done: str, name: str = "") -> Iterator[tuple[Any, str]]:
         """File system, of which fsspec keeps one for each process and thread, and root."""
@@ -104,10 +92,8 @@ class Store:
         except FactoryError:
             raise
         except ImportError as error:
-            protocol = self.url.partition(":")[0]
-            package = _PACKAGES.get(protocol, "simnfnd[cloud]")
             raise FactoryError(
-                f"{self.url}: {protocol} needs another package: pip install '{package}'"
+                f"{self.url}: needs another package ({error}); S3: pip install 'simnfnd[cloud]'"
             ) from error
         # Each storage's library has errors of its own.
         except Exception as error:

@@ -72,7 +72,6 @@ def module_of(network: Network, steps: int, learning_rate: float, seed: int) -> 
     settings = TrainSettings(
         steps=steps,
         check_every=steps // checks,
-        patience=None,
         learning_rate=learning_rate,
         weight_decay=1e-4,
         warmup=10,
@@ -171,7 +170,7 @@ def tune(module: AdaptModule, lesson: Lesson, device: torch.device) -> Best:
             best.state = copy.deepcopy(averaged.state_dict())
         return {"step": step, "loss": loss, "figure": figure}
 
-    loop.run(batches, check, lambda rows: False)
+    loop.run(batches, check)
     network.load_state_dict(best.state)
     network.eval()
     return best

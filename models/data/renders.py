@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from ...factory.config import FactoryConfig, digest, from_mapping, plain
 from ...factory.dataset.format.manifest import CONFIG_NAME
@@ -232,7 +230,7 @@ def _by_any_device(
     facts: dict[str, Any],
     seed: int,
 ) -> Data:
-    drawn = composed((f"experiment={data.experiment}", *data.factory))
+    drawn = composed((f"experiment={data.experiment}",))
     if not held or drawn.devices is None:
         raise FactoryError(
             f"data.experiment={data.experiment}: draws no devices, or no render is held out; use "
@@ -282,20 +280,6 @@ def _config(data: RendersData, dataset: str) -> FactoryConfig:
         raise FactoryError(
             f"{path}: cannot be read; data=renders needs the whole folder that `simnfnd make` wrote"
         ) from error
-    words = []
-    for word in data.factory:
-        key, equals, _ = word.lstrip("+").partition("=")
-        if not equals:
-            raise FactoryError(f"data.factory: {word!r} is no KEY=VALUE")
-        # What the experiment decides is changed there; the dataset may not even have the group.
-        if data.experiment is None or key.partition(".")[0] not in _DECIDE:
-            words.append(word.lstrip("+"))
-    try:
-        merged = OmegaConf.create(values)
-        merged.merge_with_dotlist(words)
-        values = OmegaConf.to_container(merged)
-    except (OmegaConfBaseException, ValueError, yaml.YAMLError) as error:
-        raise FactoryError(f"data.factory: {' '.join(str(error).split())[:160]}") from error
     # What stands beside the pairs is of no use here, and may need more than the renders.
     if isinstance(values, dict) and isinstance(values.get("dataset"), dict):
         values["dataset"]["layers"] = []
@@ -307,6 +291,5 @@ def _config(data: RendersData, dataset: str) -> FactoryConfig:
         return from_mapping(values)
     except FactoryError as error:
         raise FactoryError(
-            f"dataset={dataset}: data=renders needs a dataset of this version of the factory, and "
-            f"keys that it has: {error}"
+            f"dataset={dataset}: data=renders needs a dataset of this version: {error}"
         ) from error

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +19,7 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS, REMOVAL
-from ..recordings import Levels, open_recording
+from ..recordings import open_recording
 from ..removal import DEFAULT
 from .asked import NOISES, OF_POINTS, OVER, REAL, InTurn, asked_denoiser
 from .denoiser import (
@@ -36,7 +34,6 @@ from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .resume import Finished
 from .temporal.stream import FRAMES
-from .watch import Watched, watch
 
 _WHICH = f"""\
 weights that ship:
@@ -48,7 +45,7 @@ your own sonar: `simnfnd adapt RECORDING --out own.safetensors`, then --weights 
 
 
 def main(arguments: Sequence[str]) -> int:
-    """`simnfnd denoise IN... --out DIR`, or --watch FOLDER; 1 when some files were skipped."""
+    """`simnfnd denoise IN... --out DIR`; 1 when some files were skipped."""
     keep_freed_memory()  # every picture needs the same planes again
     parser = Parser(
         prog="simnfnd denoise",
@@ -57,7 +54,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument(
         "inputs",
-        nargs="*",
+        nargs="+",
         metavar="IN",
         help="image, folder, shard, video, .aris, .ddf, .raw, bag or array (.npy, .npz, .mat)",
     )
@@ -99,14 +96,6 @@ def main(arguments: Sequence[str]) -> int:
         "table of fans (file, apex_x, apex_y, ...); shards and recordings know theirs",
     )
     parser.add_argument(
-        "--levels",
-        nargs=2,
-        type=float,
-        metavar=("BLACK", "WHITE"),
-        help="of arrays and TIFF files: which numbers show as black and as white, such as -60 0 "
-        "for decibels",
-    )
-    parser.add_argument(
         "--topic",
         action="append",
         default=[],
@@ -119,26 +108,14 @@ def main(arguments: Sequence[str]) -> int:
         "--overlap", type=int, default=OVERLAP, help=f"pixels that tiles share ({OVERLAP})"
     )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
-    parser.add_argument(
-        "--watch", metavar="FOLDER", help="denoise what comes into a folder, until Ctrl-C"
-    )
-    parser.add_argument(
-        "--every", type=float, default=2.0, help="seconds between two looks at it (2)"
-    )
     chosen = parser.parse_args(list(arguments))
     if not 0 <= chosen.overlap <= chosen.tile // 2:
         raise FactoryError(f"--overlap {chosen.overlap}: must be at most half of --tile")
-    if bool(chosen.inputs) == (chosen.watch is not None):
-        raise FactoryError("give files or folders to denoise, or --watch FOLDER, and not both")
-    if not 0 < chosen.every < 86_400:
-        raise FactoryError(f"--every {chosen.every:g}: give seconds, more than 0")
     if not 0 <= chosen.strength <= 1:
         raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
     out = Path(chosen.out).expanduser()
-    levels = _levels(chosen.levels)
-    watched = Watched(Path(chosen.watch).expanduser(), out, levels) if chosen.watch else None
     inputs = [Path(name).expanduser() for name in chosen.inputs]
-    items = find_items(inputs, out, levels, compare=chosen.compare)
+    items = find_items(inputs, out, compare=chosen.compare)
     geometries = Geometries(chosen.geometry)
     remove = None if chosen.remove is None else chosen.remove.split(",")
     # What is asked for by hand is not what predicts other frames of a recording.
@@ -160,27 +137,13 @@ def main(arguments: Sequence[str]) -> int:
     )
     job = Job(out, denoising, geometries.of, chosen.compare, chosen.topic)
     work = _Work(job, denoise, points)
-    if watched:
-        # Pictures that come one by one have none after them.
-        job.live = {} if chosen.causal else None
-        failed = _watch(work, watched, chosen.every)
-    else:
-        failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
+    failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
     for line in (*geometries.summary(), *denoising.summary()):
         print(line)
     used = ", ".join(f"{name} ({count} file(s))" for name, count in work.used.items())
     print(f"weights: {used or denoise.name}")
     print(f"denoised: {work.done} file(s) in {out}")
-    return 1 if failed and not watched else 0
-
-
-def _levels(given: Sequence[float] | None) -> Levels | None:
-    if given is None:
-        return None
-    black, white = given
-    if not (math.isfinite(black) and math.isfinite(white) and black != white):
-        raise FactoryError(f"--levels {black:g} {white:g}: give two different numbers")
-    return Levels(black, white)
+    return 1 if failed else 0
 
 
 @dataclass
@@ -288,27 +251,6 @@ def _all(work: _Work, items: Sequence[Item], finished: Finished) -> int:
     return len(failures)
 
 
-def _watch(work: _Work, watched: Watched, every_s: float) -> int:
-    """Denoise what comes, with a line each; returns how many files could not be."""
-    failures = 0
-
-    def on(item: Item) -> None:
-        nonlocal failures
-        began = time.perf_counter()
-        ((_, said),) = work.on([item])
-        if isinstance(said, FrameError):
-            failures += 1
-            print(f"skipped: {said}", file=sys.stderr, flush=True)
-            return
-        if said:
-            print(f"warning: {said}", file=sys.stderr, flush=True)
-        print(f"{item.relative}: {time.perf_counter() - began:.2f} s", flush=True)
-
-    print(f"watching {watched.folder}; Ctrl-C ends", flush=True)
-    watch(watched, on, every_s)
-    return failures
-
-
 def _pictures(item: Item, topics: Sequence[str]) -> int:
     """How many pictures a file holds, for the progress bar; 0 for one that cannot be read."""
     if item.kind == "image":
@@ -321,7 +263,7 @@ def _pictures(item: Item, topics: Sequence[str]) -> int:
                 return len(shard["noisy"])
         if item.kind == "bag":
             return len(open_bag(item, topics))
-        with open_recording(item.source, item.levels) as recording:
+        with open_recording(item.source) as recording:
             return len(recording)
     except FactoryError:
         return 0

@@ -20,9 +20,8 @@ from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
 from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
 from ..recordings.pictures import in_unit_range, read_picture
 from ..recordings.video import VideoFile
-from .inputs import Item, SequenceKey, place_in_time
-from .pictures import Denoising, Picture, Place, Seen, finished, shot_of
-from .temporal.stream import InTime
+from .inputs import Item
+from .pictures import Denoising, Picture, Place, Seen
 from .writers import COMPARED, FrameFiles, write_compared, write_image
 
 if TYPE_CHECKING:
@@ -39,7 +38,6 @@ class Job:
     """How files are denoised, and into which folder.
 
     topics: of bags, whose pictures; none: as `RosBag` says.  finished: of an earlier run.
-    live: what takes pictures that come one by one, for each sequence; None: none do.
     tick: called after every picture.
     """
 
@@ -49,7 +47,6 @@ class Job:
     compare: bool = False
     topics: Sequence[str] = ()
     finished: frozenset[Path] = frozenset()
-    live: dict[SequenceKey, InTime[Seen[Item]]] | None = None
     tick: Callable[[], object] = field(default=lambda: None)
 
     def place(self, item: Item) -> Place:
@@ -81,7 +78,7 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
                 named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
                 failed.append((item, FrameError(named)))
 
-    for seen, denoised in _in_time(items, read(), job):
+    for seen, denoised in job.denoising.sequence(read(), alone=len(items) < 2):
         if seen.key.relative in job.finished:
             continue
         error = None
@@ -96,19 +93,6 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
         yield from failed
         failed.clear()
     yield from failed
-
-
-def _in_time(
-    items: Sequence[Item], seen: Iterator[Seen[Item]], job: Job
-) -> Iterator[tuple[Seen[Item], Picture]]:
-    """Pictures of a sequence; one that came alone follows those that came before."""
-    if job.live is None:
-        yield from job.denoising.sequence(seen, alone=len(items) < 2)
-        return
-    key, _ = place_in_time(items[0])
-    stream = job.live.setdefault(key, job.denoising.stream())
-    for one in seen:
-        yield from finished(stream.push(shot_of(one)))
 
 
 def denoise_recording(item: Item, job: Job) -> str:
@@ -253,6 +237,6 @@ def _write_picture(item: Item, denoised: Picture, out: Path) -> None:
 
 def _opened(item: Item) -> Recording:
     try:
-        return open_recording(item.source, item.levels)
+        return open_recording(item.source)
     except FactoryError as error:
         raise FrameError(str(error)) from error

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Literal
 
 from ...factory.errors import FactoryError
-from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, is_bag_folder, kind_of
+from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, is_bag_folder, kind_of
 from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
 from ..recordings.arrays import is_table
-from ..recordings.base import ARRAY_SUFFIX, TIFF_SUFFIXES
+from ..recordings.base import ARRAY_SUFFIX
 
 PING_KINDS = ("aris", "ddf", "oculus")
 """Recordings (`simnfnd.models.recordings`) whose frames are pings, not pictures."""
@@ -29,8 +29,6 @@ SUFFIXES = (
     ),
 )
 
-SequenceKey = tuple[str, ...]
-
 _NUMBER = re.compile(r"\d+")
 
 
@@ -39,14 +37,12 @@ class Item:
     """One input file (or a folder that is a bag) and its name below the output folder.
 
     checked: a shard that another process has opened without harm.
-    levels: of arrays and TIFF files, what shows as black and white.
     whole_name: whether its sheet to compare by keeps its suffix, as another has its name without.
     """
 
     source: Path
     relative: Path
     checked: bool = False
-    levels: Levels | None = None
     whole_name: bool = False
 
     @property
@@ -63,8 +59,6 @@ class Item:
         if self.checked or suffix in HDF5_SUFFIXES:
             return "shard"
         kind = kind_of(self.source)
-        if self.levels is not None and suffix in (*ARRAY_SUFFIXES, *TIFF_SUFFIXES):
-            return "video"
         if kind in PING_KINDS:
             return "pings"
         if kind == "rosbag":
@@ -72,21 +66,18 @@ class Item:
         return "video" if kind in SEQUENCES else "image"
 
 
-def find_items(
-    inputs: Sequence[Path], out: Path, levels: Levels | None = None, *, compare: bool = False
-) -> list[Item]:
+def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> list[Item]:
     """The files to denoise, in a fixed order.
 
-    A folder stands for all such files below it, a dataset's folder for its shards
-    alone.  levels: of files of arrays.  compare: whether sheets to compare by are written, too.
+    A folder stands for all such files below it, a dataset's folder for its shards alone.
+    compare: whether sheets to compare by are written, too.
 
     Raises FactoryError when there is nothing, and where a file that will be written is an input or
     the same as another.
     """
     items: dict[tuple[Path, Path], Item] = {}
     for path in inputs:
-        for found in _of_input(path, out):
-            item = replace(found, levels=levels)
+        for item in _of_input(path, out):
             items.setdefault((item.relative, item.source.resolve()), item)
     sheets = Counter(item.compared for item in items.values())
     found_items = [replace(item, whole_name=sheets[item.compared] > 1) for item in items.values()]
@@ -99,9 +90,9 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
 
     A sequence is the pictures of a folder whose names differ in their last number alone.
     """
-    found: dict[SequenceKey, list[tuple[int, Item]]] = {}
+    found: dict[tuple[str, ...], list[tuple[int, Item]]] = {}
     for item in items:
-        key, number = place_in_time(item)
+        key, number = _place_in_time(item)
         found.setdefault(key, []).append((number, item))
     return [
         [item for _, item in sorted(some, key=lambda one: (one[0], one[1].source))]
@@ -109,7 +100,7 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
     ]
 
 
-def place_in_time(item: Item) -> tuple[SequenceKey, int]:
+def _place_in_time(item: Item) -> tuple[tuple[str, ...], int]:
     """The sequence of a file, and its number there; see `sequences`."""
     name = item.source.name
     numbers = list(_NUMBER.finditer(name)) if item.kind == "image" else []

@@ -18,9 +18,7 @@ from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
 from ...factory.quiet import quiet_stderr
 from ..recordings.arrays import ArrayFile, NpyWriter
-from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording
-from ..recordings.levels import swapped
-from ..recordings.pictures import StackFile
+from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording, swapped
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
@@ -67,8 +65,8 @@ class FrameFiles:
 
         Raises FrameError when another file has the place of a folder.
         """
-        if isinstance(self._source, ArrayFile | StackFile):
-            picture = self._source.stored(self.count, picture)
+        if isinstance(self._source, ArrayFile):
+            picture = picture.astype(self._source.header.dtype)
         if not self.count:
             self._open(picture)
         if self._stack is not None:

@@ -14,15 +14,9 @@ A network is one file beside this one with a settings class and a torch module, 
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each picture.
-- A network with `has_stages = True` makes several pictures, one after another:
-  `with_stages(x, ...)` returns all of them, the last as `forward` does; training takes the mean of
-  their losses.
 - A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
-  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `weight` from a
-  network with heads, and `progress`, a scalar, the fraction of the training that is done.
-- A network with `adversarial = True` is trained against a discriminator
-  (`simnfnd.models.training.adversarial`), any other by `simnfnd.models.training.module`; both
-  denoise alike.
+  (N, 1, H, W) float, 1 in shadow, where it is known, and `shadow_logits` and `weight` from a
+  network with heads.
 """
 
 from __future__ import annotations
@@ -37,13 +31,9 @@ if TYPE_CHECKING:
     from .network import Network
 
 NETWORKS = {
-    "dae": ("literature.dae", "DAE"),
-    "dgp_srgan": ("literature.dgp_srgan", "DGPSRGAN"),
     "nafnet": ("nafnet", "NAFNet"),
     "restormer": ("restormer", "Restormer"),
-    "sid_tgan": ("literature.sid_tgan", "SIDTGAN"),
     "sonarnet": ("sonarnet", "SonarNet"),
-    "three_stage": ("literature.three_stage", "ThreeStage"),
     "unet": ("unet", "UNet"),
 }
 """kind -> module here and its network, beside which lie `<network>Settings`; torch is imported only

@@ -36,8 +36,6 @@ class Network(nn.Module):
 
     extras: tuple[str, ...] = ()
     has_heads: ClassVar[bool] = False
-    has_stages: ClassVar[bool] = False
-    adversarial: ClassVar[bool] = False
     wide_grain: float = 1.0
     """See `models.denoise.sizes`."""
 
@@ -53,10 +51,6 @@ class Network(nn.Module):
 
     def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """Like `restore`, with the output of the heads."""
-        raise NotImplementedError
-
-    def restore_stages(self, noisy: Tensor, **extras: Tensor) -> list[Tensor]:
-        """Like `restore`, the image of every stage; the last is that of `restore`."""
         raise NotImplementedError
 
     def forward(self, noisy: Tensor, **extras: Tensor | None) -> Tensor:
@@ -85,16 +79,6 @@ class Network(nn.Module):
             logits.mean(dim=1, keepdim=True),
             output.weight.reshape(noisy.shape[0], -1).mean(dim=1),
         )
-
-    def with_stages(self, noisy: Tensor, **extras: Tensor | None) -> list[Tensor]:
-        """The image of every stage, the last of them as `forward` returns it.
-
-        Raises ValueError and TypeError as `forward` does, and TypeError without stages.
-        """
-        if not self.has_stages:
-            raise TypeError(f"{type(self).__name__} has no stages")
-        image, known = self._prepared(noisy, extras)
-        return [self._restored(stage, noisy) for stage in self.restore_stages(image, **known)]
 
     def _prepared(
         self, noisy: Tensor, extras: dict[str, Tensor | None]

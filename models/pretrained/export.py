@@ -93,8 +93,6 @@ def main(arguments: Sequence[str]) -> int:
         default="none",
         help="of the pictures that an onnx file gets with their range and bearing",
     )
-    parser.add_argument("--figures", help="Markdown file with measured figures for the card")
-    parser.add_argument("--limits", help="Markdown file that replaces the card's words on limits")
     chosen = parser.parse_args(list(arguments))
     out = Path(chosen.out).expanduser()
     if out.suffix != SUFFIXES[chosen.to]:
@@ -103,11 +101,9 @@ def main(arguments: Sequence[str]) -> int:
         raise FactoryError(f"--geometry {chosen.geometry}: is for --to onnx")
     weights = find_weights(chosen.weights)
     if chosen.to == "safetensors":
-        size_mb = export(weights, out, _text(chosen.figures), _text(chosen.limits))
+        size_mb = export(weights, out)
         print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
         return 0
-    if chosen.figures or chosen.limits:
-        raise FactoryError("--figures, --limits: are for the card, so for --to safetensors")
     require(Need(f"--to {chosen.to}", module) for module in ("onnx", "onnxruntime"))
     from ..networks.weights import load_weights
     from .onnx_graph import OPSET, Graph, write_onnx, write_runtime
@@ -126,12 +122,11 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def export(weights: str | Path, out: Path, figures: str = "", limits: str = "") -> float:
+def export(weights: str | Path, out: Path) -> float:
     """Write `out` and its card; returns the megabytes of the weights.
 
-    figures, limits: Markdown for the card; empty: the validation of the training, and general
-    words.  Raises FactoryError when the weights cannot be read, hold what 16 bits cannot, or are
-    too large to ship.
+    Raises FactoryError when the weights cannot be read, hold what 16 bits cannot, or are too large
+    to ship.
     """
     import torch  # slow; mistakes on the command line are reported before
 
@@ -170,8 +165,8 @@ def export(weights: str | Path, out: Path, figures: str = "", limits: str = "") 
                 if key != "seed" and not key.startswith("model.")
             }
         ),
-        figures=figures or _validation(validation),
-        limits=limits or _LIMITS,
+        figures=_validation(validation),
+        limits=_LIMITS,
     )
     write_atomically(out.with_suffix(".md"), card.encode(), key="--out")
     return out.stat().st_size / 1e6
@@ -193,12 +188,3 @@ def _table(values: Mapping[str, Any]) -> str:
         shown = value if isinstance(value, str) else json.dumps(value)
         lines.append(f"| `{key}` | {shown} |")
     return "\n".join(lines)
-
-
-def _text(path: str | None) -> str:
-    if path is None:
-        return ""
-    try:
-        return Path(path).expanduser().read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise FactoryError(f"{path}: cannot be read as text") from error

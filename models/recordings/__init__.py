@@ -21,7 +21,6 @@ from .base import (
     Pose,
     Recording,
 )
-from .levels import Levels
 
 __all__ = [
     "PICTURE_SUFFIXES",
@@ -29,7 +28,6 @@ __all__ = [
     "Beams",
     "Device",
     "Frame",
-    "Levels",
     "Pose",
     "Recording",
     "is_bag_folder",
@@ -52,8 +50,6 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 SEQUENCES = ("video", "stack", "array")
 """Kinds whose frames are pictures, one after the other."""
-
-_WITH_LEVELS = ("stack", "array")
 
 # What OpenCV reads, which is an extra; bags say themselves what they need.
 _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
@@ -94,19 +90,16 @@ def is_recording(path: Path) -> bool:
     return path.exists() and kind_of(path) not in (None, "pictures")
 
 
-def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
+def open_recording(path: str | Path) -> Recording:
     """The recording in a file or folder.
 
-    levels: of arrays and TIFF files, what shows as black and white.
     Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
     """
     where = Path(path).expanduser()
     if not where.exists():
         raise FactoryError(f"{path}: no such file or folder")
     kind, suffix = kind_of(where), where.suffix.lower()
-    if levels is not None and suffix in TIFF_SUFFIXES:
-        kind = "stack"
-    elif suffix in SUFFIXES and (kind is None or levels is not None):
+    if suffix in SUFFIXES and kind is None:
         kind = "array"  # which says what it lacks
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
@@ -115,5 +108,5 @@ def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
         raise FactoryError(f"{path}: {_OPENCV[kind]} needs cv2: pip install 'simnfnd[sonar]'")
     module, name = READERS[kind][0].split(":")
     reader = getattr(import_module(f".{module}", __name__), name)
-    recording: Recording = reader(where, levels) if kind in _WITH_LEVELS else reader(where)
+    recording: Recording = reader(where)
     return recording

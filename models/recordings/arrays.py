@@ -21,6 +21,7 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.isolated import look_at
 from .base import (
     ARRAY_SUFFIX,
+    FULL_SCALE,
     FileOfFrames,
     Frame,
     Samples,
@@ -28,8 +29,8 @@ from .base import (
     ask_pixels,
     explained,
     most_at_once,
+    swapped,
 )
-from .levels import Levels, as_samples, swapped
 
 SUFFIXES = (ARRAY_SUFFIX, ".npz", ".mat")
 LEAST_SIDE_PX = 16
@@ -109,12 +110,8 @@ class ArrayFile(FileOfFrames):
     header: of that array.
     """
 
-    def __init__(self, path: Path, levels: Levels | None = None) -> None:
-        """levels: what shows as black and white; None: numbers as they are.
-
-        Raises FactoryError when it holds no pictures, or several arrays of them.
-        """
-        self.levels = levels
+    def __init__(self, path: Path) -> None:
+        """Raises FactoryError when it holds no pictures, or several arrays of them."""
         self._array: Array | None = None
         super().__init__(path)
 
@@ -144,7 +141,7 @@ class ArrayFile(FileOfFrames):
     def __len__(self) -> int:
         return self.header.shape[0]
 
-    def page(self, number: int) -> Array:
+    def _page(self, number: int) -> Array:
         """A picture as it is stored, colours in BGR order.  Raises FrameError."""
         with explained(f"{self.path}: picture {number + 1} cannot be read; is the file damaged?"):
             if self._array is None:
@@ -158,15 +155,7 @@ class ArrayFile(FileOfFrames):
         what = f"{self.path}: picture {number + 1}"
         if self.header.single:
             what = str(self.path)
-        page = self.page(number)
-        shown = as_samples(page, what) if self.levels is None else self.levels.shown(page)
-        return Frame(number, shown)
-
-    def stored(self, number: int, picture: Samples) -> Array:
-        """What became of picture `number`, with the file's own scale and dtype."""
-        if self.levels is not None:
-            picture = self.levels.stored(picture, self.page(number))
-        return picture.astype(self.header.dtype)
+        return Frame(number, as_samples(self._page(number), what))
 
 
 class NpyWriter:
@@ -301,6 +290,26 @@ def _load_matlab(path: Path, name: str) -> Array:
                 f"{path}: {name} holds complex numbers; save their magnitude, in decibels"
             ) from error
     return np.asarray(found)
+
+
+def as_samples(page: Array, what: str) -> Samples:
+    """A page whose numbers are grey values as they are: uint8, uint16, or floats as float32.
+
+    what: names it in errors.  Raises FrameError for other dtypes, NaN and floats outside 0..1.
+    """
+    if page.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # infinite: outside 0..1
+            page = page.astype(np.float32)
+    if str(page.dtype) not in FULL_SCALE:
+        raise FrameError(f"{what}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}")
+    if page.dtype == np.float32 and np.isnan(page).any():
+        raise FrameError(f"{what}: holds NaN; set what was not measured to 0")
+    if page.dtype == np.float32 and not (page.min() >= 0 and page.max() <= 1):
+        raise FrameError(
+            f"{what}: floats must be grey values from 0 to 1, these are {page.min():g} to "
+            f"{page.max():g}; scale them (of echoes in linear units the logarithm)"
+        )
+    return page
 
 
 def _named(headers: Mapping[str, Header]) -> str:

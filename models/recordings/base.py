@@ -280,6 +280,16 @@ def layout_of(fields: str, size: int | None = None) -> np.dtype:
     return layout
 
 
+def swapped(picture: Samples) -> Samples:
+    """Colours in OpenCV's order (BGR), or the other way round; numbers as the machine orders them.
+
+    picture: (H, W) or (H, W, C); what is beside three colours stays where it is.
+    """
+    if picture.ndim == 3 and picture.shape[2] >= 3:
+        picture = np.concatenate([picture[..., 2::-1], picture[..., 3:]], axis=2)
+    return picture.astype(picture.dtype.newbyteorder("="), copy=False)
+
+
 def pose_of(header: np.void, names: str) -> Pose:
     """What the fields of a header say; names: in the order of `Pose`."""
     most = (360, 360, 360, 1e6, 720, 720, 90, 180)

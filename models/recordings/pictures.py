@@ -25,9 +25,9 @@ from .base import (
     ask_pixels,
     explained,
     most_streamed,
+    swapped,
     too_large,
 )
-from .levels import Levels, swapped
 from .palettes import grey_of_colours
 
 _PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
@@ -108,10 +108,7 @@ def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
     """Float32 with full scale 1, of the same shape.  Raises FrameError for floats outside 0..1."""
     scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
     if not (scaled.min() >= 0 and scaled.max() <= 1):
-        raise FrameError(
-            f"{what}: float pixels must lie in 0..1; divide by full scale, or denoise with "
-            "--levels BLACK WHITE"
-        )
+        raise FrameError(f"{what}: float pixels must lie in 0..1; divide by full scale")
     return np.asarray(scaled)
 
 
@@ -136,11 +133,6 @@ def is_stack(path: Path) -> bool:
 class StackFile(FileOfFrames):
     """A TIFF or GIF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
 
-    def __init__(self, path: Path, levels: Levels | None = None) -> None:
-        """levels: of grey pages, what shows as black and white; None: numbers as they are."""
-        self.levels = levels
-        super().__init__(path)
-
     def _open(self) -> None:
         self._image = _opened(self._file, str(self.path), "TIFF or GIF file", _FORMATS)
         with explained(f"{self.path}: not a readable TIFF or GIF file"):
@@ -155,20 +147,12 @@ class StackFile(FileOfFrames):
         return self._count
 
     def _read(self, number: int) -> Frame:
-        page = self.page(number)
-        if self.levels is not None and page.ndim == 2:
-            return Frame(number, self.levels.shown(page))
+        page = self._page(number)
         if page.dtype == np.float32:
             in_unit_range(page, f"{self.path}: page {number + 1}")
         return Frame(number, page)
 
-    def stored(self, number: int, picture: Samples) -> Samples:
-        """What became of page `number` as the file has its numbers, where levels were told."""
-        if self.levels is None or picture.ndim != 2:
-            return picture
-        return self.levels.stored(picture, self.page(number))
-
-    def page(self, number: int) -> Samples:
+    def _page(self, number: int) -> Samples:
         """A page as it is stored, colours in BGR order.  Raises FrameError."""
         with explained(f"{self.path}: page {number + 1} cannot be read"), quiet_stderr():
             self._image.seek(number)

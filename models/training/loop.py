@@ -42,7 +42,7 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass
 class Progress:
-    """What a checkpoint holds beside the module and its optimizers.
+    """What a checkpoint holds beside the module and its optimizer.
 
     step: steps done.  rows: of the checks done.  losses: of the steps since the last check.
     drawn: state of torch's random numbers.
@@ -77,17 +77,17 @@ class Loop:
         # The same steps give the same weights, as far as the device has such kernels.
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
-        self._optimizers = module.make_optimizers()
+        self._optimizer = module.make_optimizer()
 
-    def run(self, batches: Batches, check: Check, is_done: Callable[[list[Row]], bool]) -> None:
-        """Go on to the last step, or until `is_done` with the rows of the checks.
+    def run(self, batches: Batches, check: Check) -> None:
+        """Go on to the last step.
 
         Raises Stopped, FactoryError where the loss becomes no number, and what the calls raise.
         """
         done = self.progress
         self.bar = progress_bar(total=self.steps, initial=done.step, unit="step", desc=self.label)
         with self._asked, closing(self.bar):
-            while len(done.rows) * self.check_every < self.steps and not is_done(done.rows):
+            while len(done.rows) * self.check_every < self.steps:
                 self._steps(batches, len(done.rows))
                 loss = float(torch.stack(done.losses).mean())
                 done.rows.append(check(done.step, loss))
@@ -103,7 +103,7 @@ class Loop:
             "losses": torch.stack(done.losses).cpu() if done.losses else torch.empty(0),
             "drawn": torch.get_rng_state() if done.losses else None,
             "module": self.module.state_dict(),
-            "optimizers": [one.state_dict() for one in self._optimizers],
+            "optimizer": self._optimizer.state_dict(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -111,8 +111,7 @@ class Loop:
         losses = list(state["losses"].to(self.device))
         self.progress = Progress(state["step"], list(state["rows"]), losses, state["drawn"])
         self.module.load_state_dict(state["module"])
-        for optimizer, stored in zip(self._optimizers, state["optimizers"], strict=True):
-            optimizer.load_state_dict(stored)
+        self._optimizer.load_state_dict(state["optimizer"])
 
     def moved(self, batch: Batch) -> Batch:
         """The batch on the device."""
@@ -155,7 +154,7 @@ class Loop:
                 self.stop_if_asked()
                 raise
             self.module.step = done.step
-            done.losses.append(self.module.update(self._optimizers, batch).detach())
+            done.losses.append(self.module.update(self._optimizer, batch).detach())
             done.step += 1
             self.bar.update()
             self.stop_if_asked()

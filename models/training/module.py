@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
@@ -28,11 +28,11 @@ class Teacher:
 
     What a small network cannot do shows as noise in the gradients when it learns from clean
     pictures alone; the pictures of a larger one that learned from the same are nearer to what it
-    can do.  Heads are taught as well: the shadow that the teacher sees.
+    can do.
     """
 
     def __init__(self, weights: Path, share: float) -> None:
-        """weights: a file that training wrote.  share: of its pictures in the loss, 0 to 1.
+        """weights: a file that training wrote.  share: of its pictures in the targets, 0 to 1.
 
         Raises FactoryError for a file that holds no weights.
         """
@@ -40,28 +40,15 @@ class Teacher:
         self.share = share
 
     @torch.no_grad()
-    def seen(self, batch: Batch) -> tuple[Tensor, Tensor | None]:
-        """(N, C, H, W) with the whole change, and shadow (N, 1, H, W) of a teacher with heads."""
+    def seen(self, batch: Batch) -> Tensor:
+        """(N, C, H, W) with the whole change."""
         noisy = batch["noisy"]
         self.network.to(noisy.device)
         known = known_extras(self.network, batch)
         if not self.network.has_heads:
-            return self.network(noisy, **known), None
-        output = self.network.with_heads(noisy, **known)
-        return output.image, torch.sigmoid(output.shadow_logits.float())
-
-    def loss(self, loss: Loss, prediction: Tensor, batch: Batch) -> Tensor:
-        """Scalar tensor: the loss against clean pictures and teacher's, weighed by `share`.
-
-        prediction: (N, C, H, W).  batch: as losses get it, with the heads' output.
-        """
-        # How much of a change is right is measured against the truth, never against the teacher.
-        lesson = {name: batch[name] for name in batch if name not in ("weight", "shadow")}
-        image, shadow = self.seen(batch)
-        if shadow is not None:
-            lesson["shadow"] = shadow
-        taught = loss(prediction, image.to(prediction.dtype), lesson)
-        return self.share * taught + (1 - self.share) * loss(prediction, batch["clean"], batch)
+            image: Tensor = self.network(noisy, **known)
+            return image
+        return self.network.with_heads(noisy, **known).image
 
 
 class DenoisingModule(nn.Module):
@@ -98,16 +85,14 @@ class DenoisingModule(nn.Module):
         taught = teacher.network.extras if teacher else ()
         self.extras: tuple[str, ...] = tuple(dict.fromkeys((*network.extras, *taught)))
 
-    def make_optimizers(self) -> list[Optimizer]:
+    def make_optimizer(self) -> Optimizer:
         """AdamW of all weights that learn."""
-        return [
-            torch.optim.AdamW(
-                [weights for weights in self.network.parameters() if weights.requires_grad],
-                lr=self.settings.learning_rate,
-                betas=(0.9, 0.99),
-                weight_decay=self.settings.weight_decay,
-            )
-        ]
+        return torch.optim.AdamW(
+            [weights for weights in self.network.parameters() if weights.requires_grad],
+            lr=self.settings.learning_rate,
+            betas=(0.9, 0.99),
+            weight_decay=self.settings.weight_decay,
+        )
 
     def learning_rate(self, step: int) -> float:
         """A linear warm-up and a cosine decay to zero, counted in steps."""
@@ -123,20 +108,15 @@ class DenoisingModule(nn.Module):
     def _is_mixed(self) -> bool:
         return self.settings.precision == "bf16-mixed"
 
-    def update(self, optimizers: Sequence[Optimizer], batch: Batch) -> Tensor:
+    def update(self, optimizer: Optimizer, batch: Batch) -> Tensor:
         """One step; returns its loss.  Raises FactoryError when that is not a number."""
-        self.set_learning_rate(optimizers)
+        for group in optimizer.param_groups:
+            group["lr"] = self.learning_rate(self.step)
         if self._is_mixed:
             # In 16 bits from the start, as the weights that ship were trained.
             batch = {k: v.bfloat16() if v.is_floating_point() else v for k, v in batch.items()}
         with self.autocast():
             loss: Tensor = self(batch).float()
-        self.turn(optimizers[0], loss)
-        self.average.update_parameters(self.network)
-        return loss
-
-    def turn(self, optimizer: Optimizer, loss: Tensor) -> None:
-        """Change what the optimizer holds, downhill; FactoryError when the loss is not a number."""
         if not torch.isfinite(loss):
             raise FactoryError(
                 f"the loss became {loss.item()} at step {self.step}; lower train.learning_rate, "
@@ -147,31 +127,20 @@ class DenoisingModule(nn.Module):
         weights = [one for group in optimizer.param_groups for one in group["params"]]
         torch.nn.utils.clip_grad_norm_(weights, self.settings.clip)
         optimizer.step()
-
-    def set_learning_rate(self, optimizers: Sequence[Optimizer]) -> None:
-        """That of the present step."""
-        for optimizer in optimizers:
-            for group in optimizer.param_groups:
-                group["lr"] = self.learning_rate(self.step)
+        self.average.update_parameters(self.network)
+        return loss
 
     def forward(self, batch: Batch) -> Tensor:
         """The loss of one batch of crops."""
         extras = known_extras(self.network, batch)
-        batch = {**batch, "progress": torch.tensor(self.step / self.settings.steps)}
-        if self.network.has_stages:
-            stages = self.network.with_stages(batch["noisy"], **extras)
-            losses = [self.loss(image, batch["clean"], batch) for image in stages]
-            return torch.stack(losses).mean()
         if self.network.has_heads:
             output = self.network.with_heads(batch["noisy"], **extras)
             prediction = output.image
             batch |= {"shadow_logits": output.shadow_logits, "weight": output.weight}
         else:
             prediction = self.network(batch["noisy"], **extras)
-        if "taught" in batch:
+        if "taught" in batch or self.teacher is not None:
             batch = completed(batch, prediction, self.teacher)
-        elif self.teacher is not None:
-            return self.teacher.loss(self.loss, prediction, batch)
         return self.loss(prediction, batch["clean"], batch)
 
     def measure(self, batch: Batch) -> dict[str, float]:
@@ -187,14 +156,14 @@ class DenoisingModule(nn.Module):
 
 
 def completed(batch: Batch, prediction: Tensor, teacher: Teacher | None) -> Batch:
-    """The batch with a target everywhere: `taught` of it is the teacher's picture.
+    """The batch with a target everywhere: `taught` of it (else its share) is the teacher's picture.
 
     Where nothing is known (NaN) the target is the prediction, which then costs nothing.
     """
-    clean, taught = batch["clean"], batch["taught"]
-    batch = dict(batch)
+    clean, batch = batch["clean"], dict(batch)
     if teacher is not None:
-        image = teacher.seen(batch)[0].to(clean.dtype)
+        image = teacher.seen(batch).to(clean.dtype)
+        taught = batch.get("taught", torch.full_like(clean[:, :1, :1, :1], teacher.share))
         mixed = torch.where(clean.isnan(), image, torch.lerp(clean, image, taught))
         clean = torch.where(taught > 0, mixed, clean)
     batch["clean"] = torch.where(clean.isnan(), prediction.detach(), clean)

@@ -26,7 +26,7 @@ from ..networks.weights import save_weights
 from .module import DenoisingModule, Row
 
 CHECKPOINT_NAME = "checkpoint.ckpt"
-_FORMAT = "simnfnd-checkpoint/2"
+_FORMAT = "simnfnd-checkpoint/3"
 _GAP = 4
 
 
@@ -119,14 +119,6 @@ class Results:
 def best_row(rows: Sequence[Row]) -> Row:
     """The row of the weights that are kept: the highest PSNR; of equal ones the first."""
     return max(rows, key=lambda row: row["psnr"])
-
-
-def is_stopped(rows: Sequence[Row], patience: int | None) -> bool:
-    """Whether none of the last `patience` rows is better than the best before them."""
-    if patience is None or len(rows) <= patience:
-        return False
-    best = best_row(rows[:-patience])["psnr"]
-    return all(row["psnr"] <= best for row in rows[-patience:])
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:

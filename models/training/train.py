@@ -21,11 +21,9 @@ from ..data.pairs import Batch, Data, windows_of
 from ..data.sources import open_data
 from ..losses import build_loss
 from ..networks import build_network
-from ..networks.network import Network
 from ..networks.weights import load_weights
 from ..pretrained import find_weights
 from ..settings import ModelsSettings, RendersData
-from .adversarial import AdversarialModule
 from .device import device_of, precision_of
 from .loop import Loop
 from .module import DenoisingModule, Row, Teacher
@@ -34,7 +32,6 @@ from .results import (
     Results,
     best_row,
     contact_sheet,
-    is_stopped,
     read_checkpoint,
     write_grey,
 )
@@ -75,8 +72,7 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         tensorboard=settings.tensorboard,
     )
     rows: list[Row] = checkpoint["rows"] if checkpoint else []
-    finished = rows and rows[-1]["step"] == settings.train.steps
-    if finished or is_stopped(rows, settings.train.patience):
+    if rows and rows[-1]["step"] == settings.train.steps:
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
     else:
         # With the precision that was chosen: the file is to make the same weights elsewhere.
@@ -110,22 +106,10 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
                 f"{dict(settings.model)}; give both the same sizes"
             ) from error
     loss, chosen = build_loss(settings.loss), settings.train
-    teacher = _teacher(network, settings)
-    if network.adversarial:
-        return AdversarialModule(network, loss, chosen, settings.seed)
+    teacher = None
+    if chosen.teacher is not None:
+        teacher = Teacher(find_weights(chosen.teacher), chosen.teacher_share)
     return DenoisingModule(network, loss, chosen, settings.seed, teacher)
-
-
-def _teacher(network: Network, settings: ModelsSettings) -> Teacher | None:
-    name = settings.train.teacher
-    if name is None:
-        return None
-    if network.adversarial or network.has_stages:
-        raise FactoryError(
-            f"train.teacher={name}: a network with a critic or with stages does not learn from a "
-            "teacher; leave it out"
-        )
-    return Teacher(find_weights(name), settings.train.teacher_share)
 
 
 def _fit(
@@ -157,7 +141,7 @@ def _fit(
         loop.restore(checkpoint)
     learning, visits = _loader(settings, device, data, module)
     try:
-        loop.run(batches, check, lambda rows: is_stopped(rows, settings.train.patience))
+        loop.run(batches, check)
     except FactoryError as error:
         raise FactoryError(_innermost(error)) from error
     except torch.OutOfMemoryError as error:

@@ -81,25 +81,17 @@ def test_pictures_that_show_next_to_nothing_name_the_likeliest_keys(
     assert "% of the pictures is lit; check" in told
 
 
-@pytest.mark.parametrize(
-    ("damage", "said"),
-    [
-        (lambda depth: depth * np.inf, "infinite"),
-        (lambda depth: depth * 0, "valid"),
-        (lambda depth: depth[:50], "152x50"),
-    ],
-)
-def test_when_every_frame_is_bad_the_run_ends_with_2(monkeypatch, tmp_path, damage, said, capfd):
+def test_when_every_frame_is_bad_the_run_ends_with_2(monkeypatch, tmp_path, capfd):
     root = tmp_path / "flsea"
     write_frame(root, "16233044541765633", ground())
     depth = root / "canyons/u_canyon/depth/16233044541765633_SeaErra_abs_depth.tif"
-    cv2.imwrite(str(depth), damage(ground()))
+    cv2.imwrite(str(depth), ground() * 0)
     code = run(
         monkeypatch, "scenes=flsea", f"scenes.root={root}", f"dataset.dir={tmp_path / 'o'}", *FAST
     )
     error = capfd.readouterr().err
     assert code == 2
-    assert said in error
+    assert "valid" in error
     assert "Traceback" not in error
 
 

@@ -6,6 +6,7 @@ import importlib
 import json
 import pickle
 import runpy
+import shlex
 import sys
 from array import array
 from pathlib import Path
@@ -17,9 +18,11 @@ import torch
 from PIL import Image
 
 from simnfnd import denoise
+from simnfnd.command import main
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.fake_ros import write_fake_ros
+from tests.project.page_steps import PAGES, steps
 from tests.project.run_example import EXAMPLES, run
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
@@ -136,11 +139,37 @@ def test_the_papers_figures(tmp_path: Path) -> None:
         assert np.asarray(Image.open(path).convert("L")).std() > 20
 
 
+def test_a_listed_recording_becomes_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both 10.00 and 10.02 are near 10.008: the nearer gets it."""
+    folder = tmp_path / "rgbd_dataset_freiburg1_desk"
+    depth_m = np.broadcast_to(np.linspace(4, 1, 120)[:, None], (120, 160))
+    for kind, times in (
+        ("rgb", ["10.00", "10.02", "10.06", "10.50"]), ("depth", ["10.008", "10.065", "10.20"]),
+    ):  # fmt: skip
+        (folder / kind).mkdir(parents=True)
+        for time in times:
+            pixels = np.rint(depth_m * 5000).astype(np.uint16)
+            stored = np.full((120, 160, 3), 128, np.uint8) if kind == "rgb" else pixels
+            Image.fromarray(stored).save(folder / kind / f"{time}.png")
+        lines = [f"{time} {kind}/{time}.png" for time in times]
+        (folder / f"{kind}.txt").write_text("# timestamp filename\n" + "\n".join(lines) + "\n")
+    done = run("rgbd_to_csv.py", folder.name, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "frames.csv").read_text().splitlines() == [
+        "rgb/10.00.png,depth/10.008.png,rgbd_dataset_freiburg1_desk",
+        "rgb/10.06.png,depth/10.065.png,rgbd_dataset_freiburg1_desk",
+    ]
+    words = shlex.split(done.stdout.splitlines()[1])[1:]
+    assert "scenes.intrinsics=[517.3,516.5,318.6,255.3]" in words
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, "render=analytic", "scheduler=serial", "dataset.preview_pairs=0"]) == 0
+    assert len(list(tmp_path.glob(f"outputs/{folder.name}/*/*.h5"))) == 1
+
+
 def test_every_example_is_tested() -> None:
     tests = "".join(
         path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")
-    )
-    pages = (ROOT / "tests/project/page_tables.py").read_text(encoding="utf-8")
+    ) + "".join(step.text for page in PAGES for step in steps(page))
     for path in EXAMPLES.glob("*.py"):
-        run = f'"{path.name}"' in tests or f'"python examples/{path.name} ' in pages
+        run = f'"{path.name}"' in tests or f"python examples/{path.name} " in tests
         assert run, f"{path.name} is run by no test"

@@ -37,8 +37,8 @@ REAL: dict[str, tuple[str, ...]] = {
     "export": (),
 }
 # Need the network, a hub's account, a recording of some size, or end only when they are told.
-LONG = ("--watch", "export-weights simnfnd", "evaluate paper")
-NOT_REALLY = ("dive.aris", "simnfnd view", "--watch", "export-weights simnfnd")
+LONG = ("export-weights simnfnd", "evaluate paper")
+NOT_REALLY = ("dive.aris", "simnfnd view", "export-weights simnfnd")
 
 
 def examples() -> Iterator[tuple[str, str]]:

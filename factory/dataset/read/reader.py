@@ -119,11 +119,8 @@ def _check_split(path: Path, file: h5py.File) -> None:
         )
 
 
-def bring(path: Path, *, wait: bool = True) -> None:
-    """Fetch a shard of a copy that is not here, and have another process look at it first.
-
-    wait: for another that fetches it now, or leave it to that.
-    """
+def bring(path: Path) -> None:
+    """Fetch a shard of a copy that is not here, and have another process look at it first."""
 
     def look(aside: Path) -> None:
         try:
@@ -133,7 +130,7 @@ def bring(path: Path, *, wait: bool = True) -> None:
         # It keeps its state when it gets its name.
         _note_sound(path, _state_of(aside), ours=True)
 
-    fetched(path, look, wait=wait)
+    fetched(path, look)
 
 
 def open_shard(path: Path) -> h5py.File:

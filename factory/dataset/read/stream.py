@@ -1,14 +1,14 @@
 """Samples in random order where shards lie far away, each of which is fetched once a round.
 
 Samples of all shards at random would fetch a whole shard for each.  So shards come in random order,
-some at a time (a window), and the samples of a window in random order; the next window's shards
-are fetched meanwhile, as many as copies have room for.
+some at a time (a window), and the samples of a window in random order.  Where copies have room for
+two windows, the next one's shards are fetched meanwhile.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -27,7 +27,7 @@ class Windows:
     """The order of one round over samples after another, and what to fetch while it goes on.
 
     places: the shard of each sample.  window: shards whose samples are mixed.  sizes: bytes of the
-    shards; any other takes none.
+    shards; None: there is room.
     """
 
     def __init__(
@@ -42,12 +42,13 @@ class Windows:
         self._paths = list(dict.fromkeys(places))
         numbers = {path: number for number, path in enumerate(self._paths)}
         self._shard = np.array([numbers[path] for path in places], np.int64)
-        self._window, self._sizes = window, sizes or {}
-        self._distant = bool(self._paths) and url_of(self._paths[0].parent.parent) is not None
+        self._window = window
+        two = 2 * window * max((sizes or {}).values(), default=0)
+        distant = bool(self._paths) and url_of(self._paths[0].parent.parent) is not None
+        self._fetches = distant and two <= most_bytes()
         self._groups: list[list[Path]] = []
         self._first: npt.NDArray[np.int64] = np.empty(0, np.int64)
         self._now = range(0)
-        self._waiting: list[Future[None]] = []
         self._threads: ThreadPoolExecutor | None = None
 
     def order(self, rng: np.random.Generator) -> npt.NDArray[np.int64]:
@@ -68,15 +69,14 @@ class Windows:
 
     def reach(self, position: int) -> None:
         """Say that the sample at this position of the order is about to be read."""
-        if not self._distant or position in self._now or not self._groups:
+        if not self._fetches or position in self._now or not self._groups:
             return
         here = int(np.searchsorted(self._first, position, side="right")) - 1
         self._now = range(int(self._first[here]), int(self._first[here + 1]))
-        for future in self._waiting:
-            future.cancel()  # whoever read it has fetched it
         if self._threads is None:
             self._threads = ThreadPoolExecutor(THREADS, "fetch")
-        self._waiting = [self._threads.submit(_bring, path) for path in self._ahead(here)]
+        for path in (one for group in self._groups[here : here + 2] for one in group):
+            self._threads.submit(_bring, path)
 
     def close(self) -> None:
         """Fetch no more."""
@@ -84,22 +84,7 @@ class Windows:
             self._threads.shutdown(wait=False, cancel_futures=True)
             self._threads = None
 
-    def _ahead(self, here: int) -> Iterator[Path]:
-        """Shards of this window and the next, as many as there is room for."""
-        groups = self._groups[here : here + 2]
-        room = most_bytes() - self._bytes(groups[0])
-        if room >= 0:
-            yield from groups[0]
-        for path in groups[1] if len(groups) > 1 else ():
-            room -= self._bytes([path])
-            if room >= 0:
-                yield path
-
-    def _bytes(self, group: Sequence[Path]) -> int:
-        return sum(self._sizes.get(path, 0) for path in group)
-
 
 def _bring(path: Path) -> None:
     with suppress(FactoryError):  # whoever reads it says so
-        # Who waited could find it read and gone, and fetch it again.
-        bring(path, wait=False)
+        bring(path)

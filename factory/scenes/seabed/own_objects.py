@@ -32,7 +32,7 @@ _Count = Annotated[int, Field(ge=0, le=200)]
 class OwnObject(OwnClass):
     """An entry of `scenes.own_objects`; see also `OwnClass`.
 
-    file: .glb, .gltf, .obj, .ply, .stl or .blend; its z (of .glb: y) points up.
+    file: .glb, .obj, .ply or .stl; its z (of .glb: y) points up.
     per_place: least and most of them in a place.  scale: metres per unit of the file.
     burial: least and most of its height in the ground.  tilt_deg: likewise, from upright.
     colour: albedo (red, green, blue; 0 to 1) instead of the mesh's own colours and textures.
@@ -54,11 +54,15 @@ class OwnObject(OwnClass):
 
 @plain_dataclass(frozen=True, eq=False)
 class Owned:
-    """An entry with its mesh, centred above the origin.  files: what the mesh was read from."""
+    """An entry with its mesh, centred above the origin.
+
+    files: what the mesh was read from.  notes: for the user.
+    """
 
     settings: OwnObject
     mesh: Mesh
     files: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def owned(settings: Sequence[OwnObject]) -> tuple[Owned, ...]:
@@ -67,7 +71,7 @@ def owned(settings: Sequence[OwnObject]) -> tuple[Owned, ...]:
 
 
 def _read(settings: OwnObject, key: str) -> Owned:
-    from ..mesh_parts import files_of, read_parts
+    from ..mesh_parts import files_of, read_parts, turned_note
     from .meshes import join
 
     if settings.label == "Background":
@@ -79,7 +83,7 @@ def _read(settings: OwnObject, key: str) -> Owned:
     whole = whole.moved(offset=-(low + high) / 2)
     if settings.colour is not None:
         whole = whole.tinted(settings.colour)
-    return Owned(settings, whole, files_of(path, key))
+    return Owned(settings, whole, files_of(path, key), turned_note(path, parts))
 
 
 def place_own(site: Site, path: Path, location: int, own: Sequence[Owned]) -> None:

@@ -93,7 +93,8 @@ class SeabedReader:
             for location in range(first, first + settings.locations)
             for frame in range(frames)
         ]
-        return Discovery(tuple(refs))
+        notes = tuple(note for one in self._own for note in one.notes)
+        return Discovery(tuple(refs), notes=notes)
 
     def load(self, ref: FrameRef) -> Frame:
         """Build the location, if it is not at hand, and take the frame."""

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.evaluation.filters import REGISTRY
+from simnfnd.evaluation.filters.base import Baseline
 
 Array = npt.NDArray[Any]
 
@@ -31,6 +32,16 @@ def noisy_scene(kind: str, size: int = 96, seed: int = 0) -> Array:
     return np.asarray(np.clip(noisy, 0, 1), dtype=np.float32)
 
 
+def _broken(image: Array) -> Array:
+    if image.mean() > 0:
+        raise ZeroDivisionError("no such\nluck")
+    return image
+
+
+BROKEN = Baseline("broken", _broken, {}, {}, "here")
+"""A method that crashes."""
+
+
 def run(name: str, image: Array, **parameters: float) -> Array:
     baseline = REGISTRY[name]
-    return baseline(image[None] if baseline.looks else image, {**baseline.default, **parameters})
+    return baseline(image, {**baseline.default, **parameters})

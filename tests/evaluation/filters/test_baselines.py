@@ -21,7 +21,7 @@ NAMES = tuple(REGISTRY)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("size", [(33, 47), (12, 12), (40, 64)])
+@pytest.mark.parametrize("size", [(33, 47), (12, 12)])
 def test_gives_a_picture_for_every_picture(name: str, size: tuple[int, int]) -> None:
     rng = np.random.default_rng(1)
     for image in (
@@ -43,24 +43,22 @@ def test_gives_a_picture_for_every_picture(name: str, size: tuple[int, int]) -> 
             np.testing.assert_allclose(result, 1, atol=0.01)
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n not in ("identity", "recursive")])
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "identity"])
 def test_some_point_of_the_grid_helps(name: str) -> None:
     """Every denoiser gains on noise that it is made for."""
-    white = ("bm3d", "nlm", "tv", "wavelet", "bilateral", "convolutional")
+    white = ("bm3d", "nlm", "tv", "wavelet", "bilateral")
     kind = "white" if name in white else "speckle"
     clean, noisy = scene(), noisy_scene(kind)
-    if name == "richardson_lucy":  # is made for blur
-        noisy = ndimage.gaussian_filter1d(clean, 2, axis=0, mode="nearest")
-    if name == "grey_opening":  # and this for specks
+    if name == "grey_opening":  # is made for specks
         noisy = np.where(np.random.default_rng(0).random(clean.shape) < 0.03, 1, clean)
         noisy = noisy.astype(np.float32)
     before = psnr(clean, noisy.astype(np.float32), data_range=1)
-    slow = name in ("srad", "bm3d", "structural", "ridgelet")
+    slow = name in ("srad", "bm3d")
     points = [dict(REGISTRY[name].default)] if slow else REGISTRY[name].points()[::2]
     if name == "srad":
         points = [{**points[0], "iterations": 60, "initial_cv": 0.3}]
     gains = [psnr(clean, REGISTRY[name](noisy, p), data_range=1) - before for p in points]
-    assert max(gains) > {"nlm": 1.5, "lpmsde": 1.0}.get(name, 2.0)
+    assert max(gains) > (1.5 if name == "nlm" else 2.0)
 
 
 def test_bm3d_is_the_best_on_white_noise_and_repeats() -> None:
@@ -173,46 +171,12 @@ def test_srad_is_the_formula_step_by_step() -> None:
     width=st.integers(9, 50),
     levels=st.integers(1, 4),
 )
-def test_transforms_give_back_what_they_got(
+def test_the_wavelet_gives_back_what_it_got(
     seed: int, height: int, width: int, levels: int
 ) -> None:
     image = np.random.default_rng(seed).random((height, width), dtype=np.float32)
-    for name in ("wavelet", "lpmsde"):
-        same = run(name, image, strength=0.0, levels=levels)
-        np.testing.assert_allclose(same, image, atol=1e-5)
-
-
-def test_richardson_lucy_undoes_its_blur_along_range_alone() -> None:
-    clean = np.full((64, 48), 0.1, np.float32)
-    clean[30:32, 20:24] = 0.9
-    down = ndimage.gaussian_filter1d(clean, 2, axis=0, mode="nearest")
-    across = ndimage.gaussian_filter1d(clean, 2, axis=1, mode="nearest")
-    errors = [
-        np.abs(run("richardson_lucy", down, sigma_px=2, iterations=n) - clean).mean()
-        for n in (1, 3, 10, 30)
-    ]
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 0.8 * np.abs(down - clean).mean()
-    sharpened = run("richardson_lucy", across, sigma_px=2, iterations=30)
-    assert np.abs(sharpened - clean).mean() > 0.8 * np.abs(across - clean).mean()
-    # Light is kept but for rounding.
-    assert run("richardson_lucy", down, sigma_px=2).sum() == pytest.approx(down.sum(), rel=1e-3)
-
-
-def test_recursive_least_squares_is_weighted_least_squares() -> None:
-    looks = np.clip(np.random.default_rng(0).random((6, 5, 4)), 0.05, 1).astype(np.float32)
-    baseline = REGISTRY["recursive"]
-    expected = np.exp(np.log(looks.astype(float)).mean(axis=0))
-    np.testing.assert_allclose(baseline(looks, {"memory": 1.0}), expected, rtol=1e-5)
-    weights = 0.7 ** np.arange(5, -1, -1)
-    expected = np.exp(np.tensordot(weights / weights.sum(), np.log(looks.astype(float)), 1))
-    np.testing.assert_allclose(baseline(looks, {"memory": 0.7}), expected, rtol=1e-5)
-    # Speckle of variance 1/12 becomes weaker with every look.
-    many = np.stack([noisy_scene("speckle", seed=seed) for seed in range(8)])
-    values = [
-        psnr(scene(), baseline(many[:n], {"memory": 1.0}), data_range=1) for n in (1, 2, 4, 8)
-    ]
-    assert values == sorted(values)
+    same = run("wavelet", image, strength=0.0, levels=levels)
+    np.testing.assert_allclose(same, image, atol=1e-5)
 
 
 @settings(max_examples=20, deadline=None)

@@ -37,7 +37,7 @@ def test_what_verbs_do_is_printed(monkeypatch, capsys, tmp_path: Path) -> None:
     [
         ("inspect", "{nothing}"),
         ("merge", "{nothing}", "{nothing}", "--out", "{nothing}/out"),
-        ("export", "{nothing}", "--to", "mdd", "--out", "{nothing}/out"),
+        ("export", "{nothing}", "--to", "png", "--out", "{nothing}/out"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_two(words, monkeypatch, capsys, tmp_path) -> None:

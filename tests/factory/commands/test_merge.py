@@ -83,16 +83,6 @@ def test_it_says_where_everything_came_from(two, tmp_path) -> None:
         assert json.loads(index.attrs["config"]) == config
 
 
-def test_the_same_merge_gives_the_same_files(two, tmp_path) -> None:
-    merge(two, tmp_path / "one")
-    merge(two, tmp_path / "two")
-    files = sorted(path for path in (tmp_path / "one").rglob("*") if path.is_file())
-    assert len(files) > 8
-    for path in files:
-        twin = tmp_path / "two" / path.relative_to(tmp_path / "one")
-        assert path.read_bytes() == twin.read_bytes(), path.name
-
-
 def test_a_sample_in_both_is_refused(tmp_path, two) -> None:
     again = write(tmp_path / "again", place="reef", seed=9)
     refused((two[0], again), tmp_path / "out", r"reef/reef-train/0.000 variant 0 is in .*a and in")

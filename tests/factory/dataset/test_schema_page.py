@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
+
+import pytest
 
 from simnfnd.factory.dataset.format.schema import (
     OPTIONAL_LAYERS,
@@ -15,10 +15,11 @@ from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.sample_table.record import columns, requested
 from tests.factory.dataset.hostile import whole
-from tests.project import readme_steps
+from tests.project.page_steps import run, steps
 from tests.project_files import ROOT
 
 PAGE = (ROOT / "docs" / "dataset.md").read_text(encoding="utf-8")
+PYTHON = [step for step in steps(ROOT / "docs" / "dataset.md") if step.kind == "python"]
 
 
 def test_every_layer_column_and_attribute_is_documented() -> None:
@@ -38,19 +39,14 @@ def test_every_layer_column_and_attribute_is_documented() -> None:
     assert ", ".join(f"{number} {name}" for number, name in enumerate(CLASSES)) in PAGE
 
 
-def test_the_python_of_the_documentation_runs(tmp_path: Path) -> None:
+def test_the_python_of_the_documentation_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole(tmp_path / "outputs" / "demo")
-    blocks = [step for step in readme_steps.steps(PAGE) if step.kind == "python"]
-    assert len(blocks) == 3
-    for block in blocks:
-        done = subprocess.run(
-            [sys.executable, "-c", block.text],
-            cwd=tmp_path,
-            env={"PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
+    assert len(PYTHON) == 3
+    for block in PYTHON:
+        run(block, tmp_path)
+        printed = capsys.readouterr().out
         if "blake2b" in block.text:
-            computed, stated = done.stdout.split()
+            computed, stated = printed.split()
             assert computed == stated

@@ -1,4 +1,4 @@
-"""Small recordings as files: pictures, depth maps, trees of FLSea and TUM, a calibration."""
+"""Small recordings as files: pictures, depth maps, trees of FLSea, a calibration."""
 
 from __future__ import annotations
 
@@ -77,13 +77,3 @@ def flsea_frame(
 
 def names(reader: Reader) -> list[str]:
     return [ref.name for ref in reader.discover().frames]
-
-
-def tum_recording(folder: Path, rgb_s: list[str], depth_s: list[str]) -> Path:
-    for kind, times in (("rgb", rgb_s), ("depth", depth_s)):
-        for i, time in enumerate(times):
-            stored = RGB if kind == "rgb" else (DEPTH * 5000 + i).astype(np.uint16)
-            write(folder / kind / f"{time}.png", stored)
-        lines = [f"{time} {kind}/{time}.png" for time in times]
-        (folder / f"{kind}.txt").write_text("# timestamp filename\n" + "\n".join(lines) + "\n")
-    return folder

@@ -21,22 +21,10 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.scenes.calibration import read_kalibr, undistorted, z_from_range
 from simnfnd.factory.scenes.images import read_depth, read_rgb
-from simnfnd.factory.scenes.redwood import redwood_poses
-from simnfnd.factory.scenes.tum import pose_at
+from simnfnd.factory.scenes.trajectory import trajectory
 from tests.factory.scenes.scene_files import KALIBR_IMUCAM
 
 Array = npt.NDArray[Any]
-
-KALIBR_CAM = """Calibration results
-====================
-Camera-system parameters:
-\tcam0 (/camera/image_raw):
-\t type: <class 'aslam_cv.libaslam_cv_python.DistortedPinholeCameraGeometry'>
-\t distortion: [ 0.123 -0.233 -0.001
- -0.004] +- [ 0.01 0.05 0.001 0.002]
-\t projection: [ 614.5  615.25  309.5  239.75] +- [ 4.4  4.4  2.6  2.4]
-\t reprojection error: [-0.000000, 0.000000] +- [0.101194, 0.092962]
-"""
 
 
 def encoded(array: Array, kind: str, **options: object) -> bytes:
@@ -129,10 +117,8 @@ def test_arrays_that_are_no_depth(tmp_path: Path, array: Array, message: str) ->
 def test_depth_units_follow_the_type(tmp_path: Path) -> None:
     np.save(tmp_path / "whole.npy", np.array([[2500, 0]], np.int32))
     np.save(tmp_path / "double.npy", np.array([[2.5, 1e300]]))
-    np.testing.assert_array_equal(read_depth(tmp_path / "whole.npy", None, 5000.0), [[0.5, 0]])
-    np.testing.assert_array_equal(
-        read_depth(tmp_path / "double.npy", None, 5000.0), [[2.5, np.inf]]
-    )
+    np.testing.assert_array_equal(read_depth(tmp_path / "whole.npy", None), [[2.5, 0]])
+    np.testing.assert_array_equal(read_depth(tmp_path / "double.npy", None), [[2.5, np.inf]])
     np.testing.assert_array_equal(read_depth(tmp_path / "double.npy", 5.0), [[0.5, np.inf]])
 
 
@@ -147,14 +133,10 @@ def test_colour_is_rgb_whatever_the_file(tmp_path: Path) -> None:
         read_rgb(tmp_path / "absent.png")
 
 
-def test_both_kinds_of_kalibr_results(tmp_path: Path) -> None:
+def test_a_kalibr_result(tmp_path: Path) -> None:
     (tmp_path / "imucam.txt").write_text(KALIBR_IMUCAM)
-    (tmp_path / "cam.txt").write_text(KALIBR_CAM)
     assert read_kalibr(tmp_path / "imucam.txt") == Intrinsics(
         1296.5, 1300.25, 501.5, 276.125, (-0.125, 0.0625, -0.0045, 0.0007)
-    )
-    assert read_kalibr(tmp_path / "cam.txt") == Intrinsics(
-        614.5, 615.25, 309.5, 239.75, (0.123, -0.233, -0.001, -0.004)
     )
     plain = KALIBR_IMUCAM.replace("radtan", "none").replace("-0.125, 0.0625, -4.5e-03, 0.0007", "")
     (tmp_path / "plain.txt").write_text(plain)
@@ -171,8 +153,6 @@ def test_both_kinds_of_kalibr_results(tmp_path: Path) -> None:
         KALIBR_IMUCAM.replace("1296.5", "-3"),
         KALIBR_IMUCAM.replace("-0.125,", "?,"),
         KALIBR_IMUCAM[: KALIBR_IMUCAM.index("  Distortion coeff")],
-        KALIBR_CAM.replace("DistortedPinhole", "EquidistantPinhole"),
-        KALIBR_CAM[: KALIBR_CAM.index("239.75")],
     ],
 )
 def test_other_cameras_and_damaged_calibrations_are_refused(tmp_path: Path, text: str) -> None:
@@ -233,14 +213,13 @@ def test_tum_poses_against_scipy(tmp_path: Path) -> None:
     ]
     path = tmp_path / "groundtruth.txt"
     path.write_text("\n".join(lines))
-    for i, quaternion in enumerate(quaternions):
-        pose = pose_at(path, i / 10 + 0.004, 0.02)
-        assert pose is not None
+    times, poses = trajectory(path)
+    np.testing.assert_allclose(times, np.arange(5) / 10)
+    for i, (quaternion, pose) in enumerate(zip(quaternions, poses, strict=True)):
         np.testing.assert_allclose(
             pose[:3, :3], Rotation.from_quat(quaternion).as_matrix(), atol=1e-12
         )
         np.testing.assert_array_equal(pose[:, 3], [i, 2, 3, 1])
-    assert pose_at(path, 0.05, 0.02) is None
 
 
 @pytest.mark.parametrize(
@@ -250,15 +229,4 @@ def test_a_damaged_trajectory_names_file_and_line(tmp_path: Path, line: str) -> 
     path = tmp_path / "groundtruth.txt"
     path.write_text(f"0 0 0 0 0 0 0 1\n{line}\n")
     with pytest.raises(FactoryError, match=r"groundtruth\.txt:2: expected"):
-        pose_at(path, 0.0, 0.02)
-
-
-def test_redwood_poses_and_their_damage(tmp_path: Path) -> None:
-    record = "3 3 4\n1 0 0 .5\n0 1 0 -2\n0 0 1 7\n0 0 0 1\n"
-    (tmp_path / "good.log").write_text(record)
-    assert list(redwood_poses(tmp_path / "good.log")) == [3]
-    np.testing.assert_array_equal(redwood_poses(tmp_path / "good.log")[3][:, 3], [0.5, -2, 7, 1])
-    for name, text in {"cut": record[:-8], "word": record.replace("7", "x")}.items():
-        (tmp_path / name).write_text(text)
-        with pytest.raises(FactoryError, match=f"{name}:1: expected a frame number"):
-            redwood_poses(tmp_path / name)
+        trajectory(path)

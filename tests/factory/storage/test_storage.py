@@ -61,10 +61,10 @@ def local_shards(folder: Path) -> dict[str, bytes]:
     return {name: path.read_bytes() for name, path in found.items()}
 
 
-@pytest.fixture(params=["s3", "memory", "file"])
+@pytest.fixture(params=["s3", "memory"])
 def url(request: pytest.FixtureRequest, bucket: str, tmp_path: Path) -> str:
     name = f"data-{tmp_path.name}"
-    places = {"s3": bucket, "memory": "memory://sonar", "file": f"file://{tmp_path}/store"}
+    places = {"s3": bucket, "memory": "memory://sonar"}
     return f"{places[request.param]}/{name}"
 
 
@@ -133,6 +133,30 @@ def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_p
     assert manifest_of(url).keys() == local_shards(local).keys()
 
 
+def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path) -> None:
+    url = f"{bucket}/wanted"
+    make(folder_of(url))
+    path, log = folder_of(url) / "train/shard-00001.h5", tmp_path / "log"
+    path.unlink()
+    code = (
+        "import sys, time; from pathlib import Path\n"
+        "from simnfnd.factory.storage.store import Store\n"
+        "from simnfnd.factory.dataset.read.reader import bring\n"
+        "plain = Store.get\n"
+        "def get(self, name):\n"
+        "    open(sys.argv[2], 'a').write(name + '\\n')\n"
+        "    time.sleep(2)\n"
+        "    return plain(self, name)\n"
+        "Store.get = get\n"
+        "bring(Path(sys.argv[1]))"
+    )
+    words = [sys.executable, "-c", code, str(path), str(log)]
+    both = [subprocess.Popen(words, cwd=ROOT) for _ in range(2)]
+    assert [process.wait(60) for process in both] == [0, 0]
+    assert path.exists()
+    assert log.read_text() == "train/shard-00001.h5\n"
+
+
 def test_two_runs_do_not_write_at_once(bucket: str) -> None:
     url = f"{bucket}/two"
     store = Store(url)
@@ -181,7 +205,8 @@ def test_slices_make_one_dataset(bucket: str, local: Path) -> None:
         ("s3://sonar/none", "holds no manifest.json"),
         ("s3://no-such-bucket/data", "cannot be read"),
         ("nonsense://sonar/data", "fsspec knows no nonsense://|Protocol not known"),
-        ("gcs://sonar/data", "pip install 'gcsfs'"),
+        ("gcs://sonar/data", "Please install gcsfs"),
+        ("file:///data", "mount it, give a folder"),
         ("simplecache::s3://sonar/data", "no such folder"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,10 @@ from tests.models.data.small_renders import drawn_devices
 @pytest.fixture(scope="module")
 def source(rendered: tuple[Path, Path]) -> DeviceSource:
     words = ("devices.quiet_share=0", "devices.height_px={choice: [96, 128, 160]}")
-    return drawn_devices(rendered, factory=words, patch=48, weaker=0.3, choices=0.5)
+    drawn = drawn_devices(rendered, patch=48, weaker=0.3, choices=0.5)
+    small = compose_config(["experiment=any_sonar", *words])
+    drawn.config = replace(drawn.config, devices=small.devices)
+    return drawn
 
 
 def test_every_visit_is_another_picture_and_the_same_one_again(source: DeviceSource) -> None:

@@ -15,7 +15,6 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.crops import Crops, Visit, whole_image
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import resized
@@ -23,7 +22,7 @@ from simnfnd.models.data.sources import open_data
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.train import train
 from tests.models.data.data_settings import SMALL, composed
-from tests.models.data.small_renders import drawn_devices, renders
+from tests.models.data.small_renders import renders
 
 
 def test_renders_train_on_no_scene_that_tests_or_validates(
@@ -150,42 +149,10 @@ def test_scales_that_cannot_be(rendered: tuple[Path, Path]) -> None:
         composed("data=renders", *words, "data.scales=[]")
 
 
-def test_words_of_the_factory_change_what_an_experiment_draws(rendered: tuple[Path, Path]) -> None:
-    """Also where the dataset itself has no drawn devices."""
-    words = ("devices.odd_share=0.9", "noise.spokes.enabled=false")
-    source = _drawn(rendered, words)
-    usual = _drawn(rendered, ())
-    assert source.config.devices is not None
-    assert usual.config.devices is not None
-    assert source.config.devices.odd_share.values == (0.9,)
-    assert replace(source.config.devices, odd_share=usual.config.devices.odd_share) == (
-        usual.config.devices
-    )
-    assert usual.config.noise.spokes is not None
-    assert source.config.noise.spokes is not None
-    assert usual.config.noise.spokes.enabled
-    assert not source.config.noise.spokes.enabled
-    with pytest.raises(FactoryError, match=r"odd_shar"):
-        _drawn(rendered, ("devices.odd_shar=0.9",))
-
-
-def _drawn(rendered: tuple[Path, Path], words: tuple[str, ...]) -> DeviceSource:
-    return drawn_devices(rendered, factory=words, patch=16)
-
-
 def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path) -> None:
     dataset, _ = rendered
     with pytest.raises(FactoryError, match=r"none of the 2 training frames.*data\.pack=FILE"):
         renders(rendered, pack=None, cache=str(tmp_path))
-    with pytest.raises(FactoryError, match=r"data\.factory: 'nonsense' is no KEY=VALUE"):
-        renders(rendered, factory=("nonsense",))
-    with pytest.raises(FactoryError, match=r"needs a dataset of this version.*noise\.fog"):
-        renders(rendered, factory=("noise.fog=1",))
-    source = renders(rendered, factory=("noise.background.density=0.5",))
-    assert source.config.noise.background.density.values == (0.5,)
-    # What needs more than the renders, and is no part of a pair.
-    source = renders(rendered, factory=("dataset.layers=[range,rgb,depth]",))
-    assert source.config.dataset.layers == ()
     (dataset / "config.yaml").rename(tmp_path / "config.yaml")
     try:
         with pytest.raises(FactoryError, match=r"config\.yaml: cannot be read"):

@@ -93,8 +93,10 @@ def test_unknown_targets_cost_nothing_and_teachers_fill_them() -> None:
     ]
 
     class Half:
-        def seen(self, batch: dict[str, torch.Tensor]) -> tuple[torch.Tensor, None]:
-            return torch.full_like(batch["noisy"], 0.4), None
+        share = 1.0
+
+        def seen(self, batch: dict[str, torch.Tensor]) -> torch.Tensor:
+            return torch.full_like(batch["noisy"], 0.4)
 
     taught = {**batch, "taught": torch.full((1, 1, 1, 1), 0.5)}
     found = completed(taught, prediction, Half())["clean"]  # type: ignore[arg-type]

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from PIL import Image, ImageSequence
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.recordings import open_recording
@@ -93,37 +92,11 @@ def test_arrays_in_files_of_several(tmp_path: Path, halving: Halving, name: str)
     assert np.abs(found - given / 2.0).max() <= 0.5
 
 
-def test_levels_of_an_array_are_told(
-    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
-) -> None:
-    decibels = np.linspace(-60, 0, 5 * 41 * 48).reshape(5, 41, 48)
-    path = write_array(tmp_path / "a.npz", decibels)
-    out = ["--out", str(tmp_path / "out")]
-    with pytest.raises(FactoryError, match="give two different numbers"):
-        main([str(path), "--levels", "3", "3", *out])
-    assert main([str(path), "--levels", "-60", "0", *out]) == 0
-    found = np.load(tmp_path / "out" / "a.npy")
-    np.testing.assert_allclose(found, decibels / 2 - 30, atol=1e-4)
-    np.save(tmp_path / "one.npy", decibels[0].astype("f4"))
-    assert main([str(tmp_path / "one.npy"), "--levels", "-60", "0", *out]) == 0
-    np.testing.assert_allclose(
-        np.load(tmp_path / "out" / "one.npy"), decibels[0] / 2 - 30, atol=1e-4
-    )
-
-
-@pytest.mark.parametrize("pages", [1, 3])
-def test_tiff_files_of_decibels(tmp_path: Path, halving: Halving, pages: int) -> None:
-    decibels = (pings(pages, 41, 48) * 75 / 255.0 - 70).astype("f4")
+def test_floats_that_are_no_grey_values(tmp_path: Path, halving: Halving) -> None:
+    decibels = (pings(2, 41, 48) * 75 / 255.0 - 70).astype("f4")
     write_stack(tmp_path / "a.tif", decibels)
-    out = ["--out", str(tmp_path / "out")]
-    with pytest.raises(FactoryError, match=r"in 0\.\.1; divide by full scale, or denoise with --l"):
-        main([str(tmp_path / "a.tif"), *out])
-    assert main([str(tmp_path / "a.tif"), "--levels", "-60", "0", *out]) == 0
-    with Image.open(tmp_path / "out" / "a.tif") as found:
-        after = np.array([np.asarray(page) for page in ImageSequence.Iterator(found)])
-    within = (decibels >= -60) & (decibels <= 0)
-    np.testing.assert_array_equal(after[~within], decibels[~within])
-    np.testing.assert_allclose(after[within], decibels[within] / 2 - 30, atol=1e-4)
+    with pytest.raises(FactoryError, match=r"in 0\.\.1; divide by full scale"):
+        main([str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")])
 
 
 def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:

@@ -132,11 +132,7 @@ def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any
         ("restormer", {"heads": [1, 3, 4]}, "16 channels cannot be shared by 3 heads"),
         ("restormer", {"width": 7, "heads": [1, 1, 1]}, "width must be even"),
         ("unet", {"widths": [8]}, "two resolutions or more"),
-        ("dae", {"widths": []}, "one layer or more"),
-        ("sid_tgan", {"heads": 5}, "which 5 heads cannot share"),
         ("sonarnet", {"blocks": [1]}, "as many of each"),
-        ("dgp_srgan", {"penalty": -1}, r"model\.penalty"),
-        ("three_stage", {"width": 2}, r"model\.width"),
     ],
 )
 def test_odd_networks_are_refused(kind: str, change: dict[str, Any], words: str) -> None:
@@ -162,10 +158,6 @@ def on_meta(config: dict[str, Any]) -> Network:
         ("nafnet", {"width": 32, "encoder": [2, 2, 4, 8], "middle": 12, "decoder": [2] * 4},
          29.2e6, 15.97),
         ("unet", {}, 1.065e6, 4.45),
-        ("dae", {}, 0.333e6, 1.40),
-        ("sid_tgan", {}, 1.67e6, 4.25),
-        ("three_stage", {}, 0.229e6, 6.44),
-        ("dgp_srgan", {}, 0.0716e6, 4.67),
     ],
 )  # fmt: skip
 def test_networks_are_as_large_as_published(

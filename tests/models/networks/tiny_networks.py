@@ -10,25 +10,15 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 
 TINY: dict[str, dict[str, Any]] = {
-    "dae": {"widths": [8, 16]},
-    "dgp_srgan": {
-        **{"width": 8, "blocks": 2, "critic_width": 4},
-        **{"adversarial": 0.001, "penalty": 10.0},
-    },
     "nafnet": {"width": 4, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]},
     "restormer": {
         **{"width": 8, "blocks": [1, 1, 1], "refinement": 1},
         **{"heads": [1, 2, 4], "expansion": 2.0},
     },
-    "sid_tgan": {
-        **{"width": 4, "blocks": 1, "heads": 2, "critic_width": 4},
-        **{"style": 1.0, "similarity": 0.1, "adversarial": 0.01},
-    },
     "sonarnet": {
         **{"widths": [8, 12], "blocks": [1, 1]},
         **{"polar": True, "lines": True, "mask": True, "forget": 0.1},
     },
-    "three_stage": {"width": 8, "growth": 4, "blocks": 1, "full_blocks": 1},
     "unet": {"widths": [4, 8], "blocks": 1},
 }
 

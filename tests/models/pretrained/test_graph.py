@@ -23,27 +23,10 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.pretrained.export import main
 from simnfnd.models.pretrained.onnx_graph import OPSET, Graph, Layout, compared
+from tests.models.networks.tiny_networks import TINY
 from tests.models.recordings.fan_pictures import fan, preset
 from tests.project.run_example import run
 
-TINY: dict[str, dict[str, Any]] = {
-    "dae": {"widths": [4, 4]},
-    "dgp_srgan": {
-        "width": 4, "blocks": 1, "critic_width": 4, "adversarial": 0.001, "penalty": 10.0,
-    },
-    "nafnet": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1]},
-    "restormer": {"width": 4, "blocks": [1, 1], "refinement": 1, "heads": [1, 2], "expansion": 2.0},
-    "sid_tgan": {
-        "width": 2, "blocks": 1, "heads": 2, "critic_width": 2,
-        "style": 1.0, "similarity": 0.1, "adversarial": 0.005,
-    },
-    "sonarnet": {
-        "widths": [4, 8], "blocks": [1, 1],
-        "polar": True, "lines": True, "mask": True, "forget": 0.1,
-    },
-    "three_stage": {"width": 4, "growth": 2, "blocks": 1, "full_blocks": 1},
-    "unet": {"widths": [4, 8], "blocks": 1},
-}  # fmt: skip
 SIZES = ((2, 57, 83),)
 
 
@@ -150,7 +133,6 @@ def test_what_cannot_be_exported_costs_a_line(tmp_path: Path) -> None:
         (("--to", "onnx", "--out", "a.pt"), r"must end in \.onnx"),
         (("--to", "onnx", "--geometry", "fan", "--out", onnx_file), "does not use the geometry"),
         (("--geometry", "fan", "--out", "a.safetensors"), "for --to onnx"),
-        (("--to", "onnx", "--limits", "a.md", "--out", onnx_file), "are for the card"),
     ):
         with pytest.raises(FactoryError, match=said):
             main([given, *words])

@@ -10,8 +10,8 @@ import pytest
 import scipy.io
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.models.recordings import Levels, base, is_recording, kind_of, open_recording
-from simnfnd.models.recordings.arrays import ArrayFile, NpyWriter, is_table
+from simnfnd.models.recordings import base, is_recording, kind_of, open_recording
+from simnfnd.models.recordings.arrays import is_table
 from simnfnd.models.recordings.pictures import read_grey, read_picture
 from tests.models.recordings.array_files import write_array
 from tests.models.recordings.recording_files import pings
@@ -108,7 +108,7 @@ def test_matlab_classes_that_are_no_pictures(tmp_path: Path) -> None:
     ("array", "words"),
     [
         (np.full((20, 20), 3.5), "from 0 to 1, these are 3.5 to 3.5; scale them"),
-        (np.full((20, 20), -40.0), "from 0 to 1, these are -40 to -40; .*--levels BLACK WHITE"),
+        (np.full((20, 20), -40.0), "from 0 to 1, these are -40 to -40; scale them"),
         (np.full((20, 20), np.nan), "holds NaN; set what was not measured to 0"),
         (np.full((20, 20), 1e300), "from 0 to 1, these are inf to inf"),
         (np.zeros((20, 20), np.int32), "pixels are int32; expected uint8, uint16, float32"),
@@ -120,25 +120,6 @@ def test_values_that_are_no_grey_values(tmp_path: Path, array: Any, words: str) 
     several = saved(tmp_path / "b.npy", np.stack([array, array]))
     with open_recording(several) as recording, pytest.raises(FactoryError, match=words):
         recording[1]
-
-
-@pytest.mark.parametrize("name", ["a.npy", *NAMES])
-def test_levels_and_the_array_that_is_written(tmp_path: Path, name: str) -> None:
-    """Decibels: what lies beyond black and white, or was not measured, stays as it was."""
-    decibels = np.linspace(-90, 10, 5 * 30 * 40).reshape(5, 30, 40)
-    decibels[2, 3, 4] = np.nan
-    with ArrayFile(write_array(tmp_path / name, decibels), Levels(-60, 0)) as file:
-        shown = [frame.samples for frame in file]
-        np.testing.assert_allclose(shown[2][5], np.clip(decibels[2, 5] / 60 + 1, 0, 1), atol=1e-6)
-        assert shown[2][3, 4] == 0
-        writer = NpyWriter(tmp_path / "made.npy", file.header)
-        for number, picture in enumerate(shown):
-            writer.add(file.stored(number, picture / 2))
-        writer.close()
-    found = np.load(tmp_path / "made.npy")
-    within = (decibels >= -60) & (decibels <= 0)
-    np.testing.assert_array_equal(found[~within], decibels[~within])
-    np.testing.assert_allclose(found[within], decibels[within] / 2 - 30, atol=1e-4)
 
 
 def test_files_that_are_no_arrays(tmp_path: Path) -> None:

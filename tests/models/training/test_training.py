@@ -26,7 +26,7 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.training.loop import Stopped
 from simnfnd.models.training.module import DenoisingModule
-from simnfnd.models.training.results import is_stopped, read_checkpoint
+from simnfnd.models.training.results import read_checkpoint
 from tests.models.training.small_training import SMALL, TINY, train_small
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
@@ -209,15 +209,6 @@ def test_training_begins_from_given_weights(trained: Path, dataset: Path, tmp_pa
         train_small(dataset, tmp_path / "none", "start=nowhere")
 
 
-def test_training_stops_when_nothing_gets_better() -> None:
-    rows = [{"psnr": value} for value in (20.0, 22.0, 21.9, 22.0)]
-    assert not is_stopped(rows, None)
-    assert not is_stopped(rows, 3)
-    assert is_stopped(rows, 2)
-    assert not is_stopped(rows[:2], 2)
-    assert not is_stopped([*rows, {"psnr": 22.1}], 2)
-
-
 def validate_ever_worse(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Every validation is 1 dB below the one before; the list has an entry for each."""
     calls: list[int] = []
@@ -228,18 +219,6 @@ def validate_ever_worse(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     monkeypatch.setattr("simnfnd.models.training.module.psnr_db", worse_and_worse)
     return calls
-
-
-def test_early_stopping_is_a_finished_training(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls = validate_ever_worse(monkeypatch)
-    short = ("train.steps=12", "train.check_every=2", "train.patience=2")
-    assert train_small(dataset, tmp_path, *short)["step"] == 2
-    assert len((tmp_path / "metrics.csv").read_text(encoding="utf-8").splitlines()) == 4
-    done = len(calls)
-    assert train_small(dataset, tmp_path, *short)["step"] == 2
-    assert len(calls) == done, "a training that stopped early was continued"
 
 
 def test_curves_and_pictures_while_training(dataset: Path, tmp_path: Path) -> None:
