@@ -188,13 +188,6 @@ def test_no_object_that_the_schema_has_not_is_read(
         assert "train/shard-00000.h5" in read.replace("\\", "/")
 
 
-def test_another_index_is_found_and_not_opened(folder: Path) -> None:
-    with h5py.File(folder / "index.h5", "r+") as file:
-        del file["test/noisy"]
-    text = errors(validate(folder, True))
-    assert text.startswith("error: index.h5: its SHA-256 is not that of the manifest; remove it")
-
-
 def test_mutated_datasets_get_a_clear_answer(
     sound: Path, tmp_path: Path, reader: IsolatedProcess
 ) -> None:
