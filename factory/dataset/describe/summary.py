@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from ...errors import FactoryError
 from ..format.manifest import INDEX_NAME
-from ..read.image_stack import ImageStack
 from ..read.reader import check_in_isolation, reading
 from ..read.source import Source, open_shards, open_source
+from .preview import load, spread
 from .quality import psnr_db
 
 
@@ -62,6 +62,7 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
     with reading(source.shards[0][1]) as file:
         schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
         compression = compression_of(file["noisy"])
+    measured = map(load, spread(list(source.names()), pairs))
     a_sample = sum(
         int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
     )
@@ -74,7 +75,7 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
         sum(shard.stat().st_size for _, shard, _ in source.shards),
         a_sample * sum(source.splits.values()),
-        _psnr_db(source, pairs),
+        np.array([psnr_db(one.images["clean"], one.images["noisy"]) for one in measured]),
     )
 
 
@@ -83,15 +84,3 @@ def compression_of(stack: h5py.Dataset) -> str:
     level = "" if stack.compression_opts is None else f" {stack.compression_opts}"
     names = [f"{stack.compression}{level}"] if stack.compression else []
     return ", ".join(names + ["fletcher32"] * bool(stack.fletcher32)) or "none"
-
-
-def _psnr_db(source: Source, pairs: int) -> npt.NDArray[np.float64]:
-    """PSNR of at most `pairs` samples, as evenly over all of them as can be."""
-    places = [(path, row) for _, path, samples in source.shards for row in range(samples)]
-    count = min(pairs, len(places))
-    found = []
-    for path, row in (places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)):
-        with reading(path) as file:
-            noisy, clean = (ImageStack(file[name])[row] for name in ("noisy", "clean"))
-        found.append(psnr_db(clean, noisy))
-    return np.array(found)
