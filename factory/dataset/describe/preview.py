@@ -51,7 +51,7 @@ def preview(
     *,
     trusted: bool = False,
 ) -> Path:
-    """Draw `pairs` samples, spread over the scenes, as noisy | clean | shadow; returns the path.
+    """Draw `pairs` samples, evenly spread, as noisy | clean | shadow; returns the path.
 
     out: the PNG to write; None is preview.png in the dataset's folder.
     trusted: leave out the check of the shards in another process; for datasets just made.
@@ -102,23 +102,9 @@ def in_common(
 
 
 def spread(samples: Sequence[SampleName], count: int) -> list[SampleName]:
-    """`count` samples (or all), as evenly over splits and scenes as they allow, in their order."""
-    scenes: dict[tuple[str, str, str], list[int]] = {}
-    for number, sample in enumerate(samples):
-        scenes.setdefault((sample.split, sample.location, sample.scene), []).append(number)
-    groups = list(scenes.values())
-    if len(groups) > count:
-        groups = [groups[(2 * k + 1) * len(groups) // (2 * count)] for k in range(count)]
-    shares = [0] * len(groups)
-    for _ in range(min(count, sum(map(len, groups)))):
-        open_groups = [g for g, group in enumerate(groups) if shares[g] < len(group)]
-        shares[min(open_groups, key=lambda g: shares[g])] += 1
-    numbers = [
-        group[(2 * k + 1) * len(group) // (2 * share)]
-        for group, share in zip(groups, shares, strict=True)
-        for k in range(share)
-    ]
-    return [samples[number] for number in sorted(numbers)]
+    """`count` samples (or all), evenly spread, in their order."""
+    count = min(count, len(samples))
+    return [samples[(2 * k + 1) * len(samples) // (2 * count)] for k in range(count)]
 
 
 def load(name: SampleName) -> Shown:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -12,14 +11,10 @@ import numpy.typing as npt
 
 from ...errors import FactoryError
 from ..format.manifest import INDEX_NAME
-from ..read.image_stack import ImageStack
 from ..read.reader import check_in_isolation, reading
 from ..read.source import Source, open_shards, open_source
+from .preview import load, spread
 from .quality import psnr_db, ssim
-
-_FILTERS = {
-    h5py.h5z.FILTER_DEFLATE: "gzip", h5py.h5z.FILTER_FLETCHER32: "fletcher32", 32000: "lzf",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +63,10 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
     with reading(source.shards[0][1]) as file:
         schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
         compression = compression_of(file["noisy"])
+    images = [load(one).images for one in spread(list(source.names()), pairs)]
     a_sample = sum(
         int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
     )
-    psnr, similarity = _quality(source, pairs)
     return DatasetSummary(
         source,
         schema,
@@ -81,30 +76,13 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
         sum(shard.stat().st_size for _, shard, _ in source.shards),
         a_sample * sum(source.splits.values()),
-        psnr,
-        similarity,
+        np.array([psnr_db(one["clean"], one["noisy"]) for one in images]),
+        np.array([ssim(one["clean"], one["noisy"]) for one in images]),
     )
 
 
 def compression_of(stack: h5py.Dataset) -> str:
     """The filters of a dataset in words, for example `gzip 1, fletcher32`."""
-    filters = stack.id.get_create_plist()
-    names = []
-    for number in range(filters.get_nfilters()):
-        code, _, values, name = filters.get_filter(number)
-        level = f" {values[0]}" if code == h5py.h5z.FILTER_DEFLATE and values else ""
-        names.append(_FILTERS.get(code, name.decode()) + level)
-    return ", ".join(names) or "none"
-
-
-def _quality(source: Source, pairs: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """PSNR and SSIM of at most `pairs` samples, as evenly over all of them as can be."""
-    places = [(path, row) for _, path, samples in source.shards for row in range(samples)]
-    count = min(pairs, len(places))
-    found = []
-    for path, row in (places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)):
-        with reading(path) as file:
-            noisy, clean = (ImageStack(file[name])[row] for name in ("noisy", "clean"))
-        found.append((psnr_db(clean, noisy), ssim(clean, noisy)))
-    psnr, similarity = np.array(found).T
-    return psnr, similarity
+    level = "" if stack.compression_opts is None else f" {stack.compression_opts}"
+    names = [f"{stack.compression}{level}"] if stack.compression else []
+    return ", ".join(names + ["fletcher32"] * bool(stack.fletcher32)) or "none"

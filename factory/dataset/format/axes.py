@@ -12,18 +12,14 @@ import h5py
 import numpy as np
 
 from ...errors import FactoryError
-from .schema import CAMERA_LAYERS, Axis
+from .schema import CAMERA_LAYERS, CHECKSUMS, Axis
 
 ECHO_PLACE = "echoes/place"
-_ECHO_FIELDS = (
-    "bin", "range", "azimuth", "elevation", "strength", "pixel", "segmentation", "instance",
-)  # fmt: skip
 
 
 def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
     """Row and column axes of an image stack.  Raises FactoryError when one cannot be read."""
-    _check_scale_references(stack)
-    return _axis(_scale(stack, 1)), _axis(_scale(stack, 2))
+    return _axis(stack, 1), _axis(stack, 2)
 
 
 def axis_names(stack: h5py.Dataset) -> tuple[str, ...]:
@@ -34,43 +30,17 @@ def axis_names(stack: h5py.Dataset) -> tuple[str, ...]:
     name = str(stack.name).lstrip("/")
     if name in CAMERA_LAYERS or name.startswith("echoes/"):
         return ()
-    _check_scale_references(stack)
-    return _name(_scale(stack, 1)), _name(_scale(stack, 2))
+    return str(stack.dims[1].label), str(stack.dims[2].label)
 
 
-def _scale(stack: h5py.Dataset, dimension: int) -> h5py.Dataset:
-    size = stack.shape[dimension]
-    try:
-        scale = stack.dims[dimension][0] if len(stack.dims[dimension]) else None
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
-        raise FactoryError(f"the axes of {stack.name} are damaged; generate it again") from error
-    if scale is None or scale.shape != (size,) or scale.dtype.kind not in "iuf":
-        raise FactoryError(f"dimension {dimension} of {stack.name} has no axis of {size} numbers")
-    name = str(scale.name).lstrip("/")
-    if not name.startswith("axes/"):
-        raise FactoryError(f"{scale.name} is no axis; generate it again")
-    return dataset_inside(stack.file, name)
-
-
-def _axis(scale: h5py.Dataset) -> Axis:
-    texts = [str(scale.attrs.get(key, "")) for key in ("units", "description")]
-    return Axis(_name(scale), texts[0], np.asarray(scale[()], dtype=np.float64), texts[1])
-
-
-def _name(scale: h5py.Dataset) -> str:
-    return str(scale.name).removeprefix("/axes/")
-
-
-def _check_scale_references(stack: h5py.Dataset) -> None:
-    """HDF5 follows whatever stands in DIMENSION_LIST, and dies of numbers there."""
-    name = b"DIMENSION_LIST"
-    if not h5py.h5a.exists(stack.id, name):
-        raise FactoryError(f"{stack.name} has no axes; generate the shard again")
-    attribute = h5py.h5a.open(stack.id, name)
-    kind = attribute.get_type()
-    listed = isinstance(kind, h5py.h5t.TypeVlenID) and attribute.shape == (stack.ndim,)
-    if not listed or not kind.get_super().equal(h5py.h5t.STD_REF_OBJ):
-        raise FactoryError(f"the axes of {stack.name} are damaged; generate it again")
+def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
+    # By its name: HDF5 dies of some numbers that stand in place of a reference.
+    name, size = str(stack.dims[dimension].label), stack.shape[dimension]
+    scale = dataset_inside(stack.file, f"axes/{name}")
+    if scale.shape != (size,) or scale.dtype.kind not in "iuf":
+        raise FactoryError(f"/axes/{name} does not have the {size} numbers of {stack.name}")
+    units, about = (str(scale.attrs.get(key, "")) for key in ("units", "description"))
+    return Axis(name, units, np.asarray(scale[()], dtype=np.float64), about)
 
 
 def object_inside(file: h5py.File, name: str) -> Any:
@@ -109,11 +79,11 @@ def echo_names(file: h5py.File) -> tuple[str, ...]:
 
     Raises FactoryError when one lies in another file.
     """
-    if not exists(file, "echoes") or not isinstance(object_inside(file, "echoes"), h5py.Group):
-        return ()
-    dataset_inside(file, ECHO_PLACE)
-    names = [name for field in _ECHO_FIELDS if exists(file, name := f"echoes/{field}")]
-    return tuple(name for name in names if dataset_inside(file, name))
+    listed = dataset_inside(file, CHECKSUMS).dtype.names if exists(file, CHECKSUMS) else None
+    names = tuple(name for name in listed or () if name.startswith("echoes/"))
+    for name in (ECHO_PLACE, *names) if names else ():
+        dataset_inside(file, name)
+    return names
 
 
 def exists(file: h5py.File, name: str) -> bool:

@@ -61,16 +61,8 @@ def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
     for name, values in sums.items():
         table[name] = values
     file.create_dataset(CHECKSUMS, data=table, track_times=False)
-    seal(file, tuple(sums))
-
-
-def seal(file: h5py.File, layers: Iterable[str]) -> None:
-    """Write the two root attributes over what the file holds now."""
-    for name in SEALS:
-        if name in file.attrs:
-            del file.attrs[name]
     file.attrs[_CONTENTS] = _digest(_contents(file, file["meta"][()]))
-    file.attrs[_TEXTS] = _digest(_texts(file, layers))
+    file.attrs[_TEXTS] = _digest(_texts(file, sums))
 
 
 def require_checksums(file: h5py.File) -> None:

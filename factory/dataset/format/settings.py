@@ -11,22 +11,8 @@ from pydantic.dataclasses import dataclass
 from ...settings import STRICT
 from ...storage.copies import folder_of
 from ...storage.store import is_url
-from .schema import DATASET_NAME
+from .schema import DATASET_NAME, OPTIONAL_LAYERS
 
-LayerName = Literal[
-    "effects",
-    "range",
-    "elevation",
-    "elevation_min",
-    "elevation_max",
-    "azimuth",
-    "valid_azimuth",
-    "segmentation",
-    "intensity_db",
-    "field",
-    "rgb",
-    "depth",
-]
 ColumnName = Literal["pose", "intrinsics", "calibration", "boxes"]
 
 
@@ -58,7 +44,7 @@ class DatasetSettings:
     dtype: Literal["uint8", "float32"] = "uint8"
     compression: Literal["gzip", "none"] = "gzip"
     compression_level: Annotated[int, Field(ge=0, le=9)] = 1
-    layers: tuple[LayerName, ...] = ()
+    layers: tuple[str, ...] = ()
     columns: tuple[ColumnName, ...] = ()
     max_train: Annotated[int, Field(ge=0)] | None = None
     max_test: Annotated[int, Field(ge=0)] | None = None
@@ -70,6 +56,10 @@ class DatasetSettings:
             raise ValueError(
                 f"name {self.name!r} must be letters, digits, dot, dash and underscore"
             )
+        # Of objects there is one layer more, which comes with the other.
+        known = {"effects", *(layer.name for layer in OPTIONAL_LAYERS)} - {"instance"}
+        if unknown := sorted(set(self.layers) - known):
+            raise ValueError(f"layers: {unknown[0]} is none of {', '.join(sorted(known))}")
         for key, names in (("layers", self.layers), ("columns", self.columns)):
             if len(set(names)) != len(names):
                 raise ValueError(f"{key} {list(names)} names one twice")

@@ -49,6 +49,7 @@ def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[
     """The same for a manifest that was read already, or was found absent (None)."""
     if not root.is_dir():
         raise FactoryError(f"dataset={root}: no such folder; give one that `simnfnd make` made")
+    found: dict[Path, int | None]
     if manifest is None:
         found = {path: None for name in SPLITS for path in sorted((root / name).glob("*.h5"))}
     else:

@@ -92,23 +92,18 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     manifest = load_manifest(directory)
     config_hash = manifest.config_hash if manifest else _hash_in_config(directory)
     if config_hash != provenance.config_hash:
-        raise FactoryError(_difference(directory, manifest, provenance))
+        changes = differences(manifest.config if manifest else {}, provenance.config)
+        listed = list_differences(changes) if manifest and changes else "its config hash differs"
+        raise FactoryError(
+            f"dataset.dir: {directory} holds a dataset of another configuration ({listed}); "
+            "give another folder with dataset.dir=, or remove this one"
+        )
     if manifest and manifest.generator != provenance.generator:
         raise FactoryError(
             f"dataset.dir: {directory} was made by {manifest.generator}, this is "
             f"{provenance.generator}; give another folder with dataset.dir="
         )
     return manifest
-
-
-def _difference(directory: Path, manifest: Manifest | None, provenance: Provenance) -> str:
-    """One line that names the keys in which the folder's dataset differs from the asked one."""
-    changes = differences(manifest.config if manifest else {}, provenance.config)
-    listed = list_differences(changes) if manifest and changes else "its config hash differs"
-    return (
-        f"dataset.dir: {directory} holds a dataset of another configuration ({listed}); "
-        f"give another folder with dataset.dir=, or remove this one"
-    )
 
 
 def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:

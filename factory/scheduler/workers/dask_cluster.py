@@ -64,9 +64,11 @@ class DaskBackend:
         try:
             address = settings.address
             if address is None:
-                self._cluster = _started(settings.total)
+                self._cluster = self._started(settings.total)
                 address = self._cluster.scheduler_address
-            self._client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+            self._client = self._distributed.Client(
+                address, timeout=_CONNECT_S, set_as_default=False
+            )
             self._client.subscribe_topic(self._topic, self._heard)
             self._count()
             if not self._workers:
@@ -81,6 +83,23 @@ class DaskBackend:
             raise FactoryError(
                 f"{where} ({error}); check the address, or start one (docs/cluster.md)"
             ) from error
+
+    def _started(self, workers: int) -> Any:
+        """A scheduler and its workers as processes of this machine."""
+        import dask
+
+        with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+            cluster = self._distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                memory_limit=0,
+                dashboard_address=None,
+                preload=["simnfnd.factory.scheduler.workers.contract"],
+                env=dict.fromkeys(THREAD_VARIABLES, "1"),
+                silence_logs=logging.CRITICAL,
+            )
+        cluster.wait_for_workers(workers, timeout=_START_S)
+        return cluster
 
     def _count(self) -> None:
         """Take in workers that have come or gone."""
@@ -189,25 +208,6 @@ class DaskBackend:
             with suppress(Exception):
                 if one is not None:
                     one.close(timeout=_STOP_S)
-
-
-def _started(workers: int) -> Any:
-    """A scheduler and its workers as processes of this machine."""
-    import dask
-    import distributed
-
-    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-        cluster: Any = distributed.LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            memory_limit=0,
-            dashboard_address=None,
-            preload=["simnfnd.factory.scheduler.workers.contract"],
-            env=dict.fromkeys(THREAD_VARIABLES, "1"),
-            silence_logs=logging.CRITICAL,
-        )
-    cluster.wait_for_workers(workers, timeout=_START_S)
-    return cluster
 
 
 def _run(request: bytes, topic: str, key: str) -> bytes:

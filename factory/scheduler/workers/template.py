@@ -32,20 +32,9 @@ THREAD_VARIABLES = (
 )
 
 
-class _Template:
-    """What is known of the one template of this process.
-
-    owner: the process that started it, 0 for none; whoever is forked from that has none.
-    modules: what it has loaded.
-    """
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.owner = 0
-        self.modules: tuple[str, ...] = ()
-
-
-_template = _Template()
+_lock = threading.Lock()
+# The process that started one, 0 for none; whoever is forked from that has none.
+_owner = 0
 
 
 def start(modules: tuple[str, ...]) -> None:
@@ -55,14 +44,15 @@ def start(modules: tuple[str, ...]) -> None:
     """
     if not modules or not sys.platform.startswith("linux"):
         return
-    with _template.lock:
+    global _owner
+    with _lock:
         if runs():
             return
         saved, held = one_thread(), hold_interrupts()
         forkserver.set_forkserver_preload(list(modules))
         try:
             forkserver.ensure_running()
-            _template.owner, _template.modules = os.getpid(), modules
+            _owner = os.getpid()
         except ChildProcessError:
             pass  # in a process that is itself a fork, it is another's
         finally:
@@ -73,19 +63,16 @@ def start(modules: tuple[str, ...]) -> None:
 def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
     """A process that runs `target(*arguments)`.
 
-    forks: of the template, if one runs.  One that died, or is killed meanwhile because it stands
-    still, is started again once; after that, and where there is none, the process is spawned.
+    forks: of the template, if one runs.  Where there is none, or it dies or is killed meanwhile
+    because it stands still, the process is spawned.
     """
     process: BaseProcess
-    for _ in range(2 if forks else 0):
-        if not runs():
-            break
+    if forks and runs():
         process = multiprocessing.get_context("forkserver").Process(target=target, args=arguments)
         # It may die meanwhile, or there is no room for a process at all.
         with suppress(EOFError, OSError):
             process.start()
             return process
-        start(_template.modules)
     process = multiprocessing.get_context("spawn").Process(target=target, args=arguments)
     process.start()
     return process
@@ -93,16 +80,17 @@ def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]
 
 def runs() -> bool:
     """Whether one was started, by this process."""
-    return _template.owner == os.getpid()
+    return _owner == os.getpid()
 
 
 @atexit.register
 def kill() -> None:
     """Kill the template, if there is one; what was forked from it lives on."""
+    global _owner
     if not runs():
         return
     # The next `start` starts another.
-    _template.owner = 0
+    _owner = 0
     server: Any = vars(forkserver)["_forkserver"]
     with suppress(OSError):
         os.kill(server._forkserver_pid, signal.SIGKILL)

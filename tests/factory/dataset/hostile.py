@@ -345,7 +345,7 @@ OBJECTS: dict[str, Callable[[h5py.File, str, Path], Any]] = {
     "scale-offset": lambda file, name, secret: _again(file, name, scaleoffset=2),
     "schema an array": lambda file, name, secret: _attribute(file, "schema", np.zeros(3)),
     "axes absent": lambda file, name, secret: file.pop("axes"),
-    "no scales": lambda file, name, secret: file["noisy"].attrs.pop("DIMENSION_LIST"),
+    "no labels": lambda file, name, secret: file["noisy"].attrs.pop("DIMENSION_LABELS"),
 }
 
 

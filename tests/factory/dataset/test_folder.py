@@ -18,10 +18,9 @@ import pytest
 import yaml
 
 from simnfnd.factory.dataset.describe.card import write_card
-from simnfnd.factory.dataset.describe.preview import preview, spread
+from simnfnd.factory.dataset.describe.preview import preview
 from simnfnd.factory.dataset.format.schema import config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.source import SampleName
 from simnfnd.factory.dataset.write.failures import Failure
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.errors import FactoryError
@@ -207,14 +206,3 @@ def test_the_contact_sheet_shows_the_pixels_of_the_shards(tmp_path: Path) -> Non
     amber = (image[..., 0] > image[..., 2] + 60).mean()
     assert 0.005 < blue < 0.2
     assert 0.05 < amber < 0.6
-
-
-def test_a_preview_spreads_over_the_scenes() -> None:
-    samples = [
-        SampleName(Path("train/shard-00000.h5"), row, "train", "reef", f"{scene}", f"{row}", 0)
-        for scene, size in enumerate((9, 1, 4))
-        for row in range(size)
-    ]
-    for count, shares in ((2, [1, 0, 1]), (3, [1, 1, 1]), (6, [3, 1, 2]), (20, [9, 1, 4])):
-        chosen = spread(samples, count)
-        assert [sum(sample.scene == f"{k}" for sample in chosen) for k in range(3)] == shares

@@ -16,7 +16,7 @@ from simnfnd.factory.export.coco import run_lengths
 from simnfnd.factory.export.objects import LEAST_PX
 from simnfnd.factory.export.yolo import outlines
 from simnfnd.factory.labels import CLASSES
-from tests.factory.dataset.hostile import reseal
+from tests.factory.dataset.hostile import admit, reseal
 from tests.factory.export.export_dataset import write
 
 Masks = dict[str, dict[int, tuple[int, np.ndarray]]]
@@ -41,6 +41,7 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
                     [numbers == 700, numbers == 3, numbers == 41], [9, 20, 1], 0
                 )
             reseal(file)
+    admit(root)
     return root
 
 
@@ -143,6 +144,7 @@ def test_labels_that_name_no_class_are_refused(tmp_path: Path) -> None:
         file["instance"][1] = 5
         file["segmentation"][1] = 200
         reseal(file)
+    admit(root)
     with pytest.raises(FactoryError, match=r"odd: test-000001: /segmentation has a value 200"):
         export(root, "coco", tmp_path / "out", "test")
 

@@ -7,8 +7,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.run_fake import make
-
 
 def shard_bytes(directory: Path) -> dict[str, bytes]:
     """Path below the dataset -> content, of every shard."""
@@ -25,14 +23,6 @@ def failures(directory: Path) -> dict[str, dict[str, str]]:
 def litter(directory: Path) -> list[str]:
     """Files that a run must not leave behind."""
     return [path.name for path in directory.rglob(".*")]
-
-
-def undisturbed_shards(directory: Path) -> dict[str, bytes]:
-    """The shards of a run with one worker to which nothing happened."""
-    report = make(directory, workers=1)
-    assert (report.samples, report.shards, report.kept, report.failures) == (32, 4, 0, ())
-    assert litter(directory) == []
-    return shard_bytes(directory)
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 20.0) -> None:

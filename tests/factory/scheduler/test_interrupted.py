@@ -35,10 +35,6 @@ def where_python_throws_it_away(number: int) -> None:
     assert reference() is None
 
 
-WAYS: dict[str, Callable[[int], None]] = {
-    "at once": at_once,
-    "in a callback": where_python_throws_it_away,
-}
 SERIAL: dict[str, Any] = {
     "scheduler": {"backend": "serial"},
     "dataset": DatasetSettings(preview_pairs=1),
@@ -59,12 +55,11 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return everything(folder)
 
 
-@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(
-    ("place", "number"),
+    ("place", "number", "way"),
     [
-        ("write_index", signal.SIGTERM),
-        ("write_card", signal.SIGINT),
+        ("write_index", signal.SIGTERM, at_once),
+        ("write_card", signal.SIGINT, where_python_throws_it_away),
     ],
 )
 def test_a_signal_at_the_end_of_a_run_is_one_line_and_loses_nothing(
@@ -74,13 +69,13 @@ def test_a_signal_at_the_end_of_a_run_is_one_line_and_loses_nothing(
     undisturbed: dict[str, bytes],
     place: str,
     number: int,
-    way: str,
+    way: Callable[[int], None],
 ) -> None:
     folder = tmp_path / "dataset"
     write = getattr(run, place)
 
     def interrupted(*given: Any, **named: Any) -> None:
-        WAYS[way](number)
+        way(number)
         write(*given, **named)
         time.sleep(30)
 

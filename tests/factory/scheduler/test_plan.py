@@ -7,7 +7,6 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.pending import Pending
 from simnfnd.factory.scheduler.plan import plan_shards
 from simnfnd.factory.scheduler.settings import MAX_AUTO_WORKERS, Crew, SchedulerSettings
@@ -57,11 +56,6 @@ def test_a_limit_takes_frames_from_all_scenes() -> None:
     (task,) = plan_shards({"train": frames}, 1, 100, {"train": 10})
     scenes = [ref.scene for ref, _ in task.items]
     assert scenes.count("alpha") == scenes.count("beta") == 5
-
-
-def test_plan_refuses_a_frame_in_both_splits() -> None:
-    with pytest.raises(FactoryError, match="reef/alpha/0001: named twice"):
-        plan_shards({"train": refs(3), "test": refs(2)[1:]}, 1, 10)
 
 
 # --- parts ------------------------------------------------------------------------------------

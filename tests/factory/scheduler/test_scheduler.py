@@ -10,15 +10,10 @@ import pytest
 
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.errors import FactoryError
-from tests.factory.scheduler.run_files import failures, litter, shard_bytes, undisturbed_shards
+from tests.factory.scheduler.run_files import failures, litter, shard_bytes
 from tests.fake_source import BrokenSource, FakeConfig, LethalSource, refs
 from tests.run_fake import make
 from tests.worker_processes import workers_of
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    return undisturbed_shards(tmp_path_factory.mktemp("undisturbed") / "dataset")
 
 
 def test_three_workers_give_the_bytes_of_one(tmp_path: Path, undisturbed: dict[str, bytes]) -> None:

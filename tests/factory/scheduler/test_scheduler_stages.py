@@ -12,17 +12,8 @@ from simnfnd.factory.errors import FactoryError
 from tests.factory.scheduler.run_files import failures, litter, shard_bytes
 from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig, GentleSource, prepared_file, refs
-from tests.run_fake import make
 
 SERIAL = {"backend": "serial"}
-
-
-@pytest.fixture(scope="module")
-def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """The shards as one process makes them in one stage."""
-    directory = tmp_path_factory.mktemp("expected") / "dataset"
-    make(directory, scheduler=SERIAL)
-    return shard_bytes(directory)
 
 
 def status(directory: Path) -> dict[str, object]:
@@ -32,12 +23,12 @@ def status(directory: Path) -> dict[str, object]:
 
 @pytest.mark.parametrize("backend", ["serial", "local"])
 def test_frames_that_are_prepared_by_others_give_the_same_bytes(
-    tmp_path: Path, expected: dict[str, bytes], backend: str
+    tmp_path: Path, undisturbed: dict[str, bytes], backend: str
 ) -> None:
     directory = tmp_path / "dataset"
     report = staged(directory, scheduler={"backend": backend, "render_workers": 1}, workers=3)
     assert (report.samples, report.failures) == (32, ())
-    assert shard_bytes(directory) == expected
+    assert shard_bytes(directory) == undisturbed
     assert litter(directory) == []
     told = status(directory)
     assert told["state"] == "finished"
@@ -50,7 +41,7 @@ def test_frames_that_are_prepared_by_others_give_the_same_bytes(
 
 @pytest.mark.parametrize("backend", ["local", "dask"])
 def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
-    tmp_path: Path, expected: dict[str, bytes], backend: str
+    tmp_path: Path, undisturbed: dict[str, bytes], backend: str
 ) -> None:
     directory = tmp_path / "dataset"
     config = FakeConfig(
@@ -74,7 +65,7 @@ def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
     assert "FakePreparer" not in told["reef/alpha/0001"]["reason"]
     assert report.samples == 32 - 4 * 2
     made = shard_bytes(directory)
-    assert made["test/shard-00000.h5"] == expected["test/shard-00000.h5"], "killed once"
+    assert made["test/shard-00000.h5"] == undisturbed["test/shard-00000.h5"], "killed once"
     assert "took longer than scheduler.frame_timeout_s=1" in told["reef/alpha/0010"]["reason"]
 
     # Running again tries what failed, touches nothing else, and takes in what is cured.
@@ -85,11 +76,11 @@ def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
     after = {path: (directory / path).stat().st_mtime_ns for path in shard_bytes(directory)}
     changed = [path for path in before if before[path] != after[path]]
     assert changed == ["train/shard-00001.h5", "train/shard-00002.h5"]
-    assert all(shard_bytes(directory)[path] == expected[path] for path in changed)
+    assert all(shard_bytes(directory)[path] == undisturbed[path] for path in changed)
 
 
 def test_a_prepared_frame_that_vanishes_is_prepared_again(
-    tmp_path: Path, expected: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, undisturbed: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ref = refs(12)[5]
     lost: list[int] = []
@@ -103,7 +94,7 @@ def test_a_prepared_frame_that_vanishes_is_prepared_again(
     monkeypatch.setattr(GentleSource, "pairs", forgetful)
     staged(tmp_path / "dataset", scheduler=SERIAL)
     assert lost
-    assert shard_bytes(tmp_path / "dataset") == expected
+    assert shard_bytes(tmp_path / "dataset") == undisturbed
     assert status(tmp_path / "dataset")["frames"]["rendered"] == 17  # type: ignore[index]
 
 

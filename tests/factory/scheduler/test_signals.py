@@ -13,14 +13,9 @@ import psutil
 import pytest
 
 from simnfnd.factory.dataset.format.manifest import load_manifest
-from tests.factory.scheduler.run_files import litter, shard_bytes, undisturbed_shards, wait_for
+from tests.factory.scheduler.run_files import litter, shard_bytes, wait_for
 from tests.project_files import ROOT
 from tests.run_fake import make
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    return undisturbed_shards(tmp_path_factory.mktemp("undisturbed") / "dataset")
 
 
 def start(directory: Path, workers: int, delay_s: float) -> subprocess.Popen[bytes]:

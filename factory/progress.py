@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sized
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, Self
@@ -70,11 +70,9 @@ class Lines:
 class LineBar:
     """A bar for files: one line now and then, and one at the end.  Used as a bar of tqdm."""
 
-    def __init__(
-        self, iterable: Iterable[Any] = (), *, total: int, initial: int, unit: str, desc: str
-    ) -> None:
+    def __init__(self, *, total: int, initial: int, unit: str, desc: str) -> None:
         self.n, self.total = initial, total
-        self._iterable, self._initial, self._unit, self._desc = iterable, initial, unit, desc
+        self._initial, self._unit, self._desc = initial, unit, desc
         self._begun, self._lines = time.monotonic(), Lines()
         self._postfix, self._told = "", -1
 
@@ -84,19 +82,13 @@ class LineBar:
         if n and self._lines.due():
             self._tell()
 
-    def set_postfix(self, values: Mapping[str, object] | None = None, **more: object) -> None:
+    def set_postfix(self, **values: object) -> None:
         """What else to tell, by name."""
-        told = {**(values or {}), **more}.items()
-        self.set_postfix_str(
-            ", ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in told)
-        )
+        self.set_postfix_str(", ".join(f"{name} {value}" for name, value in values.items()))
 
     def set_postfix_str(self, text: str) -> None:
         """The same as a text."""
         self._postfix = f"; {text}" if text else ""
-
-    def refresh(self) -> None:
-        """Nothing: the next line tells."""
 
     def close(self) -> None:
         """The end."""
@@ -111,12 +103,6 @@ class LineBar:
         text = f"{self._desc}: {self.n} of {self.total} {self._unit}s in {clock(gone)}{more}"
         print(f"{text}{self._postfix}", file=sys.stderr, flush=True)
 
-    def __iter__(self) -> Iterator[Any]:
-        for item in self._iterable:
-            yield item
-            self.update()
-        self.close()
-
     def __enter__(self) -> Self:
         return self
 
@@ -124,26 +110,13 @@ class LineBar:
         self.close()
 
 
-def progress_bar(
-    iterable: Iterable[Any] | None = None,
-    *,
-    total: int | None = None,
-    initial: int = 0,
-    unit: str,
-    desc: str,
-) -> tqdm[Any] | LineBar:
-    """A bar over `iterable`, or over `total` steps that `update` counts; fit for where stderr goes.
+def progress_bar(*, total: int, initial: int = 0, unit: str, desc: str) -> tqdm[Any] | LineBar:
+    """A bar over `total` steps that `update` counts; fit for where stderr goes.
 
     unit: what is counted, in the singular.  initial: so many of them were done before.
     """
-    if sys.stderr.isatty():
-        steps: Any = iterable  # None: `update` counts
-        return terminal_bars()(
-            steps, total=total, initial=initial, unit=unit, desc=desc, dynamic_ncols=True
-        )
-    if total is None:
-        total = len(iterable) if isinstance(iterable, Sized) else 0
-    return LineBar(iterable or (), total=total, initial=initial, unit=unit, desc=desc)
+    how: dict[str, Any] = {"total": total, "initial": initial, "unit": unit, "desc": desc}
+    return terminal_bars()(**how, dynamic_ncols=True) if sys.stderr.isatty() else LineBar(**how)
 
 
 def clock(seconds: float) -> str:
