@@ -168,11 +168,11 @@ def _fit(config: DictConfig) -> None:
         key: value for key, value in flattened(values["parameters"]).items() if value is not None
     }
     settings: FitSettings = build(FitSettings, values)
-    from .calibrate import files, search
+    from .calibrate.search import fit as search
 
     # The recipe is composed as `simnfnd make` would, by a Hydra of its own.
     GlobalHydra.instance().clear()
-    files.report(settings, search.search(settings))
+    search(settings)
 
 
 def _values(config: DictConfig) -> dict[str, Any]:

@@ -18,7 +18,8 @@ from ..factory.errors import FactoryError
 from ..factory.files import check_writable
 from .metrics.statistics import Paired, holm, paired
 from .report import tables as texts
-from .report.page import as_json, read_results, write_files
+from .report.build import RESULTS_NAME
+from .report.document import as_json, write_files
 from .report.tables import (
     METRIC_NAMES,
     as_table,
@@ -144,6 +145,26 @@ def _verdict(result: dict[str, Any]) -> str:
         return f"A is really {how} than B in {better or worse}, and {other} in nothing."
     few = " (with fewer than 6 frames the test cannot show any)" if result["frames"] < 6 else ""
     return f"No difference is shown: it could be chance with {result['frames']} frames{few}."
+
+
+def read_results(folder: Path) -> pd.DataFrame:
+    """The table of a report's results.csv.  FactoryError when there is none."""
+    path = folder / RESULTS_NAME
+    if not path.is_file():
+        raise FactoryError(
+            f"{folder}: no report here (no {RESULTS_NAME}); make one with "
+            "`simnfnd evaluate dataset=DIR`"
+        )
+    words = dict.fromkeys(("method", "shard", "pair", "location", "scene", "frame"), str)
+    try:
+        table = pd.read_csv(path, float_precision="round_trip", dtype=words, low_memory=False)
+        table[[*words, "psnr"]].astype({"psnr": float})
+    except (OSError, ValueError, KeyError) as error:
+        reason = " ".join(str(error).split())[:80]
+        raise FactoryError(
+            f"{path}: damaged or of another version ({reason}); make it again"
+        ) from error
+    return table.fillna(dict.fromkeys(words, ""))
 
 
 def _best(results: pd.DataFrame) -> str:

@@ -134,6 +134,15 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
     return columns
 
 
+def config_hash_of(item: Item) -> str:
+    """Of the dataset that an item is of; '' for a folder of image files."""
+    if item.place[1] == ROW:
+        return ""
+    with open_shard(Path(item.place[0])) as file:
+        value = file.attrs.get("config_hash", "")
+        return value.decode() if isinstance(value, bytes) else str(value)
+
+
 @lru_cache(maxsize=16)
 def picture(place: Place) -> Picture:
     """Read one pair.  FactoryError when it is damaged or has NaN."""
@@ -186,7 +195,7 @@ class Pair(Subject):
     shadow_threshold: float
     texture: bool
 
-    def key(self, method: Method) -> str:
+    def key(self) -> str:
         """The content of the pair, and what is measured."""
         texture = "texture" if self.texture else "plain"
         return f"{self.item.key}-{texture}-{self.shadow_threshold:g}"

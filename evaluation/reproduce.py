@@ -17,7 +17,8 @@ from ..factory.cli import Parser
 from ..factory.errors import FactoryError
 from ..factory.files import check_writable
 from .commands import quoted
-from .report.page import REPORT_NAME, write_files
+from .report.build import REPORT_NAME
+from .report.document import write_files
 from .report.tables import as_markdown, beside_paper
 
 _NEWLOSS = ("loss=newloss", "loss.shadow=ste", "loss.weight=0.05")

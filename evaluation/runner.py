@@ -44,9 +44,9 @@ class MethodFailed(Exception):
 class Subject:
     """A picture that methods are judged on; it travels to the workers."""
 
-    def key(self, method: Method) -> str:
-        """Changes with everything that a method sees of it and is measured by; '': not stored."""
-        return ""
+    def key(self) -> str:
+        """Changes with everything that methods see of it and are measured by."""
+        raise NotImplementedError
 
     def seen(self) -> Gray:
         """(H, W) in 0..1.  Raises FactoryError for a damaged picture."""
@@ -112,6 +112,11 @@ class Measured:
         ]
         return pd.DataFrame(rows, columns=None if rows else ["method", "picture"])
 
+    def wide(self) -> dict[str, pd.DataFrame]:
+        """Figure -> its values of each picture (rows, in order) by each method (columns)."""
+        table = self.table().set_index(["picture", "method"])
+        return {str(name): table[name].unstack("method") for name in table}
+
 
 def run(
     methods: Sequence[Method],
@@ -146,7 +151,7 @@ def run(
             for method in methods:
                 if method.label in found.lost:
                     continue
-                known = {} if store is None else _known(store, keys[method.label], method, some)
+                known = {} if store is None else _known(store, keys[method.label], some)
                 if len(known) == len(some):
                     found.figures[method.label] |= known
                 else:
@@ -172,7 +177,7 @@ def run(
                 found.figures[method.label] |= result.figures
                 found.images |= {(method.label, n): one for n, one in result.images.items()}
                 if store is not None and result.figures:
-                    pictures = [task.subjects[number].key(method) for number in result.figures]
+                    pictures = [task.subjects[number].key() for number in result.figures]
                     store.add(keys[method.label], pictures, list(result.figures.values()))
             if found.lost:
                 alive = [
@@ -185,11 +190,9 @@ def run(
     return found
 
 
-def _known(
-    store: FigureStore, key: str, method: Method, some: Mapping[int, Subject]
-) -> dict[int, Figures]:
+def _known(store: FigureStore, key: str, some: Mapping[int, Subject]) -> dict[int, Figures]:
     """What the store has of a method on these pictures."""
-    known = {number: store.get(key, subject.key(method)) for number, subject in some.items()}
+    known = {number: store.get(key, subject.key()) for number, subject in some.items()}
     return {number: figures for number, figures in known.items() if figures is not None}
 
 

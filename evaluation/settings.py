@@ -147,8 +147,6 @@ class RealismSettings:
     layer: Literal["noisy", "clean"] = "noisy"
     limit: Annotated[int, Field(ge=4)] | None = None
     grid: Grid = field(default_factory=Grid)
-    resamples: Annotated[int, Field(ge=2, le=10000)] = 200
-    halves: Literal["random", "blocks"] = "random"
     seed: Annotated[int, Field(ge=0)] = 0
     out: str | None = None
     debug: bool = False

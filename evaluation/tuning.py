@@ -1,20 +1,25 @@
-"""`simnfnd evaluate tune`: the best parameters of every baseline on validation pairs.
+"""The best parameters of filters on pictures with references, and the file that keeps them.
 
-Validation pairs are the scenes of the train split that training, too, holds out; the test split is
-never looked at.  The result is a file that the report reads.
+`simnfnd evaluate tune` tries every point of a filter's grid on validation pairs: those scenes of
+the train split that training, too, holds out.  The test split is never read.
+
+`simnfnd evaluate real` tunes on frames with references by a line search, which sees the middle of
+each frame, half as high and half as wide; its best points are compared on whole frames.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..factory.errors import FactoryError
 from ..factory.files import explain_os_errors, write_atomically
@@ -22,15 +27,40 @@ from ..factory.progress import progress_bar
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY
 from .filters.base import Baseline, Gray, Parameters
-from .methods import Method, shown
+from .line_search import line_search
+from .methods import reason, shown
 from .metrics.fidelity import finite_psnr, psnr
 from .metrics.measure import Levels, fit_levels
-from .pairs import Item, Pair, items_of, picture
-from .runner import MethodFailed, denoised
+from .pairs import Item, items_of, picture
 from .settings import EvaluationSettings
 from .store import sources_digest
 
 SCHEMA = "simnfnd-tuned/1"
+
+_SLOW_S, _SLOWER = 0.25, 4  # CPU seconds a picture from which one frame of four has to do
+_BEST = 2  # points that are compared on whole frames
+_LEAST_SIDE = 96  # pixels of the middle of a frame
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A picture to tune on.
+
+    noisy, reference: (H, W) in 0..1.  where: (H, W) bool, what counts; None: all.
+    """
+
+    noisy: Gray
+    reference: Gray
+    where: npt.NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A filter to be tuned on samples.  fold: whom the result is for."""
+
+    baseline: str
+    samples: tuple[Sample, ...]
+    fold: int = 0
 
 
 @dataclass(frozen=True)
@@ -43,10 +73,6 @@ class Point:
     levels: Levels
 
 
-_Task = tuple[str, int, Parameters, tuple[Item, ...]]
-"""Name of a baseline, number of the point in its grid, the point, and the pairs."""
-
-
 def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: TaskPool) -> list[str]:
     """Tune the baselines and write the file after each.
 
@@ -57,34 +83,114 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
     path = settings.tuned_file
     known = load_tuned(path)
     lost: dict[str, str] = {}
-    todo: dict[str, tuple[str, list[Parameters], dict[int, Point]]] = {}
-    for baseline in baselines:
-        key = _key(baseline, items)
-        if known.get(baseline.name, {}).get("key") == key:
-            continue
-        default = dict(baseline.default)
-        grid = [default, *(point for point in baseline.points() if point != default)]
-        todo[baseline.name] = key, grid, {}
-    waiting = deque(
-        (name, number, point, tuple(items))
-        for name, (_, grid, _) in todo.items()
-        for number, point in enumerate(grid)
-    )
-    limit_s = settings.image_timeout_s * len(items)
-    with progress_bar(total=len(waiting), unit="point", desc="tuning") as bar:
-        for (name, number, *_), found in pool.run(_measure_point, waiting, lambda _: limit_s):
+    keys = {baseline.name: _key(baseline, items) for baseline in baselines}
+    pairs = [picture(item.place) for item in items]
+    samples = tuple(Sample(pair.noisy, pair.clean) for pair in pairs)
+    tasks = [
+        Task(name, samples) for name, key in keys.items() if known.get(name, {}).get("key") != key
+    ]
+
+    def limit_s(task: Task) -> float:
+        points = len(REGISTRY[task.baseline].points()) + 1
+        return settings.image_timeout_s * len(items) * points
+
+    for task, found in run_tasks(on_grid, tasks, pool, limit_s):
+        if isinstance(found, str):
+            lost[task.baseline] = found
+        else:
+            known[task.baseline] = {"key": keys[task.baseline], **found}
+            _save(path, known, items)
+    return [_line(name, known, lost) for name in keys] + [f"tuned: {path}"]
+
+
+def run_tasks(
+    function: Callable[[Task], dict[str, Any] | str],
+    tasks: Sequence[Task],
+    pool: TaskPool,
+    limit_s: Callable[[Task], float],
+) -> Iterator[tuple[Task, dict[str, Any] | str]]:
+    """Each task with what `function` found, or why it failed, as they are done."""
+    with progress_bar(total=len(tasks), unit="filter", desc="tuning") as bar:
+        for task, found in pool.run(function, deque(tasks), limit_s):
             bar.update()
-            if not isinstance(found, Point):
-                lost.setdefault(name, found.reason if isinstance(found, TaskLost) else found)
-                continue
-            key, grid, points = todo[name]
-            points[number] = found
-            if len(points) == len(grid) and name not in lost:
-                # In the order of the grid, whichever came first.
-                whole = [point for _, point in sorted(points.items())]
-                known[name] = {"key": key, **_entry(REGISTRY[name], whole)}
-                _save(path, known, items)
-    return [_line(b.name, known, lost) for b in baselines] + [f"tuned: {path}"]
+            yield task, found.reason if isinstance(found, TaskLost) else found
+
+
+def on_grid(task: Task) -> dict[str, Any] | str:
+    """All points: the default, the best, and the best after levels, as in the file; or why not.
+
+    Of equal points the first, the default, wins.
+    """
+    baseline = REGISTRY[task.baseline]
+    default, grid = dict(baseline.default), baseline.points()
+    try:
+        first, *others = [_measured(baseline, one, task.samples) for one in
+                          [default, *(point for point in grid if point != default)]]  # fmt: skip
+    except Exception as error:  # a method's own defect must not take the others along
+        return reason(error)
+    inside = [first, *others] if default in grid else others
+    best = {"default": first, "tuned": max(inside, key=lambda one: one.psnr),
+            "tuned_levels": max(inside, key=lambda one: one.psnr_levels)}  # fmt: skip
+    return {name: asdict(point) for name, point in best.items()}
+
+
+def on_line(task: Task) -> Parameters | str:
+    """The best parameters of the line search, after one gain and offset a picture; or why not."""
+    baseline = REGISTRY[task.baseline]
+    try:
+        frames = task.samples
+        middles = tuple(_middle(frame) for frame in frames)
+        for _ in range(2):  # the first one loads and compiles
+            start = time.process_time()
+            _score(baseline, dict(baseline.default), frames[:1])
+        if time.process_time() - start > _SLOW_S:
+            frames, middles = frames[::_SLOWER], middles[::_SLOWER]
+        points = line_search(baseline, lambda point: _score(baseline, point, middles))
+        return max(points[:_BEST], key=lambda point: _score(baseline, point, frames))
+    except Exception as error:  # as above
+        return reason(error)
+
+
+def _made(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> list[Gray]:
+    return [baseline(one.noisy, point) for one in samples]
+
+
+def _mean_psnr(images: Sequence[Gray], samples: Sequence[Sample]) -> float:
+    return float(np.mean([
+        finite_psnr(psnr(one.reference, image, data_range=1.0, mask=one.where))
+        for image, one in zip(images, samples, strict=True)
+    ]))  # fmt: skip
+
+
+def _measured(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> Point:
+    images = _made(baseline, point, samples)
+    levels = fit_levels((i, s.reference) for i, s in zip(images, samples, strict=True))
+    corrected = [levels(image) for image in images]
+    return Point(point, _mean_psnr(images, samples), _mean_psnr(corrected, samples), levels)
+
+
+def _score(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> float:
+    images = _made(baseline, point, samples)
+    fitted = [
+        fit_levels([(image[one.where], one.reference[one.where])])(image)
+        for image, one in zip(images, samples, strict=True)
+    ]
+    return _mean_psnr(fitted, samples)
+
+
+def _middle(frame: Sample) -> Sample:
+    """The middle of what is judged of a frame, half as high and half as wide."""
+    cut = []
+    assert frame.where is not None
+    for places, size in zip(np.nonzero(frame.where), frame.where.shape, strict=True):
+        side = min(max(size // 2, _LEAST_SIDE), size)
+        first = min(max(int(places.mean()) - side // 2, 0), size - side)
+        cut.append(slice(first, first + side))
+    part = tuple(cut)
+    if not frame.where[part].any():
+        return frame
+    planes = {n: np.ascontiguousarray(getattr(frame, n)[part]) for n in ("noisy", "reference")}
+    return replace(frame, **planes, where=np.ascontiguousarray(frame.where[part]))
 
 
 def validation_items(settings: EvaluationSettings) -> list[Item]:
@@ -117,50 +223,15 @@ def load_tuned(path: Path) -> dict[str, Any]:
         return {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise FactoryError(
-            f"tuning.file={path}: not a file that `evaluation tune` wrote; remove it"
+            f"tuning.file={path}: not a file that `evaluate tune` wrote; remove it"
         ) from error
-
-
-def _measure_point(task: _Task) -> Point | str:
-    """One point on all pairs, or why it failed."""
-    name, _, parameters, items = task
-    method = Method(name, "", parameters)
-    try:
-        outputs = [denoised(method, Pair(item, 0.0, texture=False), "cpu")[0] for item in items]
-    except MethodFailed as error:
-        return str(error)
-    cleans = [picture(item.place).clean for item in items]
-    levels = fit_levels(zip(outputs, cleans, strict=True))
-    corrected = [levels(output) for output in outputs]
-    return Point(parameters, _mean_psnr(outputs, cleans), _mean_psnr(corrected, cleans), levels)
-
-
-def _mean_psnr(images: list[Gray], cleans: list[Gray]) -> float:
-    pairs = zip(cleans, images, strict=True)
-    return float(np.mean([finite_psnr(psnr(*pair, data_range=1.0)) for pair in pairs]))
-
-
-def _entry(baseline: Baseline, points: list[Point]) -> dict[str, Any]:
-    """The file's content for one baseline; of equal points the first (the default) wins."""
-    grid = baseline.points()
-    inside = [p for p in points if p.parameters in grid] or points
-    plain = max(inside, key=lambda point: point.psnr)
-    level = max(inside, key=lambda point: point.psnr_levels)
-    return {
-        "default": asdict(points[0]),
-        "tuned": asdict(plain),
-        "tuned_levels": asdict(level),
-        "points": [asdict(point) for point in points],
-    }
 
 
 def _key(baseline: Baseline, items: list[Item]) -> str:
     """Changes with the pairs, the grid, the default and the program of the method."""
-    pairs = [[item.shard, item.place[1], item.group, item.variant] for item in items]
-    files = sorted({item.place[0] for item in items})
-    sizes = [Path(file).stat().st_size for file in files]
     program = sources_digest(Path(__file__).parent / "filters")
-    parts = [baseline.name, dict(baseline.default), dict(baseline.grid), program, pairs, sizes]
+    pairs = [item.key for item in items]
+    parts = [baseline.name, dict(baseline.default), dict(baseline.grid), program, pairs]
     return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
 
 

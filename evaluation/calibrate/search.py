@@ -1,58 +1,40 @@
-"""The search over the parameters, by Optuna: one study file that resumes."""
+"""`simnfnd evaluate fit`: a search over the factory's keys by Optuna, in one file that resumes."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+import yaml
 from pydantic import TypeAdapter
 
+from ...factory.config import plain
 from ...factory.errors import FactoryError
 from ...factory.files import explain_os_errors
 from ...factory.progress import progress_bar
 from ...factory.seeds import spawn_key
-from ..realism.compare import compare, ratios
-from ..realism.measure import Measured, measure
+from ..realism.compare import described, distances
 from ..realism.pictures import open_real
+from ..report.document import write_files
 from .settings import FitSettings, Parameter
 from .simulate import Simulation
 
 if TYPE_CHECKING:
     import optuna
-    import pandas as pd
 
-    from ...factory.config import FactoryConfig
-
-SIM = "sim"
-"""What comparisons call the simulated pictures."""
-_BLOCKS = 12
 _SPREAD = "~spread"
-_BAD = 1e3
+# The groups that form a picture.  What the recipe's renders, frames and files are is no part of a
+# profile.
+_PROFILE = ("sonar", "resample", "acoustics", "water", "noise")
+_FORMS = ("uniform", "choice", "normal")
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What a search found.
-
-    values: key -> value as a config writes it.  config: the recipe with them.
-    trials: how many were tried; best: number of the best.  simulated: how many pictures.
-    parts: what real pictures -> comparison with the recipe as it is, and as found.
-    """
-
-    values: dict[str, Any]
-    config: FactoryConfig
-    trials: int
-    best: int
-    simulated: int
-    parts: dict[str, tuple[pd.DataFrame, pd.DataFrame]]
-
-
-def search(settings: FitSettings) -> Result:
-    """Try `trials` settings, or what is left of them, and compare the best with the recipe.
+def fit(settings: FitSettings) -> dict[str, Any]:
+    """Search, write the best as a configuration and print how to use it; returns its values.
 
     The same settings give the same result, interrupted or not: every trial's proposal depends on
     the trials before it and on the seed.  Raises FactoryError.
@@ -62,63 +44,68 @@ def search(settings: FitSettings) -> Result:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     simulation = Simulation(settings.recipe, settings.frames, settings.grid)
     for key, parameter in settings.parameters.items():
-        simulation.current(key)
-        middle = parameter.choices[0] if parameter.choices else sum(parameter.limits) / 2
-        simulation.configured({key: written(parameter, middle, parameter.spreads[1])})
-    real = _parts(measure(open_real(settings.real), settings.grid), settings.hold_out)
-    searched = next(iter(real.values()))
+        simulation.configured({key: _middle(parameter)})  # a bad key or limit ends the run here
+    real = described(open_real(settings.real), settings.grid)
     study = _study(settings)
-    base = simulation.measured({})
 
-    def judge(part: Measured, made: Measured, resamples: int) -> pd.DataFrame:
-        return compare(
-            part,
-            {SIM: made},
-            resamples=resamples,
-            halves="random",
-            seed=settings.seed,
-            progress=False,
-        )
+    def apart(values: Mapping[str, Any]) -> float:
+        _, overall = distances(real, {"": simulation.described(values)}, settings.seed)
+        return overall[""]
 
+    before = apart({})
     finished = optuna.trial.TrialState.COMPLETE
     done = len(study.get_trials(deepcopy=False, states=(finished,)))
     with progress_bar(total=settings.trials, initial=done, unit="trial", desc=settings.name) as bar:
-        while done < settings.trials:
-            if done == 0 and not study.get_trials(deepcopy=False):
-                study.enqueue_trial(_start(settings.parameters, simulation))
-            study.sampler = _sampler(settings, done)
+        for number in range(done, settings.trials):
+            study.sampler = _sampler(settings, number)
             trial = study.ask()
-            made = simulation.measured(_values(settings.parameters, trial))
-            study.tell(trial, _score(judge(searched, made, settings.resamples)))
-            done += 1
+            study.tell(trial, apart(_values(settings.parameters, trial)))
             bar.update()
             bar.set_postfix(best=f"{study.best_value:.2f}")
     best = study.best_trial
     values = _values(settings.parameters, optuna.trial.FixedTrial(best.params))
-    made = simulation.measured(values)
-    parts = {name: (judge(part, base, 100), judge(part, made, 100)) for name, part in real.items()}
-    config, simulated = simulation.configured(values), len(simulation.refs)
-    return Result(values, config, done, best.number, simulated, parts)
+    said = (
+        f"overall distance {before:.2f} before, {study.best_value:.2f} after "
+        f"{len(study.get_trials(deepcopy=False, states=(finished,)))} trials (best: {best.number})"
+    )
+    path = _write(settings, plain(simulation.configured(values)), said)
+    print(said, f"written: {path}", sep="\n")
+    print(f"use it: simnfnd make --config-dir {settings.folder} {usage(settings)}")
+    return values
 
 
-def _score(compared: pd.DataFrame) -> float:
-    """Geometric mean of the ratios, each at least 1; what cannot be measured is far away."""
-    found = ratios(compared, SIM).to_numpy(float)
-    return float(np.exp(np.log(np.clip(np.nan_to_num(found, nan=_BAD), 1, _BAD)).mean()))
+def usage(settings: FitSettings) -> str:
+    """The words that choose the result: those of the recipe that it does not hold itself."""
+    fixed = [
+        word
+        for word in settings.recipe
+        if word.lstrip("+~").split("=")[0].split(".")[0] not in ("experiment", *_PROFILE)
+    ]
+    return " ".join([*map(shlex.quote, fixed), f"experiment={settings.name}"])
 
 
-def _parts(every: Measured, hold_out: bool) -> dict[str, Measured]:
-    """The real pictures of the search, first, and those held out: alternate blocks."""
-    count = len(every["amplitude"])
-    block = np.arange(count) * _BLOCKS // count % 2
-    odds = {"of the search": 0, "kept from it": 1} if hold_out else {"of the search": block}
-    found: dict[str, Measured] = {}
-    for what, odd in odds.items():
-        rows = block == odd
-        found[f"{int(rows.sum())} real pictures {what}"] = {
-            name: values[rows] for name, values in every.items()
-        }
-    return found
+def _write(settings: FitSettings, config: Mapping[str, Any], said: str) -> Path:
+    """experiment/<name>.yaml in the folder of the fit.  FactoryError where it cannot be written."""
+    real = Path(settings.real).resolve().name
+    story = (
+        f"# @package _global_\n# simnfnd make {usage(settings)}\n#\n# Fitted to {real}: {said}\n"
+        f"# simnfnd evaluate fit {shlex.quote(real)} name={settings.name} "
+        f"trials={settings.trials} frames={settings.frames} seed={settings.seed} -- "
+        f"{shlex.join(settings.recipe)}\n"
+    )
+    chosen = {key: _whole(config[key]) for key in _PROFILE if key in config}
+    text = yaml.safe_dump(chosen, sort_keys=False, default_flow_style=None, width=100)
+    write_files(settings.folder / "experiment", {f"{settings.name}.yaml": story + text})
+    return settings.folder / "experiment" / f"{settings.name}.yaml"
+
+
+def _whole(node: Any) -> Any:
+    """Values that replace what they are merged over: a distribution says which forms it is not."""
+    if not isinstance(node, dict):
+        return node
+    if node and set(node) <= set(_FORMS):
+        return {**dict.fromkeys(_FORMS), **node}
+    return {key: _whole(value) for key, value in node.items()}
 
 
 def _study(settings: FitSettings) -> optuna.Study:
@@ -172,28 +159,14 @@ def _values(parameters: Mapping[str, Parameter], trial: Any) -> dict[str, Any]:
     return values
 
 
-def _start(parameters: Mapping[str, Parameter], simulation: Simulation) -> dict[str, Any]:
-    """What the recipe says, as far as the limits allow: the first trial."""
-    start: dict[str, Any] = {}
-    for key, parameter in parameters.items():
-        current = simulation.current(key)
-        if isinstance(current, dict):
-            kind, numbers = next(iter(current.items()))
-            current = numbers[0] if kind == "normal" else (min(numbers) + max(numbers)) / 2
-        if parameter.choices is not None:
-            start |= {key: current} if current in parameter.choices else {}
-        elif isinstance(current, int | float) and not isinstance(current, bool):
-            low, high = parameter.limits
-            start[key] = min(max(float(current), low), high)
-            low, high = parameter.spreads
-            start |= {key + _SPREAD: low} if high > low else {}
-    return start
-
-
-def written(parameter: Parameter, value: Any, spread: float = 0.0) -> Any:
-    """A value and its spread as a config writes them, four digits."""
+def _middle(parameter: Parameter) -> Any:
     if parameter.choices is not None:
-        return value
+        return parameter.choices[0]
+    return written(parameter, sum(parameter.limits) / 2, parameter.spreads[1])
+
+
+def written(parameter: Parameter, value: float, spread: float = 0.0) -> Any:
+    """A value and its spread as a config writes them, four digits."""
     if spread <= 0:
         return _short(value)
     least, most = parameter.limits

@@ -69,11 +69,9 @@ class FitSettings:
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")] = "fitted"
     recipe: tuple[str, ...] = ("experiment=physical",)
     frames: Annotated[int, Field(ge=8)] = 24
-    hold_out: bool = True
     grid: Grid = field(default_factory=Grid)
     trials: Annotated[int, Field(ge=1)] = 200
     startup: Annotated[int, Field(ge=1)] = 40
-    resamples: Annotated[int, Field(ge=2)] = 12
     seed: Annotated[int, Field(ge=0)] = 0
     out: str | None = None
     debug: bool = False

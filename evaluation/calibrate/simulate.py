@@ -1,16 +1,14 @@
-"""One trial of a fit: pictures of the frames at hand with other noise, measured."""
+"""One trial of a fit: pictures of the frames at hand with other noise, described."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from ...factory.cli.compose import compose_config
 from ...factory.config import FactoryConfig, from_mapping, plain
-from ...factory.dataset.format.schema import Pair
+from ...factory.dataset.read.pair_dataset import in_unit_range
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.pairs import PairMaker
@@ -18,9 +16,12 @@ from ...factory.render.view import View
 from ...factory.render.views import open_views
 from ...factory.sonar.geometry import FanGeometry
 from ..metrics.statistics import evenly
-from ..realism.measure import Measured, joined, measure_picture
+from ..realism.features import features_of
 from ..realism.pictures import to_polar
 from ..settings import Grid
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Simulation:
@@ -53,28 +54,28 @@ class Simulation:
         """The recipe's configuration with some keys set.  Raises FactoryError for a bad key."""
         tree = copy.deepcopy(self._plain)
         for key, value in values.items():
-            node, last = _holder(tree, key)
+            *parents, last = key.split(".")
+            node: Any = tree
+            for part in parents:
+                node = node.get(part) if isinstance(node, dict) else None
+            if not isinstance(node, dict) or last not in node:
+                raise FactoryError(f"parameters.{key}: the factory has no such key")
             node[last] = value
         return from_mapping(tree)
 
-    def current(self, key: str) -> Any:
-        """What the recipe says of a key.  Raises FactoryError when there is no such key."""
-        node, last = _holder(self._plain, key)
-        return node[last]
+    def described(self, values: Mapping[str, Any]) -> pd.DataFrame:
+        """The features of the pictures that these values make."""
+        import pandas as pd
 
-    def measured(self, values: Mapping[str, Any]) -> Measured:
-        """The numbers of the pictures that these values make."""
         config = self.configured(values)
         maker = PairMaker(config, self._kept)
-        pairs = (maker.pairs(ref, (0,))[0] for ref in self.refs)
-        return joined([self._measure(pair, config) for pair in pairs])
-
-    def _measure(self, pair: Pair, config: FactoryConfig) -> Measured:
-        picture = pair.noisy
-        full = 255.0 if picture.dtype == np.uint8 else 1.0
-        geometry = FanGeometry.from_record(config.sonar, pair.record)
-        grey = np.asarray(picture, np.float32) / np.float32(full)
-        return measure_picture(to_polar(grey, geometry, self.grid), geometry.range_span_m)
+        rows = []
+        for ref in self.refs:
+            (pair,) = maker.pairs(ref, (0,))
+            geometry = FanGeometry.from_record(config.sonar, pair.record)
+            polar = to_polar(in_unit_range(pair.noisy), geometry, self.grid)
+            rows.append(features_of(polar, geometry.range_span_m))
+        return pd.DataFrame(rows)
 
 
 def _usable(maker: PairMaker, ref: FrameRef) -> bool:
@@ -97,14 +98,3 @@ class _Kept:
 
     def view(self, ref: FrameRef) -> View:
         return self._views[ref]
-
-
-def _holder(tree: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
-    """The mapping that holds a dotted key, and the key's last part.  Raises FactoryError."""
-    *parents, last = key.split(".")
-    node: Any = tree
-    for part in parents:
-        node = node.get(part) if isinstance(node, dict) else None
-    if not isinstance(node, dict) or last not in node:
-        raise FactoryError(f"parameters.{key}: the factory has no such key")
-    return node, last

@@ -12,16 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import fidelity as metrics
-from .speckle import (
-    SIDE,
-    contrast_to_noise,
-    enl,
-    homogeneous_zones,
-    m_index,
-    mean_ratio,
-    ratio_image,
-    zone_enl,
-)
+from .speckle import SIDE, contrast_to_noise, enl, homogeneous_zones, mean_ratio
 
 Gray = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -128,7 +119,6 @@ class Scene:
         The zones are chosen on the clean picture, so they are the same for all methods.
         """
         pair, reference = self.pair, self.reference
-        ratio = ratio_image(pair.noisy, image)
         large = min(image.shape) >= metrics.MS_SSIM_SMALLEST
         return {
             "gmsd_unpooled": metrics.deviation(reference.gms_map(image, pooled=False)),
@@ -138,8 +128,7 @@ class Scene:
             "cnr": contrast_to_noise(
                 image, pair.sector & ~pair.shadow & (pair.clean > 0), pair.shadow
             ),
-            "ratio_mean": mean_ratio(ratio),
-            "m_index": m_index(ratio, self._noisy_looks, self._zones),
+            "ratio_mean": mean_ratio(pair.noisy, image),
         }
 
     @cached_property
@@ -149,7 +138,3 @@ class Scene:
         if min(pair.clean.shape) < SIDE:
             return np.empty((0, 2), dtype=np.int64)
         return homogeneous_zones(pair.clean, data_range=1.0, sector=pair.sector)
-
-    @cached_property
-    def _noisy_looks(self) -> npt.NDArray[np.float64]:
-        return zone_enl(self.pair.noisy, self._zones)

@@ -1,4 +1,4 @@
-"""Speckle: how smooth are the smooth places, and is what was removed really noise?"""
+"""Speckle: how smooth are the smooth places, and is the mean kept?"""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ SIDE = 16
 """Of an even zone, pixels."""
 
 _DARK = 0.01  # of full scale: below, a ratio says nothing
-_LEVELS = 16  # gray levels of the co-occurrence matrix
-_CLOSENESS = 1 / (1 + np.square(np.subtract.outer(np.arange(_LEVELS), np.arange(_LEVELS))))
 
 
 def homogeneous_zones(
@@ -49,7 +47,13 @@ def homogeneous_zones(
 
 def zone_enl(image: Image, zones: npt.NDArray[np.int64]) -> Values:
     """(N,) equivalent number of looks of each zone, mean^2 / variance; inf where all is equal."""
-    return _looks(_blocks(image, zones).astype(np.float64))
+    offsets = np.arange(SIDE)
+    rows, columns = zones[:, :1] + offsets, zones[:, 1:] + offsets
+    blocks = image[rows[:, :, None], columns[:, None, :]].reshape(len(zones), -1).astype(float)
+    squared, variance = blocks.mean(axis=1) ** 2, blocks.var(axis=1)
+    # The variance of a constant is rounding alone.
+    some = variance > 1e-20 * squared
+    return np.where(some, squared / np.where(some, variance, 1.0), math.inf)
 
 
 def enl(image: Image, zones: npt.NDArray[np.int64]) -> float:
@@ -74,108 +78,11 @@ def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
     return difference / noise
 
 
-def ratio_image(noisy: Image, denoised: Image, data_range: float = 1.0) -> Values:
-    """(H, W) noisy / denoised: pure speckle of mean 1 if the filter took nothing but noise.
+def mean_ratio(noisy: Image, denoised: Image) -> float:
+    """Mean of noisy / denoised, images in 0..1, where denoised is at least 1 % of full scale.
 
-    NaN where the denoised image is below 1 % of full scale.
+    1 = the mean is kept; NaN where nothing is bright enough.
     """
-    above, below = noisy.astype(np.float64), denoised.astype(np.float64)
-    result = np.full(below.shape, np.nan)
-    np.divide(above, below, out=result, where=below >= _DARK * data_range)
-    return result
-
-
-def mean_ratio(ratio: Values) -> float:
-    """Mean of a ratio image, 1 = the mean is preserved; NaN where nothing of it is known."""
-    values = ratio[np.isfinite(ratio)]
-    return float(values.mean()) if values.size else math.nan
-
-
-def structure(ratio: Values) -> float:
-    """Delta h of Gomez et al. 2017: how much structure a ratio image keeps, 0 = pure speckle.
-
-    100 |h - h'| / h with the homogeneity h = sum p(i, j) / (1 + (i - j)^2) of the co-occurrence
-    matrix of horizontal and vertical neighbours, and h' its mean over images of the same pixels in
-    random order; here the mean over all orders, which needs no random numbers.  Our choices: 16
-    levels, equally frequent ones, because a few bright ratios would squeeze all others into one
-    level; only neighbours that both exist (no NaN).  NaN with fewer than two neighbours.
-    """
-    flat = ratio.ravel()
-    known = np.flatnonzero(np.isfinite(flat))
-    values = flat[known]
-    if values.size < 2:
-        return math.nan
-    # Equal frequencies: the level is the rank, ties (a noiseless region) share the lowest one.
-    # The level rises where a share of k/16 of all pixels is below, so 15 of the sorted values do.
-    last = -(-np.arange(1, _LEVELS) * values.size // _LEVELS) - 1
-    edges = np.partition(values, np.unique(last))[last]
-    ranks = np.searchsorted(edges, values, side="left")
-    levels = np.full(flat.shape, _LEVELS)
-    levels[known] = ranks
-    before = _homogeneity(levels.reshape(ratio.shape))
-    if math.isnan(before):
-        return math.nan
-    return 100 * abs(before - _shuffled_homogeneity(ranks)) / before
-
-
-def m_index(ratio: Values, before: Values, zones: npt.NDArray[np.int64]) -> float:
-    """M of Gomez, Ospina and Frery (Remote Sensing 9(4), 389, 2017): 0 = an ideal speckle filter.
-
-    ratio: the `ratio_image`.  before: (N,) ENL of the noisy image's zones.
-    M = r + delta h.  r is half the mean over the homogeneous zones of |ENL_noisy - ENL_ratio| /
-    ENL_noisy + |1 - mean ratio|: a perfect filter leaves all of the speckle, with mean 1, in the
-    ratio image.  Mean and not sum over zones, so that it does not grow with their number.  delta h
-    is `structure` of the whole ratio image.  A zone's ENL term counts at most 1.  Mind: a filter
-    that does nothing gets 0.5 (a ratio of 1 everywhere has no structure), so M ranks filters that
-    do something, beside PSNR.  NaN without zones.
-    """
-    blocks = _blocks(ratio, zones)
-    usable = np.isfinite(blocks).any(axis=1) & np.isfinite(before) & (before != 0)
-    if not usable.any():
-        return math.nan
-    blocks, before = blocks[usable], before[usable]
-    # Without variance ENL is infinite; such a zone counts as wholly unlike.
-    unlike = np.minimum(np.abs(before - _looks(blocks)) / before, 1.0)
-    residuals = 0.5 * (unlike + np.abs(1 - np.nanmean(blocks, axis=1)))
-    return float(residuals.mean()) + structure(ratio)
-
-
-def _blocks(image: Image, zones: npt.NDArray[np.int64]) -> Image:
-    """(N, SIDE * SIDE) pixels of the zones."""
-    offsets = np.arange(SIDE)
-    rows, columns = zones[:, :1] + offsets, zones[:, 1:] + offsets
-    blocks = image[rows[:, :, None], columns[:, None, :]]
-    return np.asarray(blocks.reshape(len(zones), SIDE * SIDE))
-
-
-def _looks(blocks: Values) -> Values:
-    """(N,) mean^2 / variance of each row; inf for a constant, whose variance is rounding alone.
-
-    NaN pixels are left out; each row has one that is none.
-    """
-    squared, variance = np.nanmean(blocks, axis=1) ** 2, np.nanvar(blocks, axis=1)
-    some = variance > 1e-20 * squared
-    return np.where(some, squared / np.where(some, variance, 1.0), math.inf)
-
-
-def _homogeneity(levels: npt.NDArray[np.int64]) -> float:
-    """Homogeneity of the co-occurrence of right and lower neighbours, NaN without any pair.
-
-    levels: (H, W), _LEVELS where unknown.
-    """
-    side = _LEVELS + 1  # one more for the unknown: counting them is cheaper than taking them out
-    together = np.zeros(side * side)
-    for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        pairs = levels[first] * side + levels[second]
-        together += np.bincount(pairs.ravel(), minlength=together.size)
-    together = together.reshape(side, side)[:_LEVELS, :_LEVELS]
-    count = float(together.sum())
-    return float((together * _CLOSENESS).sum()) / count if count else math.nan
-
-
-def _shuffled_homogeneity(levels: npt.NDArray[np.int64]) -> float:
-    """Expected homogeneity when all orders of these pixels, two at least, are equally likely."""
-    share = np.bincount(levels, minlength=_LEVELS).astype(np.float64)
-    count = float(levels.size)
-    # Two different pixels are neighbours: a pixel and itself (closeness 1) is taken out again.
-    return (float(share @ _CLOSENESS @ share) - count) / (count * (count - 1))
+    below = denoised.astype(np.float64)
+    lit = below >= _DARK
+    return float((noisy[lit].astype(np.float64) / below[lit]).mean()) if lit.any() else math.nan

@@ -14,12 +14,18 @@ from ...factory.sonar.geometry import FanGeometry
 from ...models.recordings.fan.finder import find_geometry
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
 from ..filters.base import Gray
+from ..metrics.statistics import evenly
 from .shots import Mask, Shot, Stretch, sector_of
 
 LEAST = 6
 """Frames of a group: with fewer the reference is hardly cleaner than the frames."""
 MOST_OTHERS = 24
 """Frames that make a reference, those nearest in time: more would not be told from its mean."""
+
+FOLDS = 2
+FRAMES_OF_A_GROUP = 2
+MOST_FRAMES = 16
+"""Frames that a filter is tuned on, and of each group where there are several."""
 
 _MARGIN_PX = 2.0  # of the sector that does not count, beside what the scene moves
 _LEAST_STILL = 0.25  # share of the sector that must stand still
@@ -113,6 +119,41 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     if len(found) > 1:
         found = [replace(one, name=f"{one.name} ({n})") for n, one in enumerate(found, start=1)]
     return Searched(found, shots, notes)
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is done with a group.
+
+    judged: places of its frames that are judged.  fold: by filters that were tuned in the other.
+    tuning: fold -> places of the frames that filters are tuned on for this fold.
+    """
+
+    judged: tuple[int, ...]
+    fold: int
+    tuning: dict[int, tuple[int, ...]]
+
+
+def parts_of(groups: Sequence[Group]) -> list[Part]:
+    """What is tuned on and what is judged: every other group; of a single one its two halves.
+
+    So no filter is judged on frames that chose its parameters.
+    """
+    if len(groups) == 1:
+        count = len(groups[0].shots)
+        half = count // 2
+        tuning = {0: tuple(evenly(range(half), MOST_FRAMES))}
+        return [Part(tuple(range(half, count)), 0, tuning)]
+    # Of many groups a part is enough to tune on.
+    most = MOST_FRAMES // FRAMES_OF_A_GROUP
+    used = {n for fold in range(FOLDS) for n in evenly(range(fold, len(groups), FOLDS), most)}
+    found = []
+    for number, group in enumerate(groups):
+        every = range(len(group.shots))
+        other = (number + 1) % FOLDS
+        tuning = {other: tuple(evenly(every, FRAMES_OF_A_GROUP))} if number in used else {}
+        found.append(Part(tuple(every), number % FOLDS, tuning))
+    return found
 
 
 def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Judged]:

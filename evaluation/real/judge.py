@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from .. import tuning
 from ..filters.base import Baseline, Parameters
 from ..methods import NOISY, Method, baselines_of, networks_at
 from ..metrics.statistics import estimate, evenly
+from ..report.tables import plain
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import RealSettings
-from .groups import LEAST, Group, Judged, Searched, alone, judged, search
+from .groups import LEAST, Group, Judged, Part, Searched, alone, judged, parts_of, search
 from .in_time import judged_in_time
 from .measure import RealPicture
 from .shots import Shot, Stretch
-from .tuning import Part, Task, parts_of, tuned
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,41 +36,8 @@ MARGINS = {"psnr_db": "margin_db", "ssim": "margin_ssim"}
 _BATCH = 16  # pictures that are in memory at a time
 _SEARCH_S = 3600.0  # for a stretch
 
-
-@dataclass(frozen=True)
-class RealRow:
-    """A row of the report.
-
-    methods: by fold; one for all folds where it is tuned on nothing, none where it is lost.
-    lost: why it could not be tuned.
-    """
-
-    label: str
-    methods: tuple[Method, ...]
-    lost: str | None = None
-
-    @property
-    def kind(self) -> str:
-        """See `Method.kind`."""
-        return self.methods[0].kind if self.methods else "baseline"
-
-
-@dataclass(frozen=True)
-class Summary:
-    """A row over all groups.
-
-    means, intervals: figure -> mean over the groups and its 95 % interval, which there is of two
-    static groups at least.
-    groups: figure -> (groups,) mean of each group, NaN where there is none.
-    cpu_s, among the means, is the median over the pictures, because the first loads and compiles.
-    unchanged, pictures: how many pictures came back as they were, of how many.
-    """
-
-    means: dict[str, float]
-    intervals: dict[str, tuple[float, float]]
-    groups: dict[str, npt.NDArray[np.float64]]
-    unchanged: int
-    pictures: int
+Row = dict[str, Any]
+"""A row of the report as plain data, see `rows_of`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +51,9 @@ class Outcome:
     groups: list[Group]
     parts: list[Part]
     files: list[str]
-    rows: list[RealRow]
+    rows: list[Row]
     measured: Measured
     shown: dict[int, Judged]
-    summaries: dict[str, Summary]
     best: dict[str, str]
     in_time: pd.DataFrame
     notes: list[str]
@@ -101,27 +68,33 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     networks = networks_at(settings.models)
     groups, shots, notes = _found(settings, stretches, pool)
     parts = parts_of(groups)
+    lost: dict[str, str] = {}
     if groups:
         notes += _about(groups, parts)
         shots = [g.shots[place] for g, p in zip(groups, parts, strict=True) for place in p.judged]
-        rows = _rows_of_groups(settings, groups, parts, baselines, networks, pool)
+        points, lost = _tuned(settings, groups, parts, baselines, pool)
+        filters = [
+            tuple(Method(name, TUNED, point) for _, point in sorted(found.items()))
+            for name, found in points.items()
+        ]
         member = np.repeat(np.arange(len(parts)), [len(part.judged) for part in parts])
     else:
         shots = evenly(shots, settings.limit)
-        default = [Method(one.name, "", dict(one.default)) for one in baselines]
-        methods = {one.label: one for one in (NOISY, *default, *networks)}
-        rows = [RealRow(label, (one,)) for label, one in methods.items()]
+        filters = [(Method(one.name, "", dict(one.default)),) for one in baselines]
         member = np.arange(len(shots))  # every picture is a group
+    every = [(NOISY,), *filters, *((one,) for one in networks)]
+    methods = {folds[0].label: folds for folds in every}
     places = np.linspace(0, len(shots) - 1, min(settings.examples, len(shots)))
     picked = set(places.round().astype(int).tolist())
-    measured, shown = _measured(settings, groups, parts, shots, rows, picked, pool)
-    found, best = summaries(
-        rows, measured, member, bool(groups), resamples=settings.bootstrap, seed=settings.seed
+    measured, shown = _measured(settings, groups, parts, shots, methods, picked, pool)
+    measured.lost |= lost
+    methods |= dict.fromkeys(lost, ())
+    rows, best = rows_of(
+        methods, measured, member, bool(groups), resamples=settings.bootstrap, seed=settings.seed
     )
     in_time, more = judged_in_time(settings, groups, networks, pool)
     files = [shot.name for shot in shots]
-    notes += more
-    return Outcome(groups, parts, files, rows, measured, shown, found, best, in_time, notes)
+    return Outcome(groups, parts, files, rows, measured, shown, best, in_time, notes + more)
 
 
 def _found(
@@ -152,41 +125,38 @@ def _found(
     return groups, shots, notes
 
 
-def _rows_of_groups(
+def _tuned(
     settings: RealSettings,
     groups: Sequence[Group],
     parts: Sequence[Part],
     baselines: Sequence[Baseline],
-    networks: Sequence[Method],
     pool: TaskPool,
-) -> list[RealRow]:
-    """The rows to measure; filters that could not be tuned come last."""
+) -> tuple[dict[str, dict[int, Parameters]], dict[str, str]]:
+    """Filter -> fold -> parameters; and label -> why a filter could not be tuned."""
     filters = [one.name for one in baselines if one.grid]
-    frames: dict[int, list[Judged]] = {}
+    samples: dict[int, list[tuning.Sample]] = {}
     for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
         for fold, places in part.tuning.items():
-            frames.setdefault(fold, []).extend(judged(number, group, places))
-    waiting = deque(
-        Task(f, fold, tuple(own)) for f in filters for fold, own in sorted(frames.items())
-    )
+            samples.setdefault(fold, []).extend(
+                tuning.Sample(one.noisy, one.reference, one.where)
+                for one in judged(number, group, places)
+                if one.reference is not None
+            )
+    tasks = [
+        tuning.Task(name, tuple(own), fold)
+        for name in filters
+        for fold, own in sorted(samples.items())
+    ]
     points: dict[str, dict[int, Parameters]] = {name: {} for name in filters}
     lost: dict[str, str] = {}
-    longest_s = settings.image_timeout_s * max(map(len, frames.values()))
-    with progress_bar(total=len(waiting), unit="filter", desc="tuning") as bar:
-        for task, found in pool.run(tuned, waiting, lambda _: longest_s):
-            bar.update()
-            if isinstance(found, dict):
-                points[task.baseline][task.fold] = found
-            else:
-                why = found.reason if isinstance(found, TaskLost) else found
-                lost.setdefault(task.baseline, f"tuning: {why}")
-    alive: list[tuple[Method, ...]] = [(NOISY,)]
-    for name in filters:
-        if name not in lost:
-            alive.append(tuple(Method(name, TUNED, own) for _, own in sorted(points[name].items())))
-    alive += [(one,) for one in networks]
-    rows = [RealRow(methods[0].label, methods) for methods in alive]
-    return [*rows, *(RealRow(f"{name} {TUNED}", (), why) for name, why in lost.items())]
+    longest_s = settings.image_timeout_s * max(map(len, samples.values()))
+    for task, found in tuning.run_tasks(tuning.on_line, tasks, pool, lambda _: longest_s):
+        if isinstance(found, str):
+            lost.setdefault(f"{task.baseline} {TUNED}", f"tuning: {found}")
+            points.pop(task.baseline, None)
+        elif task.baseline in points:
+            points[task.baseline][task.fold] = found
+    return points, lost
 
 
 def _measured(
@@ -194,14 +164,12 @@ def _measured(
     groups: Sequence[Group],
     parts: Sequence[Part],
     shots: Sequence[Shot],
-    rows: Sequence[RealRow],
+    methods: Mapping[str, Sequence[Method]],
     picked: set[int],
     pool: TaskPool,
 ) -> tuple[Measured, dict[int, Judged]]:
     """Every row on every picture, fold after fold; and number -> picture of those to look at."""
-    alive = [row for row in rows if row.lost is None]
-    every = Measured(lost={row.label: row.lost for row in rows if row.lost is not None})
-    shown: dict[int, Judged] = {}
+    every, shown = Measured(), dict[int, Judged]()
 
     def pictures(fold: int) -> Iterator[tuple[int, Judged]]:
         first = 0
@@ -218,10 +186,10 @@ def _measured(
             shown.update({number: one for number, one in some.items() if number in picked})
             yield {number: RealPicture(one) for number, one in some.items()}
 
-    with progress_bar(total=len(shots) * len(alive), unit="picture", desc="judging") as bar:
+    with progress_bar(total=len(shots) * len(methods), unit="picture", desc="judging") as bar:
         for fold in sorted({part.fold for part in parts}) or [0]:
             found = run(
-                [row.methods[fold % len(row.methods)] for row in alive],
+                [folds[fold % len(folds)] for folds in methods.values()],
                 batches(fold),
                 pool,
                 device=settings.device,
@@ -236,47 +204,70 @@ def _measured(
     return every, shown
 
 
-def summaries(
-    rows: Sequence[RealRow],
+def rows_of(
+    methods: Mapping[str, Sequence[Method]],
     measured: Measured,
     member: npt.NDArray[np.int64],
     static: bool,
     *,
     resamples: int,
     seed: int,
-) -> tuple[dict[str, Summary], dict[str, str]]:
-    """Label -> summary of each row that is not lost; figure -> label of the best filter in it.
+) -> tuple[list[Row], dict[str, str]]:
+    """The rows as plain data; and figure -> label of the best filter in it.
 
-    member: (N,) group of each judged picture.  static: whether these are scenes at rest.
+    methods: label -> of each fold; one for all folds where it is tuned on nothing, none where it is
+    lost.  member: (N,) group of each judged picture.  static: whether these are scenes at rest.
+    means, intervals: figure -> mean over the groups and its 95 % interval, which there is of two
+    static groups at least; seconds are the median over the pictures, because the first loads and
+    compiles.  by_group: figure -> mean of each group.  unchanged: how many pictures came back as
+    they were.
     """
     table = measured.table().replace([np.inf, -np.inf], np.nan)
     table["group"] = member[table["picture"].to_numpy(int)]
-    names = [str(number) for number in range(int(member.max(initial=-1)) + 1)]
+    count = int(member.max(initial=-1)) + 1
+    names = [str(number) for number in range(count)]
     by_group = table.drop(columns="picture").groupby(["method", "group"], sort=False).mean()
     over = by_group.groupby("method", sort=False).mean()
-    alive = [row for row in rows if row.label in over.index]
-    filters = [row.label for row in alive if row.kind == "baseline"]
+    kinds = {label: folds[0].kind for label, folds in methods.items() if label in over.index}
+    filters = [label for label, kind in kinds.items() if kind == "baseline"]
     best = {
         name: str(over.loc[filters, name].idxmax()) for name in MARGINS if filters and name in over
     }
-    found = {}
-    for row in alive:
-        own = cast("pd.DataFrame", by_group.loc[row.label]).reindex(range(len(names)))
-        for name, label in best.items():
-            if row.label != label:
-                own[MARGINS[name]] = own[name] - by_group.loc[label][name]
-        own = own.drop(columns=SECONDS).dropna(axis="columns", how="all")
-        values = {str(name): own[name].to_numpy(float) for name in own}
-        known = {
-            n: estimate(one, names, resamples=resamples, seed=seed) for n, one in values.items()
+    rows = []
+    for label, folds in methods.items():
+        row: Row = {
+            "label": label,
+            "network": bool(folds) and folds[0].kind == "network",
+            "parameters": [method.parameters for method in folds],
+            "lost": measured.lost.get(label),
+            **{"unchanged": None, "measured": 0, "means": {}, "intervals": {}, "by_group": {}},
+            "pictures": [],
         }
-        pictures = table[table["method"] == row.label]
-        means = {name: one.mean for name, one in known.items()}
-        means[SECONDS] = float(pictures[SECONDS].median())
-        intervals = {n: (e.low, e.high) for n, e in known.items() if static and e.count > 1}
-        unchanged = int((pictures["unchanged"] > 0).sum())
-        found[row.label] = Summary(means, intervals, values, unchanged, len(pictures))
-    return found, best
+        rows.append(row)
+        if label not in kinds:
+            continue
+        own = by_group.xs(label).reindex(range(count))
+        for name, other in best.items():
+            if label != other:
+                own[MARGINS[name]] = own[name] - by_group[name].xs(other)
+        own = own.drop(columns=SECONDS).dropna(axis="columns", how="all")
+        pictures = table[table["method"] == label]
+        for name in own:
+            one = estimate(own[name].to_numpy(float), names, resamples=resamples, seed=seed)
+            row["means"][name] = plain(one.mean)
+            if static:
+                row["by_group"][name] = [plain(value) for value in own[name]]
+                if one.count > 1:
+                    row["intervals"][name] = [one.low, one.high]
+        row["means"][SECONDS] = float(pictures[SECONDS].median())
+        row["measured"] = len(pictures)
+        if kinds[label] != "noisy":
+            row["unchanged"] = int((pictures["unchanged"] > 0).sum())
+        row["pictures"] = [
+            {name: plain(value) for name, value in one.items()}
+            for _, one in sorted(measured.figures[label].items())
+        ]
+    return rows, best
 
 
 def _about(groups: Sequence[Group], parts: Sequence[Part]) -> list[str]:

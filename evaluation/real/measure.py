@@ -12,18 +12,9 @@ import numpy.typing as npt
 
 from ...factory.errors import FactoryError
 from ..filters.base import Gray
-from ..metrics.fidelity import decibels, edge_preservation, finite_psnr, psnr, ssim
+from ..metrics.fidelity import edge_preservation, finite_psnr, psnr, ssim
 from ..metrics.measure import Figures, fit_levels
-from ..metrics.speckle import (
-    SIDE,
-    contrast_to_noise,
-    enl,
-    homogeneous_zones,
-    m_index,
-    mean_ratio,
-    ratio_image,
-    zone_enl,
-)
+from ..metrics.speckle import SIDE, contrast_to_noise, enl, homogeneous_zones, mean_ratio
 from ..runner import Subject
 from .groups import Judged
 
@@ -46,14 +37,6 @@ def score(picture: Gray, reference: Gray, where: Mask) -> tuple[float, float]:
         finite_psnr(psnr(reference, fitted, data_range=1.0, mask=where)),
         ssim(reference, fitted, data_range=1.0, mask=where),
     )
-
-
-def psnr_of(picture: Gray, reference: Gray, where: Mask) -> float:
-    """The PSNR of `score` alone, dB; several times as fast."""
-    near, far = picture[where], reference[where]
-    fitted = fit_levels([(near, far)])(near)
-    squared = float(np.mean(np.square(fitted - far, dtype=np.float64)))
-    return finite_psnr(decibels(squared, 1.0))
 
 
 @dataclass(frozen=True)
@@ -91,14 +74,12 @@ def scene_of(noisy: Gray, sector: Mask, name: str) -> Scene:
 def figures_of(image: Gray, shared: Scene) -> Figures:
     """The figures without a truth of (H, W) in 0..1; NaN where one does not exist."""
     dark, bright = (float(np.mean(image[part])) for part in (shared.dark, shared.bright))
-    ratio = ratio_image(shared.noisy, image)
     return {
         "enl": enl(image, shared.zones),
         "cnr": contrast_to_noise(image, shared.bright, shared.dark),
         "shadow_level": dark / bright if bright > 0 else float("nan"),
         "edges_kept": edge_preservation(shared.noisy, image, data_range=1.0, mask=shared.sector),
-        "ratio_mean": mean_ratio(ratio),
-        "m_index": m_index(ratio, zone_enl(shared.noisy, shared.zones), shared.zones),
+        "ratio_mean": mean_ratio(shared.noisy, image),
     }
 
 

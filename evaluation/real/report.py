@@ -10,13 +10,13 @@ from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
 from ...models.recordings.fan.pings import close_last
 from ..methods import shown
-from ..report.page import as_data_uri, as_json, render, write_files
-from ..report.tables import Metric, as_markdown, as_table, interval, plain, written
+from ..report.document import Example, Section, write_report
+from ..report.tables import Metric, as_markdown, as_table, interval, written
 from ..runner import SECONDS
 from ..settings import RealSettings
 from .groups import MOST_OTHERS
 from .in_time import wide
-from .judge import MARGINS, TUNED, Outcome, RealRow, judge
+from .judge import MARGINS, TUNED, Outcome, Row, judge
 from .shots import frame_of, open_input
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ COLUMNS = {
     "shadow_level": Metric("dark / bright", 3, -1),
     "edges_kept": Metric("edges kept", 3, 0),
     "ratio_mean": Metric("ratio mean", 3, 0),
-    "m_index": Metric("M-index", 2, 0),
     SECONDS: Metric("CPU s a picture", 3, -1),
 }
 _SIGNED = {"gain_db", *MARGINS.values()}
@@ -58,8 +57,8 @@ IN_TIME = (
 )
 RULES = (
     "Of the figures without a truth none alone says that one method is better than another: blur "
-    "alone raises ENL and CNR, and doing nothing keeps all edges and has a low M-index. Read them "
-    "together, and look at the pictures.",
+    "alone raises ENL and CNR, and doing nothing keeps all edges. Read them together, and look at "
+    "the pictures.",
     "Even zones are the tenth of all 16x16 blocks of the picture as it is with the least std / "
     "mean; dark ground is the darkest tenth and bright ground the brighter half of the sector by "
     "its 15-pixel median. They are the same for all methods.",
@@ -84,30 +83,15 @@ def write(out: Path, name: str, notes: Sequence[str], outcome: Outcome) -> str:
 
     FactoryError when the folder cannot be written to.
     """
-    lines = [_line(row, outcome) for row in outcome.rows]
-    rules = (*TRUTH, *RULES) if outcome.groups else RULES
     about = "; ".join([f"{len(outcome.files)} pictures judged", *notes]) + "."
-    in_time = None if outcome.in_time.empty else wide(outcome.in_time)
-    verdict, table, by_group = _verdict(lines, outcome), table_of(lines), _by_group(lines, outcome)
-    page = render(
-        "real.html",
-        title=f"Real sonar: {name}",
-        about=about,
-        verdict=verdict.replace("`", ""),
-        truth=bool(outcome.groups),
-        table=table,
-        by_group=by_group,
-        in_time=in_time,
-        in_time_rule=IN_TIME,
-        rules=rules,
-        strips=_strips(outcome),
-    )
-    said = [about, as_markdown(table), verdict]
-    parts = [f"# Real sonar: {name}", *said]
+    rules = (*TRUTH, *RULES) if outcome.groups else RULES
+    table, verdict = table_of(outcome.rows), _verdict(outcome)
+    title = "Figures" if outcome.groups else "Figures without a truth"
+    sections = [Section(title, [table], [verdict])]
     if outcome.groups:
-        parts += ["## PSNR by group, dB", as_markdown(by_group)]
-    if in_time is not None:
-        parts += ["## In time", as_markdown(in_time), IN_TIME]
+        sections.append(Section("PSNR by group, dB", [_by_group(outcome)]))
+    if not outcome.in_time.empty:
+        sections.append(Section("In time", [wide(outcome.in_time)], [IN_TIME]))
     facts = {
         "schema": "simnfnd-real/2",
         "name": name,
@@ -127,75 +111,55 @@ def write(out: Path, name: str, notes: Sequence[str], outcome: Outcome) -> str:
         "best_filter": outcome.best,
         "in_time": outcome.in_time.to_dict(orient="records"),
         "notes": notes,
-        "rows": lines,
+        "rows": outcome.rows,
         "rules": rules,
     }
-    markdown = "\n\n".join(filter(None, [*parts, "## How to read them", *rules])) + "\n"
-    write_files(out, {"real.json": as_json(facts), "real.md": markdown, "real.html": page})
-    return "\n\n".join(filter(None, said))
+    write_report(
+        out,
+        "real",
+        f"Real sonar: {name}",
+        about,
+        [*sections, Section("How to read them", text=rules)],
+        facts=facts,
+        examples=_examples(outcome),
+    )
+    return "\n\n".join(filter(None, [about, as_markdown(table), verdict]))
 
 
-def table_of(lines: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+def table_of(rows: Sequence[Row]) -> pd.DataFrame:
     """The means as text, a line a method."""
-    names = [name for name in COLUMNS if any(line["means"][name] is not None for line in lines)]
-    rows = []
-    for line in lines:
-        cells = [_cell(line, name) for name in names]
-        if line["lost"] is not None:
-            cells = [f"lost: {line['lost']}", *[""] * len(names[1:])]
-        rows.append([_words(line), *cells])
-    return as_table(["method", *(COLUMNS[name].label for name in names)], rows)
+    names = [name for name in COLUMNS if any(row["means"].get(name) is not None for row in rows)]
+    lines = []
+    for row in rows:
+        cells = [_cell(row, name) for name in names]
+        if row["lost"] is not None:
+            cells = [f"lost: {row['lost']}", *[""] * len(names[1:])]
+        lines.append([_words(row), *cells])
+    return as_table(["method", *(COLUMNS[name].label for name in names)], lines)
 
 
-def _line(row: RealRow, outcome: Outcome) -> dict[str, Any]:
-    """A row as plain data."""
-    found = outcome.summaries.get(row.label)
-    lost = outcome.measured.lost.get(row.label)
-    figures = {} if lost is not None else outcome.measured.figures.get(row.label, {})
-    groups = {} if found is None or not outcome.groups else found.groups
-    return {
-        "label": row.label,
-        "network": row.kind == "network",
-        "parameters": [method.parameters for method in row.methods],
-        "lost": lost,
-        "unchanged": None if found is None or row.kind == "noisy" else found.unchanged,
-        "measured": 0 if found is None else found.pictures,
-        "means": {n: None if found is None else plain(found.means.get(n)) for n in COLUMNS},
-        "intervals": {} if found is None else {k: list(v) for k, v in found.intervals.items()},
-        "by_group": {
-            name: [plain(value) for value in groups[name]]
-            for name in ("psnr_db", "ssim", *MARGINS.values())
-            if name in groups
-        },
-        "pictures": [
-            {name: plain(value) for name, value in one.items()}
-            for _, one in sorted(figures.items())
-        ],
-    }
-
-
-def _words(line: Mapping[str, Any]) -> str:
+def _words(row: Mapping[str, Any]) -> str:
     """The label, the parameters of each fold, and what came back unchanged."""
-    chosen = dict.fromkeys(shown(one).strip(" ()") for one in line["parameters"] if one)
-    text = str(line["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
-    if line["unchanged"]:
-        every = line["unchanged"] == line["measured"]
-        how = "" if every else f": {line['unchanged']} of {line['measured']}"
+    chosen = dict.fromkeys(shown(one).strip(" ()") for one in row["parameters"] if one)
+    text = str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
+    if row["unchanged"]:
+        every = row["unchanged"] == row["measured"]
+        how = "" if every else f": {row['unchanged']} of {row['measured']}"
         text += f" (unchanged{how})"
     return text
 
 
-def _cell(line: Mapping[str, Any], name: str) -> str:
+def _cell(row: Mapping[str, Any], name: str) -> str:
     """A figure as text, with its interval where it has one."""
     digits, signed = COLUMNS[name].digits, name in _SIGNED
-    text = written(line["means"][name], digits, signed)
-    if name in _WITH_INTERVAL and name in line["intervals"]:
-        low, high = line["intervals"][name]
+    text = written(row["means"].get(name), digits, signed)
+    if name in _WITH_INTERVAL and name in row["intervals"]:
+        low, high = row["intervals"][name]
         text += f" ({interval({'low': low, 'high': high}, digits, signed)})"
     return text
 
 
-def _verdict(lines: Sequence[Mapping[str, Any]], outcome: Outcome) -> str:
+def _verdict(outcome: Outcome) -> str:
     """How far each network is ahead of the best filter, in words."""
     if not outcome.best:
         return ""
@@ -204,42 +168,40 @@ def _verdict(lines: Sequence[Mapping[str, Any]], outcome: Outcome) -> str:
     if ssim_best != psnr_best:
         which = f"`{psnr_best}` in PSNR and `{ssim_best}` in SSIM"
     found = [f"The best filter is {which}."]
-    for line in lines:
-        if line["network"] and line["lost"] is None:
-            psnr, ssim = (_cell(line, name) for name in MARGINS.values())
-            found.append(f"`{line['label']}` is {psnr} dB and {ssim} SSIM from it.")
+    for row in outcome.rows:
+        if row["network"] and row["lost"] is None:
+            psnr, ssim = (_cell(row, name) for name in MARGINS.values())
+            found.append(f"`{row['label']}` is {psnr} dB and {ssim} SSIM from it.")
     return " ".join(found)
 
 
-def _by_group(lines: Sequence[Mapping[str, Any]], outcome: Outcome) -> pd.DataFrame:
+def _by_group(outcome: Outcome) -> pd.DataFrame:
     """The table of PSNR by group."""
-    alive = [line for line in lines if line["lost"] is None and line["by_group"]]
-    rows = [
+    alive = [row for row in outcome.rows if row["by_group"]]
+    lines = [
         [
             f"{group.name} ({len(group.shots)} frames)",
-            *(written(line["by_group"]["psnr_db"][number], 2) for line in alive),
+            *(written(row["by_group"]["psnr_db"][number], 2) for row in alive),
         ]
         for number, group in enumerate(outcome.groups)
     ]
-    return as_table(["group", *(one["label"].removesuffix(f" {TUNED}") for one in alive)], rows)
+    return as_table(["group", *(row["label"].removesuffix(f" {TUNED}") for row in alive)], lines)
 
 
-def _strips(outcome: Outcome) -> list[tuple[str, bool, list[tuple[str, str]]]]:
-    """Title, whether it is wide, and (caption, picture) of each picture that is shown."""
+def _examples(outcome: Outcome) -> list[Example]:
+    """What the rows made of some pictures."""
+    truth, measured = "mean of the other frames", outcome.measured
     found = []
     for number, judged in sorted(outcome.shown.items()):
-        title = judged.shot.name
+        name = judged.shot.name
         if judged.group is not None:
-            title = f"{outcome.groups[judged.group].name}: {title}"
-        images = []
-        for row in outcome.rows:
-            image = outcome.measured.images.get((row.label, number))
-            if image is not None and row.label not in outcome.measured.lost:
-                psnr_db = outcome.measured.figures[row.label][number].get("psnr_db")
-                caption = row.label if psnr_db is None else f"{row.label}, {psnr_db:.2f} dB"
-                images.append((caption, as_data_uri(image)))
-        if judged.reference is not None:
-            images.append(("mean of the other frames", as_data_uri(judged.reference)))
-        height, width = judged.noisy.shape
-        found.append((title, width > 1.2 * height, images))
+            name = f"{outcome.groups[judged.group].name}: {name}"
+        alive = [label for label in measured.figures if label not in measured.lost]
+        known = [label for label in alive if (label, number) in measured.images]
+        images = {label: measured.images[label, number] for label in known}
+        if judged.reference is None:
+            found.append(Example(name, images))
+            continue
+        psnr = {label: measured.figures[label][number]["psnr_db"] for label in known}
+        found.append(Example(name, {**images, truth: judged.reference}, psnr, truth))
     return found

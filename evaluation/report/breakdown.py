@@ -10,29 +10,26 @@ import numpy.typing as npt
 import pandas as pd
 
 from ..pairs import Item
-from .measure import Row
 from .tables import written
 
 _MOST_PLACES = 12
-_PAIRS_A_BIN = 8
+_BINS, _PAIRS_A_BIN = 5, 8
 
 
 def breakdown_of(
-    rows: Sequence[Row],
+    psnr: pd.DataFrame,
     items: Sequence[Item],
     drawn: Mapping[str, npt.NDArray[Any]],
     labels: Sequence[str],
 ) -> list[pd.DataFrame]:
     """A table a factor that varies, as text: the rows' mean PSNR in dB in each of its bins.
 
-    drawn: columns of /meta.  labels: the rows to break down, in their order.  A number is cut into
-    up to five bins of equally many pairs; an effect that is off in a pair has a bin `off`.
+    psnr: of each pair (rows) by each method (columns).  drawn: columns of /meta.  labels: methods
+    to break down, in their order.  A number is cut into up to five bins of equally many pairs; an
+    effect that is off in a pair has a bin `off`.
     """
-    psnr = {row.method.label: row.values["psnr"] for row in rows if row.lost is None}
-    wide = pd.DataFrame({label: psnr[label] for label in labels if label in psnr})
-    one_location = len({item.location for item in items}) < 2
-    place = "scene" if one_location else "location"
-    factors = {place: np.array([getattr(item, place) for item in items])}
+    place = "location" if len({item.location for item in items}) > 1 else "scene"
+    factors: dict[str, Any] = {place: [getattr(item, place) for item in items]}
     factors["PSNR of the noisy image, dB"] = psnr["noisy"]
     factors |= {
         name: column
@@ -44,7 +41,7 @@ def breakdown_of(
         bins = _bins(pd.Series(column))
         if bins.nunique() < 2:
             continue
-        means = wide.groupby(bins, observed=True).mean()
+        means = psnr[list(labels)].groupby(bins, observed=True).mean()
         pairs = bins.value_counts()
         table = means.map(lambda value: written(value, 2)).T
         table.columns = [f"{name} ({pairs[name]})" for name in means.index]
@@ -57,13 +54,11 @@ def _bins(values: pd.Series[Any]) -> pd.Series[Any]:
     if not pd.api.types.is_numeric_dtype(values):
         most = values.value_counts().index[:_MOST_PLACES]
         return values.where(values.isin(most)).replace("", "off")
-    distinct = values.dropna().unique()
-    if distinct.size <= 5:
-        names = {one: f"{one:.3g}" for one in sorted(distinct)}
-        cut = values.map(names).astype(pd.CategoricalDtype(["off", *dict.fromkeys(names.values())]))
-    else:
-        count = int(np.clip(values.count() // _PAIRS_A_BIN, 2, 5))
-        cut = pd.qcut(values, count, duplicates="drop")
-        cut = cut.cat.rename_categories(lambda one: f"{one.left:.3g} .. {one.right:.3g}")
-        cut = cut.cat.set_categories(["off", *cut.cat.categories])
-    return cut.fillna("off")
+    count = int(np.clip(values.count() // _PAIRS_A_BIN, 2, _BINS))
+    if values.nunique() <= _BINS:
+        cut = values.map("{:.3g}".format, na_action="ignore")
+        names = dict.fromkeys(cut[values.sort_values().index].dropna())
+        return cut.astype(pd.CategoricalDtype(["off", *names])).fillna("off")
+    cut = pd.qcut(values, count, duplicates="drop")
+    cut = cut.cat.rename_categories(lambda one: f"{one.left:.3g} .. {one.right:.3g}")
+    return cut.cat.set_categories(["off", *cut.cat.categories]).fillna("off")

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...factory.dataset.read.reader import open_shard
+import numpy as np
+import numpy.typing as npt
+
 from ...factory.errors import FactoryError
-from ...factory.files import check_writable
+from ...factory.files import check_writable, write_atomically
+from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskPool
 from .. import tuning
-from ..methods import baselines_of, costs_of, methods_of, networks_of
-from ..pairs import Item, drawn_of, given_methods, items_of, picture
+from ..methods import NOISY, Method, baselines_of, costs_of, methods_of, networks_of
+from ..pairs import Item, Pair, config_hash_of, drawn_of, given_methods, items_of, picture
+from ..runner import SECONDS, Measured, Subject, run
 from ..settings import EvaluationSettings
 from ..store import FigureStore
-from . import page
+from . import charts, tables
 from .breakdown import breakdown_of
-from .content import content_of, facts_of, shown_rows, verdict
-from .measure import examples_of, measured_rows
+from .content import best_forms, content_of, shown_rows, verdict
+from .document import Example, Section, write_report
+
+PAGE_NAME, REPORT_NAME, RESULTS_NAME = "report.html", "report.json", "results.csv"
+
+_CHUNK = 4
+
+Content = Mapping[str, Any]
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:
@@ -41,33 +52,130 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
                 # Without pairs to tune on there are still the rows by default.
                 print(f"not tuned: {error}")
         tuned = tuning.load_tuned(settings.tuned_file)
-        methods = [*methods_of(baselines, tuned), *networks, *given]
-        rows = measured_rows(settings, items, methods, store, pool)
-        shape = picture(items[0].place).clean.shape
-        facts = facts_of(settings, items, rows[0], shape, _config_hash(items[0]))
-        costs = costs_of([row.method for row in rows if row.method.weights])
-        content = content_of(rows, items, settings, facts, tuned, costs)
+        named = [NOISY, *methods_of(baselines, tuned), *networks, *given]
+        methods = list({method.label: method for method in named}.values())
+        measured = measure(settings, items, methods, pool, store)
+        costs = costs_of([method for method in methods if method.weights])
+        content = content_of(methods, measured, items, settings, tuned, costs)
+        content["facts"]["image"] = "x".join(map(str, picture(items[0].place).clean.shape))
+        content["facts"]["config_hash"] = config_hash_of(items[0])
         labels = shown_rows(content["rows"], settings.page.methods)
         drawn = drawn_of(items)
-        page.write_results(out / page.RESULTS_NAME, rows, items, drawn)
-        content["breakdown"] = [
-            table.to_dict(orient="split", index=False)
-            for table in breakdown_of(rows, items, drawn, labels)
-        ]
-        by_label = {row.method.label: row.method for row in rows}
-        shown = [by_label[label] for label in labels if label != "noisy"]
-        page.write(out, content, examples_of(settings, items, rows[0], shown, pool))
-    said = (*page.folded(content["rows"]), content["facts"]["few_frames"], verdict(content))
-    print("", *filter(None, said), sep="\n\n")
+        write_results(out / RESULTS_NAME, measured, items, drawn)
+        found = breakdown_of(measured.wide()["psnr"], items, drawn, labels)
+        content["breakdown"] = [one.to_dict(orient="split", index=False) for one in found]
+        shown = [method for label in labels for method in methods if method.label == label]
+        examples = _examples(settings, items, measured, shown, pool)
+    facts = content["facts"]
+    about = (
+        f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} scene(s) "
+        f"({facts['image']}; config {facts['config_hash'] or 'unknown'})."
+    )
+    sections = sections_of(content)
+    title = f"Report: {facts['dataset']}, {facts['split']} split"
+    write_report(out, "report", title, about, sections, facts=content, examples=examples)
+    print("", tables.as_markdown(sections[0].tables[0]), *filter(None, sections[0].text),
+          sep="\n\n")  # fmt: skip
     print(*content["ordering"], *content["ordering_3"], sep="\n")
-    print(f"report: {out / page.PAGE_NAME}")
+    print(f"report: {out / PAGE_NAME}")
     return content
 
 
-def _config_hash(item: Item) -> str:
-    """Of the dataset that an item is of; '' for a folder of image files."""
-    if item.place[1] < 0:
-        return ""
-    with open_shard(Path(item.place[0])) as file:
-        value = file.attrs.get("config_hash", "")
-        return value.decode() if isinstance(value, bytes) else str(value)
+def measure(
+    settings: EvaluationSettings,
+    items: Sequence[Item],
+    methods: Sequence[Method],
+    pool: TaskPool,
+    store: FigureStore | None = None,
+    *,
+    keep: bool = False,
+) -> Measured:
+    """The figures of methods on pairs; what the store has is not measured again.
+
+    keep: whether the images come back.  Raises FactoryError for a dataset that cannot be read.
+    """
+    picture.cache_clear()  # files may have changed since the last report of this process
+    threshold, texture = settings.shadow_threshold, settings.texture
+    pairs: dict[int, Subject] = {n: Pair(one, threshold, texture) for n, one in enumerate(items)}
+    with progress_bar(total=len(methods) * len(items), unit="image", desc="measuring") as bar:
+        return run(
+            methods,
+            [pairs],
+            pool,
+            device=settings.device,
+            timeout_s=settings.image_timeout_s,
+            store=store,
+            chunk=_CHUNK,
+            keep=lambda _: keep,
+            tick=bar.update,
+        )
+
+
+def write_results(
+    path: Path, measured: Measured, items: Sequence[Item], drawn: Mapping[str, npt.NDArray[Any]]
+) -> None:
+    """results.csv: a line for each row of the report and pair, with what was drawn for it."""
+    import pandas as pd
+
+    own = ("location", "scene", "frame", "variant")
+    pairs = pd.DataFrame(
+        [(i.shard, i.place[1], i.key, i.location, i.scene, i.frame, i.variant) for i in items],
+        columns=["shard", "index", "pair", *own],
+    )
+    more = pd.DataFrame({name: values for name, values in drawn.items() if name not in pairs})
+    table = measured.table().drop(columns=SECONDS)
+    figures = list(table)[2:]
+    whole = table.join(pairs, on="picture").join(more, on="picture")
+    text = whole[["method", *pairs, *figures, *more]].to_csv(index=False, lineterminator="\n")
+    write_atomically(path, text.encode(), key="out")
+
+
+def sections_of(content: Content) -> list[Section]:
+    """The report for people."""
+    facts, rows = content["facts"], content["rows"]
+    best = best_forms(rows)
+    more = len(rows) - len(best)
+    note = f"Of each method its best form here; {more} more below." if more else ""
+    said = (note, facts["few_frames"], verdict(content))
+    found = [Section("Leaderboard", [tables.leaderboard(best)], said)]
+    if more:
+        found.append(Section(f"All {len(rows)} forms", [tables.leaderboard(rows)], folded=True))
+    found.append(Section("Quality against cost", chart=charts.cost(content)))
+    for number, order in ((2, "ordering"), (3, "ordering_3")):
+        if content[order]:
+            table = tables.beside_paper(content[f"table_{number}"])
+            found.append(Section(f"The paper's Table {number}", [table], content[order]))
+    places = [tables.as_table(one["columns"], one["data"]) for one in content["breakdown"]]
+    return [
+        *found,
+        Section("Mean PSNR in dB by place, noise and resampling (number of pairs)", places),
+        Section("More metrics", [tables.more_metrics(rows)]),
+        Section("How it was measured", text=facts["rules"]),
+    ]
+
+
+def _examples(
+    settings: EvaluationSettings,
+    items: Sequence[Item],
+    measured: Measured,
+    methods: Sequence[Method],
+    pool: TaskPool,
+) -> list[Example]:
+    """Pairs from the worst to the best by the PSNR of the noisy image, evenly between."""
+    count = min(settings.page.examples, len(items))
+    if not count:
+        return []
+    noisy = measured.wide()["psnr"][NOISY.label].to_numpy()
+    places = np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))
+    chosen = [items[number] for number in np.argsort(noisy, kind="stable")[places]]
+    made = measure(settings, chosen, methods, pool, keep=True)
+    examples = []
+    for number, item in enumerate(chosen):
+        # A method that fails is left out.
+        labels = [one.label for one in methods if (one.label, number) in made.images]
+        images = {label: made.images[label, number] for label in labels}
+        psnr = {label: made.figures[label][number]["psnr"] for label in labels}
+        title = f"{item.scene} {item.frame}" + (f" #{item.variant}" if item.variant else "")
+        images["clean"] = picture(item.place).clean
+        examples.append(Example(title, images, psnr, truth="clean"))
+    return examples

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..methods import Method
 from ..metrics.fidelity import PSNR_CAP_DB
 from ..metrics.statistics import Estimate, estimate, frames_needed, holm, paired
+from ..runner import SECONDS, Measured
 from ..settings import EvaluationSettings
 from . import paper
-from .measure import Row
 from .tables import METRIC_NAMES, interval, percent, plain, written_p
 
 if TYPE_CHECKING:
@@ -23,10 +24,10 @@ _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow
 
 
 def content_of(
-    rows: Sequence[Row],
+    methods: Sequence[Method],
+    measured: Measured,
     items: Sequence[Item],
     settings: EvaluationSettings,
-    facts: Mapping[str, Any],
     tuned: Mapping[str, Any],
     costs: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Any]:
@@ -34,22 +35,57 @@ def content_of(
 
     tuned: baseline -> entry of the tuned file.  costs: label -> gmac and parameters of networks.
     """
+    figures = measured.wide()
     groups = [item.group for item in items]
-    noisy = rows[0]
-    found = [_row(row, noisy, groups, settings, costs) for row in rows]
+    options = {"resamples": settings.bootstrap, "seed": settings.seed}
+
+    def compared(label: str, other: str) -> dict[str, Any]:
+        """Pair by pair, metric by metric."""
+        found = {}
+        for name in (name for name in _COMPARED if name in figures):
+            first, second = (figures[name][one].to_numpy() for one in (label, other))
+            better = METRIC_NAMES[name].better
+            result = paired(first, second, groups, better=better, **options)
+            both = {"p": plain(result.p), "wins": plain(result.wins)}
+            found[name] = _as_dict(result.difference) | both
+        return found
+
+    found = []
+    for method in methods:
+        label, lost = method.label, measured.lost.get(method.label)
+        seconds = math.nan if lost else float(np.median(figures[SECONDS][label]))
+        noisy = lost is not None or method.kind == "noisy"
+        metrics = [] if lost else [name for name in figures if name != SECONDS]
+        found.append(
+            {
+                **{n: getattr(method, n) for n in ("label", "name", "form", "kind")},
+                "parameters": dict(method.parameters),
+                "levels": None if method.levels is None else vars(method.levels),
+                "ablation": method.ablation,
+                "milliseconds": plain(1000 * seconds),
+                "gmac": costs.get(label, {}).get("gmac"),
+                "weights": costs.get(label, {}).get("parameters"),
+                "lost": lost,
+                "metrics": {
+                    name: _as_dict(estimate(figures[name][label].to_numpy(), groups, **options))
+                    for name in metrics
+                },
+                "against_noisy": {} if noisy else compared(label, "noisy"),
+                "against_best": {},
+            }
+        )
     _adjust(found, "against_noisy")
     best, chosen_on = best_classical(found, tuned)
     if best is not None:
-        against = next(row for row in rows if row.method.label == best)
-        for line, row in zip(found, rows, strict=True):
-            if line["kind"] in ("network", "pictures") and row.lost is None:
-                line["against_best"] = _compared(row, against, groups, settings)
+        for line in found:
+            if line["kind"] in ("network", "pictures") and line["lost"] is None:
+                line["against_best"] = compared(line["label"], best)
         _adjust(found, "against_best")
     found.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
     second, third = paper.table_2(found), paper.table_3(found)
     # Weights of Table 3 are seldom given; without any there is nothing to say of it.
     given = any(line["ours"] for line in third)
-    ordering_3 = paper.ordering(third, "Table 3", digits=3) if given else []
+    facts = _facts(settings, items, int((figures["psnr"]["noisy"] >= PSNR_CAP_DB).sum()))
     return {
         "schema": SCHEMA,
         "facts": {**facts, "few_frames": few_frames(found, len(set(groups)))},
@@ -58,7 +94,7 @@ def content_of(
         "table_2": second,
         "table_3": third,
         "ordering": paper.ordering(second),
-        "ordering_3": ordering_3,
+        "ordering_3": paper.ordering(third, "Table 3", digits=3) if given else [],
     }
 
 
@@ -89,9 +125,7 @@ def verdict(content: Mapping[str, Any]) -> str:
     best = content["best_classical"]
     if best["row"] is None:
         return "No baseline was measured."
-    lines = [
-        f"The best classical row of one look is `{best['row']}`, chosen on {best['chosen_on']}."
-    ]
+    lines = [f"The best classical row is `{best['row']}`, chosen on {best['chosen_on']}."]
     for row in content["rows"]:
         margin = row["against_best"].get("psnr")
         if margin is not None:
@@ -103,42 +137,34 @@ def verdict(content: Mapping[str, Any]) -> str:
     return " ".join(lines)
 
 
-def facts_of(
-    settings: EvaluationSettings,
-    items: Sequence[Item],
-    noisy: Row,
-    shape: tuple[int, ...],
-    config_hash: str,
-) -> dict[str, Any]:
+def _facts(settings: EvaluationSettings, items: Sequence[Item], identical: int) -> dict[str, Any]:
     """What was measured, and how."""
-    facts: dict[str, Any] = {
+    rules = [
+        "Intervals: 95 % bootstrap that draws whole frames. Wilcoxon: signed ranks of the frames' "
+        "mean differences, Holm's correction over the rows. Wins: share of pairs where the row "
+        "is better.",
+        f"PSNR: mean of the dB values of the images; identical pairs ({identical} here) count as "
+        f"{PSNR_CAP_DB:g} dB. SSIM: Gaussian window, sigma 1.5. GMSD: 2x2 mean first, c = 170 on "
+        "0..255; `as printed` in the paper: without the 2x2 mean. A pixel is shadow at or below "
+        f"{settings.shadow_threshold:g} of full scale. ENL rewards blur and a ratio mean of 1 is "
+        "best: neither ranks methods alone.",
+        "`+ levels`: one gain and offset for all images; they and the parameters of `tuned` come "
+        "from validation pairs. ms: median CPU time of one image (of networks on a GPU: elapsed "
+        "time); other processes can still slow it down through shared caches.",
+    ]
+    return {
         "dataset": settings.name,
-        "config_hash": config_hash,
         "split": settings.split,
         "pairs": len(items),
         "frames": len({item.group for item in items}),
         "scenes": sorted({item.scene for item in items}),
         "locations": sorted({item.location for item in items}),
-        "image": f"{shape[0]}x{shape[1]}",
-        "identical_pairs": int((noisy.values["psnr"] >= PSNR_CAP_DB).sum()),
+        "identical_pairs": identical,
         "shadow_threshold": settings.shadow_threshold,
         "seed": settings.seed,
         "bootstrap": settings.bootstrap,
+        "rules": rules,
     }
-    facts["rules"] = [
-        "Intervals: 95 % bootstrap that draws whole frames. Wilcoxon: signed ranks of the frames' "
-        "mean differences, Holm's correction over the rows. Wins: share of pairs where the row "
-        "is better.",
-        f"PSNR: mean of the dB values of the images; identical pairs "
-        f"({facts['identical_pairs']} here) count as {PSNR_CAP_DB:g} dB. SSIM: "
-        "Gaussian window, sigma 1.5. GMSD: 2x2 mean first, c = 170 on 0..255; `as printed` in the "
-        "paper: without the 2x2 mean. A pixel is shadow at or below "
-        f"{facts['shadow_threshold']:g} of full scale.",
-        "`+ levels`: one gain and offset for all images; they and the parameters of `tuned` come "
-        "from validation pairs. ms: median CPU time of one image (of networks on a GPU: elapsed "
-        "time); other processes can still slow it down through shared caches.",
-    ]
-    return facts
 
 
 def few_frames(rows: Sequence[Mapping[str, Any]], frames: int) -> str:
@@ -172,55 +198,6 @@ def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
 def _as_dict(item: Estimate) -> dict[str, Any]:
     """An estimate for JSON."""
     return {name: value if name == "count" else plain(value) for name, value in vars(item).items()}
-
-
-def _row(
-    row: Row,
-    noisy: Row,
-    groups: Sequence[str],
-    settings: EvaluationSettings,
-    costs: Mapping[str, Mapping[str, float]],
-) -> dict[str, Any]:
-    method = row.method
-    cost = costs.get(method.label, {})
-    options = {"resamples": settings.bootstrap, "seed": settings.seed}
-    compared = row.lost is None and method.kind != "noisy"
-    return {
-        **{name: getattr(method, name) for name in ("label", "name", "form", "kind")},
-        "parameters": dict(method.parameters),
-        "levels": None if method.levels is None else vars(method.levels),
-        "ablation": method.ablation,
-        "milliseconds": plain(row.milliseconds),
-        "gmac": cost.get("gmac"),
-        "weights": cost.get("parameters"),
-        "lost": row.lost,
-        "metrics": {
-            name: _as_dict(estimate(values, groups, **options))
-            for name, values in row.values.items()
-        },
-        "against_noisy": _compared(row, noisy, groups, settings) if compared else {},
-        "against_best": {},
-    }
-
-
-def _compared(
-    row: Row, other: Row, groups: Sequence[str], settings: EvaluationSettings
-) -> dict[str, Any]:
-    """Pair by pair, metric by metric."""
-    found = {}
-    for name in _COMPARED:
-        if name in row.values and name in other.values:
-            result = paired(
-                row.values[name],
-                other.values[name],
-                groups,
-                better=METRIC_NAMES[name].better,
-                resamples=settings.bootstrap,
-                seed=settings.seed,
-            )
-            both = {"p": plain(result.p), "wins": plain(result.wins)}
-            found[name] = _as_dict(result.difference) | both
-    return found
 
 
 def _adjust(rows: Sequence[dict[str, Any]], key: str) -> None:

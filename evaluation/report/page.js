@@ -11,44 +11,33 @@
   dark.addEventListener("change", () => theme(dark.matches ? "dark" : "light"));
   $("#theme").addEventListener("click", () => theme(root.dataset.theme === "dark" ? "light" : "dark"));
 
-  // Sortable tables.  Lost rows stay last.
+  // A click on a column's head sorts by it, again the other way.  Lost rows stay last.
   for (const table of all("table.sortable")) {
-    const body = table.tBodies[0];
-    all("thead th", table).forEach((head, column) => {
-      const button = $("button", head);
-      if (!button) return;
-      button.addEventListener("click", () => {
-        const before = head.getAttribute("aria-sort");
-        const first = head.dataset.first || "descending";
-        const other = first === "descending" ? "ascending" : "descending";
-        const order = before === first ? other : first;
-        all("thead th", table).forEach((one) => one.removeAttribute("aria-sort"));
-        head.setAttribute("aria-sort", order);
-        const sign = order === "ascending" ? 1 : -1;
-        const value = (row) => {
-          const cell = row.cells[column];
-          if (!cell) return null;
-          const text = cell.dataset.value ?? cell.textContent.trim();
-          if (text === "") return null;
-          const number = Number(text);
-          return Number.isNaN(number) ? text : number;
-        };
-        const rows = [...body.rows].map((row, index) => ({ row, index, key: value(row) }));
-        rows.sort((a, b) => {
-          const lost = a.row.classList.contains("lost") - b.row.classList.contains("lost");
-          if (lost) return lost;
-          if (a.key === null || b.key === null) return (a.key === null) - (b.key === null) || a.index - b.index;
-          if (typeof a.key === "string" || typeof b.key === "string") {
-            return sign * String(a.key).localeCompare(String(b.key)) || a.index - b.index;
-          }
-          return sign * (a.key - b.key) || a.index - b.index;
-        });
-        for (const { row } of rows) body.append(row);
+    const heads = all("thead th", table), body = table.tBodies[0];
+    heads.forEach((head, column) => $("button", head).addEventListener("click", () => {
+      const order = head.ariaSort === "descending" ? "ascending" : "descending";
+      for (const one of heads) one.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", order);
+      const sign = order === "ascending" ? 1 : -1;
+      const figure = (row) => Number.parseFloat(row.cells[column].textContent.replace("<", ""));
+      const words = (row) => row.cells[column].textContent;
+      const known = [...body.rows].filter((row) => !row.classList.contains("lost"));
+      const lost = [...body.rows].filter((row) => row.classList.contains("lost"));
+      const compared = column === 0
+        ? (a, b) => sign * words(a).localeCompare(words(b))
+        : (a, b) => Number.isNaN(figure(a)) - Number.isNaN(figure(b)) || sign * (figure(a) - figure(b));
+      body.append(...known.sort(compared), ...lost);
+    }));
+    // On a phone each row of a wide table is a card; its cells say which column they are of.
+    for (const row of body.rows) {
+      [...row.cells].forEach((cell, column) => {
+        if (column) cell.dataset.label = cell.colSpan > 1 ? "" : heads[column].innerText.trim();
       });
-    });
+    }
+    if (heads.length > 3) table.classList.add("cards");
   }
 
-  // Everything is told on paper.
+  // Paper shows everything.
   addEventListener("beforeprint", () => all("details").forEach((one) => { one.open = true; }));
 
   const data = $("#examples");
@@ -103,17 +92,18 @@
       : coldHot[Math.round(255 * Math.min(1, Math.max(0, 0.5 + Math.log2(Math.max(noisy, 1) / v) / 4)))],
   };
   const MEANING = {
-    image: "The pictures themselves.",
-    error: "Absolute error against clean: black is none, yellow half of full scale or more.",
-    signed: "Picture minus clean: blue is too dark, red too bright, white is right.",
-    ratio: "Noisy divided by the picture: white is 1, red 4 and more, blue a quarter and less; black where the picture is dark. What a filter took along shows as structure.",
+    image: () => "The images themselves.",
+    error: (truth) => `Absolute error against ${truth}: black is none, yellow half of full scale or more.`,
+    signed: (truth) => `Image minus ${truth}: blue is too dark, red too bright, white is right.`,
+    ratio: () => "Noisy divided by the image: white is 1, red 4 and more, blue a quarter and less; black where the image is dark. What a filter took along shows as structure.",
   };
 
   async function paint(side) {
     const pair = Number(choose.pair.value), label = choose[side].value, kind = choose.map.value;
     const example = examples[pair];
-    const clean = "clean" in example.images ? "clean" : "noisy";
-    const [own, truth, noisy] = await Promise.all([grayOf(pair, label), grayOf(pair, clean), grayOf(pair, "noisy")]);
+    const first = Object.keys(example.images)[0];
+    const [own, truth, noisy] = await Promise.all(
+      [label, example.truth || first, first].map((name) => grayOf(pair, name)));
     if (pair !== Number(choose.pair.value) || label !== choose[side].value || kind !== choose.map.value) return;
     const canvas = $("canvas", layers[side]);
     canvas.width = own.width; canvas.height = own.height;
@@ -169,14 +159,17 @@
   }
 
   function update() {
-    caption.textContent = MEANING[choose.map.value];
+    const truth = examples[Number(choose.pair.value)].truth;
+    $("#maps").hidden = !truth; // nothing to compare with
+    if (!truth) choose.map.value = "image";
+    caption.textContent = MEANING[choose.map.value](truth);
     return Promise.all([paint("before"), paint("after")]);
   }
 
   examples.forEach((example, index) => choose.pair.append(new Option(example.title, String(index))));
   const labels = Object.keys(fill().images);
-  choose.before.value = "noisy";
-  choose.after.value = labels[1] || "noisy";
+  choose.before.value = labels[0];
+  choose.after.value = labels[1] || labels[0];
   choose.pair.addEventListener("change", () => { fill(); update(); });
   for (const name of ["before", "after", "map"]) choose[name].addEventListener("change", update);
   slider.addEventListener("input", place);

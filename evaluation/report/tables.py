@@ -1,4 +1,4 @@
-"""Metrics and figures as readers see them, and the tables of a report: Markdown and LaTeX."""
+"""Metrics and figures as readers see them, and the tables of a report."""
 
 from __future__ import annotations
 
@@ -46,10 +46,9 @@ METRIC_NAMES = {
     "enl": Metric("ENL", 2, 0),
     "cnr": Metric("CNR", 2, 1),
     "ratio_mean": Metric("ratio mean", 3, 0),
-    "m_index": Metric("M-index", 2, 0),
 }
-"""In the order of the tables.  ENL rewards blur, a ratio mean of 1 is best, and doing nothing has a
-low M-index: none of these three ranks methods alone."""
+"""In the order of the tables.  ENL rewards blur and a ratio mean of 1 is best: neither ranks
+methods alone."""
 
 
 def plain(value: float | None) -> float | None:
@@ -79,14 +78,6 @@ def interval(item: Mapping[str, Any], digits: int, sign: bool = False) -> str:
 def percent(share: float | None) -> str:
     """A share in per cent."""
     return "-" if share is None else f"{100 * share:.0f}\u00a0%"
-
-
-def chosen(row: Mapping[str, Any]) -> str:
-    """Parameters of a row, and its levels where it has them."""
-    parts = [shown(row["parameters"]).strip(" ()")]
-    if row.get("levels"):
-        parts.append("gain {gain:.2f}, offset {offset:+.3f}".format(**row["levels"]))
-    return "; ".join(part for part in parts if part)
 
 
 def as_markdown(table: pd.DataFrame, align: str = "lr") -> str:
@@ -146,29 +137,6 @@ def beside_paper(table: Sequence[Content]) -> pd.DataFrame:
         for line in table
     ]
     return as_table(["row", "paper PSNR / SSIM / GMSD", "ours", "which row here"], lines)
-
-
-def as_latex(rows: Sequence[Content]) -> str:
-    """A tabular of booktabs: PSNR with interval, SSIM, GMSD, wins; the best of each column bold."""
-    alive = [row for row in rows if row["lost"] is None]
-    best = {}
-    for name in TABLE_METRICS:
-        values = [row["metrics"][name]["mean"] for row in alive]
-        best[name] = max(values) if METRIC_NAMES[name].better > 0 else min(values)
-    lines = []
-    for row in alive:
-        cells = [row["label"].replace("_", r"\_").replace("%", r"\%").replace("&", r"\&")]
-        for name in TABLE_METRICS:
-            value = row["metrics"][name]["mean"]
-            text = written(value, METRIC_NAMES[name].digits)
-            cells.append(rf"\textbf{{{text}}}" if value == best[name] else text)
-        cells.insert(2, interval(row["metrics"]["psnr"], 2).replace(" .. ", "--"))
-        gain = row["against_noisy"].get("psnr")
-        cells.append("" if gain is None else percent(gain["wins"]).replace("\u00a0%", r"\,\%"))
-        lines.append(cells)
-    head = ["Method", "PSNR / dB", r"95\,\% interval", "SSIM", "GMSD", "Wins"]
-    table = as_table(head, lines).style.hide(axis="index")
-    return str(table.to_latex(hrules=True, column_format="lrrrrr"))
 
 
 def has(rows: Sequence[Content], name: str) -> bool:

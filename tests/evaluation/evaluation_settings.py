@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from simnfnd.evaluation.methods import NOISY, Method
+from simnfnd.evaluation.pairs import items_of
+from simnfnd.evaluation.report.build import measure
+from simnfnd.evaluation.runner import Measured
 from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.evaluation.store import FigureStore
+from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from simnfnd.factory.settings import build
 
 _DEFAULTS: dict[str, Any] = {
@@ -40,3 +47,11 @@ def settings_for(dataset: Path, **changes: Any) -> EvaluationSettings:
     values = {"dataset": {"dir": str(dataset)}, **_DEFAULTS, **out, "tuning": tuning, **changes}
     settings: EvaluationSettings = build(EvaluationSettings, values)
     return settings
+
+
+def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) -> Measured:
+    """What the engine measures of the noisy images and these methods; figures are kept in `out`."""
+    settings = settings_for(dataset, **changes)
+    with closing(FigureStore(out)) as store, TaskPool(settings.workers) as pool:
+        items = items_of(dataset, settings.split, settings.limit)
+        return measure(settings, items, [NOISY, *methods], pool, store)

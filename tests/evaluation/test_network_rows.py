@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,17 +14,14 @@ from simnfnd.evaluation import store as store_module
 from simnfnd.evaluation.methods import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
-from simnfnd.evaluation.report.measure import measured_rows
-from simnfnd.evaluation.runner import Task, measure_task
-from simnfnd.evaluation.store import FigureStore
+from simnfnd.evaluation.runner import SECONDS, Task, measure_task
 from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
-from tests.evaluation.evaluation_settings import settings_for
+from tests.evaluation.evaluation_settings import measured, settings_for
 from tests.small_dataset import COLUMNS, fan_images, write_dataset
 
 
@@ -57,16 +53,15 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
         ("small", ""),
         ("other", "simnfnd_l1"),
     ]
-    items = items_of(dataset, "test")
-    with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
-        found = measured_rows(settings, items, methods, store, pool)
+    found = measured(dataset, methods, tmp_path / "out")
+    psnr_db = found.wide()["psnr"]
     from simnfnd.models.denoise.denoiser import load_denoiser
 
-    pair = picture(items[1].place)
+    pair = picture(items_of(dataset, "test")[1].place)
     expected = psnr(pair.clean, load_denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
-    assert found[1].values["psnr"][1] == pytest.approx(expected, abs=1e-6)
-    assert found[1].values["psnr"][1] != found[2].values["psnr"][1]
-    assert found[1].milliseconds > 0
+    assert psnr_db["small"][1] == pytest.approx(expected, abs=1e-6)
+    assert psnr_db["small"][1] != psnr_db["other"][1]
+    assert (found.wide()[SECONDS]["small"] > 0).all()
     costs = costs_of(methods)
     assert costs["small"] == costs["other"]
     assert 0 < costs["small"]["gmac"] < 1
@@ -102,10 +97,8 @@ def test_a_file_that_is_no_network_loses_its_row(tmp_path: Path) -> None:
     (tmp_path / "bad.safetensors").write_bytes(b"no weights")
     dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
     settings = settings_for(dataset, models=[str(tmp_path / "bad.safetensors")])
-    with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
-        items = items_of(dataset, "test")
-        row = measured_rows(settings, items, networks_of(settings), store, pool)[1]
-    assert "not a safetensors file" in (row.lost or "")
+    found = measured(dataset, networks_of(settings), tmp_path / "out")
+    assert "not a safetensors file" in found.lost["bad"]
 
 
 def test_known_figures_are_those_of_this_code_these_libraries_and_this_device(
@@ -113,21 +106,19 @@ def test_known_figures_are_those_of_this_code_these_libraries_and_this_device(
 ) -> None:
     """What changes how figures come about must not find the figures of before."""
     dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
-    settings = settings_for(dataset)
-    measured: list[str] = []
+    ran: list[str] = []
 
     def counting(task: Task) -> Any:
-        measured.extend(method.name for method in task.methods)
+        ran.extend(method.name for method in task.methods)
         return measure_task(task)
 
     monkeypatch.setattr(runner, "measure_task", counting)
 
     def again() -> set[str]:
-        measured.clear()
+        ran.clear()
         store_module.program_digest.cache_clear()
-        with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
-            measured_rows(settings, items_of(dataset, "test"), [], store, pool)
-        return set(measured)
+        measured(dataset, [], tmp_path / "out")
+        return set(ran)
 
     assert again() == {"identity"}
     assert again() == set(), "all is known"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,11 @@ from simnfnd.evaluation.filters.base import Baseline
 from simnfnd.evaluation.methods import baselines_of, methods_of
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
 from simnfnd.evaluation.metrics.measure import fit_levels
-from simnfnd.evaluation.metrics.statistics import estimate, paired
 from simnfnd.evaluation.pairs import items_of, picture
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.measure import Row, measured_rows
-from simnfnd.evaluation.store import FigureStore
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
-from tests.evaluation.evaluation_settings import settings_for
+from tests.evaluation.evaluation_settings import measured, settings_for
 from tests.evaluation.filters.scenes import BROKEN
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
@@ -38,16 +34,6 @@ def tune(dataset: Path, file: Path, *names: str, **changes: Any) -> list[str]:
     settings = settings_for(dataset, tuning=tuning_keys, **changes)
     with TaskPool(settings.workers) as pool:
         return tuning.tune(settings, baselines_of(names), pool)
-
-
-def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str, Row]:
-    """The rows of these baselines in all their forms, by label."""
-    settings = settings_for(dataset, **changes)
-    methods = methods_of(baselines_of(names), tuning.load_tuned(file))
-    items = items_of(dataset, "test")
-    with closing(FigureStore(file.parent / "store")) as store, TaskPool(settings.workers) as pool:
-        found = measured_rows(settings, items, methods, store, pool)
-    return {row.method.label: row for row in found}
 
 
 @pytest.fixture(scope="module")
@@ -100,26 +86,25 @@ def test_tuned_results_are_kept_until_something_changes(
     file = tmp_path / "tuned.json"
     tune(dataset, file, "median")
     before = file.read_bytes()
-    measured: list[tuning._Task] = []
-    honest = tuning._measure_point
+    ran: list[str] = []
+    honest = tuning.on_grid
 
     def counted(task: Any) -> Any:
-        measured.append(task)
+        ran.append(task.baseline)
         return honest(task)
 
-    monkeypatch.setattr(tuning, "_measure_point", counted)
+    monkeypatch.setattr(tuning, "on_grid", counted)
     again = tune(dataset, file, "median")
-    assert not measured
+    assert not ran
     assert again[0].startswith("median: ")
     tune(dataset, file, "grey_opening")
-    assert {task[0] for task in measured} == {"grey_opening"}
-    measured.clear()
+    assert ran == ["grey_opening"]
     # Another grid, other pairs: another result.
     median = REGISTRY["median"]
     finer = Baseline("median", median.function, median.default, {"size": (3, 5)}, "here")
     monkeypatch.setitem(REGISTRY, "median", finer)
     tune(dataset, file, "median")
-    assert len(measured) == 2
+    assert ran == ["grey_opening", "median"]
     monkeypatch.undo()
     tune(dataset, file, "median", "grey_opening")
     content = json.loads(file.read_text(encoding="utf-8"))["baselines"]
@@ -157,37 +142,29 @@ def test_a_method_that_crashes_loses_its_row_alone(
 
 
 def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
-    file = tmp_path / "t.json"
-    names = ("median", "identity")
+    file, names = tmp_path / "t.json", ("median", "identity")
     tune(dataset, file, *names)
-    rows = measured(dataset, file, *names, texture=True)
+    methods = methods_of(baselines_of(names), tuning.load_tuned(file))
     forms = ["", " + levels", " tuned", " tuned + levels"]
-    assert list(rows) == [
-        "noisy",
-        *(f"median{form}" for form in forms),
-        "noisy + levels",
-    ]
-    items, noisy, row = items_of(dataset, "test"), rows["noisy"], rows["median tuned + levels"]
+    labels = ["noisy", *(f"median{form}" for form in forms), "noisy + levels"]
+    assert [method.label for method in methods] == labels
+    found = measured(dataset, methods, tmp_path / "out", texture=True).wide()
     # One pair by hand.
-    number = 4
-    pair = picture(items[number].place)
-    assert row.method.levels is not None
-    image = row.method.levels(REGISTRY["median"](pair.noisy, row.method.parameters))
-    assert row.values["psnr"][number] == pytest.approx(psnr(pair.clean, image, data_range=1.0))
-    fan = psnr(pair.clean, image, data_range=1.0, mask=pair.sector)
-    assert row.values["psnr_fan"][number] == pytest.approx(fan)
-    one = gmsd(pair.clean, image, data_range=1.0, pooled=False)
-    assert row.values["gmsd_unpooled"][number] == pytest.approx(one)
-    gains = row.values["psnr"] - noisy.values["psnr"]
-    groups = [item.group for item in items]
-    found = paired(
-        row.values["psnr"], noisy.values["psnr"], groups, better=1, resamples=200, seed=0
-    )
-    assert found.difference == estimate(gains, groups, resamples=200, seed=0)
-    assert found.difference.low > 0, "taking the haze off must help"
-    assert np.isnan(noisy.values["ms_ssim"]).all(), "48 pixels are too few for five scales"
-    assert noisy.values["ratio_mean"] == pytest.approx(1)
-    assert np.isfinite(row.values["edge_preservation"]).all()
+    number, label = 4, "median tuned + levels"
+    pair = picture(items_of(dataset, "test")[number].place)
+    method = methods[labels.index(label)]
+    assert method.levels is not None
+    image = method.levels(REGISTRY["median"](pair.noisy, method.parameters))
+    expected = {
+        "psnr": psnr(pair.clean, image, data_range=1.0),
+        "psnr_fan": psnr(pair.clean, image, data_range=1.0, mask=pair.sector),
+        "gmsd_unpooled": gmsd(pair.clean, image, data_range=1.0, pooled=False),
+    }
+    assert {n: found[n][label][number] for n in expected} == pytest.approx(expected)
+    assert (found["psnr"][label] > found["psnr"]["noisy"]).all(), "taking the haze off must help"
+    assert found["ms_ssim"].isna().all(axis=None), "48 pixels are too few for five scales"
+    assert found["ratio_mean"]["noisy"].to_numpy() == pytest.approx(1)
+    assert np.isfinite(found["edge_preservation"][label]).all()
 
 
 def test_tuning_in_processes_writes_the_same_bytes(dataset: Path, tmp_path: Path) -> None:

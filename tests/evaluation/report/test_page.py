@@ -10,7 +10,7 @@ import pytest
 
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report import page
+from simnfnd.evaluation.report.document import as_data_uri
 from tests.evaluation.evaluation_settings import settings_for
 from tests.evaluation.filters.scenes import BROKEN
 from tests.evaluation.report import browser
@@ -29,7 +29,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(REGISTRY, "broken", BROKEN)
         builder.build(settings_for(dataset, out=str(root / "out"), baselines=names, texture=True))
-    return root / "out" / page.PAGE_NAME
+    return root / "out" / builder.PAGE_NAME
 
 
 def test_it_is_one_file_that_asks_nobody(report: Path) -> None:
@@ -47,7 +47,7 @@ def test_pictures_inside_are_lossless() -> None:
     import cv2
 
     image = np.linspace(0, 1, 256, dtype=np.float32).reshape(16, 16)
-    head, content = page.as_data_uri(image).split(",", 1)
+    head, content = as_data_uri(image).split(",", 1)
     assert head == "data:image/png;base64"
     pixels = cv2.imdecode(np.frombuffer(base64.b64decode(content), np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(pixels, np.arange(256).reshape(16, 16))
@@ -55,18 +55,14 @@ def test_pictures_inside_are_lossless() -> None:
 
 SORTED = """
 const board = at("table.board"), rows = () => [...board.tBodies[0].rows];
-const names = () => rows().map((row) => row.cells[0].dataset.value);
-const last = (row) => Number(row.cells[row.cells.length - 1].dataset.value);
-const times = () => rows().filter((row) => !row.classList.contains("lost")).map(last);
+const names = () => rows().map((row) => row.cells[0].textContent);
+const figures = (column) => rows().filter((row) => !row.classList.contains("lost"))
+  .map((row) => Number.parseFloat(row.cells[column].textContent));
 const heads = board.tHead.querySelectorAll("button"), before = names();
-heads[heads.length - 1].click();
-const up = times(), order = heads[heads.length - 1].parentElement.ariaSort;
-heads[heads.length - 1].click();
-const down = times(), after = names();
-board.tHead.querySelector("th:nth-child(2) button").click();
-const psnr = rows().filter((row) => !row.classList.contains("lost"))
-  .map((row) => Number(row.cells[1].dataset.value));
-return {before, after, up, down, order, psnr};
+heads[1].click();
+const down = figures(1), order = heads[1].parentElement.ariaSort;
+heads[1].click();
+return {before, after: names(), up: figures(1), down, order};
 """
 LOOKED_AT = """
 while (!(at(".stage").dataset.painted >= 2)) await wait(20);
@@ -113,10 +109,9 @@ def test_a_reader_can_sort_and_compare(report: Path, tmp_path: Path) -> None:
     assert (found["complaints"], found["asked"]) == ([], []), found
     assert found["before"][-1] == "broken"
     assert found["after"][-1] == "broken", "lost rows stay last"
-    assert found["order"] == "ascending"
-    assert found["up"] == sorted(found["up"])
-    assert found["down"] == found["up"][::-1]
-    assert found["psnr"] == sorted(found["psnr"], reverse=True)
+    assert found["order"] == "descending"
+    assert found["down"] == sorted(found["down"], reverse=True)
+    assert found["up"] == found["down"][::-1]
     seen = browser.found_on(report, LOOKED_AT, tmp_path, size=(1280, 900))
     assert seen["complaints"] == []
     assert seen["middle"] == "inset(0px 0px 0px 50%)"

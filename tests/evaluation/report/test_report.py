@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +12,16 @@ import pytest
 from scipy import stats
 
 from simnfnd.command import main
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.compare import read_results
+from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.metrics import statistics
 from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report import paper
 from simnfnd.evaluation.report.breakdown import breakdown_of
 from simnfnd.evaluation.report.content import best_classical, content_of
-from simnfnd.evaluation.report.measure import Row
-from simnfnd.evaluation.report.page import read_results
 from simnfnd.evaluation.report.tables import TABLE_METRICS
+from simnfnd.evaluation.runner import SECONDS, Measured
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
 
@@ -77,10 +76,16 @@ def test_holm_is_the_published_procedure() -> None:
     assert statistics.holm([0.9, 0.8]) == [1.0, 1.0]
 
 
-def made_row(label: str, psnr: Any, **changes: Any) -> Row:
-    values = np.asarray(psnr, dtype=float)
-    figures = {"psnr": values, "ssim": values / 30, "gmsd": 0.4 - values / 100}
-    return Row(Method(label, "", {}, **changes), figures, 5.0)
+def measured_of(**psnr: Any) -> Measured:
+    """Figures of methods by label; the other metrics follow from the PSNR."""
+    figures = {
+        label: {
+            number: {"psnr": one, "ssim": one / 30, "gmsd": 0.4 - one / 100, SECONDS: 0.005}
+            for number, one in enumerate(values)
+        }
+        for label, values in psnr.items()
+    }
+    return Measured(figures)
 
 
 def items(count: int, scenes: int = 2) -> list[Item]:
@@ -103,12 +108,19 @@ def items(count: int, scenes: int = 2) -> list[Item]:
 def test_networks_are_held_against_the_best_tuned_baseline(tmp_path: Path) -> None:
     """Which baseline that is, validation says: on the test pairs another one is ahead."""
     base = np.linspace(15, 20, 12)
-    rows = [
-        made_row("identity", base),
-        replace(made_row("median", base + 1), method=Method("median", "+ levels", {})),
-        replace(made_row("nlm", base + 1.5), method=Method("nlm", "+ levels", {})),
-        made_row("net", base + 3 + np.sin(np.arange(12)), weights="net.safetensors"),
-        Row(Method("broken", "", {}), lost="no luck"),
+    measured = measured_of(**{
+        "noisy": base,
+        "median + levels": base + 1,
+        "nlm + levels": base + 1.5,
+        "net": base + 3 + np.sin(np.arange(12)),
+    })  # fmt: skip
+    measured.lost["broken"] = "no luck"
+    methods = [
+        NOISY,
+        Method("median", "+ levels", {}),
+        Method("nlm", "+ levels", {}),
+        Method("net", "", {}, weights="net.safetensors"),
+        Method("broken", "", {}),
     ]
     point = {"psnr_levels": 18.0}
     tuned = {
@@ -116,8 +128,8 @@ def test_networks_are_held_against_the_best_tuned_baseline(tmp_path: Path) -> No
         "nlm": {"default": {"psnr_levels": 17.0}, "tuned_levels": {"psnr_levels": 17.0}},
     }
     settings = settings_for(tmp_path / "data")
-    facts = {"pairs": 12}
-    content = content_of(rows, items(12), settings, facts, tuned, {"net": {"gmac": 1.5}})
+    costs = {"net": {"gmac": 1.5}}
+    content = content_of(methods, measured, items(12), settings, tuned, costs)
     assert content["best_classical"] == {"row": "median + levels", "chosen_on": "validation pairs"}
     assert [row["label"] for row in content["rows"]] == [
         "net", "nlm + levels", "median + levels", "noisy", "broken",
@@ -167,14 +179,14 @@ def test_breakdowns_find_where_a_method_is_good() -> None:
     count = 48
     level = np.where(np.arange(count) % 4 == 0, np.nan, np.linspace(0.1, 0.9, count))
     base = np.full(count, 17.0)
-    rows = [made_row("identity", base), made_row("median", base + np.nan_to_num(level))]
+    psnr = measured_of(noisy=base, median=base + np.nan_to_num(level)).wide()["psnr"]
     drawn = {
         "noise.background.density": level,
         "noise.mode": np.where(np.arange(count) % 2, "radial", ""),
         "noise.fixed": np.full(count, 2.0),
         "full_scale": np.linspace(0, 1, count),
     }
-    tables = breakdown_of(rows, items(count), drawn, ["noisy", "median"])
+    tables = breakdown_of(psnr, items(count), drawn, ["noisy", "median"])
     found = {table.columns[0]: table.set_index(table.columns[0]) for table in tables}
     assert set(found) == {"scene", "noise.background.density", "noise.mode"}, "what varies"
     density = found["noise.background.density"]

@@ -1,4 +1,4 @@
-"""What is measured on a polar picture: speckle, texture, and what lies along beams and rows."""
+"""A polar picture in numbers: levels, speckle, and what lies along beams and rows."""
 
 from __future__ import annotations
 
@@ -16,15 +16,54 @@ _PART = 4
 _SHARE = 0.2
 _DARKEST = 0.02
 
-SPECTRUM_BINS = 24
-"""Bins of every spectrum, equal steps from 0 to 0.5 cycles a cell (0 itself is left out)."""
-GRADIENT_BINS = 64
-PATTERNS = 10
 _SMOOTH = 31
 _LAGS = 24
 
 # One grey step of 8 bits: where a level in dB is needed, black counts as this.
 _STEP = 1 / 255
+
+
+FEATURES = {
+    "dark": "level, darkest tenth",
+    "middle": "level, median",
+    "bright": "level, brightest tenth",
+    "edges": "mean gradient",
+    "enl": "ENL",
+    "si": "scintillation index",
+    "grain_range": "grain along range, cells",
+    "grain_bearing": "grain along bearing, cells",
+    "spoke": "spoke index",
+    "arc": "arc index",
+    "slope": "range slope, dB/window",
+    "slope_per_m": "range slope, dB/m",
+    "highlight": "highlight contrast, dB",
+    "shadow": "shadow contrast, dB",
+}
+"""Name -> what tables call it; `docs/realism.md` defines each."""
+
+
+def features_of(polar: Gray, span_m: float | None = None) -> dict[str, float]:
+    """The features of a polar picture in 0..1; NaN where one does not exist.
+
+    span_m: length of its range window in metres; without it there is no slope per metre.
+    """
+    slope_db = range_slope_db(polar)
+    along = cv2.Sobel(polar, cv2.CV_32F, 0, 1, scale=1 / 8)
+    across = cv2.Sobel(polar, cv2.CV_32F, 1, 0, scale=1 / 8)
+    dark, middle, bright = np.quantile(polar, (0.1, 0.5, 0.9))
+    return {
+        "dark": float(dark),
+        "middle": float(middle),
+        "bright": float(bright),
+        "edges": float(np.hypot(along, across).mean()),
+        **dict(zip(("enl", "si"), speckle(polar), strict=True)),
+        **dict(zip(("grain_range", "grain_bearing"), half_widths(polar), strict=True)),
+        "spoke": spread_of_means(polar, 0),
+        "arc": spread_of_means(polar, 1),
+        "slope": slope_db,
+        "slope_per_m": slope_db / span_m if span_m else float("nan"),
+        **dict(zip(("highlight", "shadow"), contrasts_db(polar), strict=True)),
+    }
 
 
 def even_windows(polar: npt.NDArray[np.floating]) -> Values:
@@ -49,22 +88,20 @@ def even_windows(polar: npt.NDArray[np.floating]) -> Values:
     return np.asarray(blocks[chosen].reshape(count, SIDE * SIDE))
 
 
-def speckle(polar: npt.NDArray[np.floating]) -> tuple[float, float, float]:
-    """Medians over the even windows of ENL, scintillation index and CV; NaN without any.
+def speckle(polar: npt.NDArray[np.floating]) -> tuple[float, float]:
+    """Medians over the even windows of ENL and scintillation index; NaN without any.
 
-    Grey values g are taken as amplitude: CV = std(g) / mean(g), ENL = 1 / CV^2 and
-    SI = <g^4> / <g^2>^2 - 1.  Rayleigh amplitude has ENL 3.66, SI 1 and CV 0.523; what a display
-    makes of it (compression) has other values, the same on both sides of the comparison.
+    Grey values g are taken as amplitude: ENL = (mean / std)^2 and SI = <g^4> / <g^2>^2 - 1.
+    Rayleigh amplitude has ENL 3.66 and SI 1; what a display makes of it (compression) has other
+    values, the same on both sides of the comparison.
     """
     windows = even_windows(polar)
     if not len(windows):
-        return float("nan"), float("nan"), float("nan")
+        return float("nan"), float("nan")
     cv = windows.std(axis=1) / windows.mean(axis=1)
     power = windows**2
     index = (power**2).mean(axis=1) / power.mean(axis=1) ** 2 - 1
-    median_cv = float(np.median(cv))
-    enl = float(np.median(1 / np.maximum(cv, 1e-6) ** 2))
-    return enl, float(np.median(index)), median_cv
+    return float(np.median(1 / np.maximum(cv, 1e-6) ** 2)), float(np.median(index))
 
 
 def half_widths(polar: Gray) -> tuple[float, float]:
@@ -99,58 +136,6 @@ def _half(correlation: Values) -> float:
         return float(len(values))
     lag = int(below[0])
     return float(lag - 1 + (values[lag - 1] - 0.5) / (values[lag - 1] - values[lag]))
-
-
-def spectra(polar: Gray) -> tuple[Values, Values, Values]:
-    """Power spectra, radial, along range and along bearing: (SPECTRUM_BINS,) each, in dB.
-
-    Of the picture less its mean, under a Hann window; each is relative to its own total power, so
-    brightness does not count.
-    """
-    rows, columns = polar.shape
-    taper = np.hanning(rows)[:, None] * np.hanning(columns)[None, :]
-    power = np.abs(fft.rfft2((polar - polar.mean()) * taper)) ** 2
-    # Every frequency but 0 and the highest along the last axis stands for its mirror image, too.
-    power[:, 1 : (columns + 1) // 2] *= 2
-    along = np.abs(fft.fftfreq(rows))[:, None]
-    across = fft.rfftfreq(columns)[None, :]
-    radius = np.hypot(along, across)
-    along, across = np.broadcast_to(along, power.shape), np.broadcast_to(across, power.shape)
-    radial, by_range, by_bearing = (_binned(power, f) for f in (radius, along, across))
-    return radial, by_range, by_bearing
-
-
-def _binned(power: Values, frequency: Values) -> Values:
-    place = np.floor(frequency * (2 * SPECTRUM_BINS)).astype(np.intp)
-    inside = (place < SPECTRUM_BINS) & (frequency > 0)
-    sums = np.bincount(place[inside], weights=power[inside], minlength=SPECTRUM_BINS)
-    counts = np.bincount(place[inside], minlength=SPECTRUM_BINS)
-    # Means, for a bin may hold one frequency more than its neighbour.
-    density = sums / np.maximum(counts, 1)
-    share = density / max(float(density.sum()), 1e-30)
-    return np.asarray(10 * np.log10(np.maximum(share, 1e-8)))
-
-
-def gradients(polar: Gray) -> Values:
-    """(GRADIENT_BINS,) histogram (counts) of the Sobel gradient's magnitude, 0 to 0.5 a cell."""
-    along = cv2.Sobel(polar, cv2.CV_32F, 0, 1, scale=1 / 8)
-    across = cv2.Sobel(polar, cv2.CV_32F, 1, 0, scale=1 / 8)
-    place = np.minimum(np.hypot(along, across) * (2 * GRADIENT_BINS), GRADIENT_BINS - 1)
-    return np.bincount(place.astype(np.intp).ravel(), minlength=GRADIENT_BINS).astype(np.float64)
-
-
-def patterns(polar: Gray) -> Values:
-    """(PATTERNS,) histogram (counts) of local binary patterns, 8 neighbours, rotation invariant.
-
-    Ojala, Pietikainen and Maenpaa 2002, "uniform" patterns: 0 to 8 brighter neighbours in one arc,
-    the last bin for all others.
-    """
-    from skimage.feature import local_binary_pattern as pattern
-
-    # Of grey steps: equal grey values count as brighter, which rounding must not decide.
-    grey = np.rint(polar * 255).astype(np.uint8)
-    codes = np.asarray(pattern(grey, 8, 1, method="uniform"))  # type: ignore[no-untyped-call]
-    return np.bincount(codes.astype(np.intp).ravel(), minlength=PATTERNS).astype(np.float64)
 
 
 def spread_of_means(polar: Gray, axis: int) -> float:

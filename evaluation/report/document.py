@@ -1,0 +1,134 @@
+"""A report as Markdown, as JSON, and as one HTML page that needs no network and no server."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files as resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from ...factory.files import explain_os_errors, write_atomically
+from .tables import as_markdown
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a report.  Names in `text` stand between backticks.
+
+    tables: of text.  chart: what the page alone shows.  folded: the page opens it on a click.
+    """
+
+    title: str
+    tables: Sequence[pd.DataFrame] = ()
+    text: Sequence[str] = ()
+    chart: Markup = field(default_factory=Markup)
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class Example:
+    """Pictures to compare.  images: label -> (H, W) float32 in 0..1, the noisy one first.
+
+    psnr: label -> dB.  truth: label of the picture that errors are against; '': there is none.
+    """
+
+    title: str
+    images: dict[str, npt.NDArray[np.float32]]
+    psnr: dict[str, float] = field(default_factory=dict)
+    truth: str = ""
+
+
+def write_report(
+    out: Path,
+    name: str,
+    title: str,
+    about: str,
+    sections: Sequence[Section],
+    *,
+    facts: Mapping[str, Any],
+    examples: Sequence[Example] = (),
+) -> None:
+    """<name>.md, .json and .html in a folder.
+
+    facts: the JSON.  Raises FactoryError when the folder cannot be written to.
+    """
+    shown = [one for one in sections if one.tables or any(one.text) or one.chart]
+    parts = [f"# {title}", about]
+    for one in shown:
+        if one.tables or any(one.text):
+            parts += [f"## {one.title}", *map(as_markdown, one.tables), *filter(None, one.text)]
+    page = _environment().get_template("report.html")
+    html = page.render(
+        title=title, about=about, sections=shown, examples=_data(examples), file=_own_file
+    )
+    markdown = "\n\n".join(parts) + "\n"
+    write_files(
+        out, {f"{name}.json": as_json(facts), f"{name}.md": markdown, f"{name}.html": html.lstrip()}
+    )
+
+
+def write_files(out: Path, files: Mapping[str, str]) -> None:
+    """Name -> content, each whole or not at all.  FactoryError where the folder cannot be made."""
+    with explain_os_errors(out, "out"):
+        out.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        write_atomically(out / name, content.encode(), key="out")
+
+
+def as_json(content: Mapping[str, Any]) -> str:
+    """JSON as reports write it."""
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def as_data_uri(image: npt.NDArray[np.float32]) -> str:
+    """The picture, (H, W) in 0..1, in 8 bits as a lossless data: URI."""
+    pixels = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    _, content = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    return "data:image/png;base64," + base64.b64encode(content.tobytes()).decode("ascii")
+
+
+def _data(examples: Sequence[Example]) -> Markup:
+    """What the viewer of the page shows, as JSON; empty without examples."""
+    if not examples:
+        return Markup("")
+    data = [
+        {**vars(one), "images": {name: as_data_uri(image) for name, image in one.images.items()}}
+        for one in examples
+    ]
+    # "</script>" in a name would end the element.
+    return Markup(json.dumps(data).replace("<", "\\u003c"))
+
+
+def _marked(text: str) -> Markup:
+    """What stands between backticks in bold."""
+    return Markup(re.sub(r"`([^`]*)`", r"<b>\1</b>", str(escape(text))))
+
+
+def _own_file(name: str) -> Markup:
+    """A style sheet or script of this folder, to stand in a page as it is."""
+    return Markup(resources("simnfnd.evaluation.report").joinpath(name).read_text(encoding="utf-8"))
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("simnfnd.evaluation.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["marked"] = _marked
+    return environment
