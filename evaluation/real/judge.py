@@ -17,13 +17,13 @@ from .. import tuning
 from ..filters.base import Baseline, Parameters
 from ..methods import NOISY, Method, baselines_of, networks_at
 from ..metrics.statistics import estimate, evenly
+from ..recorded import Shot, Stretch
 from ..report.tables import plain
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import RealSettings
 from .groups import LEAST, Group, Judged, Part, Searched, alone, judged, parts_of, search
 from .in_time import judged_in_time
 from .measure import RealPicture
-from .shots import Shot, Stretch
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,14 +10,14 @@ from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
 from ...models.recordings.fan.pings import close_last
 from ..methods import shown
+from ..recorded import frame_of, open_input
 from ..report.document import Example, Section, write_report
 from ..report.tables import Metric, as_markdown, as_table, interval, written
 from ..runner import SECONDS
 from ..settings import RealSettings
-from .groups import MOST_OTHERS
+from .groups import MOST, MOST_OTHERS
 from .in_time import wide
 from .judge import MARGINS, TUNED, Outcome, Row, judge
-from .shots import frame_of, open_input
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -68,7 +68,7 @@ RULES = (
 
 def evaluate(settings: RealSettings) -> None:
     """Measure, print the table and write the report.  Raises FactoryError."""
-    stretches, notes = open_input(settings.real)
+    stretches, notes = open_input(settings.real, MOST)
     check_writable(settings.folder, "out")
     with TaskPool(settings.workers) as pool:
         outcome = judge(settings, stretches, pool)

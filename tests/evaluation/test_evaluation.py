@@ -280,14 +280,14 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
         assert rows_["arrays"]["metrics"][name] == rows_["noisy"]["metrics"][name]
     assert "psnr" in rows_["mine"]["against_best"]
     for array, said in (
-        (np.full((48, 48), 9.0), "pixels of 9 .. 9; floats must lie in 0..1"),
-        (np.zeros((48, 40)), "000002.npy: 40x48 pixels, but its pair has 48x48"),
+        (np.full((48, 48), 9.0), "floats must be grey values from 0 to 1"),
+        (np.zeros((48, 40)), "test/noisy/000002: 40x48 pixels, but its pair has 48x48"),
     ):
         np.save(arrays / "000002.npy", array)
         rows = builder.build(settings_for(dataset, pictures=given[1:]))["rows"]
         assert said in rows[-1]["lost"]
     cases: list[tuple[dict[str, str], str]] = [
-        ({"name": "mine", "dir": "nowhere"}, "mine: nowhere: no such folder"),
+        ({"name": "mine", "dir": "nowhere"}, "mine: nowhere: 5 of 5 pictures are missing"),
         ({"name": "median", "dir": str(mine)}, "median: another row has this name"),
     ]
     for one, words in cases:

@@ -18,7 +18,7 @@ from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.real.groups import Group, alone, judged, nearest, parts_of
 from simnfnd.evaluation.real.judge import rows_of
 from simnfnd.evaluation.real.measure import RealPicture
-from simnfnd.evaluation.real.shots import Shot, open_input
+from simnfnd.evaluation.recorded import Shot, open_input
 from simnfnd.evaluation.runner import run
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled

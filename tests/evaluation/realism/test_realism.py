@@ -12,10 +12,10 @@ import pandas as pd
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation.realism import pictures as real
+from simnfnd.evaluation import recorded as real
 from simnfnd.evaluation.realism.compare import distances, kolmogorov_smirnov
 from simnfnd.evaluation.realism.features import FEATURES, features_of
-from simnfnd.evaluation.realism.pictures import to_polar
+from simnfnd.evaluation.realism.pictures import real_pictures, to_polar
 from simnfnd.evaluation.settings import Grid
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.fan import fan_table
@@ -85,11 +85,12 @@ def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
     lines = (MDD / "fan_geometry.csv").read_text().splitlines()[1:]
     known = dict(line.split(",")[:2] for line in lines)
     found = real.open_real(MDD)
-    assert len(found.sources) == len(known) == 117
+    shots, _ = found
+    assert len(shots) == len(known) == 117
     names = {geometry: name for name, geometry in real.MDD_GEOMETRIES.items()}
-    assert {source.name: names[source.geometry] for source in found.sources} == known
+    assert {shot.name: names[shot.known] for shot in shots if shot.known} == known
     # No black border is left in the polar picture.
-    polar = found.sources[0].polar(Grid())
+    polar = real_pictures(MDD).sources[0].polar(Grid())
     assert polar.shape == (440, 128)
     assert (polar[2:-2, 2:-2] == 0).mean() < 0.01
 
@@ -98,7 +99,7 @@ def test_geometry_files_are_checked(tmp_path: Path) -> None:
     folder = polar_folder(tmp_path / "real", 1, 4)
     table = folder / "geometry.csv"
     good = table.read_text()
-    assert len(real.open_real(folder).sources) == 4
+    assert len(real.open_real(folder)[0]) == 4
     for text, said in (
         ("file,layout,hfov_deg,widht\n*,polar,30,2\n", "line 2: .*widht"),
         ("layout,hfov_deg\npolar,30\n", "no column 'file'"),
@@ -113,7 +114,7 @@ def test_geometry_files_are_checked(tmp_path: Path) -> None:
         with pytest.raises(FactoryError, match=said):
             real.open_real(folder)
     table.unlink()
-    with pytest.raises(FactoryError, match=r"no geometry\.csv"):
+    with pytest.raises(FactoryError, match=r"no fan is seen in it; write a geometry\.csv"):
         real.open_real(folder)
     (folder / "Images").mkdir()
     with pytest.raises(FactoryError, match="no pictures"):
