@@ -22,14 +22,13 @@ from simnfnd.evaluation.image_files import read_gray
 from simnfnd.evaluation.methods import NOISY, Method, baselines_of, methods_of
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.measure import Picture, Scene, sector_of
-from simnfnd.evaluation.pairs import drawn_of, items_of, picture
+from simnfnd.evaluation.pairs import items_of, picture
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.runner import Measured, Task, measure_task
 from simnfnd.evaluation.store import STORE_NAME
-from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError
 from tests.evaluation.evaluation_settings import measured, settings_for
-from tests.small_dataset import add_shard, fan_images, write_dataset
+from tests.small_dataset import fan_images, write_dataset
 
 FILES = {"report.html", "report.json", "report.md", "results.csv", STORE_NAME}
 METRICS = ("psnr", "ssim", "gmsd", "psnr_fan", "shadow_iou", "shadow_residual")
@@ -152,20 +151,6 @@ def test_a_killed_worker_costs_the_row_of_its_method_alone(
     assert not measured(dataset, [MEDIAN], tmp_path / "out").lost, "the next run tries again"
 
 
-def test_noiseless_pairs_have_a_stated_rule(tmp_path: Path) -> None:
-    _, clean, shadow = fan_images(48, np.random.default_rng(0))
-    record: dict[str, float | int | str] = {
-        "location": "", "scene": "s", "frame": "f", "variant": 0,
-    }  # fmt: skip
-    data = tmp_path / "data"
-    add_shard(data, "test/shard-00000.h5", [Pair(clean, clean, shadow, record)] * 2)
-    content = builder.build(settings_for(data))
-    row = next(row for row in content["rows"] if row["label"] == "noisy")
-    assert row["metrics"]["psnr"]["mean"] == metrics.PSNR_CAP_DB
-    assert row["metrics"]["shadow_iou"]["mean"] == 1
-    assert any("identical pairs (2 here) count as 100 dB" in r for r in content["facts"]["rules"])
-
-
 def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
     noisy, clean, shadow = fan_images(64, np.random.default_rng(1))
     sector = sector_of(noisy, clean, shadow)
@@ -176,13 +161,6 @@ def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
     # Outside all is 0 in both images: it adds 10 log10(1/share) dB to the full frame.
     assert scores["psnr"] - scores["psnr_fan"] == pytest.approx(-10 * math.log10(share))
     assert scores["ssim_fan"] < scores["ssim"]
-
-
-def test_what_was_drawn_is_found_for_every_pair(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path, train=0, test=6, size=32)
-    drawn = drawn_of(items_of(dataset, "test"))
-    assert drawn["variant"].tolist() == [0, 1, 0, 1, 0, 1]
-    assert drawn["scene"].tolist() == ["test-0"] * 6
 
 
 def test_out_that_cannot_be_written(tmp_path: Path) -> None:

@@ -81,25 +81,6 @@ def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -
     assert rows["noisy"]["intervals"] == {}
 
 
-def test_without_a_static_group_the_figures_without_truth_stay(tmp_path: Path) -> None:
-    folder = shuffled(tmp_path / "in", {0: 2, 1: 2})
-    content = real(tmp_path / "out", str(folder), "baselines=[gaussian]")
-    assert content["groups"] == []
-    assert any(note.startswith("no static group was found") for note in content["notes"])
-    noisy, blurred = content["rows"]
-    assert blurred["label"] == "gaussian"
-    assert "psnr_db" not in blurred["means"]
-    assert blurred["means"]["enl"] > 2 * noisy["means"]["enl"]
-    assert "no static group" in (tmp_path / "out" / "real.html").read_text(encoding="utf-8")
-
-
-def test_a_group_needs_some_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = shuffled(tmp_path / "in", {0: 6})
-    words = (str(folder), "limit=3", "workers=1", f"out={tmp_path / 'out'}", "baselines=[median]")
-    assert main(["evaluate", "real", *words]) == 2
-    assert "limit: Input should be greater than or equal to 4" in capsys.readouterr().err
-
-
 def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
     values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
     (one,) = judged(0, group(tmp_path, values), [1])

@@ -37,14 +37,6 @@ def test_bootstrap_draws_frames_not_images() -> None:
     assert statistics.estimate(values, frames, resamples=2000, seed=0) == together
 
 
-def test_values_that_do_not_exist_are_left_out() -> None:
-    item = statistics.estimate(np.array([1.0, np.nan, 3.0]), list("abc"), resamples=100, seed=0)
-    assert (item.mean, item.count) == (2.0, 2)
-    none = statistics.estimate(np.array([np.nan]), ["a"], resamples=100, seed=0)
-    assert none.count == 0
-    assert math.isnan(none.mean)
-
-
 def test_the_paired_test_sees_frames() -> None:
     rng = np.random.default_rng(1)
     base = rng.normal(20, 3, 24)
@@ -54,18 +46,13 @@ def test_the_paired_test_sees_frames() -> None:
     assert found.difference.mean == pytest.approx(shift.mean())
     assert found.p == pytest.approx(stats.wilcoxon(shift[::2]).pvalue)
     assert found.wins == pytest.approx((shift > 0).mean())
-    other = statistics.paired(base, base + shift, groups, better=1, resamples=200, seed=0)
-    assert other.difference.mean == pytest.approx(-found.difference.mean)
-    assert other.p == pytest.approx(found.p)
-    assert other.wins == pytest.approx(1 - found.wins)
     low_is_good = statistics.paired(base + shift, base, groups, better=-1, resamples=200, seed=0)
     assert low_is_good.wins == pytest.approx(1 - found.wins)
     same = statistics.paired(base, base, groups, better=1, resamples=200, seed=0)
     assert (same.p, same.wins, same.difference.mean) == (1.0, 0.5, 0.0)
-    infinite = np.where(np.arange(24) < 2, np.inf, base)
-    assert (
-        statistics.paired(infinite, infinite, groups, better=1, resamples=100, seed=0).wins == 0.5
-    )
+    base[0] = np.nan
+    found = statistics.paired(base + shift, base, groups, better=1, resamples=200, seed=0)
+    assert found.difference.count == 23, "values that do not exist are left out"
 
 
 def test_holm_is_the_published_procedure() -> None:
@@ -90,18 +77,8 @@ def measured_of(**psnr: Any) -> Measured:
 
 def items(count: int, scenes: int = 2) -> list[Item]:
     return [
-        Item(
-            "s",
-            ("s", index),
-            "test",
-            index,
-            str(index),
-            "",
-            f"scene-{index % scenes}",
-            str(index),
-            0,
-        )
-        for index in range(count)
+        Item("s", ("s", n), "test", n, str(n), "", f"scene-{n % scenes}", str(n), 0)
+        for n in range(count)
     ]
 
 

@@ -24,7 +24,7 @@ from simnfnd.evaluation.viewer.server import Viewer
 from simnfnd.evaluation.viewer.shown import Shown, open_shown
 from simnfnd.factory.errors import FactoryError
 from tests.factory.export.export_dataset import SHAPE, write
-from tests.models.recordings.recording_files import pings, write_aris, write_oculus
+from tests.models.recordings.recording_files import pings, write_aris
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 # Pressed one after the other: to the last, two back by ten (to the first), two on, swap.
@@ -131,18 +131,6 @@ def test_a_recording_before_and_after(tmp_path: Path) -> None:
         assert np.abs(fans[1] - fans[0] / 2).max() <= 3  # shown in one window of grey values
         facts = json.loads(fetched(f"{url}facts/2.json"))
         assert (facts["samples"], facts["name"]) == ("40x48", "ARIS 1800")
-
-
-def test_fans_of_denoised_pings_are_shown_without_their_samples(tmp_path: Path) -> None:
-    write_oculus(tmp_path / "a.raw", pings(2, 40, 32))
-    for number in range(2):
-        for name in ("", "_polar"):
-            path = tmp_path / "out" / f"{number:06d}{name}.png"
-            path.parent.mkdir(exist_ok=True)
-            cv2.imwrite(str(path), np.full((40, 30), 200 if name else 50 + number, np.uint8))
-    shown = open_shown(tmp_path / "a.raw", tmp_path / "out")
-    assert len(shown) == 2
-    assert (shown.picture(1, 1) == 51).all()
 
 
 def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> None:
