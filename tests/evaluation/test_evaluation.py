@@ -109,14 +109,11 @@ def test_a_report_goes_on_where_it_was_interrupted(
     again = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
     assert [len(task.subjects) for task in tasks[2:]] == [4, 1], "the first four were known"
     assert_same(again, whole)
-    # Known rows are read, a new one is measured alone; other settings measure anew.
-    for changes, methods in (({}, {"grey_opening"}), ({"shadow_threshold": 0.1}, {"identity"})):
-        tasks[:] = [tasks[0]] * 2
-        more = [MEDIAN, Method("grey_opening", "", {"size": 3})]
-        measured(dataset, more, tmp_path / "out", **changes)
-        assert {method.name for task in tasks[2:] for method in task.methods} >= methods
-        if not changes:
-            assert {method.name for task in tasks[2:] for method in task.methods} == methods
+    # Known rows are read, a new one is measured alone.
+    tasks[:] = [tasks[0]] * 2
+    more = [MEDIAN, Method("grey_opening", "", {"size": 3})]
+    measured(dataset, more, tmp_path / "out")
+    assert {method.name for task in tasks[2:] for method in task.methods} == {"grey_opening"}
 
 
 def test_processes_do_not_change_the_figures(tmp_path: Path) -> None:
@@ -182,8 +179,7 @@ def test_folders_of_image_pairs_are_a_dataset(tmp_path: Path) -> None:
     images: dict[str, Any] = {}
     for number, size in enumerate((48, 64)):
         noisy, clean, shadow = fan_images(size, np.random.default_rng(number))
-        deep = (clean * 65535).astype(np.uint16)
-        images[f"clean/{number}.png"] = deep
+        images[f"clean/{number}.png"] = (clean * 65535).astype(np.uint16)
         gray = (noisy * 255).astype(np.uint8)
         images[f"noisy/{number}.png"] = np.stack([gray] * 3, axis=-1) if number else gray
         images[f"shadow/{number}.png"] = shadow.astype(np.uint8) * 255
@@ -202,29 +198,24 @@ def test_folders_of_image_pairs_are_a_dataset(tmp_path: Path) -> None:
 
 def test_unfit_image_pairs_are_named(tmp_path: Path) -> None:
     gray = np.full((32, 32), 100, np.uint8)
-    cases: list[tuple[str, dict[str, Any], str]] = [
-        ("lonely", {"noisy/a.png": gray, "noisy/b.png": gray, "clean/a.png": gray},
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"noisy/a.png": gray, "noisy/b.png": gray, "clean/a.png": gray},
          r"b\.png: no partner in clean/"),
-        ("sizes", {"noisy/a.png": gray, "clean/a.png": gray[:16]}, r"32x32, but .* 32x16 pixels"),
-        ("colour", {"noisy/a.png": np.dstack([gray, gray, gray // 2]), "clean/a.png": gray},
-         "in colour"),
-        ("float", {"noisy/a.tif": gray.astype("f4"), "clean/a.tif": gray}, r"a\.tif: float pixels"),
+        ({"noisy/a.png": gray, "clean/a.png": gray[:16]}, r"32x32, but .* 32x16 pixels"),
+        ({"noisy/a.png": np.dstack([gray, gray, gray // 2]), "clean/a.png": gray}, "in colour"),
+        ({"noisy/a.tif": gray.astype("f4"), "clean/a.tif": gray}, r"a\.tif: float pixels"),
+        ({"noisy/a.txt.png/x.png": gray, "clean/x.png/x.png": gray}, "hold no images"),
     ]  # fmt: skip
-    for name, images, words in cases:
-        folder = write_images(tmp_path / name, images)
+    for number, (images, words) in enumerate(cases):
+        folder = write_images(tmp_path / str(number), images)
         with pytest.raises(FactoryError, match=words):
             measured(folder, [], tmp_path / "out")
-    (tmp_path / "empty" / "noisy").mkdir(parents=True)
-    (tmp_path / "empty" / "clean").mkdir()
-    with pytest.raises(FactoryError, match="hold no images"):
-        items_of(tmp_path / "empty", "test")
-    pages = [gray, gray // 2]
-    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
+    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), [gray, gray // 2])
     with pytest.raises(FactoryError, match=r"stack\.tif: holds several pages"):
         read_gray(tmp_path / "stack.tif")
     constant = write_images(tmp_path / "flat", {"noisy/a.png": gray, "clean/a.png": gray})
     (figures,) = measured(constant, [], tmp_path / "out").figures["noisy"].values()
-    assert figures["psnr"] == metrics.PSNR_CAP_DB
+    assert figures["psnr"] == metrics.PSNR_CAP_DB, "identical pairs have a stated rule"
     assert figures["ssim"] == pytest.approx(1)
 
 

@@ -138,13 +138,9 @@ def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> Non
         open_shown(tmp_path / "nowhere")
     with pytest.raises(FactoryError, match="a dataset is shown alone"):
         open_shown(dataset, dataset)
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.png").write_bytes(b"no picture")
+    (tmp_path / "a.png").write_bytes(b"no picture")
     with served(open_shown(tmp_path)) as url:
-        with pytest.raises(HTTPError) as caught:
-            fetched(f"{url}picture/0/0.png")
-        assert caught.value.code == 500
-        assert "a.png: not a readable picture" in caught.value.read().decode()
+        assert code(f"{url}picture/0/0.png") == 500
         with pytest.raises(FactoryError, match=r"--port \d+: cannot be used"):
             Viewer(open_shown(tmp_path), int(url.split(":")[2].split("/")[0]))
 
