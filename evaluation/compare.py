@@ -65,7 +65,7 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
         )
     groups = ["/".join(key[1:]) for key in common]
     metrics = {name: m for name, m in METRIC_NAMES.items() if name in one and name in other}
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for name, metric in metrics.items():
         first, second = (row.loc[common, name].to_numpy(float) for row in (one, other))
         result = paired(first, second, groups, better=metric.better, resamples=2000, seed=0)
@@ -74,8 +74,8 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
         known = {key: plain(value) for key, value in values.items()}
         found[name] = {**known, "wins": plain(result.wins), "count": item.count}
     judged = [name for name in found if metrics[name].better]
-    values = [found[name]["p"] for name in judged]
-    adjusted = holm([np.nan if p is None else p for p in values])
+    every = [found[name]["p"] for name in judged]
+    adjusted = holm([np.nan if p is None else p for p in every])
     for name, line in found.items():
         line["p_holm"] = plain(adjusted[judged.index(name)]) if name in judged else None
         line["verdict"] = _judged(line, metrics[name].better)

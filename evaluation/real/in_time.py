@@ -178,7 +178,7 @@ def _moving(static: Judged, rng: np.random.Generator) -> Judged:
     def cut(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.stack([plane[one] for plane, one in zip(planes, windows, strict=True)])
 
-    return Judged("moving", *map(cut, (static.frames, static.references, static.masks)))
+    return Judged("moving", cut(static.frames), cut(static.references), cut(static.masks))
 
 
 def _ghost(static: Judged, rng: np.random.Generator) -> Judged:

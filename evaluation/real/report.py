@@ -134,14 +134,9 @@ def table_of(rows: Sequence[Row]) -> pd.DataFrame:
 
 
 def _words(row: Mapping[str, Any]) -> str:
-    """The label, the parameters of each fold, and what came back unchanged."""
+    """The label, and the parameters of each fold."""
     chosen = dict.fromkeys(shown(one).strip(" ()") for one in row["parameters"] if one)
-    text = str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
-    if row["unchanged"]:
-        every = row["unchanged"] == row["measured"]
-        how = "" if every else f": {row['unchanged']} of {row['measured']}"
-        text += f" (unchanged{how})"
-    return text
+    return str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
 
 
 def _cell(row: Mapping[str, Any], name: str) -> str:

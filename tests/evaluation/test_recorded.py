@@ -22,6 +22,7 @@ def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
     assert len(one) == len(folder) == 8
     assert folder[7].name == "dive.avi#7"
     first = one[0]
+    assert first.known is not None
     sector = first.known.sector_mask(*first.read()[0].shape)
     assert first.read()[0][sector].mean() > 20 * first.read()[0][~sector].mean()
     assert one[0].known == one[7].known
@@ -31,7 +32,8 @@ def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
 def test_a_recording_says_where_range_and_bearing_are() -> None:
     found, _ = open_real(ARIS)
     assert len(found) == 6
-    assert found[0].read()[1].range_max_m == pytest.approx(23.3, abs=0.5)
+    assert found[0].known is not None
+    assert found[0].known.range_max_m == pytest.approx(23.3, abs=0.5)
     assert not np.array_equal(found[0].read()[0], found[5].read()[0])
 
 

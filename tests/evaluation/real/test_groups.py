@@ -14,13 +14,8 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.line_search import line_search
-from simnfnd.evaluation.methods import NOISY, Method
-from simnfnd.evaluation.real.groups import Group, alone, judged, nearest, parts_of
-from simnfnd.evaluation.real.judge import rows_of
-from simnfnd.evaluation.real.measure import RealPicture
-from simnfnd.evaluation.recorded import Shot, open_input
-from simnfnd.evaluation.runner import run
-from simnfnd.factory.scheduler.workers.tasks import TaskPool
+from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of
+from simnfnd.evaluation.recorded import Shot
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
 
 
@@ -115,18 +110,3 @@ def test_tuning_finds_the_best_point_without_trying_all() -> None:
     assert len(points) < len(wavelet.points()) / 2
     between, *_ = line_search(REGISTRY["gaussian"], lambda p: -abs(math.log(p["sigma_px"] / 1.2)))
     assert between["sigma_px"] == pytest.approx(1.18)
-
-
-def test_what_comes_back_as_it_was_is_called_unchanged(tmp_path: Path) -> None:
-    folder = shuffled(tmp_path / "in", {0: 2})
-    (stretch,), _ = open_input(str(folder))
-    methods = [NOISY, *(Method("gaussian", str(s), {"sigma_px": s}) for s in (0.2, 2.0))]
-    pictures = {n: RealPicture(alone(shot)) for n, shot in enumerate(stretch.shots)}
-    with TaskPool(1) as pool:
-        measured = run(
-            methods, [pictures], pool, device="cpu", timeout_s=9, keep=lambda number: number == 1
-        )
-    assert list(measured.images) == [(method.label, 1) for method in methods]
-    every = {method.label: (method,) for method in methods}
-    rows, _ = rows_of(every, measured, np.arange(2), False, resamples=100, seed=0)
-    assert [row["unchanged"] for row in rows] == [None, 2, 0]
