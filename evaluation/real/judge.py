@@ -250,13 +250,13 @@ def rows_of(
                 own[MARGINS[name]] = own[name] - by_group.loc[other][name]
         own = own.drop(columns=SECONDS).dropna(axis="columns", how="all")
         pictures = table[table["method"] == label]
-        for name, column in own.items():
+        for figure, column in own.items():
             one = estimate(column.to_numpy(float), names, resamples=resamples, seed=seed)
-            row["means"][str(name)] = plain(one.mean)
+            row["means"][str(figure)] = plain(one.mean)
             if static:
-                row["by_group"][str(name)] = [plain(value) for value in column]
+                row["by_group"][str(figure)] = [plain(value) for value in column]
                 if one.count > 1:
-                    row["intervals"][str(name)] = [one.low, one.high]
+                    row["intervals"][str(figure)] = [one.low, one.high]
         row["means"][SECONDS] = float(pictures[SECONDS].median())
         row["pictures"] = [
             {name: plain(value) for name, value in one.items()}
