@@ -143,7 +143,7 @@ def sections_of(content: Content) -> list[Section]:
     facts, rows = content["facts"], content["rows"]
     best = best_forms(rows)
     more = len(rows) - len(best)
-    note = f"Of each method its best form here; {more} more below." if more else ""
+    note = f"Of each method its best form here; {more} more in report.md." if more else ""
     said = (note, facts["few_frames"], verdict(content))
     found = [Section("Leaderboard", [tables.leaderboard(best)], said)]
     if more:
