@@ -94,14 +94,14 @@ return {middle, moved, near, whole, errors, light, dark: back(),
 
 @needs_browser
 def test_a_reader_can_sort_and_compare(report: Path, tmp_path: Path) -> None:
-    found = browser.found_on(report, SORTED, tmp_path, size=(1280, 900))
+    found = browser.found_on(report, SORTED, tmp_path)
     assert (found["complaints"], found["asked"]) == ([], []), found
     assert found["before"][-1] == "broken"
     assert found["after"][-1] == "broken", "lost rows stay last"
     assert found["order"] == "descending"
     assert found["down"] == sorted(found["down"], reverse=True)
     assert found["up"] == found["down"][::-1]
-    seen = browser.found_on(report, LOOKED_AT, tmp_path, size=(1280, 900))
+    seen = browser.found_on(report, LOOKED_AT, tmp_path)
     assert seen["complaints"] == []
     assert seen["middle"] == "inset(0px 0px 0px 50%)"
     assert seen["moved"] == "inset(0px 0px 0px 25%)"
