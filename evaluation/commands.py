@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -22,6 +22,9 @@ from ..factory.storage.copies import local_folder
 
 if TYPE_CHECKING:
     from .settings import EvaluationSettings
+
+
+S = TypeVar("S")
 
 
 def report(words: Sequence[str]) -> int:
@@ -132,10 +135,7 @@ def _tune(config: DictConfig) -> None:
 def _real(config: DictConfig) -> None:
     from .settings import RealSettings
 
-    values = _values(config)
-    if not values["real"]:
-        raise FactoryError("real: give pictures or a recording: simnfnd evaluate real IN")
-    settings: RealSettings = build(RealSettings, values)
+    settings = _checked(config, RealSettings, real="pictures or a recording")
     require(_needs("models=", settings.models))
     from .real.report import evaluate
 
@@ -145,11 +145,7 @@ def _real(config: DictConfig) -> None:
 def _realism(config: DictConfig) -> None:
     from .settings import RealismSettings
 
-    values = _values(config)
-    for key in ("real", "sim"):
-        if not values[key]:
-            raise FactoryError(f"{key}: give both folders: simnfnd evaluate realism REAL SIM")
-    settings: RealismSettings = build(RealismSettings, values)
+    settings = _checked(config, RealismSettings, real="both folders", sim="both folders")
     from .realism.report import evaluate
 
     evaluate(settings)
@@ -158,21 +154,24 @@ def _realism(config: DictConfig) -> None:
 def _fit(config: DictConfig) -> None:
     from hydra.core.global_hydra import GlobalHydra
 
-    from .calibrate.settings import FitSettings, flattened
+    from .calibrate.settings import FitSettings
 
-    values = _values(config)
-    if not values["real"]:
-        raise FactoryError("real: give a folder of real pictures: simnfnd evaluate fit REAL")
-    # A key whose default is not wanted is set to null.
-    values["parameters"] = {
-        key: value for key, value in flattened(values["parameters"]).items() if value is not None
-    }
-    settings: FitSettings = build(FitSettings, values)
+    settings = _checked(config, FitSettings, real="a folder of real pictures")
     from .calibrate.search import fit as search
 
     # The recipe is composed as `simnfnd make` would, by a Hydra of its own.
     GlobalHydra.instance().clear()
     search(settings)
+
+
+def _checked(config: DictConfig, kind: type[S], **asked: str) -> S:
+    """The settings; asked: key that must be given -> what to give."""
+    values = _values(config)
+    for key, what in asked.items():
+        if not values[key]:
+            raise FactoryError(f"{key}: give {what} (see `simnfnd evaluate --help`)")
+    settings: S = build(kind, values)
+    return settings
 
 
 def _values(config: DictConfig) -> dict[str, Any]:

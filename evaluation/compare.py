@@ -16,12 +16,12 @@ import pandas as pd
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
 from ..factory.files import check_writable
-from .metrics.statistics import Paired, holm, paired
-from .report import tables as texts
+from .metrics.statistics import holm, paired
 from .report.build import RESULTS_NAME
 from .report.document import as_json, write_files
 from .report.tables import (
     METRIC_NAMES,
+    as_markdown,
     as_table,
     interval,
     percent,
@@ -45,7 +45,7 @@ def main(words: Sequence[str]) -> int:
     if chosen.out is not None:
         check_writable(Path(chosen.out), "--out")
     result = compare(Path(chosen.a), Path(chosen.b), chosen.row_a, chosen.row_b)
-    text = as_markdown(result)
+    text = text_of(result)
     print(text)
     if chosen.out is not None:
         write_files(Path(chosen.out), {"compare.md": text + "\n", "compare.json": as_json(result)})
@@ -57,79 +57,65 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
 
     Raises FactoryError when a folder is no report, has no such row, or the pairs are not the same.
     """
-    results = read_results(a), read_results(b)
-    names = [row_a or _best(results[0]), row_b or _best(results[1])]
-    one, other = (
-        _row(table, name, folder)
-        for table, name, folder in zip(results, names, (a, b), strict=True)
-    )
+    (name_a, one), (name_b, other) = _row(a, row_a), _row(b, row_b)
     common = one.index.intersection(other.index, sort=True)
     if common.empty:
         raise FactoryError(
             f"{a} and {b}: reports on different pairs, none in common; give two on one dataset"
         )
     groups = ["/".join(key[1:]) for key in common]
-    metrics = [name for name in METRIC_NAMES if name in one and name in other]
-    found = {}
-    for name in metrics:
+    metrics = {name: m for name, m in METRIC_NAMES.items() if name in one and name in other}
+    found: dict[str, dict[str, Any]] = {}
+    for name, metric in metrics.items():
         first, second = (row.loc[common, name].to_numpy(float) for row in (one, other))
-        better = METRIC_NAMES[name].better
-        found[name] = paired(first, second, groups, better=better, resamples=2000, seed=0)
-    judged = [name for name in metrics if METRIC_NAMES[name].better]
-    adjusted = dict(zip(judged, holm([found[name].p for name in judged]), strict=True))
+        result = paired(first, second, groups, better=metric.better, resamples=2000, seed=0)
+        item = result.difference
+        values = {"difference": item.mean, "low": item.low, "high": item.high, "p": result.p}
+        known = {key: plain(value) for key, value in values.items()}
+        found[name] = {**known, "wins": plain(result.wins), "count": item.count}
+    judged = [name for name in found if metrics[name].better]
+    every = [found[name]["p"] for name in judged]
+    adjusted = holm([np.nan if p is None else p for p in every])
+    for name, line in found.items():
+        line["p_holm"] = plain(adjusted[judged.index(name)]) if name in judged else None
+        line["verdict"] = _judged(line, metrics[name].better)
     return {
-        "a": {"folder": a.name, "row": names[0]},
-        "b": {"folder": b.name, "row": names[1]},
+        "a": {"folder": a.name, "row": name_a},
+        "b": {"folder": b.name, "row": name_b},
         "pairs": len(common),
         "frames": len(set(groups)),
         "left_out": len(one.index.symmetric_difference(other.index)),
-        "metrics": {
-            name: _entry(name, found[name], adjusted.get(name, float("nan"))) for name in metrics
-        },
+        "metrics": found,
     }
 
 
-def as_markdown(result: dict[str, Any]) -> str:
-    """The comparison for people, verdict first."""
+def text_of(result: dict[str, Any]) -> str:
+    """The comparison in Markdown, verdict first."""
     a, b = (f"{result[side]['row']} ({result[side]['folder']})" for side in "ab")
     left_out = f", {result['left_out']} in one report only" if result["left_out"] else ""
     rows = []
     for name, one in result["metrics"].items():
         metric = METRIC_NAMES[name]
         digits = metric.digits + 1
-        rows.append(
-            [
-                metric.label,
-                written(one["difference"], digits, True),
-                interval(one, digits, True),
-                written_p(one["p_holm"]),
-                percent(one["wins"]) if metric.better else "-",
-                one["verdict"],
-            ]
-        )
+        figures = written(one["difference"], digits, True), interval(one, digits, True)
+        wins = percent(one["wins"]) if metric.better else "-"
+        rows.append([metric.label, *figures, written_p(one["p_holm"]), wins, one["verdict"]])
     head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
     about = f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}"
-    table = texts.as_markdown(as_table(head, rows), "lrcrrl")
-    return "\n\n".join([about, _verdict(result), table])
+    return "\n\n".join([about, _verdict(result), as_markdown(as_table(head, rows), "lrcrrl")])
 
 
-def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
-    better = METRIC_NAMES[name].better
-    item = result.difference
-    if not better or not item.count:
-        verdict = "not ranked" if item.count else "no figures"
-    elif np.isfinite(p_holm) and p_holm < _ALPHA and item.low * item.high > 0:
-        verdict = "better" if item.mean * better > 0 else "worse"
-    else:
-        verdict = "no difference shown"
-    values = {"difference": item.mean, "low": item.low, "high": item.high, "p": result.p}
-    values |= {"p_holm": p_holm, "wins": result.wins}
-    known = {key: plain(value) for key, value in values.items()}
-    return {**known, "count": item.count, "verdict": verdict}
+def _judged(line: dict[str, Any], better: int) -> str:
+    """Better only where the interval excludes zero and Holm's p is below 0.05."""
+    if not better or not line["count"]:
+        return "not ranked" if line["count"] else "no figures"
+    p = line["p_holm"]
+    if p is not None and p < _ALPHA and line["low"] * line["high"] > 0:
+        return "better" if line["difference"] * better > 0 else "worse"
+    return "no difference shown"
 
 
 def _verdict(result: dict[str, Any]) -> str:
-    """In words; better only where the interval excludes zero and Holm's p is below 0.05."""
     better, worse = (
         ", ".join(
             METRIC_NAMES[name].label.split(",")[0]
@@ -167,16 +153,15 @@ def read_results(folder: Path) -> pd.DataFrame:
     return table.fillna(dict.fromkeys(words, ""))
 
 
-def _best(results: pd.DataFrame) -> str:
-    means = results.groupby("method", sort=False)["psnr"].mean()
-    others = means.drop("noisy", errors="ignore")
-    return str((means if others.empty else others).idxmax())
-
-
-def _row(results: pd.DataFrame, name: str, folder: Path) -> pd.DataFrame:
-    """The pairs of a row, by their content and, for the bootstrap, their frame."""
+def _row(folder: Path, name: str | None) -> tuple[str, pd.DataFrame]:
+    """A row, the best by PSNR without a name: its pairs by their content and, last, their frame."""
+    results = read_results(folder)
+    if name is None:
+        means = results.groupby("method", sort=False)["psnr"].mean()
+        others = means.drop("noisy", errors="ignore")
+        name = str((means if others.empty else others).idxmax())
     found = results[results["method"] == name]
     if found.empty:
         known = ", ".join(results["method"].unique())
         raise FactoryError(f"{folder}: no row {name!r}; it has {known}")
-    return found.set_index(["pair", "location", "scene", "frame"])
+    return name, found.set_index(["pair", "location", "scene", "frame"])

@@ -7,6 +7,7 @@ differ.  `shadow/` holds masks, any value above 0 is shadow; without it shadow m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from ..models.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
 from ..models.recordings.arrays import is_table
 from ..models.recordings.pictures import in_unit_range, read_picture
 from .filters.base import Gray
+
+_GIVEN = (".png", ".npy")
 
 
 def is_folder_of_pairs(root: Path) -> bool:
@@ -72,6 +75,20 @@ def read_pair(noisy: Path) -> tuple[Gray, Gray, npt.NDArray[np.bool_] | None]:
     if shadow.shape != images[0].shape:
         raise FactoryError(f"{mask}: another size than the image that it belongs to")
     return *images, shadow
+
+
+def given_file(folder: Path, names: Sequence[str]) -> Path | None:
+    """The file of somebody's denoised picture, PNG or .npy, by the first of its names."""
+    paths = (folder.expanduser() / f"{name}{suffix}" for name in names for suffix in _GIVEN)
+    return next((path for path in paths if path.is_file()), None)
+
+
+def given_picture(folder: Path, names: Sequence[str]) -> Gray:
+    """(H, W) float32 in 0..1 of that file.  Raises FactoryError."""
+    path = given_file(folder, names)
+    if path is None:
+        raise FactoryError(f"{folder}: no picture {names[0]}.png or .npy")
+    return read_gray(path)
 
 
 def read_gray(path: Path) -> Gray:

@@ -1,8 +1,7 @@
-"""The pairs of a dataset one by one, in any process, and what other programs made of them."""
+"""The pairs of a dataset one by one, in any process."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,38 +9,24 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from ..factory.dataset.format.manifest import load_manifest
 from ..factory.dataset.read.image_stack import ImageStack
-from ..factory.dataset.read.reader import (
-    Split,
-    open_shard,
-    reading,
-    shard_paths,
-    value_range,
-)
-from ..factory.dataset.read.source import CORE
+from ..factory.dataset.read.reader import Split, open_shard, reading, value_range
+from ..factory.dataset.read.source import CORE, open_source
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
-from ..models.recordings.base import FULL_SCALE
-from ..models.recordings.pictures import in_unit_range
 from . import image_files
-from .filters import REGISTRY
 from .filters.base import Gray
 from .methods import Method
 from .metrics.fidelity import MetricError, finite_psnr
 from .metrics.measure import Figures, Picture, Scene, sector_of
 from .runner import Subject
-from .settings import PicturesFolder
 
 if TYPE_CHECKING:
     from ..factory.sonar.geometry import FanGeometry
-
-
-_GIVEN = (".png", ".npy")
 
 ROW = -1
 """Stands in a `Place` for: an image file, no shard."""
@@ -86,32 +71,19 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
             Item(f.name, (str(f), ROW), "", n, key, "", root.name, f.stem, 0)
             for n, (f, key) in files
         ][:limit]
-    manifest = load_manifest(root) if root.is_dir() else None
-    rows: list[tuple[str, Place, str, tuple[str, str, str, int]]] = []
-    for path in shard_paths(root, split):
+    source, manifest = open_source(root, split), load_manifest(root)
+    digests, counts = {}, dict.fromkeys(source.splits, 0)
+    for _, path, _ in source.shards:
         name = path.relative_to(root).as_posix()
-        digest = manifest.shards[name].sha256 if manifest is not None else sha256_of(path)
-        with open_shard(path) as file:
-            rows += [
-                (name, (str(path), row), f"{digest[:24]}:{row}", identity_of(file, row))
-                for row in range(len(file["noisy"]))
-            ]
-    if not rows:
-        raise FactoryError(f"dataset={root}: its shards hold no samples")
-    numbers: dict[str, int] = {}
+        digests[path] = name, manifest.shards[name].sha256 if manifest else sha256_of(path)
     found = []
-    for name, place, key, identity in rows:
-        part = name.split("/")[0]
-        numbers[part] = numbers.get(part, -1) + 1
-        found.append(Item(name, place, part, numbers[part], key, *identity))
+    for one in source.names():
+        name, digest = digests[one.path]
+        place, key = (str(one.path), one.row), f"{digest[:24]}:{one.row}"
+        identity = one.location, one.scene, one.frame, one.variant
+        found.append(Item(name, place, one.split, counts[one.split], key, *identity))
+        counts[one.split] += 1
     return found[:limit]
-
-
-def identity_of(file: h5py.File, index: int) -> tuple[str, str, str, int]:
-    """(location, scene, frame, variant) of a sample."""
-    row = file["meta"][index]
-    location, scene, frame = (row[key].decode() for key in ("location", "scene", "frame"))
-    return location, scene, frame, int(row["variant"])
 
 
 def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
@@ -122,16 +94,20 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
     for path in dict.fromkeys(item.place[0] for item in items if item.place[1] != ROW):
         with open_shard(Path(path)) as file:
             tables[path] = pd.DataFrame(file["meta"][:])
-    rows = [(item.place[0], item.place[1]) for item in items]
-    every = pd.concat(tables).reindex(rows) if tables else pd.DataFrame()
-    columns = {}
-    for name, column in every.items():
-        if column.dtype == object:
-            text = column.str.decode("utf-8").fillna("")
-            columns[str(name)] = text.to_numpy(str)
-        else:
-            columns[str(name)] = column.to_numpy(float)
-    return columns
+    every = pd.concat(tables).reindex([item.place for item in items]) if tables else pd.DataFrame()
+    text = every.select_dtypes(object)
+    every[text.columns] = text.apply(lambda column: column.str.decode("utf-8")).fillna("")
+    return {
+        str(name): column.to_numpy(str if name in text else float) for name, column in every.items()
+    }
+
+
+def config_hash_of(item: Item) -> str:
+    """Of the dataset that an item is of; '' for a folder of image files."""
+    if item.place[1] == ROW:
+        return ""
+    with open_shard(Path(item.place[0])) as file:
+        return str(file.attrs["config_hash"])
 
 
 def config_hash_of(item: Item) -> str:
@@ -153,19 +129,13 @@ def picture(place: Place) -> Picture:
         sector = sector_of(noisy, clean, shadow)
         return Picture(noisy, clean, shadow, sector, has_shadow=mask is not None)
     with reading(Path(path)) as file:
-        full = value_range(file)
-        noisy, clean, shadow = (ImageStack(file[key])[row] for key in CORE)
-    for name, image in (("noisy", noisy), ("clean", clean)):
-        if not np.isfinite(image).all():
-            raise FactoryError(f"{path}: sample {row}: {name} has NaN or infinite pixels")
+        scale = np.float32(value_range(file))
+        stored, truth, shadow = (ImageStack(file[key])[row] for key in CORE)
+    noisy, clean = (image.astype(np.float32) / scale for image in (stored, truth))
+    if not (np.isfinite(noisy).all() and np.isfinite(clean).all()):
+        raise FactoryError(f"{path}: sample {row} has NaN or infinite pixels")
     shadow = shadow.astype(bool)
-    scale = np.float32(full)
-    return Picture(
-        noisy.astype(np.float32) / scale,
-        clean.astype(np.float32) / scale,
-        shadow,
-        sector_of(noisy, clean, shadow),
-    )
+    return Picture(noisy, clean, shadow, sector_of(noisy, clean, shadow))
 
 
 @lru_cache(maxsize=64)
@@ -210,7 +180,12 @@ class Pair(Subject):
 
     def given(self, method: Method) -> Gray:
         """See `Subject`."""
-        return _read_given(method.given, self.item, picture(self.item.place).noisy.shape)
+        image = image_files.given_picture(Path(method.given), names_of(self.item))
+        if image.shape != (shape := self.seen().shape):
+            sizes = ["x".join(map(str, reversed(one))) for one in (image.shape, shape)]
+            name = names_of(self.item)[0]
+            raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
+        return image
 
     def measure(self, image: Gray) -> Figures:
         """All metrics; identical images count as the PSNR of `finite_psnr`."""
@@ -231,79 +206,13 @@ def _scene(item: Item) -> Scene:
     return Scene(picture(item.place))
 
 
-def given_methods(folders: Sequence[PicturesFolder], items: Sequence[Item]) -> list[Method]:
-    """A row for each folder of denoised pictures.
+def names_of(item: Item) -> list[str]:
+    """Where another program's picture may lie, without its suffix.
 
-    Raises FactoryError, one line, for a folder that lacks a picture of the split.
+    As `simnfnd export --to png` and `simnfnd denoise` name it.
     """
-    found: dict[str, Method] = {}
-    for one in folders:
-        if one.name in (*found, *REGISTRY, "noisy"):
-            raise FactoryError(f"pictures: {one.name}: another row has this name; choose another")
-        found[one.name] = Method(one.name, "", {}, given=one.dir, content=_content(one, items))
-    return list(found.values())
-
-
-def _read_given(folder: str, item: Item, shape: tuple[int, ...]) -> Gray:
-    """(H, W) float32 in 0..1, H and W as in `shape`: what the folder has of a pair.
-
-    Of .npy files whole numbers count by their full scale, floats as they are, what overshoots
-    clipped.  Raises FactoryError.
-    """
-    path = _given_file(Path(folder), item)
-    if path is None:
-        raise FactoryError(f"{folder}: no picture {_names(item)[0]}.png or .npy")
-    if path.suffix == ".npy":
-        try:
-            array = np.load(path, allow_pickle=False)
-        except (OSError, ValueError) as error:
-            raise FactoryError(f"{path}: not a readable .npy file ({error})") from error
-        if array.dtype.kind == "f":
-            low, high = float(array.min()), float(array.max())
-            if not -0.5 <= low <= high <= 1.5:
-                what = f"pixels of {low:g} .. {high:g}; floats must lie in 0..1"
-                raise FactoryError(f"{path}: {what}")
-            array = np.clip(array, 0, 1).astype(np.float32)
-        if str(array.dtype) not in FULL_SCALE:
-            raise FactoryError(f"{path}: {array.dtype} pixels; give {', '.join(FULL_SCALE)}")
-        image = in_unit_range(array, str(path))
-    else:
-        image = image_files.read_gray(path)
-    if image.shape != shape:
-        sizes = ["x".join(map(str, reversed(one))) for one in (image.shape, shape)]
-        raise FactoryError(f"{path}: {sizes[0]} pixels, but its pair has {sizes[1]}")
-    return image
-
-
-def _content(given: PicturesFolder, items: Sequence[Item]) -> str:
-    """Changes with the files of a folder of denoised pictures."""
-    folder = Path(given.dir).expanduser()
-    where = f"pictures: {given.name}: {folder}"
-    if not folder.is_dir():
-        raise FactoryError(f"{where}: no such folder")
-    files = [_given_file(folder, item) for item in items]
-    lacking = [item for item, file in zip(items, files, strict=True) if file is None]
-    if lacking:
-        raise FactoryError(
-            f"{where}: {len(lacking)} of {len(items)} pictures are missing, the first is "
-            f"{_names(lacking[0])[0]}.png (or .npy); names are those of `simnfnd export --to png` "
-            "and of `simnfnd denoise`"
-        )
-    digest = hashlib.blake2b(digest_size=12)
-    for file in filter(None, files):
-        digest.update(f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}\n".encode())
-    return digest.hexdigest()
-
-
-def _names(item: Item) -> list[str]:
-    """Where a picture may lie, without its suffix: as `export --to png` and `denoise` name it."""
     if item.place[1] == ROW:
         stem = Path(item.place[0]).stem
         return [stem, f"noisy/{stem}"]
     number = f"{item.number:06d}"
     return [f"{item.split}/noisy/{number}", f"{item.split}/{number}", f"noisy/{number}", number]
-
-
-def _given_file(folder: Path, item: Item) -> Path | None:
-    paths = (folder.expanduser() / f"{n}{suffix}" for n in _names(item) for suffix in _GIVEN)
-    return next((path for path in paths if path.is_file()), None)

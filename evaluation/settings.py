@@ -57,27 +57,33 @@ class PageSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
-class EvaluationSettings:
-    """All keys."""
+class ReportSettings:
+    """Keys that both reports on methods have."""
 
-    dataset: DatasetFolder
-    split: Literal["train", "test", "all"]
     out: str | None
     workers: Literal["auto"] | Count
-    limit: Count | None
-    shadow_threshold: Annotated[float, Field(ge=0, lt=1)]
     bootstrap: Annotated[int, Field(ge=100)]
     seed: Annotated[int, Field(ge=0)]
     image_timeout_s: Annotated[float, Field(gt=0)]
     baselines: list[str]
+    device: Literal["auto", "cpu", "gpu"]
+    debug: bool
+
+
+@dataclass(frozen=True, config=STRICT)
+class EvaluationSettings(ReportSettings):
+    """All keys of conf/evaluation.yaml."""
+
+    dataset: DatasetFolder
+    split: Literal["train", "test", "all"]
+    limit: Count | None
+    shadow_threshold: Annotated[float, Field(ge=0, lt=1)]
     models: Literal["auto"] | list[str]
     pictures: list[PicturesFolder]
     ablation: AblationSettings
-    device: Literal["auto", "cpu", "gpu"]
     texture: bool
     page: PageSettings
     tuning: TuningSettings
-    debug: bool
 
     @property
     def name(self) -> str:
@@ -97,23 +103,15 @@ class EvaluationSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
-class RealSettings:
+class RealSettings(ReportSettings):
     """All keys of conf/real.yaml."""
 
     real: Annotated[str, Field(min_length=1)]
-    baselines: list[str]
     models: list[str]
     groups: bool
     limit: Annotated[int, Field(ge=4)] | None
     in_time: Annotated[int, Field(ge=0)]
     examples: Annotated[int, Field(ge=0)]
-    workers: Literal["auto"] | Count
-    device: Literal["auto", "cpu", "gpu"]
-    image_timeout_s: Annotated[float, Field(gt=0)]
-    seed: Annotated[int, Field(ge=0)]
-    bootstrap: Annotated[int, Field(ge=100)]
-    out: str | None
-    debug: bool
 
     @property
     def name(self) -> str:

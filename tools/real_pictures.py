@@ -16,7 +16,7 @@ import numpy as np
 
 from simnfnd.evaluation.filters.base import Gray
 from simnfnd.evaluation.real.groups import judged, search
-from simnfnd.evaluation.real.shots import open_input
+from simnfnd.evaluation.recorded import open_input
 from simnfnd.models.denoise.denoiser import load_denoiser
 
 OUT = Path("docs/images/real.png")

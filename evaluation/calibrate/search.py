@@ -18,7 +18,7 @@ from ...factory.files import explain_os_errors
 from ...factory.progress import progress_bar
 from ...factory.seeds import spawn_key
 from ..realism.compare import described, distances
-from ..realism.pictures import open_real
+from ..realism.pictures import real_pictures
 from ..report.document import write_files
 from .settings import FitSettings, Parameter
 from .simulate import Simulation
@@ -45,7 +45,7 @@ def fit(settings: FitSettings) -> dict[str, Any]:
     simulation = Simulation(settings.recipe, settings.frames, settings.grid)
     for key, parameter in settings.parameters.items():
         simulation.configured({key: _middle(parameter)})  # a bad key or limit ends the run here
-    real = described(open_real(settings.real), settings.grid)
+    real = described(real_pictures(settings.real), settings.grid)
     study = _study(settings)
 
     def apart(values: Mapping[str, Any]) -> float:

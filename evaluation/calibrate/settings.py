@@ -7,7 +7,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
 from ...factory.settings import STRICT
@@ -75,6 +75,12 @@ class FitSettings:
     seed: Annotated[int, Field(ge=0)] = 0
     out: str | None = None
     debug: bool = False
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _flat(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        """Without the keys that are set to null."""
+        return {key: value for key, value in flattened(tree).items() if value is not None}
 
     @model_validator(mode="after")
     def _searchable(self) -> Self:

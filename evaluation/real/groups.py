@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from ...factory.errors import FrameError
 from ...factory.sonar.geometry import FanGeometry
@@ -15,10 +17,12 @@ from ...models.recordings.fan.finder import find_geometry
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
 from ..filters.base import Gray
 from ..metrics.statistics import evenly
-from .shots import Mask, Shot, Stretch, sector_of
+from ..recorded import Shot, Stretch, outline
 
 LEAST = 6
 """Frames of a group: with fewer the reference is hardly cleaner than the frames."""
+MOST = 600
+"""Frames of a folder or recording that are used, the first ones."""
 MOST_OTHERS = 24
 """Frames that make a reference, those nearest in time: more would not be told from its mean."""
 
@@ -29,6 +33,9 @@ MOST_FRAMES = 16
 
 _MARGIN_PX = 2.0  # of the sector that does not count, beside what the scene moves
 _LEAST_STILL = 0.25  # share of the sector that must stand still
+
+
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +179,17 @@ def alone(shot: Shot) -> Judged:
     noisy, geometry = shot.read()
     geometry = geometry or find_geometry(noisy)
     return Judged(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
+
+
+def sector_of(picture: Gray, geometry: FanGeometry | None) -> Mask:
+    """(H, W) bool: the sector; where no geometry is known what lies within the lit outline."""
+    return outline(picture) if geometry is None else _sector(geometry, picture.shape)
+
+
+@lru_cache(maxsize=4)
+def _sector(geometry: FanGeometry, shape: tuple[int, int]) -> Mask:
+    """The frames of a recording have one sector."""
+    return geometry.sector_mask(*shape)
 
 
 def nearest(count: int, place: int, most: int) -> list[int]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -27,6 +27,7 @@ from ...models.denoise.temporal.stream import InTime, Network, Shot
 from ..filters import REGISTRY
 from ..methods import Method, network
 from ..metrics.fidelity import psnr, ssim_map
+from ..metrics.measure import Levels, fit_levels
 from ..settings import RealSettings
 from .groups import Group, nearest
 
@@ -41,10 +42,8 @@ AWAY, FAR = 3, 15
 LEAST_FRAMES = 12
 WEIGHTS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
 """Of the total variation that is tuned."""
-ROWS = ("one frame", "fused", "fused and denoised", "mean of 7", "mean of 7, tuned TV")
 
-_OF_NETWORK = ("one frame", "fused and denoised")
-"""Of `ROWS`, those that the network makes; the others are there once."""
+_OF_NETWORK = ("one frame", "fused and denoised")  # the other rows are there once
 _LIMIT_S = 3600.0  # for a recording and a network
 
 _LIT = 8 / 255
@@ -76,11 +75,8 @@ class Judged:
     def score(self, number: int, made: Gray) -> dict[str, float]:
         """PSNR (dB) and SSIM of a frame that was made, where its mask is."""
         mask, truth = self.masks[number], self.references[number]
-        if self.levels:
-            spread = made[mask] - made[mask].mean()
-            gain = float(spread @ truth[mask]) / max(float(spread @ spread), 1e-12)
-            made = gain * (made - made[mask].mean()) + truth[mask].mean()
-        made = np.clip(made, 0, 1).astype(np.float32)
+        levels = fit_levels([(made[mask], truth[mask])]) if self.levels else Levels(1, 0)
+        made = levels(made)
         return {
             "psnr_db": psnr(truth, made, data_range=1, mask=mask),
             "ssim": float(ssim_map(truth, made, data_range=1)[mask].mean()),
@@ -110,14 +106,13 @@ def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callab
         window = judged.frames[max(0, number - AWAY) : number + AWAY + 1]
         return np.asarray(window.mean(axis=0), np.float32)
 
-    rows: tuple[Callable[[int], Gray], ...] = (
-        lambda number: network(judged.frames[number], None),
-        lambda number: fused[number],
-        lambda number: denoised[number],
-        mean,
-        lambda number: variation_of(mean(number), weight),
-    )
-    return dict(zip(ROWS, rows, strict=True))
+    return {
+        "one frame": lambda number: network(judged.frames[number], None),
+        "fused": lambda number: fused[number],
+        "fused and denoised": lambda number: denoised[number],
+        "mean of 7": mean,
+        "mean of 7, tuned TV": lambda number: variation_of(mean(number), weight),
+    }
 
 
 def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
@@ -180,15 +175,10 @@ def _moving(static: Judged, rng: np.random.Generator) -> Judged:
         speed = np.where((place + speed < 0) | (place + speed > room), -speed, speed)
         place = np.clip(place + speed, 0, room)
 
-    def cut(planes: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def cut(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.stack([plane[one] for plane, one in zip(planes, windows, strict=True)])
 
-    return Judged(
-        "moving",
-        np.asarray(cut(static.frames), np.float32),
-        np.asarray(cut(static.references), np.float32),
-        np.asarray(cut(static.masks), bool),
-    )
+    return Judged("moving", cut(static.frames), cut(static.references), cut(static.masks))
 
 
 def _ghost(static: Judged, rng: np.random.Generator) -> Judged:

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,13 +17,13 @@ from .. import tuning
 from ..filters.base import Baseline, Parameters
 from ..methods import NOISY, Method, baselines_of, networks_at
 from ..metrics.statistics import estimate, evenly
+from ..recorded import Shot, Stretch
 from ..report.tables import plain
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import RealSettings
 from .groups import LEAST, Group, Judged, Part, Searched, alone, judged, parts_of, search
 from .in_time import judged_in_time
 from .measure import RealPicture
-from .shots import Shot, Stretch
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -219,8 +219,7 @@ def rows_of(
     lost.  member: (N,) group of each judged picture.  static: whether these are scenes at rest.
     means, intervals: figure -> mean over the groups and its 95 % interval, which there is of two
     static groups at least; seconds are the median over the pictures, because the first loads and
-    compiles.  by_group: figure -> mean of each group.  unchanged: how many pictures came back as
-    they were.
+    compiles.  by_group: figure -> mean of each group.
     """
     table = measured.table().replace([np.inf, -np.inf], np.nan)
     table["group"] = member[table["picture"].to_numpy(int)]
@@ -240,29 +239,25 @@ def rows_of(
             "network": bool(folds) and folds[0].kind == "network",
             "parameters": [method.parameters for method in folds],
             "lost": measured.lost.get(label),
-            **{"unchanged": None, "measured": 0, "means": {}, "intervals": {}, "by_group": {}},
-            "pictures": [],
+            **{"means": {}, "intervals": {}, "by_group": {}, "pictures": []},
         }
         rows.append(row)
         if label not in kinds:
             continue
-        own = by_group.xs(label).reindex(range(count))
+        own = cast("pd.DataFrame", by_group.loc[label]).reindex(range(count))
         for name, other in best.items():
             if label != other:
-                own[MARGINS[name]] = own[name] - by_group[name].xs(other)
+                own[MARGINS[name]] = own[name] - by_group.loc[other][name]
         own = own.drop(columns=SECONDS).dropna(axis="columns", how="all")
         pictures = table[table["method"] == label]
-        for name in own:
-            one = estimate(own[name].to_numpy(float), names, resamples=resamples, seed=seed)
-            row["means"][name] = plain(one.mean)
+        for figure, column in own.items():
+            one = estimate(column.to_numpy(float), names, resamples=resamples, seed=seed)
+            row["means"][str(figure)] = plain(one.mean)
             if static:
-                row["by_group"][name] = [plain(value) for value in own[name]]
+                row["by_group"][str(figure)] = [plain(value) for value in column]
                 if one.count > 1:
-                    row["intervals"][name] = [one.low, one.high]
+                    row["intervals"][str(figure)] = [one.low, one.high]
         row["means"][SECONDS] = float(pictures[SECONDS].median())
-        row["measured"] = len(pictures)
-        if kinds[label] != "noisy":
-            row["unchanged"] = int((pictures["unchanged"] > 0).sum())
         row["pictures"] = [
             {name: plain(value) for name, value in one.items()}
             for _, one in sorted(measured.figures[label].items())

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
 Mask = npt.NDArray[np.bool_]
 
-UNCHANGED = 0.5 / 255
-"""A picture that differs nowhere by more is the same in 8 bits."""
-
 _CALM = 15  # of the median that decides what is dark, pixels
 _DARKEST, _BRIGHTER = 0.1, 0.5  # shares of the sector
 
@@ -100,23 +97,19 @@ class RealPicture(Subject):
     def measure(self, image: Gray) -> Figures:
         """Nearness to the reference after one gain and offset, and the figures without a truth."""
         judged = self.judged
-        figures: Figures = {"unchanged": float(np.abs(image - judged.noisy).max() < UNCHANGED)}
-        if judged.reference is not None:
-            psnr_db, similarity = score(image, judged.reference, judged.where)
-            figures |= {
-                "psnr_db": psnr_db,
-                "ssim": similarity,
-                "gain_db": psnr_db - self._before[0],
-                "gain_ssim": similarity - self._before[1],
-            }
-        return figures | figures_of(image, self._scene)
+        figures = figures_of(image, self._scene)
+        if judged.reference is None:
+            return figures
+        psnr_db, similarity = score(image, judged.reference, judged.where)
+        near = {"psnr_db": psnr_db, "ssim": similarity, "gain_db": psnr_db - self._before_db}
+        return near | figures
 
     @cached_property
     def _scene(self) -> Scene:
         return scene_of(self.judged.noisy, self.judged.where, str(self.judged.shot.path))
 
     @cached_property
-    def _before(self) -> tuple[float, float]:
-        """How near the picture is to its reference as it is."""
+    def _before_db(self) -> float:
+        """PSNR of the picture as it is."""
         assert self.judged.reference is not None
-        return score(self.judged.noisy, self.judged.reference, self.judged.where)
+        return score(self.judged.noisy, self.judged.reference, self.judged.where)[0]

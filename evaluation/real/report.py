@@ -10,14 +10,14 @@ from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
 from ...models.recordings.fan.pings import close_last
 from ..methods import shown
+from ..recorded import frame_of, open_input
 from ..report.document import Example, Section, write_report
 from ..report.tables import Metric, as_markdown, as_table, interval, written
 from ..runner import SECONDS
 from ..settings import RealSettings
-from .groups import MOST_OTHERS
+from .groups import MOST, MOST_OTHERS
 from .in_time import wide
 from .judge import MARGINS, TUNED, Outcome, Row, judge
-from .shots import frame_of, open_input
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,35 +40,30 @@ _WITH_INTERVAL = {"psnr_db", "ssim", *MARGINS.values()}
 
 TRUTH = (
     f"The truth of a frame is the mean of the other frames of its group (of the {MOST_OTHERS} "
-    "nearest in time), registered below a pixel. What changes in time is gone from it; speckle "
-    "that stands still is not, so a perfect despeckler is capped. PSNR and SSIM are taken inside "
-    "the sector, without its rim and what moves, after one gain and offset a picture. Gain is "
-    "against the picture as it is.",
-    "Means are over groups, of each group the mean over its frames; brackets hold 95 % bootstrap "
-    "intervals that draw groups. Filters are tuned for this PSNR on every other group and judged "
-    "on the others, and the other way round; both sets of parameters are shown. The best filter "
-    "is the one with the best mean here, of PSNR and of SSIM each. CPU s: the median.",
+    "nearest in time), registered below a pixel; speckle that stands still stays in it, so a "
+    "perfect despeckler is capped. PSNR and SSIM: inside the sector, without its rim and what "
+    "moves, after one gain and offset a picture. Gain: against the picture as it is.",
+    "Means are over groups; brackets hold 95 % bootstrap intervals that draw groups. Filters are "
+    "tuned for this PSNR on every other group and judged on the others, and the other way round. "
+    "The best filter has the best mean here, of PSNR and of SSIM each. CPU s: the median.",
 )
 IN_TIME = (
     "A method may use the three frames before and after each; the reference is the mean of frames "
-    "further away. static: the frames as they are; moving: a window that travels by whole "
-    "pixels; ghost: over them a bright speckled thing, judged where it is. Mean of 7 is that of "
-    "the whole window without alignment. Means over recordings."
+    "further away. static: the frames as they are; moving: a window that travels by whole pixels; "
+    "ghost: over them a bright speckled object, judged where it is. Means over recordings."
 )
 RULES = (
-    "Of the figures without a truth none alone says that one method is better than another: blur "
-    "alone raises ENL and CNR, and doing nothing keeps all edges. Read them together, and look at "
-    "the pictures.",
-    "Even zones are the tenth of all 16x16 blocks of the picture as it is with the least std / "
-    "mean; dark ground is the darkest tenth and bright ground the brighter half of the sector by "
-    "its 15-pixel median. They are the same for all methods.",
-    "Edges kept and ratio mean are against the picture as it is, noise and all: 1 means unchanged.",
+    "None of the figures without a truth alone says that one method is better than another: blur "
+    "raises ENL and CNR, and doing nothing keeps all edges. Zones and grounds are chosen on the "
+    "picture as it is: even zones, the tenth of all 16x16 blocks with the least std / mean; dark "
+    "ground, the darkest tenth of the sector by its 15-pixel median; bright ground, its brighter "
+    "half. Edges kept and ratio mean are against the picture as it is: 1 means unchanged.",
 )
 
 
 def evaluate(settings: RealSettings) -> None:
     """Measure, print the table and write the report.  Raises FactoryError."""
-    stretches, notes = open_input(settings.real)
+    stretches, notes = open_input(settings.real, MOST)
     check_writable(settings.folder, "out")
     with TaskPool(settings.workers) as pool:
         outcome = judge(settings, stretches, pool)
@@ -139,14 +134,9 @@ def table_of(rows: Sequence[Row]) -> pd.DataFrame:
 
 
 def _words(row: Mapping[str, Any]) -> str:
-    """The label, the parameters of each fold, and what came back unchanged."""
+    """The label, and the parameters of each fold."""
     chosen = dict.fromkeys(shown(one).strip(" ()") for one in row["parameters"] if one)
-    text = str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
-    if row["unchanged"]:
-        every = row["unchanged"] == row["measured"]
-        how = "" if every else f": {row['unchanged']} of {row['measured']}"
-        text += f" (unchanged{how})"
-    return text
+    return str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
 
 
 def _cell(row: Mapping[str, Any], name: str) -> str:

@@ -36,11 +36,8 @@ def described(collection: Collection, grid: Grid) -> pd.DataFrame:
     """(pictures x features) of a collection.  Raises FactoryError when a picture is unreadable."""
     import pandas as pd
 
-    found, sources = [], collection.sources
-    with progress_bar(total=len(sources), desc=collection.name, unit="picture") as bar:
-        for one in sources:
-            found.append(features_of(one.polar(grid), one.geometry.range_span_m))
-            bar.update()
+    sources = progress_bar(collection.sources, desc=collection.name, unit="picture")
+    found = [features_of(one.polar(grid), one.geometry.range_span_m) for one in sources]
     return pd.DataFrame(found)
 
 

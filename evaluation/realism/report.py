@@ -5,19 +5,20 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+from ..recorded import GEOMETRY_FILE
 from ..report.document import Example, Section, write_report
 from ..report.tables import as_markdown, as_table, plain, written
 from ..settings import RealismSettings
 from .compare import REAL, RESAMPLES, described, distances
 from .features import FEATURES
-from .pictures import Collection, has_geometry, open_dataset, open_real
+from .pictures import Collection, open_dataset, real_pictures
 
 _EXAMPLES = 8
 
 
 def evaluate(settings: RealismSettings) -> None:
     """Measure, compare, print the table and write the report.  Raises FactoryError."""
-    real = open_real(settings.real).at_most(settings.limit)
+    real = real_pictures(settings.real).at_most(settings.limit)
     collections = {REAL: real, **_simulations(settings)}
     measured = {name: described(one, settings.grid) for name, one in collections.items()}
     table, overall = distances(measured.pop(REAL), measured, settings.seed)
@@ -74,8 +75,8 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
     found: dict[str, Collection] = {}
     for folder in settings.sim:
         path = Path(folder).expanduser()
-        if has_geometry(path):
-            opened = open_real(path)
+        if (path / GEOMETRY_FILE).is_file():
+            opened = real_pictures(path)
         else:
             opened = open_dataset(path, settings.sim_split, settings.layer)
         name, number = opened.name, 2

@@ -54,11 +54,11 @@ def _bins(values: pd.Series[Any]) -> pd.Series[Any]:
     if not pd.api.types.is_numeric_dtype(values):
         most = values.value_counts().index[:_MOST_PLACES]
         return values.where(values.isin(most)).replace("", "off")
-    count = int(np.clip(values.count() // _PAIRS_A_BIN, 2, _BINS))
     if values.nunique() <= _BINS:
-        cut = values.map("{:.3g}".format, na_action="ignore")
-        names = dict.fromkeys(cut[values.sort_values().index].dropna())
-        return cut.astype(pd.CategoricalDtype(["off", *names])).fillna("off")
-    cut = pd.qcut(values, count, duplicates="drop")
-    cut = cut.cat.rename_categories(lambda one: f"{one.left:.3g} .. {one.right:.3g}")
-    return cut.cat.set_categories(["off", *cut.cat.categories]).fillna("off")
+        names = dict.fromkeys(f"{one:.3g}" for one in sorted(values.dropna().unique()))
+        cut = pd.Categorical(values.map("{:.3g}".format, na_action="ignore"), list(names))
+    else:
+        count = int(np.clip(values.count() // _PAIRS_A_BIN, 2, _BINS))
+        cut = pd.qcut(values, count, duplicates="drop").array
+        cut = cut.rename_categories(lambda one: f"{one.left:.3g} .. {one.right:.3g}")
+    return pd.Series(cut.set_categories(["off", *cut.categories]), values.index).fillna("off")

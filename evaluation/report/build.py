@@ -15,8 +15,16 @@ from ...factory.files import check_writable, write_atomically
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskPool
 from .. import tuning
-from ..methods import NOISY, Method, baselines_of, costs_of, methods_of, networks_of
-from ..pairs import Item, Pair, config_hash_of, drawn_of, given_methods, items_of, picture
+from ..methods import (
+    NOISY,
+    Method,
+    baselines_of,
+    costs_of,
+    given_methods,
+    methods_of,
+    networks_of,
+)
+from ..pairs import Item, Pair, config_hash_of, drawn_of, items_of, names_of, picture
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import EvaluationSettings
 from ..store import FigureStore
@@ -42,7 +50,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     baselines = baselines_of(settings.baselines)
     networks = networks_of(settings)
     items = items_of(Path(settings.dataset.dir), settings.split, settings.limit)
-    given = given_methods(settings.pictures, items)
+    given = given_methods(settings.pictures, [names_of(item) for item in items])
     check_writable(out, "out")
     with TaskPool(settings.workers) as pool, contextlib.closing(FigureStore(out)) as store:
         if settings.tuning.auto and baselines:
@@ -135,7 +143,7 @@ def sections_of(content: Content) -> list[Section]:
     facts, rows = content["facts"], content["rows"]
     best = best_forms(rows)
     more = len(rows) - len(best)
-    note = f"Of each method its best form here; {more} more below." if more else ""
+    note = f"Of each method its best form here; {more} more in report.md." if more else ""
     said = (note, facts["few_frames"], verdict(content))
     found = [Section("Leaderboard", [tables.leaderboard(best)], said)]
     if more:

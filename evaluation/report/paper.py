@@ -59,37 +59,36 @@ def ordering(table: Sequence[Content], name: str = "Table 2", digits: int = 2) -
     """
     lines, compared, equal = [], 0, 0
     step = 10**-digits - 1e-9
-    for metric in TABLE_METRICS:
-        known = [row for row in table if row["ours"] is not None]
-        for one, other in itertools.combinations(known, 2):
-            there = _BETTER[metric] * (one["paper"][metric] - other["paper"][metric])
-            if abs(there) < step:
-                continue
-            compared += 1
-            here = _BETTER[metric] * (one["ours"][metric] - other["ours"][metric])
-            if abs(here) < step:
-                equal += 1
-            elif there * here < 0:
-                better, worse = (one, other) if there > 0 else (other, one)
-                places = 2 if metric == "psnr" else 3
-                lines.append(
-                    f"{metric.upper()}: the paper has {better['title']} before {worse['title']} "
-                    f"({better['paper'][metric]:.{digits}f}, {worse['paper'][metric]:.{digits}f}), "
-                    f"here it is the other way ({better['ours'][metric]:.{places}f}, "
-                    f"{worse['ours'][metric]:.{places}f})"
-                )
+    known = [row for row in table if row["ours"] is not None]
+    for metric, pair in itertools.product(TABLE_METRICS, itertools.combinations(known, 2)):
+        # The one that is better in the paper comes first.
+        first, second = sorted(pair, key=lambda row: -_BETTER[metric] * row["paper"][metric])
+        there, here = (
+            _BETTER[metric] * (first[side][metric] - second[side][metric])
+            for side in ("paper", "ours")
+        )
+        if there < step:
+            continue
+        compared += 1
+        if abs(here) < step:
+            equal += 1
+        elif here < 0:
+            papers, ours = (
+                ", ".join(f"{row[side][metric]:.{digits}f}" for row in (first, second))
+                for side in ("paper", "ours")
+            )
+            lines.append(
+                f"{metric.upper()}: the paper has {first['title']} before {second['title']} "
+                f"({papers}), here it is the other way ({ours})"
+            )
     if not compared:
         return [f"{name}: too few rows to compare their order with the paper's."]
-    head = (
+    return [
         f"{name}: of {compared} ordered pairs of rows in three metrics, "
-        f"{compared - equal - len(lines)} are in the paper's order"
-    )
-    if equal:
-        head += f", {equal} are equal here (within {10**-digits:g})"
-    if lines:
-        head += f", {len(lines)} are the other way"
-    head += "."
-    return [head, *lines]
+        f"{compared - equal - len(lines)} are in the paper's order, {equal} are equal here "
+        f"(within {10**-digits:g}), {len(lines)} are the other way.",
+        *lines,
+    ]
 
 
 def _line(title: str, paper: tuple[float, float, float], row: Content | None) -> dict[str, Any]:
@@ -105,14 +104,9 @@ def _line(title: str, paper: tuple[float, float, float], row: Content | None) ->
 
 
 def _baseline(rows: Sequence[Content], name: str) -> Content | None:
-    return next(
-        (
-            row
-            for row in rows
-            if row["name"] == name and not row["form"] and row["kind"] in ("noisy", "baseline")
-        ),
-        None,
-    )
+    kinds = ("noisy", "baseline")
+    found = [row for row in rows if row["name"] == name and row["kind"] in kinds]
+    return next((row for row in found if not row["form"]), None)
 
 
 def _ablation(rows: Sequence[Content], name: str) -> Content | None:

@@ -111,11 +111,17 @@ def test_tuned_results_are_kept_until_something_changes(
     assert content["median"] == json.loads(before)["baselines"]["median"], "same bytes again"
 
 
-def test_tuning_never_opens_the_test_split(tmp_path: Path) -> None:
+def test_the_tune_command_never_opens_the_test_split(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     dataset = write_dataset(tmp_path / "data", train=16, test=4, size=48)
     for path in (dataset / "test").glob("*.h5"):
         path.write_bytes(b"nothing to read here")
-    tune(dataset, tmp_path / "t.json", "median")
+    words = (f"dataset={dataset}", "baselines=[median]", f"tuning.file={tmp_path / 't.json'}")
+    monkeypatch.setattr(sys, "argv", ["evaluation"])
+    assert main(["evaluate", "tune", *words, "tuning.pairs=2", "workers=1"]) == 0
+    assert "median: " in capsys.readouterr().out
+    assert (tmp_path / "t.json").is_file()
 
 
 def test_a_method_that_crashes_loses_its_row_alone(
@@ -173,46 +179,24 @@ def test_tuning_in_processes_writes_the_same_bytes(dataset: Path, tmp_path: Path
     assert (tmp_path / "1.json").read_bytes() == (tmp_path / "2.json").read_bytes()
 
 
-def test_the_tune_command(
-    dataset: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_bad_settings_are_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    words = ("baselines=[median,gaussian]", f"tuning.file={tmp_path / 't.json'}")
-    monkeypatch.setattr(sys, "argv", ["evaluation"])
-    given = [f"dataset={dataset}", *words, "tuning.pairs=2", "workers=1"]
-    assert main(["evaluate", "tune", *given]) == 0
-    assert "gaussian: " in capsys.readouterr().out
-    assert (tmp_path / "t.json").is_file()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+    monkeypatch.chdir(tmp_path)
+    for arguments, words in (
         (("tune",), "dataset: give the folder"),
         (("dataset=nowhere",), "no such folder"),
         (("dataset=nowhere", "speed=1"), "speed: no such key; did you mean seed?"),
-        (("dataset=nowhere", "workers=0"), "workers: "),
         (("dataset=nowhere", "split=valid"), "split: Input should be 'train', 'test' or 'all'"),
         (("baselines=[wiener]", "dataset=."), "baselines: no 'wiener'"),
         (("models=[nothing]", "dataset=."), "models: weights=nothing: no such file"),
         (("tune", "dataset=.", "tuning.pairs=0"), "tuning.pairs: "),
-    ],
-)
-def test_bad_settings_are_one_line(
-    arguments: tuple[str, ...],
-    words: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["evaluation"])
-    assert main(["evaluate", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
+    ):
+        monkeypatch.setattr(sys, "argv", ["evaluation"])
+        assert main(["evaluate", *arguments]) == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 

@@ -14,13 +14,8 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.line_search import line_search
-from simnfnd.evaluation.methods import NOISY, Method
-from simnfnd.evaluation.real.groups import Group, alone, judged, nearest, parts_of
-from simnfnd.evaluation.real.judge import rows_of
-from simnfnd.evaluation.real.measure import RealPicture
-from simnfnd.evaluation.real.shots import Shot, open_input
-from simnfnd.evaluation.runner import run
-from simnfnd.factory.scheduler.workers.tasks import TaskPool
+from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of
+from simnfnd.evaluation.recorded import Shot
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
 
 
@@ -81,25 +76,6 @@ def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -
     assert rows["noisy"]["intervals"] == {}
 
 
-def test_without_a_static_group_the_figures_without_truth_stay(tmp_path: Path) -> None:
-    folder = shuffled(tmp_path / "in", {0: 2, 1: 2})
-    content = real(tmp_path / "out", str(folder), "baselines=[gaussian]")
-    assert content["groups"] == []
-    assert any(note.startswith("no static group was found") for note in content["notes"])
-    noisy, blurred = content["rows"]
-    assert blurred["label"] == "gaussian"
-    assert "psnr_db" not in blurred["means"]
-    assert blurred["means"]["enl"] > 2 * noisy["means"]["enl"]
-    assert "no static group" in (tmp_path / "out" / "real.html").read_text(encoding="utf-8")
-
-
-def test_a_group_needs_some_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = shuffled(tmp_path / "in", {0: 6})
-    words = (str(folder), "limit=3", "workers=1", f"out={tmp_path / 'out'}", "baselines=[median]")
-    assert main(["evaluate", "real", *words]) == 2
-    assert "limit: Input should be greater than or equal to 4" in capsys.readouterr().err
-
-
 def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
     values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
     (one,) = judged(0, group(tmp_path, values), [1])
@@ -134,18 +110,3 @@ def test_tuning_finds_the_best_point_without_trying_all() -> None:
     assert len(points) < len(wavelet.points()) / 2
     between, *_ = line_search(REGISTRY["gaussian"], lambda p: -abs(math.log(p["sigma_px"] / 1.2)))
     assert between["sigma_px"] == pytest.approx(1.18)
-
-
-def test_what_comes_back_as_it_was_is_called_unchanged(tmp_path: Path) -> None:
-    folder = shuffled(tmp_path / "in", {0: 2})
-    (stretch,), _ = open_input(str(folder))
-    methods = [NOISY, *(Method("gaussian", str(s), {"sigma_px": s}) for s in (0.2, 2.0))]
-    pictures = {n: RealPicture(alone(shot)) for n, shot in enumerate(stretch.shots)}
-    with TaskPool(1) as pool:
-        measured = run(
-            methods, [pictures], pool, device="cpu", timeout_s=9, keep=lambda number: number == 1
-        )
-    assert list(measured.images) == [(method.label, 1) for method in methods]
-    every = {method.label: (method,) for method in methods}
-    rows, _ = rows_of(every, measured, np.arange(2), False, resamples=100, seed=0)
-    assert [row["unchanged"] for row in rows] == [None, 2, 0]

@@ -14,9 +14,9 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
+from simnfnd.evaluation.real.groups import sector_of
 from simnfnd.evaluation.real.measure import Scene, figures_of, scene_of
-from simnfnd.evaluation.real.shots import Shot, open_input, sector_of
-from simnfnd.evaluation.realism.pictures import MDD_GEOMETRIES, MDD_SHAPE
+from simnfnd.evaluation.recorded import MDD_GEOMETRIES, MDD_SHAPE, Shot, open_input
 from tests.evaluation.filters.scenes import BROKEN
 
 Array = npt.NDArray[Any]
@@ -109,36 +109,21 @@ def test_the_report_of_a_folder_without_static_groups(
     assert "| broken" in (out / "real.md").read_text(encoding="utf-8")
 
 
-def test_any_gray_pictures_will_do(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    for number, shape in enumerate(((64, 80), (70, 50), (64, 64))):
-        save(tmp_path / "in" / f"{number}.png", 0.5 * rng.gamma(6, 1 / 6, shape))
-    out = tmp_path / "out"
-    assert real(str(tmp_path / "in"), f"out={out}", "baselines=[median]", "limit=4") == 0
-    content = json.loads((out / "real.json").read_text(encoding="utf-8"))
-    assert content["files"] == ["0.png", "1.png", "2.png"]
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ((), "real: give pictures or a recording"),
-        (("{root}/none",), "no such folder or recording"),
-        (("{root}/empty",), "holds no pictures and no recordings"),
-        (("{root}/black",), "0.png: black, or smaller than 16 pixels"),
-        (("{root}/plain", "in_time=-1"), "in_time"),
-        (("{root}/plain", "baselines=[wiener]"), "baselines: no 'wiener'"),
-        (("{root}/plain", "models=[{root}/none]"), "models: "),
-    ],
-)
-def test_bad_input_is_one_line(
-    words: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
     save(tmp_path / "black" / "0.png", np.zeros((40, 40)))
     save(tmp_path / "plain" / "0.png", np.full((40, 40), 0.5))
-    filled = [word.format(root=tmp_path) for word in words]
-    assert real(*filled, f"out={tmp_path / 'out'}") == 2
-    error = capsys.readouterr().err
-    assert told.format(root=tmp_path) in error
-    assert "Traceback" not in error
+    plain = str(tmp_path / "plain")
+    for words, told in (
+        ((), "real: give pictures or a recording"),
+        ((str(tmp_path / "none"),), "no such folder or recording"),
+        ((str(tmp_path / "empty"),), "holds no pictures and no recordings"),
+        ((str(tmp_path / "black"),), "0.png: black, or smaller than 16 pixels"),
+        ((plain, "limit=3"), "limit: Input should be greater than or equal to 4"),
+        ((plain, "baselines=[wiener]"), "baselines: no 'wiener'"),
+        ((plain, f"models=[{tmp_path / 'none'}]"), "models: "),
+    ):
+        assert real(*words, f"out={tmp_path / 'out'}") == 2
+        error = capsys.readouterr().err
+        assert told in error
+        assert "Traceback" not in error

@@ -89,13 +89,6 @@ def test_the_mean_of_the_others_rewards_denoising_and_not_blurring() -> None:
     assert clean > blurred + 3
 
 
-def test_brightness_and_contrast_do_not_count() -> None:
-    rng = np.random.default_rng(5)
-    one = frame(scene(0), (0.0, 0.0), rng, 0.0)
-    assert score(0.5 * one + 0.1, one, SECTOR)[0] > 60
-    assert score(0.5 * one + 0.1, one, SECTOR)[1] > 0.999
-
-
 def test_what_moves_is_found() -> None:
     rng = np.random.default_rng(6)
     frames = []

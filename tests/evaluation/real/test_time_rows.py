@@ -13,7 +13,7 @@ import pytest
 from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.real import in_time
 from simnfnd.evaluation.real.groups import Group
-from simnfnd.evaluation.real.shots import Shot
+from simnfnd.evaluation.recorded import Shot
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.real.static_scenes import SHAPE, frames
 

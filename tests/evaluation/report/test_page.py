@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -42,10 +44,6 @@ def test_it_is_one_file_that_asks_nobody(report: Path) -> None:
 
 
 def test_pictures_inside_are_lossless() -> None:
-    import base64
-
-    import cv2
-
     image = np.linspace(0, 1, 256, dtype=np.float32).reshape(16, 16)
     head, content = as_data_uri(image).split(",", 1)
     assert head == "data:image/png;base64"
@@ -92,27 +90,18 @@ const light = back(); at("#theme").click();
 return {middle, moved, near, whole, errors, light, dark: back(),
         tags: [at(".tag.before").textContent, at(".tag.after").textContent]};
 """
-ON_A_PHONE = """
-await wait(50);
-const second = at(".board td:nth-child(2)");
-return {
-  width: page.document.documentElement.scrollWidth,
-  tables: [...page.document.querySelectorAll("table.board")].map((one) => one.scrollWidth),
-  label: page.getComputedStyle(second, "::before").content,
-};
-"""
 
 
 @needs_browser
 def test_a_reader_can_sort_and_compare(report: Path, tmp_path: Path) -> None:
-    found = browser.found_on(report, SORTED, tmp_path, size=(1280, 900))
+    found = browser.found_on(report, SORTED, tmp_path)
     assert (found["complaints"], found["asked"]) == ([], []), found
     assert found["before"][-1] == "broken"
     assert found["after"][-1] == "broken", "lost rows stay last"
     assert found["order"] == "descending"
     assert found["down"] == sorted(found["down"], reverse=True)
     assert found["up"] == found["down"][::-1]
-    seen = browser.found_on(report, LOOKED_AT, tmp_path, size=(1280, 900))
+    seen = browser.found_on(report, LOOKED_AT, tmp_path)
     assert seen["complaints"] == []
     assert seen["middle"] == "inset(0px 0px 0px 50%)"
     assert seen["moved"] == "inset(0px 0px 0px 25%)"
@@ -122,11 +111,3 @@ def test_a_reader_can_sort_and_compare(report: Path, tmp_path: Path) -> None:
     assert (seen["light"], seen["dark"]) == ("rgb(255, 255, 255)", "rgb(18, 23, 29)")
     assert re.fullmatch(r"noisy, \d+\.\d\d dB", seen["tags"][0])
     assert seen["tags"][1] == "clean"
-
-
-@needs_browser
-def test_a_phone_shows_every_figure(report: Path, tmp_path: Path) -> None:
-    found = browser.found_on(report, ON_A_PHONE, tmp_path, size=(390, 844))
-    assert found["width"] == 390, "the page runs off the side"
-    assert max(found["tables"]) <= 390, "every figure is seen without a sideways scroll"
-    assert found["label"] == '"PSNR, dB"'

@@ -24,7 +24,7 @@ from simnfnd.evaluation.viewer.server import Viewer
 from simnfnd.evaluation.viewer.shown import Shown, open_shown
 from simnfnd.factory.errors import FactoryError
 from tests.factory.export.export_dataset import SHAPE, write
-from tests.models.recordings.recording_files import pings, write_aris, write_oculus
+from tests.models.recordings.recording_files import pings, write_aris
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 # Pressed one after the other: to the last, two back by ten (to the first), two on, swap.
@@ -133,30 +133,14 @@ def test_a_recording_before_and_after(tmp_path: Path) -> None:
         assert (facts["samples"], facts["name"]) == ("40x48", "ARIS 1800")
 
 
-def test_fans_of_denoised_pings_are_shown_without_their_samples(tmp_path: Path) -> None:
-    write_oculus(tmp_path / "a.raw", pings(2, 40, 32))
-    for number in range(2):
-        for name in ("", "_polar"):
-            path = tmp_path / "out" / f"{number:06d}{name}.png"
-            path.parent.mkdir(exist_ok=True)
-            cv2.imwrite(str(path), np.full((40, 30), 200 if name else 50 + number, np.uint8))
-    shown = open_shown(tmp_path / "a.raw", tmp_path / "out")
-    assert len(shown) == 2
-    assert (shown.picture(1, 1) == 51).all()
-
-
 def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(FactoryError, match="no such file or folder"):
         open_shown(tmp_path / "nowhere")
     with pytest.raises(FactoryError, match="a dataset is shown alone"):
         open_shown(dataset, dataset)
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.png").write_bytes(b"no picture")
+    (tmp_path / "a.png").write_bytes(b"no picture")
     with served(open_shown(tmp_path)) as url:
-        with pytest.raises(HTTPError) as caught:
-            fetched(f"{url}picture/0/0.png")
-        assert caught.value.code == 500
-        assert "a.png: not a readable picture" in caught.value.read().decode()
+        assert code(f"{url}picture/0/0.png") == 500
         with pytest.raises(FactoryError, match=r"--port \d+: cannot be used"):
             Viewer(open_shown(tmp_path), int(url.split(":")[2].split("/")[0]))
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from simnfnd.evaluation.real.shots import open_input
+from simnfnd.evaluation.recorded import open_input
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.models.data.images import list_images, read_sample, smallest_side
 from simnfnd.models.data.olddata import OldDataSource
