@@ -110,15 +110,6 @@ def config_hash_of(item: Item) -> str:
         return str(file.attrs["config_hash"])
 
 
-def config_hash_of(item: Item) -> str:
-    """Of the dataset that an item is of; '' for a folder of image files."""
-    if item.place[1] == ROW:
-        return ""
-    with open_shard(Path(item.place[0])) as file:
-        value = file.attrs.get("config_hash", "")
-        return value.decode() if isinstance(value, bytes) else str(value)
-
-
 @lru_cache(maxsize=16)
 def picture(place: Place) -> Picture:
     """Read one pair.  FactoryError when it is damaged or has NaN."""

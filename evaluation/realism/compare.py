@@ -36,8 +36,11 @@ def described(collection: Collection, grid: Grid) -> pd.DataFrame:
     """(pictures x features) of a collection.  Raises FactoryError when a picture is unreadable."""
     import pandas as pd
 
-    sources = progress_bar(collection.sources, desc=collection.name, unit="picture")
-    found = [features_of(one.polar(grid), one.geometry.range_span_m) for one in sources]
+    found = []
+    with progress_bar(total=len(collection.sources), unit="picture", desc=collection.name) as bar:
+        for one in collection.sources:
+            found.append(features_of(one.polar(grid), one.geometry.range_span_m))
+            bar.update()
     return pd.DataFrame(found)
 
 
