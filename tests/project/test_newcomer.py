@@ -15,7 +15,7 @@ from tests.run_fake import make
 
 def test_bars_of_logs_are_few_lines_for_every_verb() -> None:
     """tqdm itself writes a line a step into a file; `progress_bar` does not."""
-    own = {Path("factory/progress/__init__.py"), Path("factory/scheduler/progress.py")}
+    own = {Path("factory/progress.py"), Path("factory/scheduler/progress.py")}
     for path in set(modules("factory", "models", "evaluation", "simnfnd")) - own:
         assert "tqdm" not in (ROOT / path).read_text(encoding="utf-8"), path
 
