@@ -1,8 +1,12 @@
 """A synthetic RGBD frame whose geometry is known in closed form."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.render.base import Rendered
 
 HEIGHT_M, PITCH_RAD, POST_M = 1.5, np.deg2rad(20), 3.0
@@ -26,6 +30,18 @@ def ground_and_post(width=240, height=160, name="0001", scene="plain") -> Frame:
     rng = np.random.default_rng(0)
     rgb = rng.integers(90, 160, (height, width, 3), dtype=np.uint8)
     return Frame(FrameRef("here", scene, name), rgb, depth_m.astype(np.float32), intrinsics)
+
+
+def labelled(**fields: Any) -> Frame:
+    """`ground_and_post` with labels: the post is a pillar, number 7."""
+    frame = ground_and_post(480, 320)
+    post = frame.depth_m == np.float32(POST_M)
+    return replace(
+        frame,
+        segmentation=np.where(post, CLASSES.index("Pillar"), 0).astype(np.uint8),
+        instance=np.where(post, 7, 0).astype(np.uint16),
+        **fields,
+    )
 
 
 def plain_render(frame: Frame) -> Rendered:

@@ -1,14 +1,13 @@
-#!/usr/bin/env python3
 """docs/images/in-time.png: what fusing makes of a recording, beside one frame and a plain mean.
 
-    tools/in_time_picture.py lamprey1.avi docs/images/in-time.png
+    python -m tools.in_time_picture lamprey1.avi
 
-RECORDING stands still and may be shown, such as the DIDSON recordings (Apache-2.0).
+The recording stands still and may be shown, such as the DIDSON recordings (Apache-2.0).
 """
 
 from __future__ import annotations
 
-import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,24 +19,20 @@ from simnfnd.evaluation.real.in_time import Gray, kinds_of, rows_of
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.recordings import open_recording
 
+OUT = Path("docs/images/in-time.png")
 FRAMES, NUMBER = 24, 12
-SIDE, ZOOM, GAP, CAPTION_PX = 180, 1, 4, 26
+SIDE, GAP, CAPTION_PX = 180, 4, 26
 BRIGHTER = 2.5  # the dim ground is shown so much brighter
 COLUMNS = ("as recorded", "one frame", "fused", "fused and denoised", "mean of 7")
 
 
-def main() -> None:
+def main(path: Path) -> None:
     """Draw it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("recording", type=Path)
-    parser.add_argument("picture", type=Path)
-    parser.add_argument("--weights", default=None)
-    chosen = parser.parse_args()
-    with open_recording(chosen.recording) as recording:
+    with open_recording(path) as recording:
         samples = [np.asarray(recording[number].samples) for number in range(FRAMES)]
     planes = [one if one.ndim == 2 else one[..., 0] for one in samples]
     frames = np.stack(planes).astype(np.float32) / np.float32(255)
-    network = load_denoiser(chosen.weights, "cpu")
+    network = load_denoiser(None, "cpu")
     lines = []
     for kind in kinds_of(frames):
         rows = rows_of(kind, network, 0.01)
@@ -52,7 +47,7 @@ def main() -> None:
             gain = BRIGHTER if name == "dim ground" else 1.0
             parts = [one[top : top + SIDE, left : left + SIDE] * gain for one in found]
             lines.append(_line(name, parts))
-    cv2.imwrite(str(chosen.picture), np.concatenate([_names(), *lines]))
+    cv2.imwrite(str(OUT), np.concatenate([_names(), *lines]))
 
 
 def _liveliest(frame: Gray, mask: npt.NDArray[np.bool_]) -> tuple[int, int]:
@@ -77,17 +72,16 @@ def _line(name: str, parts: list[Gray]) -> npt.NDArray[np.uint8]:
     shown = []
     for part in parts:
         grey = np.rint(np.clip(part, 0, 1) * 255).astype(np.uint8)
-        large = cv2.resize(grey, None, fx=ZOOM, fy=ZOOM, interpolation=cv2.INTER_NEAREST)
-        shown.append(cv2.copyMakeBorder(large, 0, GAP, 0, GAP, cv2.BORDER_CONSTANT, value=[24]))
+        shown.append(cv2.copyMakeBorder(grey, 0, GAP, 0, GAP, cv2.BORDER_CONSTANT, value=[24]))
     line: npt.NDArray[np.uint8] = np.concatenate(shown, axis=1)
     _write(line, name, 6, 20)
     return line
 
 
 def _names() -> npt.NDArray[np.uint8]:
-    band = np.full((CAPTION_PX, len(COLUMNS) * (SIDE * ZOOM + GAP)), 24, np.uint8)
+    band = np.full((CAPTION_PX, len(COLUMNS) * (SIDE + GAP)), 24, np.uint8)
     for number, name in enumerate(COLUMNS):
-        _write(band, name, number * (SIDE * ZOOM + GAP) + 6, CAPTION_PX - 8)
+        _write(band, name, number * (SIDE + GAP) + 6, CAPTION_PX - 8)
     return band
 
 
@@ -96,4 +90,4 @@ def _write(picture: npt.NDArray[np.uint8], text: str, x: int, y: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]))

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.dataset.describe.similarity import RADIUS_PX, SsimReference, inner
 from ...factory.errors import FactoryError
-from .similarity import RADIUS_PX, SsimReference, inner
 
 Image = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _RESULT = "result.json"
 # Of noisy against clean: mean and spread over the pairs.
-_FIGURES = ("psnr_db", "psnr_db_std")
+_FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
 _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
 # On the contact sheet.
 _FRAMES = 3

@@ -56,6 +56,7 @@ def report(found: DatasetSummary, name: str) -> Iterator[str]:
     yield ""
     yield f"noisy against clean, whole picture, {len(found.psnr_db)} of {len(found.splits)} pairs"
     yield from _histogram("PSNR, dB", found.psnr_db)
+    yield from _histogram("SSIM", found.ssim)
 
 
 def _scenes(found: DatasetSummary) -> list[tuple[str, ...]]:
@@ -90,6 +91,10 @@ def _columns(found: DatasetSummary) -> list[tuple[str, ...]]:
 
 
 def _histogram(name: str, values: npt.NDArray[np.float64]) -> Iterator[str]:
+    values = values[np.isfinite(values)]
+    if not values.size:
+        yield f"{name}: pictures are too small for it"
+        return
     yield (
         f"{name}: mean {values.mean():.3f}, std {values.std():.3f}, "
         f"{values.min():.3f} to {values.max():.3f}"

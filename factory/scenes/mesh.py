@@ -27,7 +27,7 @@ from ..settings import STRICT
 from .base import Discovery, OwnClass, Root, SceneSettings
 
 if TYPE_CHECKING:
-    from .seabed.camera import Objects, Pose
+    from .seabed.camera import Objects, Optics, Pose
 
 _LARGEST_M = 3000.0
 _KEY = "scenes.file"
@@ -48,7 +48,8 @@ class PartClass(OwnClass):
 class MeshSettings(SceneSettings):
     """Keys of `scenes=mesh`.
 
-    file: .glb, .obj, .ply or .stl; z (of .glb: y) points up.  scale: metres per unit of the file.
+    file: .glb, .gltf, .obj, .ply, .stl, or .blend (whose pictures Cycles makes with its own
+        materials); z (of .glb: y) points up.  scale: metres per unit of the file.
     classes: see `PartClass`; other parts are Background.
     poses: a file of `time tx ty tz qx qy qz qw` lines (TUM; commas go, too): camera to world in
         metres, camera axes x right, y down, z forward; null: drawn paths.
@@ -139,7 +140,7 @@ class MeshReader:
         segmentation, instance = objects.shown(part)
         frame = Frame(
             ref=ref,
-            rgb=shades[seen.which],
+            rgb=self._photograph(where, optics, shades[seen.which]),
             depth_m=np.where(seen.which < 0, np.float32(0), seen.depth_m),
             intrinsics=optics.intrinsics,
             world_from_camera=where.matrix,
@@ -178,6 +179,23 @@ class MeshReader:
         shades = np.round(255 * np.clip(albedo * light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
         shades = np.append(shades, np.zeros((1, 3), np.uint8), axis=0)
         return objects, shades, turned_note(self._path, parts)
+
+    def _photograph(
+        self, where: Pose, optics: Optics, shaded: npt.NDArray[np.uint8]
+    ) -> npt.NDArray[np.uint8]:
+        if self._path.suffix.lower() != ".blend":
+            return shaded
+        import cv2
+
+        from . import blend
+        from .mesh_parts import READING
+
+        matrix = where.matrix
+        matrix[:3, 3] /= self._settings.scale
+        given = matrix.tolist(), optics.lens.tolist(), optics.width, optics.height
+        content = READING.call(blend.photograph, self._path, *given, limit_s=600.0)
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        return np.ascontiguousarray(picture[..., ::-1])
 
     def _recorded(self) -> tuple[Points, Points]:
         from .trajectory import trajectory

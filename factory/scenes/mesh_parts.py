@@ -1,8 +1,8 @@
 """Strangers' meshes: read by Open3D in a process of their own, and said in one line what is wrong.
 
 Open3D joins what has one material and loses the names of nodes, by which a world's parts have their
-classes; so it reads a copy of a .glb in which each material is of one node.  Textures become
-colours of corners.
+classes; so it reads a copy of a .gltf in which each material is of one node.  Textures become
+colours of corners.  A .blend is exported by `blend` first.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +28,12 @@ from .seabed.meshes import GREY, Mesh, join, mesh
 
 Floats = npt.NDArray[np.float32]
 
-SUFFIXES = (".glb", ".obj", ".ply", ".stl")
+SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".blend")
 MOST_FACES = 2_000_000
 _MOST_BYTES = 1 << 29
-_PROCESS = IsolatedProcess(3 << 30)
+# Blender reserves more than a gigabyte before it has read anything.
+READING = IsolatedProcess(3 << 30)
+"""Where files are read: what hangs, crashes or takes all memory there harms nothing here."""
 _SMALLEST_M = 0.005
 _LEAST = 6000  # triangles of a textured part
 _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from y up, z towards the viewer
@@ -48,7 +51,7 @@ class Part:
 
 
 def files_of(path: Path, key: str) -> tuple[str, ...]:
-    """The file and, of an .obj, those that it names (materials, textures), all in its folder.
+    """The file and those that it names (buffers, materials, textures), all in its folder.
 
     Raises FactoryError that names the key, and what is missing or lies elsewhere.
     """
@@ -58,11 +61,10 @@ def files_of(path: Path, key: str) -> tuple[str, ...]:
         size = path.stat().st_size
         if not path.is_file() or size > _MOST_BYTES:
             raise FactoryError(f"{key}={path}: no file of at most {_MOST_BYTES >> 20} MB")
-        named = _named(path, _LIBRARY) if path.suffix.lower() == ".obj" else []
-        named += [one for library in named if library.is_file() for one in _named(library)]
+        named = _linked(path)
         folder = path.parent.resolve()
         elsewhere = [one for one in named if not one.resolve().is_relative_to(folder)]
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError, AttributeError) as error:
         raise FactoryError(f"{key}={path}: cannot be read ({one_line(error)})") from error
     if elsewhere:
         raise FactoryError(
@@ -76,6 +78,29 @@ def files_of(path: Path, key: str) -> tuple[str, ...]:
             "everything in one .glb"
         )
     return (str(path), *map(str, named))
+
+
+def _linked(path: Path) -> list[Path]:
+    """Files that a .gltf or .obj names."""
+    if path.suffix.lower() == ".gltf":
+        return [path.parent / unquote(one["uri"]) for one in _links(_document(path)[0])]
+    named = _named(path, _LIBRARY) if path.suffix.lower() == ".obj" else []
+    return named + [one for library in named if library.is_file() for one in _named(library)]
+
+
+def _document(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The JSON of a .gltf or .glb and the chunk that follows it."""
+    content = path.read_bytes()
+    if content[:4] != b"glTF":
+        return parse_json(content), b""
+    end = 20 + int.from_bytes(content[12:16], "little")
+    return parse_json(content[20:end]), content[end + 8 :]
+
+
+def _links(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Its buffers and images that lie in other files."""
+    listed = [*document.get("buffers", ()), *document.get("images", ())]
+    return [one for one in listed if not one.get("uri", "data:").startswith("data:")]
 
 
 def _named(path: Path, keyword: str = _PICTURE) -> list[Path]:
@@ -114,7 +139,7 @@ def turned_note(path: Path, parts: tuple[Part, ...]) -> tuple[str, ...]:
 
 @lru_cache(maxsize=16)
 def _parts(path: str, _modified_ns: int) -> tuple[Part, ...]:
-    content = _PROCESS.call(load, Path(path), limit_s=300.0)
+    content = READING.call(load, Path(path), limit_s=300.0)
     with np.load(io.BytesIO(content), allow_pickle=False) as saved:
         return tuple(
             Part(name, Mesh(*(saved[f"{of}{k}"] for of in "vct")), bool(turned))
@@ -193,6 +218,11 @@ def _by_open3d(path: Path, suffix: str, folder: Path) -> list[tuple[str, Mesh]]:
     if suffix == ".obj":
         model = reader.read_triangle_model(str(path))
         return [(path.stem, _of_model(one, model)) for one in model.meshes]
+    if suffix == ".blend":
+        from .blend import as_gltf
+
+        source, path = path, folder / "scene.glb"
+        as_gltf(source, path)
     copy, owners = _with_own_materials(path, folder)
     model = reader.read_triangle_model(str(copy))
     if owners and not model.meshes:
@@ -206,17 +236,17 @@ def _by_open3d(path: Path, suffix: str, folder: Path) -> list[tuple[str, Mesh]]:
 
 def _with_own_materials(path: Path, folder: Path) -> tuple[Path, list[tuple[int, str]]]:
     """A copy whose materials are each of one node, and number and name of those."""
-    content = path.read_bytes()
-    end = 20 + int.from_bytes(content[12:16], "little")
-    if content[:4] != b"glTF":
-        raise ValueError("no glTF")
-    document = parse_json(content[20:end])
-    for item in (*document.get("buffers", ()), *document.get("images", ())):
-        if not item.get("uri", "data:").startswith("data:"):
-            raise FactoryError("names other files; export with everything in one .glb")
+    document, chunk = _document(path)
+    links = _links(document)
+    if links and path.suffix.lower() != ".gltf":  # `files_of` has seen those of a .gltf
+        raise FactoryError("names other files; export with everything in one .glb")
+    for k, item in enumerate(links):
+        name = f"{k}{Path(item['uri']).suffix}"
+        (folder / name).symlink_to((path.parent / unquote(item["uri"])).resolve())
+        item["uri"] = name
     for buffer in document.get("buffers", ()):
         if "uri" not in buffer:
-            (folder / "chunk.bin").write_bytes(content[end + 8 :])
+            (folder / "chunk.bin").write_bytes(chunk)
             buffer["uri"] = "chunk.bin"
     nodes, owners = document.get("nodes", []), []
     meshes: list[dict[str, Any]] = []

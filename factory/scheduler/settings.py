@@ -62,7 +62,7 @@ class SchedulerSettings:
     """Keys of the `scheduler` group.
 
     backend: local (processes on this machine), serial (none; to debug), dask (a cluster).
-    address: of a Dask scheduler, tcp://host:port.
+    address: of a Dask scheduler, tcp://host:port; None starts a Dask cluster on this machine.
     workers: number of worker processes; auto is one a core, as many as fit the memory, at most 48.
     render_workers: how many of them render; auto is at most one a core and what fits the memory.
     shard_size: samples in a shard.  It decides which file a sample lies in.
@@ -82,8 +82,8 @@ class SchedulerSettings:
 
     @model_validator(mode="after")
     def _address(self) -> Self:
-        if (self.address is not None) != (self.backend == "dask"):
-            raise ValueError("address and backend=dask go together; give scheduler.address=")
+        if self.address is not None and self.backend != "dask":
+            raise ValueError("address is for scheduler.backend=dask only")
         return self
 
     def crew(self, shards: int, frames: int) -> Crew:

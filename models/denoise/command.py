@@ -104,13 +104,10 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--tile", type=int, default=TILE, help=f"largest side in one go, pixels ({TILE})"
     )
-    parser.add_argument(
-        "--overlap", type=int, default=OVERLAP, help=f"pixels that tiles share ({OVERLAP})"
-    )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
     chosen = parser.parse_args(list(arguments))
-    if not 0 <= chosen.overlap <= chosen.tile // 2:
-        raise FactoryError(f"--overlap {chosen.overlap}: must be at most half of --tile")
+    if chosen.tile < 2 * OVERLAP:
+        raise FactoryError(f"--tile {chosen.tile}: must be {2 * OVERLAP} or more")
     if not 0 <= chosen.strength <= 1:
         raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
     out = Path(chosen.out).expanduser()
@@ -125,7 +122,6 @@ def main(arguments: Sequence[str]) -> int:
     how: dict[str, Any] = {
         "device": chosen.device,
         "tile": chosen.tile,
-        "overlap": chosen.overlap,
         "strength": chosen.strength,
     }
     denoise = asked_denoiser(chosen.weights, remove=remove, noise=chosen.noise, **how)

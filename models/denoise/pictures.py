@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -97,26 +98,24 @@ class Denoising:
         plain = picture if painted is None else painted.levels
         return Seen(key, picture, plain, painted, place, shift_px)
 
-    def stream(self, *, alone: bool = False, at_once: int = 1) -> InTime[Seen[Key]]:
-        """What takes the frames of one sequence; alone: each by itself.  at_once: see `InTime`."""
-        return InTime(
+    def sequence(
+        self, pictures: Iterable[Seen[Key]], *, alone: bool = False
+    ) -> Iterator[tuple[Seen[Key], Picture]]:
+        """Each picture of a sequence and what became of it, in order."""
+        stream: InTime[Seen[Key]] = InTime(
             self.network,
             frames=1 if alone else self.frames,
             causal=self._causal,
             calibrated=self._calibrated,
             tally=self.tally,
-            at_once=at_once,
+            at_once=1 if alone else usable_cores(),
         )
-
-    def sequence(
-        self, pictures: Iterable[Seen[Key]], *, alone: bool = False
-    ) -> Iterator[tuple[Seen[Key], Picture]]:
-        """Each picture of a sequence and what became of it, in order."""
-        cores = 1 if alone else usable_cores()
-        stream: InTime[Seen[Key]] = self.stream(alone=alone, at_once=cores)
         for seen in pictures:
-            yield from finished(stream.push(shot_of(seen)))
-        yield from finished(stream.finish())
+            shot = Shot(seen, levels_of(seen.plain), partial(seen.place, seen.plain), seen.shift_px)
+            for done, levels in stream.push(shot):
+                yield done, done.finished(levels)
+        for done, levels in stream.finish():
+            yield done, done.finished(levels)
 
     def one(self, picture: Picture, place: Place) -> Picture:
         """A picture by itself.  Raises ValueError as `seen` does."""
@@ -132,17 +131,6 @@ class Denoising:
                 f"({SUM}: a map that is not known, by the sum of its channels)"
             )
         yield from self.tally.lines(self.frames)
-
-
-def shot_of(seen: Seen[Key]) -> Shot[Seen[Key]]:
-    """A picture as a frame of a stream."""
-    return Shot(seen, levels_of(seen.plain), lambda: seen.place(seen.plain), seen.shift_px)
-
-
-def finished(done: Iterable[tuple[Seen[Key], Gray]]) -> Iterator[tuple[Seen[Key], Picture]]:
-    """What a stream gives, as pictures of the original's kind."""
-    for seen, levels in done:
-        yield seen, seen.finished(levels)
 
 
 def denoise_image(image: Picture, denoise: Denoise, geometry: FanGeometry | None = None) -> Picture:

@@ -35,16 +35,11 @@ def find_weights(given: str | Path | None) -> Path:
     name = DEFAULT if given is None else str(given)
     if name in known:
         return known[name]
-    if given is None:
-        raise FactoryError(
-            "--weights: this version ships no trained weights; give the weights.safetensors that "
-            "`simnfnd train dataset=DIR` wrote"
-        )
     if re.fullmatch(r"[\w.-]+/[\w.-]+", name) and not Path(name).suffix:
         return _of_hub(name)
-    names = f"; weights that ship: {', '.join(known)}" if known else ""
     raise FactoryError(
-        f"weights={given}: no such file; train one with `simnfnd train dataset=DIR`{names}"
+        f"weights={given}: no such file; train one with `simnfnd train dataset=DIR`; weights that "
+        f"ship: {', '.join(known)}"
     )
 
 

@@ -14,9 +14,6 @@ from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of, write_atomically
 from . import find_weights
 
-LIMIT_MB = 8.0
-"""What ships must be small enough to live in the repository."""
-
 _CARD = """---
 license: apache-2.0
 library_name: simnfnd
@@ -38,30 +35,22 @@ A denoiser for forward-looking sonar pictures, made by `simnfnd train` of SimNFN
 | seed | {seed} |
 | steps kept | {step} |
 
-## Trained on
+## The training that wrote them
 
-{history}
+A key `start` names weights that it began from, by their hash.
 
 {recipe}
 
 ## Figures
 
 {figures}
+How the recipe was chosen is not recorded: figures on pictures that had a part in it are optimistic.
 
 ## Limits
 
 {limits}
 """
 
-_ONE_TRAINING = "The table describes the training that wrote these weights."
-_LAST_STAGE = (
-    "**The table describes the last stage of training alone.** It began from other weights, which "
-    "the key `start` names by their hash; their own trainings are not in this file."
-)
-_SELECTION = (
-    "How the recipe was chosen is not recorded either: figures on pictures that had a part in "
-    "choosing it, test pictures included, are optimistic."
-)
 _LIMITS = (
     "Trained on simulated noise: a picture whose noise, geometry or grey scale differs from what "
     "is described above may come out worse than it went in.  It learned what a sonar picture of "
@@ -125,8 +114,7 @@ def main(arguments: Sequence[str]) -> int:
 def export(weights: str | Path, out: Path) -> float:
     """Write `out` and its card; returns the megabytes of the weights.
 
-    Raises FactoryError when the weights cannot be read, hold what 16 bits cannot, or are too large
-    to ship.
+    Raises FactoryError when the weights cannot be read or hold what 16 bits cannot.
     """
     import torch  # slow; mistakes on the command line are reported before
 
@@ -138,12 +126,6 @@ def export(weights: str | Path, out: Path) -> float:
         if tensor.is_floating_point() and not torch.isfinite(tensor.half()).all():
             raise FactoryError(f"weights={weights}: {name} does not fit into 16 bits")
     count = sum(parameter.numel() for parameter in trained.network.parameters())
-    size_mb = 2 * count / 1e6
-    if size_mb > LIMIT_MB:
-        raise FactoryError(
-            f"weights={weights}: {size_mb:.1f} MB in 16 bits are more than the {LIMIT_MB:g} MB "
-            "that may ship; train a smaller network"
-        )
     check_writable(out.parent, "--out")
     save_weights(out, trained.network, trained.model, trained.training, half=True)
     facts = dict(trained.training)
@@ -157,7 +139,6 @@ def export(weights: str | Path, out: Path) -> float:
         size_mb=out.stat().st_size / 1e6,
         seed=facts.get("seed", "unknown"),
         step=validation.get("step", "unknown"),
-        history=f"{_LAST_STAGE if 'start' in facts else _ONE_TRAINING} {_SELECTION}",
         recipe=_table(
             {
                 key: value

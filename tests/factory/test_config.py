@@ -15,7 +15,6 @@ from simnfnd.factory.sonar.settings import SonarSettings
 from tests.project_files import ROOT
 
 CONF = ROOT / "conf"
-FLSEA = ROOT.parent / "shared/data/flsea-vi"
 
 
 def composed(*overrides: str):
@@ -38,31 +37,6 @@ def test_every_sonar_composes(sonar):
     device = config(f"sonar={sonar}").sonar
     assert device.name == sonar
     assert len(device.beam_centres_rad()) == device.beams
-
-
-@pytest.mark.parametrize(
-    ("sonar", "hfov_deg", "vfov_deg", "beams", "frequency_khz"),
-    [
-        ("aris_explorer_3000", 28, 14, 128, 3000),
-        ("didson_hf", 29, 14, 96, 1800),
-        ("didson_lf", 29, 14, 48, 1100),
-        ("oculus_m750d_lf", 130, 20, 512, 750),
-        ("oculus_m750d_hf", 70, 12, 512, 1200),
-        ("oculus_m1200d_lf", 130, 20, 512, 1200),
-        ("oculus_m1200d_hf", 60, 12, 512, 2100),
-        ("blueview_p900_90", 90, 20, 512, 900),
-        ("blueview_m450", 89, 10, 512, 450),
-        ("gemini_720is", 120, 20, 512, 720),
-    ],
-)
-def test_presets_are_the_published_devices(sonar, hfov_deg, vfov_deg, beams, frequency_khz):
-    device = config(f"sonar={sonar}").sonar
-    assert (device.hfov_deg, device.vfov_deg, device.beams, device.frequency_khz) == (
-        hfov_deg,
-        vfov_deg,
-        beams,
-        frequency_khz,
-    )
 
 
 @pytest.mark.parametrize("group", ["render", "noise", "resample", "scenes", "devices"])
@@ -101,18 +75,6 @@ def test_defaults_in_python_and_in_yaml_are_the_same(monkeypatch):
     assert plain(config()) == plain(from_mapping({"scenes": {"kind": "seabed"}}))
 
 
-def test_unions_leave_no_trace_in_the_key_of_a_mistake():
-    for values, key in (
-        ({"scheduler": {"workers": -1}}, "scheduler.workers"),
-        ({"scenes": {"kind": "seabed", "locations": 0}}, "scenes.locations"),
-        ({"scenes": {"kind": "flsea"}}, "scenes.root"),
-        ({"noise": {"speckle": {"looks": 0}}}, "noise.speckle.looks"),
-    ):
-        with pytest.raises(FactoryError) as caught:
-            from_mapping({"scenes": {"kind": "seabed"}, **values})
-        assert all(part.startswith(f"{key}: ") for part in str(caught.value).split("; "))
-
-
 @pytest.mark.parametrize(
     ("settings", "file"),
     [(SonarSettings, "sonar/camera_matched.yaml"), (NoiseSettings, "noise/simnfnd.yaml")],
@@ -136,15 +98,12 @@ def test_equal_settings_have_one_digest_and_others_another():
     assert digest(identity(config("scheduler.workers=3", "dataset.dir=/elsewhere"))) == base
     assert digest(identity(config("seed=1"))) != base
     assert digest(identity(config("noise.background.density=0.1"))) != base
+    first, second = (digest(identity(config("scenes=flsea", f"scenes.root={r}"))) for r in "ab")
+    assert first == second
     fixed = config("sonar.range.auto=false")
     assert "windows_m" not in identity(fixed)["sonar"]["range"]
     several = config("sonar.range.auto=false", "sonar.range.windows_m=[[1,4],[2,5]]")
     assert digest(identity(several)) != digest(identity(fixed))
-
-
-def test_the_digest_does_not_know_where_the_recordings_lie():
-    first, second = (digest(identity(config("scenes=flsea", f"scenes.root={r}"))) for r in "ab")
-    assert first == second
 
 
 def test_plain_form_makes_the_same_configuration():
@@ -160,12 +119,16 @@ def test_plain_form_makes_the_same_configuration():
         ({"resample": {"rate": 0}}, "resample.rate: must lie in"),
         ({"resample": {"rate": 1.5}}, "resample.rate: must lie in"),
         ({"frames": {"variants": 0}}, "frames.variants"),
-        ({"seed": -1}, "seed"),
-        ({"scenes": {"kind": "mars"}}, "scenes"),
+        ({"seed": -1}, "seed: "),
+        ({"scenes": {"kind": "mars"}}, "scenes: "),
+        ({"scheduler": {"workers": -1}}, "scheduler.workers: "),
+        ({"scenes": {"kind": "seabed", "locations": 0}}, "scenes.locations: "),
+        ({"scenes": {"kind": "flsea"}}, "scenes.root: "),
+        ({"noise": {"speckle": {"looks": 0}}}, "noise.speckle.looks: "),
     ],
 )
 def test_mistakes_are_one_line_that_names_the_key(values, said):
     with pytest.raises(FactoryError) as caught:
         from_mapping({"scenes": {"kind": "seabed"}, **values})
-    assert said in str(caught.value)
+    assert all(part.startswith(said) for part in str(caught.value).split("; "))
     assert "\n" not in str(caught.value)

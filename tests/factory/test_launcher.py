@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from simnfnd.command import main
-from tests.project_files import ROOT
 
 
 def test_without_slurm_its_launcher_says_so_in_one_line(
@@ -28,20 +25,19 @@ def test_without_slurm_its_launcher_says_so_in_one_line(
 
 
 @pytest.mark.slow
-def test_submitit_runs_the_points_of_a_sweep(tmp_path: Path) -> None:
+def test_submitit_runs_the_points_of_a_sweep(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
-    command = [
-        *(sys.executable, "-m", "simnfnd.factory", "-m", "hydra/launcher=submitit_local"),
-        *("render=analytic", "scheduler=serial", "dataset.preview_pairs=0", "dataset.name=jobs"),
-        *("scenes.locations=2", "scenes.frames_per_location=1"),
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    words = [
+        *("make", "-m", "hydra/launcher=submitit_local", "render=analytic", "scheduler=serial"),
+        *("dataset.preview_pairs=0", "scenes.locations=2", "scenes.frames_per_location=1"),
         *("scenes.width=240", "scenes.height=160", "noise.background.density=0.1,0.4"),
         *(f"hydra.sweep.dir={tmp_path / 'sweep'}", f"cache.dir={tmp_path / 'cache'}"),
         f"dataset.dir={tmp_path}/set-${{hydra:job.num}}",
     ]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=False, env=dict(os.environ)
-    )
-    assert done.returncode == 0, done.stderr[-1500:]
+    assert main(words) == 0
     manifests = sorted(tmp_path.glob("set-*/manifest.json"))
     assert len(manifests) == 2
     totals = [json.loads(path.read_text())["totals"]["train"]["samples"] for path in manifests]

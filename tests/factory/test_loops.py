@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from scipy import ndimage, special
+from scipy import ndimage
 
 from simnfnd.factory import seeds
 from simnfnd.factory.frame import Frame
@@ -109,17 +109,6 @@ def test_insonified_surface_as_in_double_precision(name: str) -> None:
     filled = np.zeros(hit.size, np.bool_)
     filled[polar.bin_index(found, at, device)] = True
     np.testing.assert_array_equal(hit.ravel(), filled)
-
-
-@pytest.mark.parametrize("name", list(SONARS))
-def test_bins_follow_the_formula(name: str) -> None:
-    device, scene = SONARS[name], camera_scene(20_000)
-    at = window(2, 8, device.projection)
-    bins, expected = polar.bin_index(scene, at, device), plain_bins(scene, at, device)
-    if device.projection == "top_view":  # whose cosine is a polynomial
-        assert np.mean(bins != expected) < 1e-3
-    else:
-        np.testing.assert_array_equal(bins, expected)
 
 
 # --- pictures ---------------------------------------------------------------------------------
@@ -218,17 +207,6 @@ def test_quantiles_are_those_of_numpy(
     )
 
 
-def test_half_normal_is_the_inverse_of_its_distribution() -> None:
-    from simnfnd.factory import elementary
-
-    lot = np.random.default_rng(0).random(100_000, dtype=np.float32)
-    lot[:3] = 0, 2**-24, 1 - 2**-24  # the least and the most there is
-    size = np.empty_like(lot)
-    elementary.half_normal(lot, size)
-    expected = np.sqrt(2) * special.erfinv(lot.astype(np.float64))
-    np.testing.assert_allclose(size, expected, rtol=1e-6)
-
-
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**200), names=st.lists(st.text(max_size=4) | st.integers(), max_size=3))
 def test_streams_are_those_of_numpys_seed_sequence(seed: int, names: list[str | int]) -> None:
@@ -253,21 +231,6 @@ def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
     assert using == modules
     for name in modules:
         importlib.import_module(name)
-
-
-def test_what_is_not_compiled_yet_can_be_left_alone(tmp_path: Path) -> None:
-    """The process that workers are forked from loads loops, but never compiles them."""
-    code = """
-import sys
-from simnfnd.factory.loops import load_compiled
-load_compiled()
-print([name for name in sys.modules if name.endswith("elementary")])
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-    )  # fmt: skip
-    assert done.stdout.strip() == "[]"
 
 
 def test_loops_work_where_nothing_can_be_kept(tmp_path: Path) -> None:

@@ -4,10 +4,8 @@ import json
 import sys
 from itertools import pairwise
 
-import pytest
-
 from simnfnd.command import main
-from simnfnd.factory.config import digest, from_mapping, identity
+from simnfnd.factory.config import from_mapping
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.selection import choose_frames, split_frames, split_warnings
 from tests.factory.cli_frames import FAST, ground, write_frame
@@ -44,12 +42,6 @@ def test_a_larger_total_keeps_the_frames_of_a_smaller_one():
     assert [len(one) for one in chosen] == [*range(1, 89), 88]
 
 
-def test_datasets_without_a_total_are_called_as_before():
-    assert "total" not in identity(settings())["frames"]
-    hashes = {digest(identity(settings(frames={"total": n}))) for n in (None, 3, 4)}
-    assert len(hashes) == 3
-
-
 def test_a_split_that_stays_empty_is_told_with_one_that_works():
     few = found(flatiron=3, pier=2, reef=2)
     (lost, empty) = warnings(few, split={"test": ["u_canyon", "coral_*"]})
@@ -64,18 +56,6 @@ def test_a_split_that_stays_empty_is_told_with_one_that_works():
     assert empty.startswith("the train split is empty")
     (empty,) = warnings(found(pool=9))
     assert "one scene, pool" in empty
-
-
-@pytest.mark.parametrize(
-    "groups",
-    [
-        {"dataset": {"max_test": 0}},
-        {"split": {"test_fraction": 0}},
-        {"frames": {"only": ["sea/pool/0001"]}},
-    ],
-)
-def test_a_split_that_nobody_asked_for_is_no_matter(groups):
-    assert warnings(found(pool=9), **groups) == ()
 
 
 def test_a_partial_download_without_test_scenes_is_told_first_and_last(

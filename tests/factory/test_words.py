@@ -70,19 +70,7 @@ def test_paths_need_no_quotes(path, monkeypatch):
 
 @pytest.mark.parametrize(
     "word",
-    [
-        "noise.a='{uniform: [0, 1]}'",
-        "noise.a={uniform: [0, 1]}",
-        "a=choice(1,2",
-        "a={b: 1",
-        "a='x y'",
-        "a=null",
-        "a=[1,[2,3]]",
-        "a=[]",
-        "~scenes.root",
-        "--cfg",
-        "a=${b}",
-    ],
+    ["a='{uniform: [0, 1]}'", "a={uniform: [0, 1]}", "a='x y'", "~scenes.root", "--cfg", "a=${b}"],
 )
 def test_what_hydra_reads_or_must_explain_stays(word):
     assert readable([word]) == [word]

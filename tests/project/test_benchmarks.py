@@ -68,13 +68,11 @@ def test_mistakes_are_one_line(words: list[str], capfd: pytest.CaptureFixture[st
     assert words[-1] in error
 
 
-def test_the_projects_own_are_few() -> None:
+def test_the_projects_own_are_found() -> None:
     assert {"command", "denoise", "stages"} <= set(benchmarks.discover())
-    assert len(benchmarks.discover()) <= 8
 
 
-@pytest.mark.slow
 def test_quick_runs() -> None:
-    section = benchmarks.run("denoise", Options(quick=True))
+    section = benchmarks.run("stages", Options(quick=True))
     assert section.failed == ""
     assert all(table.rows for table in section.tables)

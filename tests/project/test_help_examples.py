@@ -15,10 +15,8 @@ import pytest
 from simnfnd.command import main
 from simnfnd.verbs import VERBS, Verb
 from tests.factory.cli_frames import ground, write_frame
+from tests.project.page_steps import SMALL_SEABED as SMALL
 
-SMALL = (
-    "scenes.locations=2", "scenes.frames_per_location=1", "scenes.width=242", "scenes.height=152",
-)  # fmt: skip
 QUICK = ("render=analytic", "scheduler=serial", "dataset.preview_pairs=0", "frames.total=2")
 # What an example of a verb is made small with; None: it has nothing to make small.
 REAL: dict[str, tuple[str, ...]] = {
@@ -36,9 +34,9 @@ REAL: dict[str, tuple[str, ...]] = {
     "preview": (),
     "export": (),
 }
-# Need the network, a hub's account, a recording of some size, or end only when they are told.
-LONG = ("export-weights simnfnd", "evaluate paper")
-NOT_REALLY = ("dive.aris", "simnfnd view", "export-weights simnfnd")
+# Take long, and have tests of their own; the sweep is that of a tutorial.
+LONG = ("export-weights simnfnd", "evaluate paper", "make -m noise.background.density=0.1,0.5")
+NOT_HERE = ("dive.aris", "simnfnd view")
 
 
 def examples() -> Iterator[tuple[str, str]]:
@@ -98,10 +96,12 @@ def run(example: str, *more: str) -> int:
 def test_an_example_of_a_help_does_what_it_says(
     name: str, example: str, place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd
 ) -> None:
+    if example == "simnfnd demo" or any(part in example for part in LONG):
+        pytest.skip("takes long, and has tests of its own")
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
     said = shlex.split(example)
     verb = " ".join(said[1:3]) if said[1] == "cache" else said[1]
-    if verb in REAL and not any(part in example for part in NOT_REALLY):
+    if verb in REAL and not any(part in example for part in NOT_HERE):
         monkeypatch.chdir(place)
         # Words after `--cfg job` would be another option's.
         code = run(example, *(() if "--cfg" in example else REAL[verb]))
@@ -110,8 +110,6 @@ def test_an_example_of_a_help_does_what_it_says(
     else:
         # Nothing of what it reads is here: one line says so, and no word of it is unknown.
         monkeypatch.chdir(tmp_path)
-        if any(part in example for part in LONG):
-            pytest.skip("runs for ever, or for minutes; it has tests of its own")
         code = run(example)
         told = capfd.readouterr()
         assert code == 2, told.err

@@ -13,6 +13,8 @@ import sys
 from pathlib import Path
 
 import cv2
+import h5py
+import numpy as np
 import pytest
 
 from tests.project.page_steps import PAGES, SMALL_SEABED, Step, fences, run, steps
@@ -29,6 +31,7 @@ RUN_HERE = {
     for step in reversed(STEPS[page])
     if not step.text.startswith(NOT_HERE)
 }
+IN_ORDER = sorted(RUN_HERE.values(), key=lambda step: (PAGES.index(step.page), step.line))
 NAMES = [page.relative_to(ROOT).as_posix() for page in PAGES]
 
 
@@ -73,11 +76,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "step",
-    sorted(RUN_HERE.values(), key=lambda step: (PAGES.index(step.page), step.line)),
-    ids=lambda step: f"{step.page.stem}-{step.line}",
-)
+@pytest.mark.parametrize("step", IN_ORDER, ids=[f"{one.page.stem}-{one.line}" for one in IN_ORDER])
 def test_step_runs(step: Step, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for name in ("flsea-vi", "mdd"):
         if name in step.text and not (folder / name).exists():
@@ -87,6 +86,18 @@ def test_step_runs(step: Step, folder: Path, capfd: pytest.CaptureFixture[str]) 
     else:
         code, said = run(step, folder), "".join(capfd.readouterr())
     assert code == 0, f"{step.page}:{step.line}: {step.text}\n{said[-4000:]}"
+
+
+def test_both_profiles_of_the_demo_show_the_same_frames(folder: Path) -> None:
+    """README.md has made it."""
+    tables = []
+    for name in ("demo", "demo-physical"):
+        with h5py.File(folder / "outputs" / name / "train/shard-00000.h5") as shard:
+            tables.append(shard["meta"]["scene", "frame"])
+    np.testing.assert_array_equal(*tables)
+    # Frames below each other, both profiles of a frame in one row.
+    rows, columns, _ = cv2.imread(str(folder / "outputs/demo-profiles.png")).shape
+    assert columns > rows > 500
 
 
 def as_the_reader(step: Step, folder: Path) -> tuple[int, str]:

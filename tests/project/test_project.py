@@ -125,15 +125,3 @@ def test_an_experiment_begins_with_the_command_that_runs_it(name: str) -> None:
     # Hydra's own header may stand first.
     first = next(line for line in lines if not line.startswith("# @"))
     assert re.match(rf"# simnfnd (make|train) .*\bexperiment=\S*\b{name}\b", first), first
-
-
-def test_ci_is_check_and_test() -> None:
-    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    assert [line for line in script.splitlines() if line.startswith("make ")] == [
-        "make setup",
-        "make check",
-        "make test",
-    ]
-    for name in (".ci/run", "tools/find_python.sh", "tools/debian_packages.sh"):
-        assert (ROOT / name).stat().st_mode & 0o111, f"{name} is not executable"
-        subprocess.run(["bash", "-n", str(ROOT / name)], check=True)

@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-import simnfnd
-from simnfnd.factory.sonar.geometry import FanGeometry
 from tests.models.recordings.recording_files import pings, write_aris
 from tests.project.frames import frame
 from tests.project_files import ROOT
@@ -35,24 +33,3 @@ def test_the_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = runner.run(parsed, out=said.append)
     assert result.failed == 0, "".join(said)
     assert result.attempted > 10
-
-
-def test_frames_of_pings_pictures_and_videos(tmp_path: Path) -> None:
-    write_aris(tmp_path / "dive.aris", pings(2, 40, 48))
-    with simnfnd.open_recording(tmp_path / "dive.aris") as recording:
-        frames = list(recording)
-        assert len(recording) == len(frames) == 2
-        first = recording[0]
-        assert recording.warning == ""
-    assert first.picture.dtype == np.float32
-    assert isinstance(first.geometry, FanGeometry)
-    np.testing.assert_array_equal(first.picture, frames[0].picture)
-    assert first.time_s == first.frame.time_s
-    assert first.frame.samples.shape == (40, 48)
-    maps = first.geometry.maps(0, 0, *first.picture.shape)
-    assert not first.picture[maps["sector"] == 0].any()
-    cv2.imwrite(str(tmp_path / "a.png"), np.full((40, 30), 90, np.uint8))
-    with simnfnd.open_recording(tmp_path / "a.png") as recording:
-        (only,) = recording
-    assert only.geometry is None
-    assert (only.picture == 90).all()

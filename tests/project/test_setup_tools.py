@@ -5,10 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
 from pathlib import Path
-
-import pytest
 
 from tests.project_files import ROOT
 
@@ -17,82 +14,59 @@ LIBRARIES = [
     *("libx11-6", "libxrender1", "libxfixes3", "libxi6", "libxkbcommon0", "libsm6", "libgl1"),
     *("libegl1", "libusb-1.0-0"),
 ]
+COMMANDS = {
+    "apt-get": 'echo "apt-get $*" >> "${0%/*}/log"',
+    "python3.11": f'exec "{sys.executable}" "$@"',
+}
 
-Machine = Callable[[Mapping[str, str]], Path]
-Said = subprocess.CompletedProcess[str]
 
-
-@pytest.fixture
-def machine(tmp_path: Path) -> Machine:
-    """Build a folder of commands: name -> shell body; it is the whole PATH of the script."""
-
-    def build(commands: Mapping[str, str]) -> Path:
-        folder = tmp_path / "bin"
-        folder.mkdir()
-        for tool in ("dirname", "grep", "bash", "cat"):
+def run(
+    folder: Path, commands: dict[str, str], script: str, *words: str
+) -> subprocess.CompletedProcess[str]:
+    """Run a script of tools; `commands`, as name -> shell body, are all that is on its PATH."""
+    for tool in ("dirname", "grep", "bash", "cat"):
+        if not (folder / tool).exists():
             (folder / tool).symlink_to(shutil.which(tool) or tool)
-        for name, body in commands.items():
-            (folder / name).write_text(f"#!{BASH}\n{body}\n", encoding="utf-8")
-            (folder / name).chmod(0o755)
-        return folder
-
-    return build
-
-
-def run(script: str, path: Path, *words: str, **variables: str) -> Said:
-    environment = {"PATH": str(path), "VENV": str(path / "no-venv"), **variables}
+    for name, body in commands.items():
+        (folder / name).write_text(f"#!{BASH}\n{body}\n", encoding="utf-8")
+        (folder / name).chmod(0o755)
     return subprocess.run(
         [BASH, str(ROOT / "tools" / script), *words],
-        env=environment,
-        cwd=path,
+        env={"PATH": str(folder), "VENV": str(folder / "no-venv")},
+        cwd=folder,
         capture_output=True,
         text=True,
         check=False,
     )
 
 
-def dpkg(*installed: str) -> str:
-    """A dpkg-query that knows these packages; the last argument is the name asked for."""
-    known = " ".join(installed)
-    return f'for p in {known}; do [[ ${{@: -1}} == "$p" ]] && echo installed && exit; done; exit 1'
-
-
-PYTHON = f'exec "{sys.executable}" "$@"'
-LOG = 'echo "apt-get $*" >> "${0%/*}/log"'
-
-
-def test_without_root_the_exact_line_is_printed(machine: Machine) -> None:
-    present = [name for name in LIBRARIES if name not in ("libgl1", "libusb-1.0-0")]
-    path = machine(
-        {"dpkg-query": dpkg(*present), "apt-get": LOG, "id": "echo 1000", "python3.11": PYTHON}
+def test_without_root_the_exact_line_is_printed(tmp_path: Path) -> None:
+    present = " ".join(name for name in LIBRARIES if name not in ("libgl1", "libusb-1.0-0"))
+    # The last argument is the name asked for.
+    query = (
+        f'for p in {present}; do [[ ${{@: -1}} == "$p" ]] && echo installed && exit; done; exit 1'
     )
-    said = run("debian_packages.sh", path)
+    commands = {**COMMANDS, "dpkg-query": query, "id": "echo 1000"}
+    said = run(tmp_path, commands, "debian_packages.sh")
     assert said.returncode == 2
     line = "    sudo apt-get install -y --no-install-recommends libgl1 libusb-1.0-0"
     assert said.stderr.splitlines()[1] == line
-    assert not (path / "log").exists()
+    assert not (tmp_path / "log").exists()
 
 
-def test_root_installs_after_an_update(machine: Machine) -> None:
-    path = machine({"dpkg-query": dpkg(), "apt-get": LOG, "id": "echo 0", "python3.11": PYTHON})
-    assert run("debian_packages.sh", path).returncode == 0
-    assert run("debian_packages.sh", path, "tests").returncode == 0
-    update, install, _, more = (path / "log").read_text(encoding="utf-8").splitlines()
+def test_root_installs_after_an_update(tmp_path: Path) -> None:
+    commands = {**COMMANDS, "dpkg-query": "exit 1", "id": "echo 0"}
+    assert run(tmp_path, commands, "debian_packages.sh").returncode == 0
+    assert run(tmp_path, commands, "debian_packages.sh", "tests").returncode == 0
+    update, install, _, more = (tmp_path / "log").read_text(encoding="utf-8").splitlines()
     assert update.startswith("apt-get update")
     assert install.split()[-len(LIBRARIES) :] == LIBRARIES
     assert "chromium" not in install
     assert "chromium" in more, "for the test of the report"
 
 
-@pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="tells Python 3.11 from others")
-def test_the_first_python_that_works_is_found(machine: Machine) -> None:
-    path = machine({"python3.11": "exit 127", "python3": PYTHON})
-    said = run("find_python.sh", path)
-    assert (said.returncode, said.stdout.strip()) == (0, str(path / "python3"))
-
-
-def test_no_python_311_is_one_clear_line(machine: Machine) -> None:
-    said = run("find_python.sh", machine({"python3": "exit 1"}))
+def test_no_python_311_is_one_clear_line(tmp_path: Path) -> None:
+    said = run(tmp_path, {"python3": "exit 1"}, "find_python.sh")
     assert said.returncode == 2
     assert said.stderr.count("\n") == 1
     assert "PYTHON311=" in said.stderr

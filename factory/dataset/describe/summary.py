@@ -14,7 +14,7 @@ from ..format.manifest import INDEX_NAME
 from ..read.reader import check_in_isolation, reading
 from ..read.source import Source, open_shards, open_source
 from .preview import load, spread
-from .quality import psnr_db
+from .quality import psnr_db, ssim
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class DatasetSummary:
     table: (samples,) structured array, the rows of /meta of all shards.
     splits: (samples,) the split of each row.
     stored_bytes: of all files.  image_bytes: of the images without compression.
-    psnr_db: noisy against clean, of `measured` samples spread evenly.
+    psnr_db, ssim: noisy against clean, of `measured` samples spread evenly.
     """
 
     source: Source
@@ -37,6 +37,7 @@ class DatasetSummary:
     stored_bytes: int
     image_bytes: int
     psnr_db: npt.NDArray[np.float64]
+    ssim: npt.NDArray[np.float64]
 
     def numbers(self, name: str) -> npt.NDArray[np.float64]:
         """The finite values of one numeric column."""
@@ -62,7 +63,7 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
     with reading(source.shards[0][1]) as file:
         schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
         compression = compression_of(file["noisy"])
-    measured = map(load, spread(list(source.names()), pairs))
+    images = [load(one).images for one in spread(list(source.names()), pairs)]
     a_sample = sum(
         int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
     )
@@ -75,7 +76,8 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
         sum(shard.stat().st_size for _, shard, _ in source.shards),
         a_sample * sum(source.splits.values()),
-        np.array([psnr_db(one.images["clean"], one.images["noisy"]) for one in measured]),
+        np.array([psnr_db(one["clean"], one["noisy"]) for one in images]),
+        np.array([ssim(one["clean"], one["noisy"]) for one in images]),
     )
 
 

@@ -32,7 +32,7 @@ _Count = Annotated[int, Field(ge=0, le=200)]
 class OwnObject(OwnClass):
     """An entry of `scenes.own_objects`; see also `OwnClass`.
 
-    file: .glb, .obj, .ply or .stl; its z (of .glb: y) points up.
+    file: .glb, .gltf, .obj, .ply, .stl or .blend; its z (of .glb: y) points up.
     per_place: least and most of them in a place.  scale: metres per unit of the file.
     burial: least and most of its height in the ground.  tilt_deg: likewise, from upright.
     colour: albedo (red, green, blue; 0 to 1) instead of the mesh's own colours and textures.

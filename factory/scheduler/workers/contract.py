@@ -86,7 +86,7 @@ class Pool:
 class WorkerSettings:
     """Which processes run the tasks.
 
-    address: of a Dask scheduler, tcp://host:port.
+    address: of a Dask scheduler, tcp://host:port; None starts a cluster on this machine.
     preload: modules that every worker needs, loaded once for all (local workers only).
     """
 
@@ -94,6 +94,11 @@ class WorkerSettings:
     backend: BackendName = "local"
     address: str | None = None
     preload: tuple[str, ...] = ()
+
+    @property
+    def total(self) -> int:
+        """All workers."""
+        return sum(pool.workers for pool in self.pools)
 
 
 class Backend(Protocol):

@@ -1,7 +1,7 @@
-"""Workers of a Dask cluster, which a scheduler's address leads to.
+"""Workers of a Dask cluster: one on this machine, or any that a scheduler's address leads to.
 
 Each worker has one thread and a nanny that replaces it when it dies, and takes tasks of all pools.
-Dask is to retry nothing itself: docs/cluster.md says how to start a cluster.
+Dask is to retry nothing itself: docs/cluster.md says how to start such a cluster elsewhere.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from ...errors import FactoryError
 from .contract import RESULT, Hear, WorkerSettings, answered
+from .template import THREAD_VARIABLES
 
 T = TypeVar("T")
 
@@ -48,10 +49,11 @@ class DaskBackend:
     """A `contract.Backend` over `distributed.Client`."""
 
     def __init__(self, settings: WorkerSettings) -> None:
-        """Connect.  Raises FactoryError when no scheduler with workers answers."""
+        """Connect, or start a cluster.  Raises FactoryError when neither works."""
         import distributed
 
         self._distributed: Any = distributed
+        self._cluster: Any = None
         self._client: Any = None
         self._counted = 0.0
         self._tasks: dict[str, _Task] = {}
@@ -60,8 +62,12 @@ class DaskBackend:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._workers = 0
         try:
+            address = settings.address
+            if address is None:
+                self._cluster = self._started(settings.total)
+                address = self._cluster.scheduler_address
             self._client = self._distributed.Client(
-                settings.address, timeout=_CONNECT_S, set_as_default=False
+                address, timeout=_CONNECT_S, set_as_default=False
             )
             self._client.subscribe_topic(self._topic, self._heard)
             self._count()
@@ -69,10 +75,31 @@ class DaskBackend:
                 raise ValueError("it has no workers")
         except (TimeoutError, OSError, ValueError, RuntimeError) as error:
             self.stop()
+            where = (
+                f"scheduler.address={settings.address}: no Dask scheduler answers"
+                if settings.address
+                else "scheduler.backend=dask: no cluster comes up on this machine"
+            )
             raise FactoryError(
-                f"scheduler.address={settings.address}: no Dask scheduler answers ({error}); "
-                "check the address, or start one (docs/cluster.md)"
+                f"{where} ({error}); check the address, or start one (docs/cluster.md)"
             ) from error
+
+    def _started(self, workers: int) -> Any:
+        """A scheduler and its workers as processes of this machine."""
+        import dask
+
+        with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+            cluster = self._distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                memory_limit=0,
+                dashboard_address=None,
+                preload=["simnfnd.factory.scheduler.workers.contract"],
+                env=dict.fromkeys(THREAD_VARIABLES, "1"),
+                silence_logs=logging.CRITICAL,
+            )
+        cluster.wait_for_workers(workers, timeout=_START_S)
+        return cluster
 
     def _count(self) -> None:
         """Take in workers that have come or gone."""
@@ -174,12 +201,13 @@ class DaskBackend:
             task.future.set_exception(TimeoutError())
 
     def stop(self) -> None:
-        """Leave the cluster."""
+        """Leave the cluster; one that was started here is taken down."""
         with self._lock:
             self._tasks.clear()
-        with suppress(Exception):
-            if self._client is not None:
-                self._client.close(timeout=_STOP_S)
+        for one in (self._client, self._cluster):
+            with suppress(Exception):
+                if one is not None:
+                    one.close(timeout=_STOP_S)
 
 
 def _run(request: bytes, topic: str, key: str) -> bytes:

@@ -10,7 +10,8 @@ import pytest
 
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.factory.commands.inspect import report
-from simnfnd.factory.dataset.describe.quality import PSNR_CAP_DB, psnr_db
+from simnfnd.factory.dataset.describe.quality import PSNR_CAP_DB, psnr_db, ssim
+from simnfnd.factory.dataset.describe.similarity import _plain_window, window
 from simnfnd.factory.dataset.describe.summary import summarize
 from simnfnd.factory.errors import FactoryError
 from tests import small_dataset
@@ -31,7 +32,18 @@ def test_quality_is_what_evaluation_reports(dtype) -> None:
     assert psnr_db(clean, noisy) == pytest.approx(
         metrics.psnr(clean, noisy, data_range=scale), abs=1e-6
     )
+    assert ssim(clean, noisy) == pytest.approx(
+        metrics.ssim(clean, noisy, data_range=scale), abs=1e-6
+    )
     assert psnr_db(clean, clean) == PSNR_CAP_DB
+    assert ssim(clean, clean) == pytest.approx(1)
+    assert np.isnan(ssim(clean[:8, :8], noisy[:8, :8]))
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (30, 41)])
+def test_without_opencv_ssim_is_the_same(shape: tuple[int, int]) -> None:
+    values = np.random.default_rng(3).random(shape)
+    np.testing.assert_allclose(_plain_window(values), window(values), atol=1e-14)
 
 
 def test_figures_are_those_of_the_files(dataset) -> None:
@@ -84,6 +96,23 @@ def test_one_shard_and_the_index_can_be_given(dataset, tmp_path) -> None:
         assert summarize(dataset / "index.h5").source.splits == {"train": 9, "test": 3}
     finally:
         (dataset / "index.h5").unlink()
+
+
+@pytest.mark.parametrize(
+    ("compression", "said"),
+    [("none", "fletcher32"), ("gzip", "gzip 1, fletcher32")],
+)
+def test_compression_is_told(compression, said, tmp_path) -> None:
+    from simnfnd.factory.dataset.describe.summary import compression_of
+
+    filters = {} if compression == "none" else {"compression": compression}
+    if compression == "gzip":
+        filters["compression_opts"] = 1
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        stack = file.create_dataset(
+            "x", shape=(2, 4, 4), dtype="u1", chunks=(1, 4, 4), fletcher32=True, **filters
+        )
+        assert compression_of(stack) == said
 
 
 def test_what_is_no_dataset_is_said(tmp_path, dataset) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.sonar.fan import fan_table
-from tests.frames import HEIGHT_M, POST_M, ground_and_post, plain_render
+from tests.frames import HEIGHT_M, POST_M, ground_and_post, labelled, plain_render
 
 TRUTH = ["range", "elevation", "valid_azimuth", "segmentation"]
 EFFECTS = ("range_spreading", "multipath", "azimuth", "range_arc", "background")
@@ -25,18 +24,6 @@ POLAR = {"image": {"layout": "polar"}, "vfov_deg": 60, "projection": "slant_rang
 
 def config(**keys: Any) -> FactoryConfig:
     return from_mapping({"scenes": {"kind": "seabed"}, **keys})
-
-
-def labelled() -> Frame:
-    """The post is a pillar, number 7; the ground is ground."""
-    frame = ground_and_post(480, 320)
-    post = frame.depth_m == np.float32(POST_M)
-    number = CLASSES.index("Pillar")
-    return replace(
-        frame,
-        segmentation=np.where(post, number, 0).astype(np.uint8),
-        instance=np.where(post, 7, 0).astype(np.uint16),
-    )
 
 
 def made(settings: FactoryConfig, frame: Frame | None = None, variant: int = 0) -> Pair:
@@ -131,9 +118,3 @@ def test_labels_are_refused_where_there_are_none() -> None:
         )
     with pytest.raises(FrameError, match="here/plain/0001: has no labels"):
         made(config(dataset={"layers": ["segmentation"]}), ground_and_post())
-
-
-@pytest.mark.parametrize("names", [["photo"], ["range", "range"]])
-def test_odd_names_are_refused(names: list[str]) -> None:
-    with pytest.raises(FactoryError, match=r"dataset"):
-        config(dataset={"layers": names})

@@ -103,25 +103,6 @@ def test_speckle_has_the_power_and_the_grain_that_the_device_gives_it(recipe):
     assert np.mean(products) / np.mean(squares) == pytest.approx(alike, abs=0.06)
 
 
-def signal_to_noise_db(settings: FactoryConfig) -> float:
-    """Of the receiver's noise, its level as drawn in the middle."""
-    ping = listened(settings)
-    echo = beamform_power(ping.scatterers.power, ping)[lit(ping)].mean()
-    silence = np.zeros((1, 2, *ping.shape), np.float32)
-    noise = intensity(receiver(silence, ping, rng(), level_db=0, grain="sample"))[lit(ping)]
-    return float(decibels(echo / noise.mean()))
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_signal_to_noise_does_not_depend_on_the_sampling(device):
-    base = composed(f"sonar={device}")
-    beams, bins = base.sonar.beams, base.sonar.range_bins
-    plain = replace(base, sonar=replace(base.sonar, beam_azimuths_deg=None))
-    level_db = signal_to_noise_db(plain)
-    sonar = replace(plain.sonar, range_bins=bins // 2, beams=2 * beams)
-    assert signal_to_noise_db(replace(plain, sonar=sonar)) == pytest.approx(level_db, abs=0.2)
-
-
 @pytest.mark.parametrize("device", DEVICES)
 def test_noise_and_haze_are_those_of_the_closed_forms(device):
     """Both over the echo of a surface of known backscatter, in what pulse and beam hold of each."""

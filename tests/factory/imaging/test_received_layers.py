@@ -1,7 +1,5 @@
 """What was received, where from and by whom: optional layers and columns, read back by examples."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,13 +13,13 @@ from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.view import view_of
 from simnfnd.factory.render.views import OneView
 from simnfnd.factory.sample_table import pose
-from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, plain_render
+from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, labelled, plain_render
+from tests.project.run_example import run
 from tests.project_files import ROOT
 
 LAYERS = ["range", "azimuth", "elevation", "elevation_min", "elevation_max", "segmentation"]
@@ -30,6 +28,7 @@ OFF = ("range_spreading", "multipath", "azimuth", "range_arc", "background")
 # A camera that looks along the world's x, 20 degrees down, from 1.5 m above the ground.
 C, S = np.cos(PITCH_RAD), np.sin(PITCH_RAD)
 POSE = np.array([[0, -S, C, 2], [-1, 0, 0, 5], [0, -C, -S, HEIGHT_M], [0, 0, 0, 1]], np.float64)
+PLACE = {"world_from_camera": POSE, "time_s": 12.5, "altitude_m": HEIGHT_M}
 
 
 def config(**dataset):
@@ -49,24 +48,11 @@ def config(**dataset):
     )  # fmt: skip
 
 
-def labelled():
-    frame = ground_and_post(480, 320)
-    post = frame.depth_m == np.float32(POST_M)
-    return replace(
-        frame,
-        segmentation=np.where(post, CLASSES.index("Pillar"), 0).astype(np.uint8),
-        instance=np.where(post, 7, 0).astype(np.uint16),
-        world_from_camera=POSE,
-        time_s=12.5,
-        altitude_m=HEIGHT_M,
-    )
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """(folder of a dataset of one sample, its configuration, its pair)."""
     settings = config(layers=LAYERS + RECEIVED, columns=["pose", "calibration"], dtype="float32")
-    frame = labelled()
+    frame = labelled(**PLACE)
     view = view_of(frame, plain_render(frame), settings.sonar.mount)
     maker = PairMaker(settings, OneView(view))
     (pair,) = maker.pairs(frame.ref, (0,))
@@ -125,7 +111,7 @@ def test_pose_of_the_sonar(made):
     assert row["sonar.altitude_m"] == pytest.approx(HEIGHT_M)
     assert [row[f"camera.{axis}_m"] for axis in "xyz"] == [2, 5, HEIGHT_M]
     mount = Mount(translation_m=(1.0, 0.5, 0.25), pitch_deg=10, yaw_deg=30)
-    moved = pose.row(labelled(), mount)
+    moved = pose.row(labelled(**PLACE), mount)
     assert moved["sonar.x_m"] == pytest.approx(2 + C + 0.25 * S)
     assert moved["sonar.y_m"] == pytest.approx(5.5)
     assert moved["sonar.heading_deg"] > 25
@@ -133,17 +119,14 @@ def test_pose_of_the_sonar(made):
     assert np.isnan(list(unknown.values())).all()
 
 
-def run(script, *words):
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "examples" / script), *map(str, words)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+def shown(script, *words):
+    done = run(script, *map(str, words), cwd=ROOT)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def test_example_of_a_point_cloud(made, tmp_path: Path):
-    assert "1 objects" in run("point_cloud.py", made[0], tmp_path / "cloud.ply")
+    assert "1 objects" in shown("point_cloud.py", made[0], tmp_path / "cloud.ply")
     content = (tmp_path / "cloud.ply").read_bytes()
     head, body = content.split(b"end_header\n", 1)
     kinds = [(n, "<f4") for n in ("x", "y", "z", "strength")] + [("class", "u1"), ("i", "<u2")]
@@ -157,12 +140,12 @@ def test_example_of_a_point_cloud(made, tmp_path: Path):
 
 
 def test_example_of_boxes(made):
-    assert "here/plain" not in (found := run("boxes.py", made[0])).replace("plain/0001", "")
+    assert "here/plain" not in (found := shown("boxes.py", made[0])).replace("plain/0001", "")
     assert "plain/0001: Pillar 7" in found
 
 
 def test_example_of_a_complex_field(made):
-    found = run("complex_field.py", made[0])
+    found = shown("complex_field.py", made[0])
     difference = float(found.split("at most ")[1].split()[0])
     assert difference < 1e-3
     one, two, four = (float(x.split()[-2]) for x in found.splitlines() if "looks:" in x)
@@ -182,6 +165,6 @@ def test_what_is_not_there_is_refused():
         settings.noise.speckle, looks=type(settings.noise.speckle.looks)("number", (3.0,))
     )
     many = replace(settings, noise=replace(settings.noise, speckle=speckle))
-    frame = labelled()
+    frame = labelled(**PLACE)
     with pytest.raises(FrameError, match="one look"):
         pairs.make_pair(pairs.observe(frame, plain_render(frame), many), 0, many)

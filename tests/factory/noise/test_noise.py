@@ -13,7 +13,7 @@ from simnfnd.factory.noise.points.range_arc import range_arc
 from simnfnd.factory.noise.points.range_spreading import range_spreading
 from simnfnd.factory.noise.registry import EFFECTS, POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.echoes import Echoes
+from simnfnd.factory.sonar.echoes import Echoes, in_plane
 from tests.clouds import HALF_RAD, camera_scene, uniform_scene, window
 
 RNG = np.random.default_rng
@@ -79,14 +79,7 @@ def test_exponential_spreading_weakens_late_echoes():
 
 def test_ghosts_appear_behind_the_dense_region():
     rng = RNG(3)
-    dense = rng.normal(3.0, 0.1, 5000)
-    azimuth_rad = rng.normal(0.1, 0.01, 5000)
-    blob = type(uniform_scene(1))(
-        dense.astype(np.float32),
-        azimuth_rad.astype(np.float32),
-        np.zeros(5000, np.float32),
-        np.ones(5000, np.float32),
-    )
+    blob = in_plane(rng.normal(3.0, 0.1, 5000), rng.normal(0.1, 0.01, 5000), np.ones(5000))
     given = {"count": 3, "density": 0.2, "quantile": 0.9, "spread": 0.01, "strength": 0.5}
     made = multipath(blob, window(), RNG(0), delay=0.1, **given)
     assert len(made) == 1000

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -11,14 +9,11 @@ import pytest
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Frame, Intrinsics
+from simnfnd.factory.frame import Frame
 from simnfnd.factory.render import Rendered, RenderSettings, check_renderer
 from simnfnd.factory.settings import build
-from tests.factory.render.renderers import HERE, LEFT, relative_error, render
+from tests.factory.render.renderers import LEFT, relative_error, render
 from tests.render_scenes import FLSEA, flsea_frame, yard
-
-CAMERA = Intrinsics(21.0, 19.0, 10.3, 8.6)
-
 
 # ---- renders: traced every n-th pixel against every pixel ----
 
@@ -84,16 +79,6 @@ def test_shadows_move_by_the_outline_alone(kind: str, stride: int) -> None:
         for across in range(-reach, reach + 1):
             near |= np.roll(shadow, (down, across), (0, 1)) != shadow
     assert (differs & ~near).sum() < 0.001 * full.surface.sum()
-
-
-def test_auto_traces_what_the_scene_needs() -> None:
-    auto: RenderSettings = build(RenderSettings, {})
-    assert (auto.stride_at(HERE), auto.as_points(HERE)) == (2, True)
-    assert (auto.stride_at(LEFT), auto.as_points(LEFT)) == (1, False)
-    bounced = replace(auto, bounces=1)
-    assert (bounced.stride_at(HERE), bounced.as_points(HERE)) == (1, False)
-    fixed = replace(auto, stride=3, geometry="points")
-    assert (fixed.stride_at(LEFT), fixed.as_points(LEFT)) == (3, True)
 
 
 def test_stride_and_bounces_exclude_each_other() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.frame import Frame, Intrinsics
-from tests.factory.render.renderers import ABOVE, HERE, KINDS, LEFT, digest, opened, render
+from tests.factory.render.renderers import ABOVE, HERE, KINDS, LEFT, digest, render
 from tests.project_files import ROOT
 from tests.render_scenes import frame_of, plane_depth, yard
 
@@ -50,18 +49,6 @@ def test_a_fresh_process_gives_the_same_bytes_and_prints_nothing_else(
     printed, _ = fresh_process.communicate(timeout=120)
     assert fresh_process.returncode == 0
     assert printed == digest(render("cycles", yard(152, 242), LEFT)) + "\n"
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux only")
-def test_starting_blender_leaves_every_core_usable() -> None:
-    from simnfnd.factory.render import blender
-
-    cores = os.sched_getaffinity(0)
-    with blender._one_core():
-        assert len(os.sched_getaffinity(0)) == 1
-    opened("cycles")
-    for thread in os.listdir("/proc/self/task"):
-        assert os.sched_getaffinity(int(thread)) == cores
 
 
 # ---- bounces and samples ----

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.render import RenderSettings, check_renderer, open_renderer
+from simnfnd.factory.render import RenderSettings, open_renderer
 from simnfnd.factory.render.albedo import albedo, linear_luminance
 from simnfnd.factory.settings import build
 
@@ -58,27 +56,6 @@ def test_flattened_albedo_ignores_unmeasured_pixels() -> None:
 
 
 # ---- settings and missing libraries ----
-
-
-@pytest.mark.parametrize(
-    ("kind", "module", "install"),
-    [
-        ("cycles", "bpy", 'pip install "simnfnd[blender]"'),
-        ("embree", "open3d", 'pip install "simnfnd[open3d]"'),
-    ],
-)
-def test_missing_library_is_one_line_with_the_way_out(
-    kind: str, module: str, install: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wanted: RenderSettings = build(RenderSettings, {"kind": kind})
-    monkeypatch.setitem(sys.modules, module, None)
-    for attempt in (check_renderer, open_renderer):
-        with pytest.raises(FactoryError) as caught:
-            attempt(wanted)
-        text = str(caught.value)
-        assert "\n" not in text
-        for part in (f"render.kind={kind}", module, install, "render=analytic"):
-            assert part in text
 
 
 def test_points_are_for_cycles_only() -> None:

@@ -5,16 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.render import RenderSettings, kernels
-from simnfnd.factory.render.mesh import Quads, cut_quads
 from simnfnd.factory.render.surface import Surface, pixels_of
 from simnfnd.factory.settings import build
-from tests.render_scenes import frame_of, plane_depth, rays, sphere_depth, yard
+from tests.render_scenes import frame_of, rays, sphere_depth, yard
 
 Array = npt.NDArray[np.floating]
 
@@ -34,11 +30,6 @@ def joined(depth_m: Array, bit: int, edge_ratio: float = 0.1) -> npt.NDArray[np.
     return np.asarray(joints_of(depth_m, edge_ratio) & bit != 0)
 
 
-def triangles_of(depth_m: Array, edge_ratio: float = 0.1) -> npt.NDArray[np.int64]:
-    quads: Quads = cut_quads(joints_of(depth_m, edge_ratio))
-    return quads.triangles(quads.upper, quads.lower)
-
-
 def test_points_are_those_of_open3d_and_of_equation_2() -> None:
     open3d = pytest.importorskip("open3d")
     frame = yard(152, 242)
@@ -56,17 +47,6 @@ def test_points_are_those_of_open3d_and_of_equation_2() -> None:
     expected = 3.0 * np.linalg.solve(matrix, [11.0, 29.0, 1.0])
     points_m = surface_of(np.full((40, 60), 3.0)).points_m
     np.testing.assert_allclose(points_m[29, 11], expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize("normal", [(0, 0, 1), (0.6, 0.0, 0.8), (0.1, 0.9, 0.42), (-0.3, -0.5, 1)])
-def test_normals_of_a_plane(normal: tuple[float, float, float]) -> None:
-    depth_m = plane_depth(60, 80, CAMERA, normal, 2.0).astype(np.float32)
-    depth_m[depth_m > 15] = 0
-    surface = surface_of(depth_m, 0.3)
-    found = surface.normals[surface.mask]
-    towards = -np.asarray(normal) / np.linalg.norm(normal)
-    assert len(found) > 1000
-    np.testing.assert_allclose(found, np.broadcast_to(towards, found.shape), atol=3e-4)
 
 
 def test_normals_of_a_sphere() -> None:
@@ -103,24 +83,3 @@ def test_a_flying_pixel_is_no_surface() -> None:
     assert surface_of(depth_m).mask.sum() == 80
     depth_m[4, 4] = 0
     assert surface_of(depth_m).mask.sum() == 80
-
-
-DEPTHS = arrays(
-    np.float32,
-    st.tuples(st.integers(2, 9), st.integers(2, 9)),
-    elements=st.sampled_from(
-        [float(np.float32(x)) for x in (0.0, 1.0, 1.03, 1.08, 1.3, 2.0, 2.01, 2.06, 2.15)]
-    ),
-)
-
-
-@given(DEPTHS, st.sampled_from([0.02, 0.05, 0.1, 0.5, 1.0]))
-def test_edges_are_never_bridged(depth_m: npt.NDArray[np.float32], edge_ratio: float) -> None:
-    triangles = triangles_of(depth_m, edge_ratio)
-    corners_m = depth_m.ravel()[triangles]
-    assert np.all(corners_m > 0)
-    assert np.all(corners_m.max(axis=1) < corners_m.min(axis=1) * (1 + edge_ratio) + 1e-6)
-    rows, columns = np.divmod(triangles, depth_m.shape[1])
-    assert np.all(np.ptp(rows, axis=1) == 1)
-    assert np.all(np.ptp(columns, axis=1) == 1)
-    assert len({tuple(sorted(triangle)) for triangle in triangles.tolist()}) == len(triangles)

@@ -330,6 +330,21 @@ def test_materials_name_known_classes(folder: Path, tmp_path: Path) -> None:
         own(folder, two)
 
 
+def test_equal_bytes_on_one_and_many_workers(folder: Path, tmp_path: Path) -> None:
+    for name, workers in (("one", 1), ("three", 3)):
+        words = [
+            *("make", f"scenes.own_objects=[{{file: {folder}/cube.ply, class: crate}}]", *SMALL),
+            *("scenes.locations=2", "scenes.frames_per_location=2", "scheduler=local"),
+            *(f"scheduler.workers={workers}", "scheduler.shard_size=1"),
+            *("dataset.layers=[segmentation]", "dataset.columns=[boxes]"),
+            *(f"dataset.dir={tmp_path}/{name}", f"cache.dir={tmp_path}/cache-{name}"),
+        ]
+        assert main(words) == 0
+    for path in sorted((tmp_path / "one").rglob("shard-*.h5")):
+        other = tmp_path / "three" / path.relative_to(tmp_path / "one")
+        assert path.read_bytes() == other.read_bytes()
+
+
 BAD = {
     "in millimetres": (
         "big.ply",
@@ -346,6 +361,7 @@ BAD = {
     "a texture elsewhere": ("absolute.obj", "names /etc/passwd, which is not in the mesh's own"),
     "materials elsewhere": ("above.obj", r"names .*\.\./a.mtl, which is not in the mesh's own"),
     "a buffer elsewhere": ("linked.glb", "names other files; export with everything in one .glb"),
+    "a buffer by URL": ("url.gltf", "names .*, which is not in the mesh's own|is missing"),
 }
 
 
@@ -371,6 +387,8 @@ def bad(folder: Path) -> Path:
         faces = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
         (folder / f"{name}.obj").write_text(f"mtllib {library}\n{faces}")
         (folder / f"{name}.mtl").write_text(f"newmtl a\n{picture}\n")
+    url = {"buffers": [{"uri": "file:///etc/passwd", "byteLength": 9}]}
+    (folder / "url.gltf").write_text(json.dumps(url))
     write_chunks(folder / "linked.glb", {"buffers": [{"uri": "../a.bin", "byteLength": 9}]}, b"")
     return folder
 
@@ -410,6 +428,46 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
     x, red = sheet.mesh.vertices[:, 0], sheet.mesh.colours[:, 0]
     assert (red[x > 0.55] > 0.9).all()
     assert (red[x < 0.45] < 0.1).all()
+
+
+def test_scripts_of_a_blend_are_never_run(tmp_path: Path) -> None:
+    """It is read for its meshes and colours, and photographed by Cycles."""
+    import subprocess
+    import sys
+
+    made, ran = tmp_path / "world.blend", tmp_path / "ran"
+    script = f"""
+import bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_cube_add(size=1, location=(0, 4, 0))
+cube = bpy.context.object
+cube.name = "valve"
+material = bpy.data.materials.new("red")
+material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (.8, 0, 0, 1)
+cube.data.materials.append(material)
+text = bpy.data.texts.new("autorun.py")
+text.write("open({str(ran)!r}, 'w')")
+text.use_module = True
+cube.driver_add("location", 0).driver.expression = "[0, open({str(ran)!r}, 'w')][0]"
+bpy.ops.wm.save_as_mainfile(filepath={str(made)!r})
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+    ran.unlink(missing_ok=True)  # Blender drives while it makes the file
+    (tmp_path / "poses.txt").write_text(FORWARD)
+    config = compose_config(
+        [
+            *("scenes=mesh", f"scenes.file={made}", f"scenes.poses={tmp_path}/poses.txt"),
+            *("scenes.width=96", "scenes.height=64", "render=analytic"),
+            "scenes.classes=[{class: valve, parts: valve}]",
+        ]
+    )
+    (frame,) = frames(config)
+    assert not ran.exists()
+    on = frame.segmentation == 21
+    assert on.any()
+    red, green, _ = frame.rgb[on].astype(float).T
+    assert np.median(red) > 60
+    assert np.median(green) < 0.5 * np.median(red)
 
 
 def test_renders_and_packs_keep_boxes_and_classes(folder: Path, tmp_path: Path) -> None:

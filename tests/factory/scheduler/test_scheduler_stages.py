@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,27 +39,10 @@ def test_frames_that_are_prepared_by_others_give_the_same_bytes(
         assert len(makers) == 1, "somebody else than the render worker prepared a frame"
 
 
-@pytest.fixture
-def cluster() -> Iterator[str]:
-    """The address of a Dask scheduler with two workers."""
-    import dask
-    import distributed
-
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, memory_limit=0, dashboard_address=None,
-            preload=["simnfnd.factory.scheduler.workers.contract"], silence_logs=50,
-        ) as started,
-    ):  # fmt: skip
-        yield started.scheduler_address
-
-
 @pytest.mark.parametrize("backend", ["local", "dask"])
 def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
-    tmp_path: Path, undisturbed: dict[str, bytes], backend: str, request: pytest.FixtureRequest
+    tmp_path: Path, undisturbed: dict[str, bytes], backend: str
 ) -> None:
-    address = request.getfixturevalue("cluster") if backend == "dask" else None
     directory = tmp_path / "dataset"
     config = FakeConfig(
         bad=("reef/alpha/0000",),
@@ -70,9 +52,7 @@ def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
         killed_once=("reef/beta/0003",),
         marks=str(tmp_path),
     )
-    report = staged(
-        directory, config, scheduler={"backend": backend, "address": address}, frame_timeout_s=1.0
-    )
+    report = staged(directory, config, scheduler={"backend": backend}, frame_timeout_s=1.0)
     told = failures(directory)
     assert {name: item["kind"] for name, item in told.items()} == {
         "reef/alpha/0000": "frame",

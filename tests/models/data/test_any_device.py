@@ -27,11 +27,11 @@ def source(rendered: tuple[Path, Path]) -> DeviceSource:
 
 
 def test_every_visit_is_another_picture_and_the_same_one_again(source: DeviceSource) -> None:
-    samples = [source.sample(0, visit) for visit in range(8)]
-    assert len({one.noisy.shape for one in samples}) > 2
-    again = pickle.loads(pickle.dumps(source)).sample(0, 5)
-    np.testing.assert_array_equal(again.noisy, samples[5].noisy)
-    assert again.geometry == samples[5].geometry
+    samples = [source.sample(0, visit) for visit in range(4)]
+    assert len({one.noisy.shape for one in samples}) > 1
+    again = pickle.loads(pickle.dumps(source)).sample(0, 3)
+    np.testing.assert_array_equal(again.noisy, samples[3].noisy)
+    assert again.geometry == samples[3].geometry
     for one in samples:
         assert one.clean is not None
         assert one.shadow is not None

@@ -14,10 +14,8 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.models.data.crops import Crops, Visit, VisitSampler, concatenate
 from simnfnd.models.data.pairs import (
     PairSource,
-    SampleRef,
     hold_out,
     read_table,
-    spread,
 )
 from tests.models.data.data_settings import data_settings
 from tests.small_dataset import write_dataset
@@ -42,13 +40,6 @@ def test_validation_shares_no_scene_with_training(dataset: Path) -> None:
     assert validation
     with pytest.raises(FactoryError, match="one frame"):
         hold_out(tuple(s for s in one if s.frame == one[0].frame), 0.5, seed=0)
-
-
-def test_spread_keeps_the_ends_of_a_long_list() -> None:
-    samples = tuple(SampleRef(Path("x"), row, "s", "f") for row in range(100))
-    rows = [sample.row for sample in spread(samples, 4)]
-    assert rows == [0, 25, 50, 75]
-    assert spread(samples, None) == spread(samples, 100) == samples
 
 
 def visits(images: int, data: Any, steps: int = 5, intervals: int = 7) -> list[list[Visit]]:

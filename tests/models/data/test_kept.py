@@ -44,13 +44,6 @@ def test_a_visit_shows_the_newest_picture_or_one_that_is_kept(
         assert found == number
 
 
-def test_every_picture_serves_so_many_visits() -> None:
-    served = Counter(drawn(number, 4, 0) for number in range(8000))
-    middle = [served[picture] for picture in range(2 * KEPT, 2000 - 2 * KEPT)]
-    assert min(middle) >= 1
-    assert abs(np.mean(middle) - 4) < 0.1
-
-
 def test_kept_pictures_are_those_of_the_source_and_made_once() -> None:
     plain, counting = Counting(), Counting()
     kept = KeptSource(counting)

@@ -11,7 +11,6 @@ import pytest
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.models.denoise.writers import CODECS, FrameFiles
-from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.video import VideoFile
 from tests.models.denoise.halving import main
 from tests.models.denoise.untrained import through_network
@@ -94,12 +93,3 @@ def test_a_video_that_broke_off_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         fails()
     assert list(tmp_path.iterdir()) == []
-
-
-def _break_off(source: Path, target: Path) -> None:
-    with (
-        open_recording(source) as recording,
-        FrameFiles(target, None, recording) as files,
-    ):
-        files.add(recording[0].samples)
-        raise FrameError("of no use")

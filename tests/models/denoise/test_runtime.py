@@ -73,7 +73,7 @@ def within(denoise: Denoiser) -> float:
 def test_onnxruntime_gets_what_torch_gets(
     both: tuple[Path, Path], where: str, frames: float | str | None
 ) -> None:
-    drawn, geometry = fan(preset("aris_explorer_3000", 150, 211), 0.3, holes=False)
+    drawn, geometry = fan(preset("aris_explorer_3000", 90, 127), 0.3, holes=False)
     picture = drawn.astype(np.float32) / 255
     polar = FanGeometry.polar().with_size(*picture.shape)
     known = {"fan": geometry, "polar": polar, "unknown": None}[where]

