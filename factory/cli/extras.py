@@ -35,6 +35,7 @@ EXTRAS = {
     "onnxruntime": "denoise",
     "matplotlib": "figures",
     "rosbags": "ros",
+    "hdf5plugin": "zstd",
     "s3fs": "cloud",
 }
 """Module -> the extra of pyproject.toml that installs it."""

@@ -202,9 +202,8 @@ def test_quantiles_are_those_of_numpy(
 ) -> None:
     skip = min(skip, len(values) - 1)
     expected = np.quantile(np.sort(values.astype(np.float64))[skip:], [fraction, 0.5])
-    np.testing.assert_allclose(
-        transfer.quantiles(values, (fraction, 0.5), skip=skip), expected, rtol=1e-6
-    )
+    found = transfer.quantiles(values, (fraction, 0.5), skip=skip)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-13 * float(values.max()))
 
 
 @settings(max_examples=50, deadline=None)

@@ -17,7 +17,7 @@ from tests.project_files import ROOT, files, module_name, modules, project
 
 # Slow or heavy to import: only inside the function that needs them.
 HEAVY = (
-    "bpy", "open3d", "torch", "matplotlib", "pyarrow", "webdataset",
+    "bpy", "open3d", "torch", "matplotlib", "hdf5plugin", "pyarrow", "webdataset",
     "huggingface_hub", "rosbags",
 )  # fmt: skip
 

@@ -42,8 +42,8 @@ _MAX_LAYERS = 64
 _MAX_CHUNKS = 1 << 20
 _MAX_TABLE_BYTES = 1 << 27
 
-_DEFLATE, _LZF, _FLETCHER32 = 1, 32000, 3
-_CODECS = {_DEFLATE: "gzip", _LZF: "lzf"}
+_DEFLATE, _LZF, _ZSTD, _FLETCHER32 = 1, 32000, 32015, 3
+_CODECS = {_DEFLATE: "gzip", _LZF: "lzf", _ZSTD: "zstd"}
 
 
 def _filters(stack: h5py.Dataset) -> tuple[str, int]:
@@ -58,6 +58,14 @@ def _filters(stack: h5py.Dataset) -> tuple[str, int]:
     codecs = codes[: len(codes) - bool(ending)]
     if len(codecs) > 1 or not set(codecs) <= set(_CODECS):
         raise FactoryError(f"{stack.name} uses filters {codes}, which are not of {SCHEMA}")
+    if _ZSTD in codes and not h5py.h5z.filter_avail(_ZSTD):
+        try:
+            import hdf5plugin  # noqa: F401  (registers its filters; 186 MB, so only when needed)
+        except ImportError as error:
+            raise FactoryError(
+                "compressed with zstd, which needs the hdf5plugin package: "
+                "pip install 'simnfnd[zstd]'"
+            ) from error
     return _CODECS[codecs[0]] if codecs else "none", ending
 
 
