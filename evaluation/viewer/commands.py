@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import webbrowser
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 from ...factory.cli import Parser
@@ -62,12 +62,12 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
         raise FactoryError(f"{source}: a recording has no folder of its own; give --out FILE.png")
     if frames < 1:
         raise FactoryError(f"--pairs must be at least 1, got {frames}")
-    recording = ShownRecording(source)
-    count = len(recording)
     shown = []
-    for number in evenly(range(count), frames):
-        picture = recording.picture(number, 0)
-        grey = picture.mean(axis=-1) if picture.ndim == 3 else picture
-        shown.append(Shown(f"frame {number}", {"picture": grey}, 255.0))
+    with closing(ShownRecording(source)) as recording:
+        count = len(recording)
+        for number in evenly(range(count), frames):
+            picture = recording.picture(number, 0)
+            grey = picture.mean(axis=-1) if picture.ndim == 3 else picture
+            shown.append(Shown(f"frame {number}", {"picture": grey}, 255.0))
     write_atomically(out, draw(shown, source.name, f"{count} frames"), key="--out")
     return out

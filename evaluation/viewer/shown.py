@@ -95,6 +95,11 @@ class ShownRecording:
         black, white = np.quantile(grey_of(self._recordings[0][0]), (0.01, 0.999))
         return (float(black), float(white)) if white > black else (0.0, 1.0)
 
+    def close(self) -> None:
+        """Let go of the files."""
+        for recording in self._recordings:
+            recording.close()
+
     def facts(self, number: int) -> Facts:
         """What the file says of the frame."""
         frame = self._recordings[0][number]

@@ -53,7 +53,7 @@ class Shot(Generic[Key]):
 
 @dataclass
 class Tally:
-    """What was done: pictures, of which `alone` fitted no other; sums over pictures."""
+    """What was done: pictures, of which `alone` matched no neighbour; sums over pictures."""
 
     pictures: int = 0
     alone: int = 0
@@ -69,7 +69,7 @@ class Tally:
         yield (
             f"in time: {self.frames * share:.1f} of up to {frames} frames fused in a pixel, "
             f"{100 * self.moved * share:.1f} % of pixels moved, {self.alone} of {self.pictures} "
-            "pictures fit no other"
+            "frames matched no neighbour"
         )
         for strength in self.strengths:
             yield f"strength by the recording itself: {strength}"

@@ -124,7 +124,7 @@ def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
     for number, picture in [*found, *stream.finish()]:
         np.testing.assert_allclose(picture, frames[number] / 2, atol=1e-6)
     assert tally.alone == len(frames)
-    assert next(tally.lines(7)).endswith("9 of 9 pictures fit no other")
+    assert next(tally.lines(7)).endswith("9 of 9 frames matched no neighbour")
 
 
 def test_where_nothing_moves_all_frames_count() -> None:
