@@ -331,11 +331,11 @@ def test_materials_name_known_classes(folder: Path, tmp_path: Path) -> None:
 
 
 def test_equal_bytes_on_one_and_many_workers(folder: Path, tmp_path: Path) -> None:
-    for name, workers in (("one", 1), ("three", 3)):
+    for name, how in (("one", "serial"), ("three", "local")):
         words = [
             *("make", f"scenes.own_objects=[{{file: {folder}/cube.ply, class: crate}}]", *SMALL),
-            *("scenes.locations=2", "scenes.frames_per_location=2", "scheduler=local"),
-            *(f"scheduler.workers={workers}", "scheduler.shard_size=1"),
+            *("scenes.locations=2", "scenes.frames_per_location=2", f"scheduler={how}"),
+            *("scheduler.workers=3", "scheduler.shard_size=1"),
             *("dataset.layers=[segmentation]", "dataset.columns=[boxes]"),
             *(f"dataset.dir={tmp_path}/{name}", f"cache.dir={tmp_path}/cache-{name}"),
         ]
