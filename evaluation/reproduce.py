@@ -65,7 +65,7 @@ class Plan:
 def main(words: Sequence[str]) -> int:
     """Make, train, judge, and print both tables; the exit code of the step that failed, or 0."""
     parser = Parser(prog="simnfnd evaluate paper")
-    parser.add_argument("--quick", action="store_true", help="6 minutes on two cores, few pairs")
+    parser.add_argument("--quick", action="store_true", help="3 minutes on two cores, few pairs")
     parser.add_argument("--scenes", type=Path, help="folder of FLSea VI (default: places made up)")
     parser.add_argument(
         "--real", type=Path, help="Marine Debris Dataset, for OldData (default: without that row)"
