@@ -114,9 +114,9 @@ def open_input(given: str | Path, most: int | None = None) -> tuple[list[Stretch
 
 
 def open_real(given: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
-    """The same shots, each with its geometry: told, or found in the first frame of a recording.
+    """The same shots, each with its geometry: given, or found in the first frame of a recording.
 
-    Raises FactoryError, also where nothing tells where range and bearing are.
+    Raises FactoryError, also where nothing says where range and bearing are.
     """
     stretches, notes = open_input(given)
     found: list[Shot] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from simnfnd.command import main, overview
 from simnfnd.factory.cli.extras import EXTRAS
 from simnfnd.verbs import VERBS, Verb
 from tests.fake_source import FakeConfig
-from tests.project_files import project
+from tests.project_files import ROOT, project
 from tests.run_fake import make
 
 
@@ -222,6 +223,19 @@ def test_the_extras_install_what_they_are_named_for() -> None:
         assert distributions.get(module, module) in lines
     everything = set(declared) - {"all", "dev", "docs"}
     assert declared["all"] == [f"simnfnd[{','.join(k for k in declared if k in everything)}]"]
+
+
+@pytest.mark.parametrize(
+    ("room", "verb"), [("factory", "make"), ("models", "train"), ("evaluation", "evaluate")]
+)
+def test_a_room_of_the_checkout_runs_its_verb(
+    room: str, verb: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [room, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(ROOT / room / "__main__.py"), run_name="__main__")
+    assert not ended.value.code
+    assert capsys.readouterr().out.startswith(f"simnfnd {verb}: ")
 
 
 def test_the_core_alone_answers_every_verb(tmp_path: Path) -> None:
