@@ -133,7 +133,11 @@ def _is_stale(path: Path, where: str, pid: int) -> bool:
         return time.time() - written > _FOREIGN_STALE_S
     import psutil  # only needed here, and readers of datasets have numpy and h5py alone
 
-    return not psutil.pid_exists(pid)
+    try:
+        # In a container whose first process collects nobody, the dead stay on the list as zombies.
+        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
 
 
 def refuse_files(folder: Path) -> None:

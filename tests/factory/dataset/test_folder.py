@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import yaml
 
@@ -32,6 +33,7 @@ from simnfnd.factory.files import (
 )
 from simnfnd.factory.ownership import space
 from tests.factory.dataset.some_shards import PROVENANCE, dataset, write
+from tests.factory.scheduler.run_files import wait_for
 from tests.fake_source import refs
 
 # --- files and disks --------------------------------------------------------------------------
@@ -90,6 +92,16 @@ def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Pat
     assert remove_stale_temporaries(tmp_path) == 2
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {name for name, stays in names.items() if stays}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no zombies there")
+def test_a_dead_process_that_nobody_has_collected_is_dead(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", "print()"], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.read()
+        wait_for(lambda: psutil.Process(process.pid).status() == psutil.STATUS_ZOMBIE)
+        (tmp_path / f".shard-00000.h5.{space()}-{process.pid}-{16 * '0'}.tmp").touch()
+        assert remove_stale_temporaries(tmp_path) == 1
 
 
 @pytest.mark.parametrize("folder", ["file/below", "/proc/nowhere"])
