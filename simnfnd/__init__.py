@@ -16,12 +16,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .api import denoise, make_pair
+    from .api import OpenRecording, RecordedFrame, denoise, make_pair, open_recording
     from .factory import __version__
     from .factory.dataset import PairDataset
     from .factory.dataset.format.schema import Pair
     from .factory.errors import FactoryError, FrameError
-    from .recording import OpenRecording, RecordedFrame, open_recording
 
 __all__ = [
     "FactoryError",
@@ -39,14 +38,14 @@ __all__ = [
 _MODULES = {
     "FactoryError": "simnfnd.factory.errors",
     "FrameError": "simnfnd.factory.errors",
-    "OpenRecording": "simnfnd.recording",
+    "OpenRecording": "simnfnd.api",
     "Pair": "simnfnd.factory.dataset.format.schema",
     "PairDataset": "simnfnd.factory.dataset",
-    "RecordedFrame": "simnfnd.recording",
+    "RecordedFrame": "simnfnd.api",
     "__version__": "simnfnd.factory",
     "denoise": "simnfnd.api",
     "make_pair": "simnfnd.api",
-    "open_recording": "simnfnd.recording",
+    "open_recording": "simnfnd.api",
 }
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import difflib
 import gc
-import os
-import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
 
+from .factory import __version__
+from .factory.cli import guard
+from .factory.cli.extras import EXTRAS, Need, install_command, require
+from .factory.errors import FactoryError
 from .verbs import VERBS, Verb
 
 _HELP = ("-h", "--help")
@@ -31,15 +33,13 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     """
     given = list(sys.argv[1:] if words is None else words)
     if "--version" in given[:2]:
-        return _print(f"simnfnd {_version()}")
+        return _print(f"simnfnd {__version__}")
     if default is not None and (
         not given or _is_option(given[0]) or given[0] in VERBS[default].verbs
     ):
         given.insert(0, default)
     if not given or given[0] in (*_HELP, "help"):
         return _print(overview())
-    from .factory.cli import guard
-    from .factory.errors import FactoryError
     from .factory.scheduler.workers.signals import stop_signals
 
     def run() -> int | None:
@@ -49,7 +49,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         if any(word in _HELP for word in rest):
             print(f"{head(name, verb)}\n", flush=True)
         elif not any(word.split("=")[0] in _SHOW for word in rest):
-            _check_installed(name, verb)
+            require(Need(f"simnfnd {name}", module) for module in verb.needs)
             if sys.stderr.isatty() and (verb.hydra or verb.needs or name == "plan"):
                 # What follows imports for seconds; in a file nobody waits for the first word.
                 print(f"simnfnd {name}: starting", file=sys.stderr, flush=True)
@@ -59,14 +59,18 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
             action = getattr(import_module(module), function)
             gc.freeze()
         except ModuleNotFoundError as error:
-            if verb.needs and any(word in _HELP for word in rest) and _of_an_extra(error):
+            if (
+                verb.needs
+                and any(word in _HELP for word in rest)
+                and (error.name or "").split(".")[0] in EXTRAS
+            ):
                 return _print("Its options are listed once that is installed.")
             raise
         finally:
             gc.enable()
         # One way to stop for all: SIGTERM unwinds as Ctrl-C does, so that every `finally` runs.
         with stop_signals():
-            code: int | None = action([*verb.before, *rest])
+            code: int | None = action(rest)
         return code
 
     return guard(run, debug="debug=true" in given)
@@ -77,8 +81,6 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
 
     Raises FactoryError, one line, for a word that is none.
     """
-    from .factory.errors import FactoryError
-
     name, rest = words[0], list(words[1:])
     verb = VERBS.get(name)
     if verb is None:
@@ -143,8 +145,6 @@ def head(name: str, verb: Verb) -> str:
     if verb.verbs:
         lines += ["", "Verbs of its own:", *_own_verbs(name, verb)]
     if verb.needs:
-        from .factory.cli.extras import EXTRAS, install_command
-
         lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]
     return "\n".join(lines)
 
@@ -153,35 +153,10 @@ def _own_verbs(name: str, verb: Verb) -> Iterator[str]:
     return (f"  {f'{name} {own}':<17} {one.line}" for own, one in verb.verbs.items())
 
 
-def _check_installed(name: str, verb: Verb) -> None:
-    """Raise FactoryError when a module that the verb needs is not installed."""
-    from .factory.cli.extras import Need, require
-
-    require(Need(f"simnfnd {name}", module) for module in verb.needs)
-
-
-def _of_an_extra(error: ModuleNotFoundError) -> bool:
-    from .factory.cli.extras import EXTRAS
-
-    return (error.name or "").split(".")[0] in EXTRAS
-
-
 def _is_option(word: str) -> bool:
     """KEY=VALUE, `~KEY` or an option: not the name of a verb or place."""
     return "=" in word or word.startswith(("-", "~", "+"))
 
 
-def _version() -> str:
-    from .factory import __version__
-
-    return __version__
-
-
 def _print(text: str) -> int:
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:
-        # The reader (a pager, head) went away: not an error of ours.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 128 + signal.SIGPIPE
-    return 0
+    return guard(lambda: print(text, flush=True))

@@ -16,7 +16,6 @@ class Verb:
     group, line: where and how `simnfnd --help` lists it.
     target: "module:function"; the function gets the other words and may return an exit code.
     examples: commands that `simnfnd VERB --help` begins with.
-    before: words put before those of the user.
     needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.cli.extras`).
     hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
     places: how many words that are no KEY=VALUE a Hydra verb takes; None: any number.
@@ -27,7 +26,6 @@ class Verb:
     line: str
     target: str
     examples: tuple[str, ...]
-    before: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     hydra: bool = False
     places: int | None = 0
@@ -51,7 +49,7 @@ _TRAINING = (*_ADAPTING, "tensorboard")
 VERBS: dict[str, Verb] = {
     "demo": Verb(
         MAKE, "two small datasets of procedural scenes, one a profile, with a picture of both",
-        f"{_COMMANDS}.demo:main",
+        f"{_COMMANDS}.make:demo",
         ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
         hydra=True,
     ),
@@ -109,7 +107,7 @@ VERBS: dict[str, Verb] = {
         ("simnfnd inspect outputs/demo",),
     ),
     "validate": Verb(
-        LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main",
+        LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.inspect:check",
         ("simnfnd validate outputs/demo", "simnfnd validate outputs/demo --deep"),
     ),
     "merge": Verb(

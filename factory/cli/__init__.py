@@ -69,7 +69,7 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    from .words import readable
+    from .compose import config_line, readable
 
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
@@ -169,17 +169,3 @@ def say_error(error: Exception) -> int:
     """Print the one line of a user-facing error and return its exit code."""
     print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
     return EXIT_BAD_INPUT
-
-
-def config_line(error: Exception, config_name: str) -> str:
-    """Hydra's several lines in one, with the remedy."""
-    from .words import explained
-
-    if line := explained(str(error), config_name):
-        return line
-    reasons = [str(error)]
-    if error.__cause__ is not None:
-        reasons.append(str(error.__cause__))
-    text = " ".join(" ".join(reasons).split())
-    text = re.sub(r"\s*See https://hydra\S+ for details", "", text)
-    return f"config: {text} (see `--cfg job` for every key)"

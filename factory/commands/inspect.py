@@ -1,4 +1,4 @@
-"""`simnfnd inspect DIR|FILE`: what is in a dataset, its index or one of its shards."""
+"""`simnfnd inspect DIR|FILE`: what is in a dataset; `simnfnd validate DIR`: is it whole."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from ..cli import Parser
 from ..dataset.describe.summary import DatasetSummary, summarize
 from ..dataset.format.schema import CAMERA_LAYERS
 from ..dataset.read.source import dataset_settings
+from ..dataset.validate import validate
 from ..storage.copies import local_folder
 
 _BAR = 40
@@ -25,6 +26,24 @@ def main(words: list[str]) -> None:
     given = parser.parse_args(words)
     found = summarize(local_folder(given.path), given.pairs)
     print("\n".join(report(found, str(given.path))))
+
+
+def check(words: list[str]) -> int:
+    """Print what is wrong with the dataset; 0 when nothing is, else 1."""
+    parser = Parser(prog="simnfnd validate")
+    parser.add_argument("dir", help="folder or URL of a dataset")
+    parser.add_argument("--deep", action="store_true", help="read every picture, too")
+    given = parser.parse_args(words)
+    report = validate(local_folder(given.dir, fresh=True), given.deep)
+    for finding in report.findings:
+        print(finding)
+    what = f"{report.samples} samples in {report.shards} shards"
+    depth = "every picture was read" if given.deep else "pictures were not read (--deep reads them)"
+    if report.errors:
+        print(f"invalid: {given.dir}: {len(report.errors)} error(s) in {what}")
+        return 1
+    print(f"valid: {given.dir}: {what}; {depth}")
+    return 0
 
 
 def report(found: DatasetSummary, name: str) -> Iterator[str]:

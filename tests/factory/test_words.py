@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from simnfnd.command import main
-from simnfnd.factory.cli.words import readable
+from simnfnd.factory.cli.compose import readable
 from tests.factory.cli_frames import FAST, ground, write_frame
 from tests.project_files import ROOT
 
