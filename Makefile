@@ -31,12 +31,13 @@ $(python):
 	@found="$$(bash tools/find_python.sh)" && "$$found" -m venv $(VENV)
 
 # The constraints keep numpy where bpy can load it, in whatever order the parts are installed.
+# Python compiles a module when it is first imported; pip would compile all, 150 MB of them.
 define install
 @bash tools/debian_packages.sh $(3)
 @$(python) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
 	|| { echo "error: $(VENV) is not Python 3.11; remove it and run make again" >&2; exit 2; }
 @echo "Installing $(1) into $(VENV)"
-$(python) -m pip install --disable-pip-version-check --quiet $(PIP_ARGS) -c constraints.txt -e '$(2)'
+$(python) -m pip install --disable-pip-version-check --quiet --no-compile $(PIP_ARGS) -c constraints.txt -e '$(2)'
 @touch $@
 endef
 
