@@ -58,7 +58,7 @@ class SonarNetSettings:
     wide_grain: correlation of neighbouring pixels' grain from which on `simnfnd denoise` denoises
         a picture at half its size first (`models.denoise.sizes`); 1: never; not in training, so
         trained weights may change it.
-    told: whether the network is told what to remove; else it always removes the same.
+    told: whether what is removed, always the same now, scales features (the weights that ship).
     frames: whether it gets the number of frames averaged in each pixel; not with `polar`.
     """
 
