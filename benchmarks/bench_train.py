@@ -13,10 +13,10 @@ def measure(options: Options) -> Section:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         run_command("demo", "render=analytic", f"dataset.dir={folder}/demo")
-        for network in ("sonarnet", "nafnet", "unet"):
+        for network in ("sonarnet", "nafnet"):
             less, more = (
                 run_command(
-                    "train", f"dataset={folder}/demo", f"model={network}", "tensorboard=false",
+                    "train", f"dataset={folder}/demo", f"model={network}",
                     f"train.steps={steps}", f"train.check_every={many}", "train.warmup=1",
                     f"out={folder}/{network}-{steps}", "device=cpu",
                 )

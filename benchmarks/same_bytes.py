@@ -111,13 +111,12 @@ def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
         hashes |= {f"sweep/{point.name}/{key}": v for key, v in dataset_hashes(point).items()}
         shutil.rmtree(point)
     short = ("train.steps=4", "train.check_every=2", "train.warmup=1", "data.patch=64",
-             "data.batch=2", "data.crops=1", "data.workers=0", "device=cpu",
-             "tensorboard=false")  # fmt: skip
+             "data.batch=2", "data.crops=1", "data.workers=0", "device=cpu")  # fmt: skip
     demo = folder / "demo"
     for name, words in {
         "train_pairs": (f"dataset={demo}", "model=nafnet"),
         "train_sonarnet": (f"dataset={demo}", "model=sonarnet"),
-        "train_renders": (f"dataset={demo}", "data=renders", "model=unet"),
+        "train_renders": (f"dataset={demo}", "data=renders", "model=nafnet"),
     }.items():
         out = folder / name
         run("simnfnd.models", *words, *short, f"out={out}")

@@ -19,7 +19,6 @@ from ..factory.errors import FactoryError
 from ..factory.settings import STRICT, build
 
 NotNegative = Annotated[float, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0)]
 BatchTensors = Mapping[str, Tensor]
 """What else a batch holds (see `models.networks`): `noisy`, `shadow`, `shadow_logits`, `weight`."""
 _PSNR_FLOOR = 1e-4
@@ -32,7 +31,7 @@ _CLEAN = 1e-4
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
 class Loss:
-    """Base of the losses.
+    """`l1`, the mean absolute difference, and what every loss can have.
 
     square: weight of the mean squared difference, which PSNR measures.
     decibels: weight of 10 log10 of the mean squared difference of each image, averaged over the
@@ -45,6 +44,7 @@ class Loss:
     change over that of its noise, at most 1; teaches that weight alone.
     """
 
+    kind: str
     square: NotNegative = 0.0
     decibels: NotNegative = 0.0
     mask: NotNegative = 0.05
@@ -52,7 +52,7 @@ class Loss:
 
     def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
         """Scalar tensor: how far the images are apart."""
-        raise NotImplementedError
+        return (prediction - clean).abs().mean()
 
     def __call__(
         self, prediction: Tensor, clean: Tensor, batch: BatchTensors | None = None
@@ -81,29 +81,6 @@ class Loss:
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
-class L1(Loss):
-    """Mean absolute difference."""
-
-    kind: Literal["l1"]
-
-    def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
-        """Scalar tensor."""
-        return (prediction - clean).abs().mean()
-
-
-@dataclass(frozen=True, config=STRICT, kw_only=True)
-class Charbonnier(Loss):
-    """Mean of sqrt(difference^2 + epsilon^2) (Charbonnier et al. 1994)."""
-
-    kind: Literal["charbonnier"]
-    epsilon: Positive
-
-    def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
-        """Scalar tensor."""
-        return ((prediction - clean).square() + self.epsilon**2).sqrt().mean()
-
-
-@dataclass(frozen=True, config=STRICT, kw_only=True)
 class NewLoss(Loss):
     """L1 of the images plus `weight` times a term about shadow (SimNFND paper, section 4.3).
 
@@ -117,7 +94,6 @@ class NewLoss(Loss):
     threshold: t, a grey value.
     """
 
-    kind: Literal["newloss"]
     shadow: Literal["literal", "ste"]
     weight: NotNegative
     threshold: Annotated[float, Field(ge=0, lt=1)]
@@ -131,7 +107,7 @@ class NewLoss(Loss):
         return (prediction - clean).abs().mean() + self.weight * (shown - lit).abs().mean()
 
 
-LOSSES: dict[str, type[Loss]] = {"l1": L1, "charbonnier": Charbonnier, "newloss": NewLoss}
+LOSSES: dict[str, type[Loss]] = {"l1": Loss, "newloss": NewLoss}
 
 
 def build_loss(config: Mapping[str, object]) -> Loss:

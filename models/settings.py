@@ -34,7 +34,6 @@ class DataSettings:
     patch: Patch
     batch: Count
     crops: Count
-    flip: bool
     weaker: Share
     validation: Fraction
     validation_limit: Count | None
@@ -69,11 +68,9 @@ class RendersData(DataSettings):
 
     kind: Literal["renders", "mixed"]
     pack: str | None
-    cache: str | None
     fewer: Share
     scales: Annotated[tuple[Multiple, ...], Field(min_length=1)]
     experiment: str | None
-    choices: Share
     reuse: Annotated[int, Field(ge=1, le=1000)] = 1
 
 
@@ -101,8 +98,6 @@ class OldData(DataSettings):
     kind: Literal["olddata"]
     folder: str
     geometry: str
-    factory: tuple[str, ...]
-    looks: Annotated[int, Field(ge=1, le=64)]
 
 
 DATA: dict[str, type[DataSettings]] = {
@@ -162,8 +157,6 @@ class ModelsSettings:
     start: str | None
     seed: Annotated[int, Field(ge=0)]
     device: Literal["auto", "cpu", "gpu"]
-    tensorboard: bool
-    pictures: Annotated[int, Field(ge=0, le=16)]
     debug: bool
     data: Annotated[DataSettings, BeforeValidator(_data)]
     train: TrainSettings

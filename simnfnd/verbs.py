@@ -43,7 +43,7 @@ _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
 _NETWORK = ("onnxruntime", "safetensors", *_SONAR)
 _ADAPTING = ("torch", "safetensors", *_SONAR)
-_TRAINING = (*_ADAPTING, "tensorboard")
+_TRAINING = _ADAPTING
 
 
 VERBS: dict[str, Verb] = {
@@ -124,10 +124,10 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "train": Verb(
-        DENOISE, "a denoiser on a dataset", "simnfnd.models.training.command:main",
+        DENOISE, "a denoiser on a dataset", "simnfnd.models.training:main",
         (
             "simnfnd train dataset=outputs/demo train.steps=200",
-            "simnfnd train dataset=outputs/demo model=unet loss=charbonnier name=small",
+            "simnfnd train dataset=outputs/demo model=sonarnet loss=l1 name=small",
         ),
         needs=_TRAINING, hydra=True,
     ),
@@ -146,7 +146,7 @@ VERBS: dict[str, Verb] = {
     ),
     "adapt": Verb(
         DENOISE, "weights fitted to your own recordings, without any truth",
-        "simnfnd.models.adapt.command:main",
+        "simnfnd.models.adapt:main",
         (
             "simnfnd adapt dive.aris --out own.safetensors",
             "simnfnd adapt recordings --out own.safetensors --minutes 20",

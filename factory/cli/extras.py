@@ -22,7 +22,6 @@ EXTRAS = {
     "open3d": "open3d",
     "torch": "train",
     "safetensors": "denoise",
-    "tensorboard": "train",
     "optuna": "report",
     "pandas": "report",
     "pyarrow": "export",

@@ -17,8 +17,6 @@ from torch.utils.data import Dataset, Sampler
 
 from ...factory.dataset.read.stream import Windows
 from ...factory.seeds import stream
-from ...factory.sonar.geometry import Maps
-from ..removal import DEFAULT, vector
 from ..settings import DataSettings, RendersData
 from .pairs import Batch, Sample, Source
 
@@ -50,11 +48,10 @@ class Crops(Dataset[Batch]):
         source: Source,
         *,
         crops: int = 1,
-        flip: bool,
         seed: int,
         extras: Sequence[str] = (),
     ) -> None:
-        self.source, self.crops, self.flip, self.seed = source, crops, flip, seed
+        self.source, self.crops, self.seed = source, crops, seed
         self.extras = tuple(extras)
 
     def __len__(self) -> int:
@@ -69,7 +66,7 @@ class Crops(Dataset[Batch]):
         for _ in range(self.crops):
             top = int(rng.integers(height - shape[0] + 1))
             left = int(rng.integers(width - shape[1] + 1))
-            flip = self.flip and rng.random() < 0.5
+            flip = bool(rng.random() < 0.5)
             parts.append(crop(sample, (top, left), shape, flip, self.extras))
         return concatenate(parts)
 
@@ -88,12 +85,15 @@ def crop(
 ) -> Batch:
     """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not.
 
-    With `remove` (1, 6), where `extras` has it, and `taught` (1, 1, 1, 1), where it is known.
+    With `taught` (1, 1, 1, 1), where it is known.
     """
     (top, left), (height, width) = corner, shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
-    images = {name: image[window][:, ::step] for name, image in _images(sample, extras).items()}
+    planes = {"noisy": sample.noisy, "clean": sample.clean, "shadow": sample.shadow}
+    if "frames" in extras:  # crops of a batch have the same planes
+        planes["frames"] = np.zeros_like(sample.noisy) if sample.frames is None else sample.frames
+    images = {name: one[window][:, ::step] for name, one in planes.items() if one is not None}
     if sample.geometry is not None and extras:
         maps = sample.geometry.maps(top, left, height, width)
         found = {name: maps[name][:, ::step] for name in extras if name in maps}
@@ -101,20 +101,9 @@ def crop(
             found["azimuth_rad"] = -found["azimuth_rad"]
         images |= found
     batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
-    if "remove" in extras:
-        remove = vector(DEFAULT) if sample.remove is None else sample.remove
-        batch["remove"] = torch.from_numpy(remove)[None]
     if sample.taught is not None:
         batch["taught"] = torch.full((1, 1, 1, 1), sample.taught)
     return batch
-
-
-def _images(sample: Sample, extras: Sequence[str]) -> Maps:
-    images = {"noisy": sample.noisy, "clean": sample.clean, "shadow": sample.shadow}
-    if "frames" in extras:
-        one = np.zeros_like(sample.noisy)  # crops of a batch have the same planes
-        images["frames"] = one if sample.frames is None else sample.frames
-    return {name: image for name, image in images.items() if image is not None}
 
 
 def concatenate(batches: Sequence[Batch]) -> Batch:

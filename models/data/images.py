@@ -1,23 +1,35 @@
-"""Real sonar images as training data: pictures of folders, and frames of recordings."""
+"""Real sonar images as training data: pictures, frames of recordings, and OldData of them."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
 
 from ...factory.errors import FactoryError
 from ...factory.files import sha256_of
+from ...factory.imaging.pointwise import effect_clouds, noisy_cloud
+from ...factory.noise.draws import Draws, StreamNames, draw
+from ...factory.noise.registry import NoiseSettings
+from ...factory.sonar.echoes import Echoes, in_plane
 from ...factory.sonar.geometry import FanGeometry
-from ..recordings import (
-    PICTURE_SUFFIXES,
-    is_recording,
-    kind_of,
-    open_recording,
-)
+from ...factory.sonar.window import Window
+from ..recordings import PICTURE_SUFFIXES, is_recording, kind_of, open_recording
 from ..recordings.fan.pings import frame_picture
 from ..recordings.pictures import read_grey
-from .pairs import Image, SampleRef
+from .fans import read_fans
+from .pairs import Image, Sample, SampleRef, weakened
+
+_FAR_M = 10.0
+"""Range of the far edge: the noise knows fractions of the range alone, so any would do."""
+_SPREAD_PX = 0.7
+_DARK = 0.02
+"""A pixel at or below this grey value is shadow, as the paper's threshold on T has it."""
+_LOOKS = 4
+"""Echoes that stand for one pixel; more make smoother noise."""
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:
@@ -73,3 +85,100 @@ def digest_of(samples: Sequence[SampleRef]) -> str:
     hashes = {path: sha256_of(path) for path in {sample.path for sample in samples}}
     found = [(sample.scene, sample.frame, hashes[sample.path]) for sample in samples]
     return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()
+
+
+class OldDataSource:
+    """Real images taken as clean, the factory's noise on top (Table 3, OldData); a `Source`.
+
+    A real image keeps its own noise in the "clean" picture, so a network learns to leave noise of
+    that kind alone.
+    """
+
+    def __init__(
+        self,
+        samples: tuple[SampleRef, ...],
+        geometry: str,
+        settings: NoiseSettings,
+        *,
+        weaker: float,
+        seed: int,
+    ) -> None:
+        """geometry: `polar`, or a CSV table (`fans.read_fans`).
+
+        Raises FactoryError when an image is not in the table.
+        """
+        self.samples, self.settings = samples, settings
+        self.weaker, self.seed = weaker, seed
+        self.fans: Mapping[str, FanGeometry] = {} if geometry == "polar" else read_fans(geometry)
+        unknown = [
+            sample.frame
+            for sample in samples
+            if self.fans and sample.frame not in self.fans and not is_recording(sample.path)
+        ]
+        if unknown:
+            raise FactoryError(
+                f"data.geometry={geometry}: says nothing about {unknown[0]} and "
+                f"{len(unknown) - 1} more images; add them, or give another data.folder"
+            )
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        ref = self.samples[index]
+        clean, told = read_sample(ref)
+        geometry = self.fans.get(ref.frame, told or FanGeometry.polar()).with_size(*clean.shape)
+        sector = geometry.maps(0, 0, *clean.shape)["sector"]
+        clean = clean * sector
+        number = "validation" if visit is None else visit
+        names = StreamNames.single(ref.scene, ref.frame, number)
+        draws = draw(self.settings, self.seed, names)
+        noisy = with_noise(clean, geometry, draws)
+        if visit is not None:
+            strength = np.float32(weakened(self.weaker, self.seed, index, visit))
+            noisy = clean + strength * (noisy - clean)
+        shadow = (sector > 0) & (clean <= _DARK)
+        return Sample(noisy, clean, shadow.astype(np.float32), geometry)
+
+
+def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
+    """A picture (H, W) in 0..1 with the drawn effects on it, clipped to 0..1.
+
+    Every pixel that is not black is four echoes, which range spreading moves along their bearing
+    before they are gathered again; the other effects add echoes, blurred by 0.7 pixels.
+    """
+    maps = geometry.maps(0, 0, *clean.shape)
+    lit = (clean > 0) & (maps["sector"] > 0)
+    if not lit.any():
+        return clean
+    azimuth = np.repeat(maps["azimuth_rad"][lit], _LOOKS)
+    range_m = np.repeat(maps["range_fraction"][lit] * np.float32(_FAR_M), _LOOKS)
+    scene = in_plane(range_m, azimuth, np.repeat(clean[lit] / np.float32(_LOOKS), _LOOKS))
+    window = Window(
+        "slant_range",
+        geometry.near_fraction * _FAR_M,
+        _FAR_M,
+        geometry.azimuth_min_rad,
+        geometry.azimuth_max_rad,
+    )
+    moved, *added = noisy_cloud(scene, effect_clouds(draws.effects, scene, scene, window), 1.0)
+    picture = _gathered(moved, geometry, clean.shape)
+    for echoes in added:
+        points = _gathered(echoes, geometry, clean.shape)
+        picture += ndimage.gaussian_filter(points, _SPREAD_PX, mode="constant", truncate=3.0)
+    return np.clip(picture * maps["sector"], 0, 1).astype(np.float32)
+
+
+def _gathered(echoes: Echoes, geometry: FanGeometry, shape: tuple[int, ...]) -> Image:
+    """Sum of the echoes' strengths in each pixel; those outside the picture are lost."""
+    height, width = shape
+    fraction = echoes.range_m / np.float32(_FAR_M)
+    row, column = (
+        np.rint(place).astype(np.intp) for place in geometry.pixels(fraction, echoes.azimuth_rad)
+    )
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    inside &= (fraction >= geometry.near_fraction - 1e-6) & (fraction <= 1 + 1e-6)
+    index = row[inside] * width + column[inside]
+    level = np.bincount(index, weights=echoes.strength[inside], minlength=height * width)
+    return np.asarray(level.reshape(height, width), dtype=np.float32)

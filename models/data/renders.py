@@ -1,4 +1,4 @@
-"""`data=renders`: fresh noise on clean renders, at every visit.
+"""`data=renders` and `data=mixed`: fresh noise, or drawn devices, on clean renders at every visit.
 
 The renders are those of a dataset, in the cache or in a pack; pairs are made of them by the same
 code as the dataset's own, so a network never sees the same noise twice.
@@ -21,21 +21,29 @@ from ...factory.dataset.read.pair_dataset import in_unit_range
 from ...factory.distribution import Distribution, number
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
+from ...factory.noise.draws import StreamNames, draw
 from ...factory.noise.registry import NoiseSettings
-from ...factory.pairs import PairMaker
-from ...factory.render.views import open_views
+from ...factory.pairs import PairMaker, observe_by
+from ...factory.render.views import Views, open_views
 from ...factory.scenes import open_reader
 from ...factory.seeds import stream
 from ...factory.selection import choose_frames, split_frames
+from ...factory.sonar.fan import rasterised
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.settings import SonarSettings
+from ...factory.sonar_randomization import draw as devices
+from ..removal import DEFAULT
 from ..settings import MixedData, RendersData
-from .any_device import DeviceSource
 from .images import digest_of, list_images
 from .pairs import Data, PairTable, Sample, SampleRef, Source, spread, weakened
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
 """Groups of the configuration that decide the pictures of drawn devices."""
+_ATTEMPTS = 40
+_LEAST_ECHOES = 0.02
+"""Part of the bins that must hold surface: a picture of nothing teaches nothing."""
+_BLACK = 0.02
+"""Shadow counts as such where the target is darker; under haze there is none to see."""
 _AMOUNTS = ("alpha", "density", "strength")
 """Parameters that are 0 where an effect is absent: these a weaker noise scales."""
 
@@ -113,6 +121,91 @@ class RenderSource:
         return replace(chosen, **blocks)
 
 
+class DeviceSource:
+    """Pairs of drawn devices; a `Source`.
+
+    Device, formation, display, size and rasterisation of the picture are drawn at each visit.  The
+    target is the same picture without the artefacts of `removal.DEFAULT`, under the same random
+    streams.
+    """
+
+    def __init__(
+        self,
+        config: FactoryConfig,
+        frames: tuple[FrameRef, ...],
+        *,
+        patch: int,
+        weaker: float,
+        seed: int,
+    ) -> None:
+        """config: with `devices`.  frames: whose renders are at hand.  patch: least side, pixels.
+
+        weaker: part of the visits whose noise is blended towards the target.
+        """
+        self.config, self.frames, self.patch = replace(config, seed=seed), frames, patch
+        self.weaker, self.seed = weaker, seed
+        self._views: Views | None = None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_views": None}
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        names = (index, "validation" if visit is None else visit)
+        for attempt in range(_ATTEMPTS):
+            # A frame that shows nothing to this device gives way to the next one.
+            ref = self.frames[(index + attempt // 4) % len(self.frames)]
+            try:
+                found = self._sample(ref, *names, attempt)
+            except FrameError:
+                continue
+            if found is not None:
+                return found
+        raise FactoryError(
+            f"data=renders: no device sees enough of {self.frames[index].name} and of the frames "
+            "after it; make renders of other places"
+        )
+
+    def _sample(self, ref: FrameRef, *names: int | str) -> Sample | None:
+        assert self.config.devices is not None
+        if self._views is None:
+            self._views = open_views(self.config)
+        device = devices.draw(self.config.devices, self.seed, ref.name, *names)
+        view = self._views.view(ref)
+        observed, config = observe_by(
+            device, view.frame(ref), view.rendered(), self.config, any_size=True
+        )
+        if observed.scene.filled.mean() < _LEAST_ECHOES or min(config.sonar.shape()) < self.patch:
+            return None
+        draws = draw(config.noise, self.seed, StreamNames.single(ref.name, *names))
+        # Points are thinned by a variant's stream: any number that no other picture has.
+        variant = int(stream(self.seed, "variant", *names).integers(2**31))
+        sample = observed.scene.sample(variant, draws.effects, config)
+        noisy, clean = (
+            rasterised(grey, observed.window, config.sonar, noisy=noisy)
+            for grey, noisy in (
+                (sample.noisy(draws.names), True),
+                (sample.without(DEFAULT), False),
+            )
+        )
+        strength = np.float32(weakened(self.weaker, self.seed, *names))
+        return Sample(
+            clean + strength * (noisy - clean),
+            clean,
+            (observed.shadow & (clean <= _BLACK)).astype(np.float32),
+            FanGeometry.from_sonar(
+                config.sonar,
+                observed.window.range_min_m,
+                observed.window.range_max_m,
+                observed.window.azimuth_min_rad,
+                observed.window.azimuth_max_rad,
+            ),
+        )
+
+
 def scaled(block: Any, factor: float) -> Any:
     """An effect's settings with `alpha`, `density` and `strength` times `factor`."""
     changes = {}
@@ -169,21 +262,21 @@ def open_renders(
         found = choose_frames(found, config)
     training = split_frames(found, config)["train"]
     scenes = {sample.scene for sample in held}
-    if {sample.scene for sample in table.samples} == scenes:
-        # One scene alone: its frames are held out one by one.
-        names = {(sample.scene, sample.frame) for sample in held}
-        training = tuple(
-            ref for ref in training if (f"{ref.location}/{ref.scene}", ref.frame) not in names
-        )
-    else:
-        training = tuple(ref for ref in training if f"{ref.location}/{ref.scene}" not in scenes)
+    # Of one scene alone frames are held out one by one.
+    alone = {sample.scene for sample in table.samples} == scenes
+    names = {(sample.scene, sample.frame if alone else "") for sample in held}
+    training = tuple(
+        ref
+        for ref in training
+        if (f"{ref.location}/{ref.scene}", ref.frame if alone else "") not in names
+    )
     views = open_views(config)
     ready = tuple(ref for ref in training if views.holds(ref))
     if not ready:
         raise FactoryError(
             f"data=renders: none of the {len(training)} training frames of {dataset} has its "
             f"render in {config.cache.folder}; make the dataset again with this version (its "
-            "command keeps the renders), or give data.cache=FOLDER or data.pack=FILE"
+            "command keeps the renders), or give data.pack=FILE"
         )
     missing = len(training) - len(ready)
     print(f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else ""))
@@ -250,8 +343,8 @@ def _by_any_device(
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
     common: dict[str, Any] = {"patch": data.least_side, "seed": seed}
     return Data(
-        DeviceSource(config, ready, weaker=data.weaker, choices=data.choices, **common),
-        DeviceSource(noisy, shown, weaker=0.0, choices=0.0, **common),
+        DeviceSource(config, ready, weaker=data.weaker, **common),
+        DeviceSource(noisy, shown, weaker=0.0, **common),
         {**facts, "renders.devices": drawn_as},
     )
 
@@ -285,8 +378,6 @@ def _config(data: RendersData, dataset: str) -> FactoryConfig:
         values["dataset"]["layers"] = []
     if data.pack is not None:
         values["scenes"] = {"kind": "pack", "root": data.pack}
-    if data.cache is not None:
-        values["cache"] = {**values.get("cache", {}), "dir": data.cache}
     try:
         return from_mapping(values)
     except FactoryError as error:

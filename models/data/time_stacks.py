@@ -20,7 +20,7 @@ from ...factory.sonar.geometry import FanGeometry
 from ..recordings.fan.finder import find_geometry
 from ..recordings.presentation import presentation_of
 from ..recordings.static import find_groups, shifted
-from ..removal import DEFAULT, averaged, vector
+from ..removal import averaged
 from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source
 
@@ -181,8 +181,7 @@ class MixedSource:
             stack = self.stacks[int(rng.integers(len(self.stacks)))]
             return with_loud_beam(stack.sample(rng), rng)
         drawn = self.devices.sample(index, visit)
-        usual = drawn.remove is None or bool((drawn.remove == vector(DEFAULT)).all())
-        if usual and rng.random() < self.several:
+        if rng.random() < self.several:
             return with_loud_beam(standing(drawn, rng), rng)
         return with_loud_beam(replace(drawn, taught=_TAUGHT_DRAWN), rng)
 

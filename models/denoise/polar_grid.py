@@ -1,4 +1,4 @@
-"""Fan pictures resampled to range by bearing and back, in NumPy: as `models.networks.polar`."""
+"""Fan pictures resampled to range by bearing and back, in NumPy: as `models.networks.sonarnet`."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
-from ..networks.weights_file import read_header, read_weights
+from ..networks.weights import read_header, read_weights
 from ..pretrained import graphs
 from .polar_grid import PolarGrid
 

@@ -4,10 +4,9 @@ A network is one file beside this one with a settings class and a torch module, 
 `NETWORKS`.  What training, denoising and the losses rely on:
 
 - `build_network(config)` makes it from the `model` group, with fresh weights.
-- `forward(x)` maps (N, C, H, W) float in 0..1 to the same shape, for any H and W (it pads itself).
-  C is 1 or 3 for any network: three channels are denoised one by one.
-- `extras`, a class attribute, names its optional inputs; each is a keyword of `forward` and of
-  `with_heads` that may be left out or None where it is unknown: `range_fraction` (N, 1, H, W),
+- `forward(x)` maps (N, 1, H, W) float in 0..1 to the same shape, for any H and W (it pads itself).
+- `extras`, an attribute, names its optional inputs; each is a keyword of `forward` and of
+  `with_heads` that may be left out where it is unknown: `range_fraction` (N, 1, H, W),
   slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
   (N, 1, H, W), 1 inside the insonified sector and 0 outside; `remove` (N, 6), 1 for each artefact
   to remove (`simnfnd.models.removal`).  Batches hold them under these names.
@@ -34,7 +33,6 @@ NETWORKS = {
     "nafnet": ("nafnet", "NAFNet"),
     "restormer": ("restormer", "Restormer"),
     "sonarnet": ("sonarnet", "SonarNet"),
-    "unet": ("unet", "UNet"),
 }
 """kind -> module here and its network, beside which lie `<network>Settings`; torch is imported only
 when one is built."""

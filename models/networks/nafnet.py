@@ -98,7 +98,7 @@ class NAFNet(Network):
             self.decoders.append(_blocks(channels, count))
         self.outro = nn.Conv2d(channels, 1, 3, padding=1)
 
-    def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
+    def restore(self, noisy: Tensor) -> Tensor:
         """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         x = self.intro(noisy)
         x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)

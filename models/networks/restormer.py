@@ -174,7 +174,7 @@ class Restormer(Network):
         self.refine = stack(coming, settings.refinement, 0)
         self.output = nn.Conv2d(coming, 1, 3, padding=1, bias=False)
 
-    def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
+    def restore(self, noisy: Tensor) -> Tensor:
         """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         x = self.embed(noisy)
         skips = []

@@ -2,15 +2,15 @@
 
 - It works on a polar grid: where the geometry of a fan picture is known, the picture is resampled
   to range and bearing, and the network's correction is resampled back to the fan's pixels
-  (`networks.polar`).  The noisy picture itself is never resampled, so no detail is lost.
+  (`PolarGrid`).  The noisy picture itself is never resampled, so no detail is lost.
 - Range, bearing and the insonified sector of every cell are inputs, and what is to be removed is
   told, too: six numbers that scale and shift the features of every level (FiLM, Perez et al. 2018).
-- Means along whole beams and arcs are part of the features (`networks.lines`).
+- Means along whole beams and arcs are part of the features (`LineContext`).
 - With `frames` it gets a plane that says how many frames were averaged in each pixel; it scales and
   shifts the features of every level pixel by pixel, and changes nothing for a single frame.
 - A second head predicts shadow (black in the clean picture); the picture is multiplied by one minus
   that.
-- A third (`networks.blend_head`) weighs the change of the whole picture, which falls to nothing
+- A third (`BlendHead`) weighs the change of the whole picture, which falls to nothing
   where hardly anything is wrong with it.
 - Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
@@ -22,39 +22,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field
-from pydantic.dataclasses import dataclass
+from pydantic.dataclasses import dataclass as settings_class
 from torch import Tensor, nn
 from torch.nn import functional
 
 from ...factory.imaging.effect import ARTEFACTS
 from ...factory.settings import STRICT
 from ..removal import DEFAULT, vector
-from .blend_head import BlendHead
-from .lines import GridLines, LineContext, Lines, MapLines
-from .network import (
-    Network,
-    NetworkOutput,
-    Step,
-    down_and_up,
-    padded,
-    residual_blocks,
-    u_shape,
-)
-from .polar import polar_grid
+from .network import Network, NetworkOutput, Step, down_and_up, padded
 
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
 _TOLD = 32  # features of what is to be removed
 _FRAMES = 4.0  # log2 of the most frames that are averaged
 _HALVED = -math.log(2) / 2  # noise falls by the root of two with twice as many frames
 # Logit of shadow before anything is learned, and outside the sector.
-_FIRST, _OUTSIDE = -2.0, -10.0
+_FIRST_LOGIT, _OUTSIDE = -2.0, -10.0
 
 
-@dataclass(frozen=True, config=STRICT)
+@settings_class(frozen=True, config=STRICT)
 class SonarNetSettings:
     """Keys of conf/model/sonarnet.yaml.
 
@@ -67,7 +58,7 @@ class SonarNetSettings:
     wide_grain: correlation of neighbouring pixels' grain from which on `simnfnd denoise` denoises
         a picture at half its size first (`models.denoise.sizes`); 1: never; not in training, so
         trained weights may change it.
-    told: whether the network is told what to remove; else it always removes the same.
+    told: whether what is removed, always the same now, scales features (the weights that ship).
     frames: whether it gets the number of frames averaged in each pixel; not with `polar`.
     """
 
@@ -116,27 +107,38 @@ class SonarNet(Network):
         if settings.frames:
             self.frames = nn.ModuleList(_frames_film(width) for width in widths)
         self.lines = LineContext(widths[0]) if settings.lines else None
-        self.encoders, self.downs, self.ups, self.decoders = u_shape(widths, blocks)
+        self.encoders, self.downs, self.ups, self.decoders = (nn.ModuleList() for _ in range(4))
+        for (fine, coarse), count in zip(pairwise(widths), blocks, strict=False):
+            self.encoders.append(residual_blocks(fine, count))
+            self.downs.append(nn.Conv2d(fine, coarse, 2, stride=2))
+            self.ups.insert(0, nn.ConvTranspose2d(coarse, fine, 2, stride=2))
+            self.decoders.insert(0, residual_blocks(fine, count))
         self.middle = residual_blocks(widths[-1], blocks[-1])
         self.outro = nn.Conv2d(widths[0], 4 * 2, 3, padding=1)
         nn.init.zeros_(self.outro.weight)
         assert self.outro.bias is not None
         nn.init.constant_(self.outro.bias[:4], 0.0)
-        nn.init.constant_(self.outro.bias[4:], _FIRST)
+        nn.init.constant_(self.outro.bias[4:], _FIRST_LOGIT)
         self.blend = BlendHead(widths[0])
 
-    def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
+    def forward(self, noisy: Tensor, **extras: Tensor) -> Tensor:
+        """The picture with the part of its change that the blend head gives it, (N, 1, H, W)."""
+        output = self.with_heads(noisy, **extras)
+        part = output.weight[:, None, None, None].to(noisy.dtype)
+        return noisy + part * (output.image - noisy)
+
+    def with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) weight, for any H and W.
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
         `sector` everything is insonified.  remove: (N, 6), 1 for each artefact to remove (see
-        `imaging.contract.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
+        `imaging.effect.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
         frames were averaged, as of `removal.averaged`; without it 0, a single frame.
         """
         remove, frames = extras.get("remove"), extras.get("frames")
         if remove is None:
             usual = torch.from_numpy(vector(DEFAULT)).to(noisy)
-            remove = usual.expand(noisy.shape[0], -1)
+            remove = usual.repeat(noisy.shape[0], 1)
         if frames is None and self.settings.frames:
             frames = torch.zeros_like(noisy)
         has_geometry = "range_fraction" in extras and "azimuth_rad" in extras
@@ -144,14 +146,16 @@ class SonarNet(Network):
             has_geometry = bool(torch.rand(()) >= self.settings.forget)
         if not has_geometry:
             change, logits, weight = self.core(remove, frames, GridLines(), noisy, *_unknown(noisy))
-            return NetworkOutput(self.gated(noisy + change, logits), logits, weight)
+            return _output(self.gated(noisy + change, logits), logits, weight)
         range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
         grid = None
         if self.settings.polar:
             grid = polar_grid(range_fraction, azimuth_rad, sector, fan=self.fan)
         if grid is None:
-            lines = self._lines(azimuth_rad, range_fraction, sector)
+            planes = [padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector)]
+            height, width = planes[0].shape[-2:]
+            lines = MapLines.of(planes[0], planes[1], planes[2], (height // 2, width // 2))
             maps = _known(range_fraction, azimuth_rad, sector)
             change, logits, weight = self.core(remove, frames, lines, noisy, *maps)
         else:
@@ -164,13 +168,7 @@ class SonarNet(Network):
         change = change.masked_fill(~inside, 0.0)
         image = self.gated(noisy + change, logits)
         image = torch.where(inside, image, noisy)
-        return NetworkOutput(image, logits.masked_fill(~inside, _OUTSIDE), weight)
-
-    def _lines(self, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor) -> Lines:
-        """The beams and arcs of features at half resolution."""
-        planes = [padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector)]
-        height, width = planes[0].shape[-2:]
-        return MapLines.of(planes[0], planes[1], planes[2], (height // 2, width // 2))
+        return _output(image, logits.masked_fill(~inside, _OUTSIDE), weight)
 
     def gated(self, image: Tensor, logits: Tensor) -> Tensor:
         """The picture, darker where the logits say shadow; (N, 1, H, W) both."""
@@ -182,7 +180,7 @@ class SonarNet(Network):
         """What to add and logits of shadow, (N, 1, H, W) as the planes; the weight, (N,).
 
         planes: the picture and its maps as of `_known` or `_unknown`.  frames: as of
-        `restore_with_heads`.  lines: beams and arcs of the features at half resolution.
+        `with_heads`.  lines: beams and arcs of the features at half resolution.
         """
         height, width = planes[0].shape[-2:]
         inputs = [padded(plane, self.core_stride) for plane in planes]
@@ -217,6 +215,12 @@ class SonarNet(Network):
             found = [film(level) for film, level in zip(self.frames, levels, strict=True)]
             films = [one + more for one, more in zip(films, found, strict=True)] if films else found
         return [_after(*both) for both in zip(films, steps, strict=True)] if films else steps
+
+
+def _output(image: Tensor, logits: Tensor, weight: Tensor) -> NetworkOutput:
+    # A mean of one channel: without it gradients are laid out otherwise, and weights round
+    # otherwise.
+    return NetworkOutput(image, logits.mean(dim=1, keepdim=True), weight)
 
 
 def _film(width: int) -> nn.Linear:
@@ -261,3 +265,352 @@ def _unknown(noisy: Tensor) -> tuple[Tensor, ...]:
     """The same for unknown geometry; the last value occurs in no known one."""
     nothing = torch.zeros_like(noisy)
     return nothing, nothing, nothing - 1
+
+
+class ResidualBlock(nn.Module):
+    """Two convolutions, added to what came in; it starts as the identity."""
+
+    def __init__(self, first: nn.Conv2d, second: nn.Conv2d) -> None:
+        super().__init__()
+        self.first, self.second = first, second
+        nn.init.zeros_(self.second.weight)
+        assert self.second.bias is not None
+        nn.init.zeros_(self.second.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> the same shape."""
+        changed: Tensor = self.second(functional.relu(self.first(x), inplace=True))
+        return changed.add_(x)
+
+
+def residual_blocks(channels: int, count: int) -> nn.Sequential:
+    """So many of them of 3x3, one after another."""
+
+    def convolution() -> nn.Conv2d:
+        return nn.Conv2d(channels, channels, 3, padding=1)
+
+    return nn.Sequential(*(ResidualBlock(convolution(), convolution()) for _ in range(count)))
+
+
+_NEIGHBOURS = 9
+
+
+class LineContext(nn.Module):
+    """Adds to features what their beams and arcs have in common, beside neighbouring ones.
+
+    channels: of the features.  width: channels that are pooled.  It starts as the identity.
+    """
+
+    def __init__(self, channels: int, width: int = 12) -> None:
+        super().__init__()
+        self.pooled = nn.Conv2d(channels, width, 1)
+        self.beams, self.arcs = (
+            nn.Sequential(
+                nn.Conv1d(width, 2 * width, _NEIGHBOURS, padding=_NEIGHBOURS // 2),
+                nn.ReLU(),
+                nn.Conv1d(2 * width, width, _NEIGHBOURS, padding=_NEIGHBOURS // 2),
+            )
+            for _ in range(2)
+        )
+        self.added = nn.Conv2d(2 * width, channels, 1)
+        nn.init.zeros_(self.added.weight)
+        assert self.added.bias is not None
+        nn.init.zeros_(self.added.bias)
+
+    def forward(self, x: Tensor, lines: Lines) -> Tensor:
+        """(N, C, h, w) -> the same shape."""
+        pooled = self.pooled(x)
+        beams = self.beams(lines.beam_means(pooled))
+        arcs = self.arcs(lines.arc_means(pooled))
+        return lines.add(x, beams, arcs, self.added)
+
+
+class GridLines:
+    """Columns are beams and rows are arcs: of a polar picture, or where nobody knows."""
+
+    def beam_means(self, x: Tensor) -> Tensor:
+        """(N, C, h, w) -> (N, C, beams) means along each beam."""
+        return x.float().mean(2)
+
+    def arc_means(self, x: Tensor) -> Tensor:
+        """(N, C, h, w) -> (N, C, arcs) means along each arc."""
+        return x.float().mean(3)
+
+    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
+        """The features and `added` of what the beam and the arc of each cell have.
+
+        x: (N, C, h, w).  beams: (N, D, beams).  arcs: (N, D, arcs).  added: 1x1, of 2 D channels;
+        each line is convolved once, and not each of its cells.
+        """
+        weight, depth = added.weight[..., 0], beams.shape[1]
+        along = functional.conv1d(beams, weight[:, :depth], added.bias)
+        across = functional.conv1d(arcs, weight[:, depth:])
+        return x + along[:, :, None, :] + across[:, :, :, None]
+
+
+class MapLines:
+    """The beams and arcs of a fan.
+
+    beam, arc: (N, h * w) int64 numbers below `beams` and `arcs`.  weight: (N, 1, h * w), 0 outside
+    the sector.
+    """
+
+    def __init__(self, beam: Tensor, arc: Tensor, weight: Tensor, shape: tuple[int, int]) -> None:
+        self.beam, self.arc, self.weight, self.shape = beam, arc, weight, shape
+        self.arcs, self.beams = shape
+
+    @classmethod
+    def of(
+        cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor, shape: tuple[int, int]
+    ) -> MapLines:
+        """From maps of the picture, (N, 1, H, W) each, for features of `shape` (h, w).
+
+        The sector's bearings and ranges are divided evenly into w beams and h arcs.
+        """
+        planes = functional.interpolate(torch.cat([azimuth_rad, range_fraction, sector], 1), shape)
+        bearing, radius, inside = (planes[:, n].flatten(1) for n in range(3))
+        weight = (inside > 0).to(planes.dtype)
+        return cls(
+            _numbers(bearing, weight, shape[1]),
+            _numbers(radius, weight, shape[0]),
+            weight[:, None],
+            shape,
+        )
+
+    def beam_means(self, x: Tensor) -> Tensor:
+        """See `GridLines`."""
+        return self._means(x, self.beam, self.beams)
+
+    def arc_means(self, x: Tensor) -> Tensor:
+        """See `GridLines`."""
+        return self._means(x, self.arc, self.arcs)
+
+    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
+        """See `GridLines`."""
+        spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
+        found: Tensor = x + added(torch.cat(spread, dim=1))
+        return found
+
+    def _means(self, x: Tensor, numbers: Tensor, count: int) -> Tensor:
+        flat, channels = x.float().flatten(2), x.shape[1]
+        weight = self.weight.float()
+        index = numbers[:, None]
+        zeros = torch.zeros(x.shape[0], channels, count, device=x.device)
+        total = zeros.scatter_add(2, index.expand(-1, channels, -1), flat * weight)
+        cells = zeros[:, :1].scatter_add(2, index, weight)
+        return total / cells.clamp_min(1)
+
+    def _spread(self, along: Tensor, numbers: Tensor) -> Tensor:
+        """(N, C, beams or arcs) -> (N, C, h, w): every cell gets what its line has."""
+        index = numbers[:, None].expand(-1, along.shape[1], -1)
+        return along.gather(2, index).reshape(*along.shape[:2], *self.shape)
+
+
+Lines = GridLines | MapLines
+"""The beams and arcs of the cells of a feature map."""
+
+
+def _numbers(values: Tensor, weight: Tensor, count: int) -> Tensor:
+    """(N, P) int64: which of `count` even steps between the extremes inside a value lies in."""
+    inside = weight > 0
+    least = values.masked_fill(~inside, torch.inf).amin(1, keepdim=True)
+    most = values.masked_fill(~inside, -torch.inf).amax(1, keepdim=True)
+    empty = ~inside.any(1, keepdim=True)
+    least, most = least.masked_fill(empty, 0), most.masked_fill(empty, 1)
+    step = (values - least) / (most - least).clamp_min(1e-6) * count
+    return step.clamp(0, count - 1).long()
+
+
+_SMALLEST = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PolarGrid:
+    """Where the cells of a polar grid lie in fan pictures, and the pixels of these in the grid.
+
+    to_polar, to_fan: (N, H, W, 2) sampling positions as torch's `grid_sample` has them.
+    range_fraction, azimuth_rad: (N, 1, H, W) of the cells, near range first.
+    The grid has as many cells as the picture has pixels, from the least to the largest range and
+    bearing of the sector (of the whole picture where it shows none of the sector).
+    """
+
+    to_polar: Tensor
+    to_fan: Tensor
+    range_fraction: Tensor
+    azimuth_rad: Tensor
+
+    def polar(self, images: Tensor) -> Tensor:
+        """(N, C, H, W) fan pictures on the polar grid, bilinear."""
+        return _sampled(images, self.to_polar)
+
+    def fan(self, images: Tensor) -> Tensor:
+        """(N, C, H, W) of the polar grid as fan pictures, bilinear; repeated outside the grid."""
+        return _sampled(images, self.to_fan)
+
+
+def polar_grid(
+    range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor, fan: bool | None = None
+) -> PolarGrid | None:
+    """The grid for fan pictures whose pixels have these maps, each (N, 1, H, W), H and W 2 or more.
+
+    fan: whether they are fans; None: seen from the maps.
+    None for pictures that are polar already, or too small to tell.
+    """
+    if fan is None:
+        fan = _is_fan(range_fraction)
+    if not fan:
+        return None
+    height, width = range_fraction.shape[-2:]
+    radius, azimuth = range_fraction[:, 0], azimuth_rad[:, 0]
+    # In a fan, right and ahead of the sonar are linear in column and row (see `sonar.fan`).
+    right, ahead = radius * torch.sin(azimuth), radius * torch.cos(azimuth)
+    first_right, first_ahead = right[:, :, 0].mean(1), ahead[:, 0, :].mean(1)
+    right_step = (right[:, :, -1].mean(1) - first_right) / (width - 1)
+    ahead_step = (ahead[:, -1, :].mean(1) - first_ahead) / (height - 1)
+
+    inside = sector[:, 0] > 0
+    inside = inside | ~inside.any(dim=2, keepdim=True).any(dim=1, keepdim=True)
+    near, far = _extent(radius, inside)
+    left, right_end = _extent(azimuth, inside)
+    down = (torch.arange(height, device=radius.device) + 0.5) / height
+    across = (torch.arange(width, device=radius.device) + 0.5) / width
+    cell_range = (near + (far - near) * down[None, :, None]).expand_as(radius)
+    cell_azimuth = (left + (right_end - left) * across[None, None, :]).expand_as(radius)
+    column = (cell_range * torch.sin(cell_azimuth) - _each(first_right)) / _each(right_step)
+    row = (cell_range * torch.cos(cell_azimuth) - _each(first_ahead)) / _each(ahead_step)
+    to_polar = torch.stack([(2 * column + 1) / width - 1, (2 * row + 1) / height - 1], dim=-1)
+    to_fan = torch.stack(
+        [
+            2 * (azimuth - left) / (right_end - left) - 1,
+            2 * (radius - near) / (far - near) - 1,
+        ],
+        dim=-1,
+    )
+    return PolarGrid(to_polar, to_fan, cell_range[:, None], cell_azimuth[:, None])
+
+
+def _is_fan(range_fraction: Tensor) -> bool:
+    """Whether ranges differ along rows; False for pictures too small to tell."""
+    height, width = range_fraction.shape[-2:]
+    if min(height, width) < 2:
+        return False
+    return not bool((range_fraction == range_fraction[..., :1]).all())
+
+
+def _extent(values: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
+    """Least and largest of (N, H, W) values where `inside`, each (N, 1, 1), never equal."""
+    least = values.masked_fill(~inside, torch.inf).amin(dim=(1, 2), keepdim=True)
+    largest = values.masked_fill(~inside, -torch.inf).amax(dim=(1, 2), keepdim=True)
+    return least, largest.clamp_min(least + _SMALLEST)
+
+
+def _each(values: Tensor) -> Tensor:
+    return values[:, None, None]
+
+
+def _sampled(images: Tensor, grid: Tensor) -> Tensor:
+    # In 32 bits: halves of a pixel would be lost in 16 at the far side of a large picture.
+    with torch.autocast(images.device.type, enabled=False):
+        return functional.grid_sample(
+            images.float(), grid, padding_mode="border", align_corners=False
+        )
+
+
+_FIRST_WEIGHT = 3.0
+"""Logit of the weight before anything is learned: 95 % of the change."""
+_DARK = 1 / 512
+"""A cell below this holds no echo: half a grey value of 8 bits."""
+_CENTRE = 1.5
+"""Centres the logarithms of grey values between _DARK and 1."""
+_LEAST = 1e-7
+"""Added to mean squares of grey values (70 dB), so that 0 has a logarithm."""
+_STATISTICS = 5
+
+
+class BlendHead(nn.Module):
+    """Weighs the change of a whole picture, 0 to 1, from the picture, the change and its features.
+
+    features: channels of the last features.  width: channels of the head itself.
+    A picture with hardly any noise is harmed by a network that has learned to undo a lot of it; the
+    weight falls smoothly to zero there, and nothing is ever returned all or nothing.  The head also
+    gets the logarithm of the picture, in which a blur looks the same in bright and in dim places,
+    and pools with a weight for every place (gated attention, Ilse et al., ICML 2018), because most
+    of a sonar picture is shadow and carries no information; maxima are pooled as well, because a
+    single defect matters.  Some statistics give at once what many layers would have to find out:
+    how much was changed, how much of the sector has no echo at all (noise fills shadow), and
+    whether neighbours along range are more alike than those along bearing (range spreading blurs
+    along range alone).
+
+    No gradient goes back into the network, so the head cannot harm the pictures.
+    """
+
+    def __init__(self, features: int, width: int = 32) -> None:
+        super().__init__()
+        self.near = nn.Conv2d(features + 4 * 3, width, 3, stride=2, padding=1)
+        self.far = nn.Conv2d(width, width, 3, padding=1)
+        self.weight = nn.Conv2d(width, width, 1)
+        self.mixed = nn.Linear(3 * width + _STATISTICS, width)
+        self.logit = nn.Linear(width, 1)
+        nn.init.zeros_(self.logit.weight)
+        nn.init.constant_(self.logit.bias, _FIRST_WEIGHT)
+
+    def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
+        """(N, F, h, w) at half resolution, three times (N, 1, H, W) -> (N,) weight, 0 to 1.
+
+        h and w may be half the size of the pictures after padding.
+        sector: 1 where insonified, else 0.
+        """
+        features, noisy, change = features.detach(), noisy.detach(), change.detach()
+        height, width = (2 * size for size in features.shape[-2:])
+        padding = (0, width - noisy.shape[-1], 0, height - noisy.shape[-2])
+        logarithm = torch.log10(noisy.clamp_min(0) + _DARK) + _CENTRE
+        planes = functional.pad(torch.cat([noisy, change, logarithm], dim=1), padding)
+        planes = functional.pixel_unshuffle(planes, 2)
+        x = functional.relu(self.near(torch.cat([features, planes], dim=1)))
+        x = functional.relu(self.far(x))
+        inside = functional.avg_pool2d(padded(functional.pad(sector, padding), 4), 4)
+        weight = torch.sigmoid(self.weight(x)).float() * inside
+        x = x.float() * inside
+        pooled = [
+            (weight * x).sum(dim=(2, 3)) / weight.sum(dim=(2, 3)).clamp_min(1e-3),
+            x.sum(dim=(2, 3)) / inside.sum(dim=(2, 3)).clamp_min(1),
+            x.amax(dim=(2, 3)),
+            _statistics(noisy, change, sector),
+        ]
+        logit: Tensor = self.logit(functional.relu(self.mixed(torch.cat(pooled, dim=1))))
+        return torch.sigmoid(logit[:, 0].float())
+
+
+def _statistics(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
+    """(N, 1, H, W) each -> (N, 5): four decimal logarithms and the dark fraction."""
+    noisy, change = noisy.float(), change.float()
+    area = sector.sum(dim=(1, 2, 3)).clamp_min(1)
+
+    def mean(x: Tensor) -> Tensor:
+        return (x * sector).sum(dim=(1, 2, 3)) / area
+
+    power = mean(noisy.square()) + _LEAST
+    changed = mean(change.square()) + _LEAST
+    range_step = _step(noisy, sector, 2) / area + _LEAST
+    bearing_step = _step(noisy, sector, 3) / area + _LEAST
+    return torch.stack(
+        [
+            torch.log10(changed),
+            torch.log10(changed / power),
+            torch.log10(range_step / power),
+            torch.log10(range_step / bearing_step),
+            mean((noisy < _DARK).float()),
+        ],
+        dim=1,
+    )
+
+
+def _step(x: Tensor, sector: Tensor, dim: int) -> Tensor:
+    """(N,) sum of the squared differences to the next pixel where both are insonified.
+
+    Of slices, which a trace follows at any size.
+    """
+    size = x.shape[dim] - 1
+    here, there = x.narrow(dim, 0, size), x.narrow(dim, 1, size)
+    both = (sector.narrow(dim, 0, size) > 0) & (sector.narrow(dim, 1, size) > 0)
+    return ((there - here).square() * both).sum(dim=(1, 2, 3))

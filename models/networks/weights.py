@@ -6,17 +6,27 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-from safetensors.torch import save
-from torch import nn
+import numpy as np
+import numpy.typing as npt
+from safetensors import SafetensorError, safe_open
 
 from ...factory.errors import FactoryError
 from ...factory.files import write_atomically
 from . import build_network
-from .network import Network
-from .weights_file import FORMAT, KEY, read_weights
+
+if TYPE_CHECKING:
+    from torch import nn
+
+    from .network import Network
+
+FORMAT = "simnfnd-denoiser/1"
+KEY = "simnfnd"
+"""One header entry, because safetensors does not keep the order of several."""
+
+Header = dict[str, Any]
+Arrays = dict[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +40,8 @@ class Trained:
 
 def channels_last(network: Network) -> Network:
     """The same network with the memory layout that halves its time on a CPU."""
+    import torch
+
     for tensor in (*network.parameters(), *network.buffers()):
         if tensor.ndim == 4:
             tensor.data = tensor.data.to(memory_format=torch.channels_last)
@@ -48,6 +60,8 @@ def save_weights(
 
     half: round them to 16 bits, for half of the size.
     """
+    from safetensors.torch import save
+
     tensors = {
         name: (tensor.half() if half and tensor.is_floating_point() else tensor)
         .detach()
@@ -65,6 +79,8 @@ def load_weights(path: str | Path) -> Trained:
     Nothing in the file is executed.  Raises FactoryError when it is absent, not a weights file, of
     another program, does not fit the network that it describes, or holds NaN or infinity.
     """
+    import torch
+
     header, arrays = read_weights(path)
     try:
         network = build_network(header["model"])
@@ -73,3 +89,48 @@ def load_weights(path: str | Path) -> Trained:
         reason = " ".join(str(error).split())[:160]
         raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
     return Trained(channels_last(network).eval(), header["model"], header.get("training", {}))
+
+
+def read_header(path: str | Path) -> Header:
+    """What a weights file says of itself: `model`, and `training` where it is known.
+
+    Raises FactoryError when it is absent, not a weights file, or of another program.
+    """
+    return _read(path, with_arrays=False)[0]
+
+
+def read_weights(path: str | Path) -> tuple[Header, Arrays]:
+    """The header and the weights by their names, floats in 32 bits.
+
+    Nothing in the file is executed.  Raises FactoryError as `read_header` does, and for a file that
+    holds NaN or infinity.
+    """
+    header, arrays = _read(path, with_arrays=True)
+    for name, values in arrays.items():
+        # A picture made with them would be all NaN, or black, and nothing would say why.
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise FactoryError(
+                f"weights={path}: {name} holds NaN or infinity; train again, or take another file"
+            )
+    return header, arrays
+
+
+def _read(path: str | Path, with_arrays: bool) -> tuple[Header, Arrays]:
+    if not Path(path).is_file():
+        raise FactoryError(f"weights={path}: no such file; train one with `simnfnd train`")
+    arrays: Arrays = {}
+    try:
+        with safe_open(path, framework="np") as file:
+            header = json.loads((file.metadata() or {}).get(KEY, "{}"))
+            for name in file.keys() if with_arrays else ():
+                values = file.get_tensor(name)
+                arrays[name] = values.astype(np.float32) if values.dtype.kind == "f" else values
+    except (SafetensorError, OSError, RecursionError, ValueError, TypeError) as error:
+        raise FactoryError(f"weights={path}: not a safetensors file, or a damaged one") from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise FactoryError(
+            f"weights={path}: does not describe its network ({FORMAT}); not made by this program"
+        )
+    if not isinstance(header.get("model"), dict):
+        raise FactoryError(f"weights={path}: do not fit their network: no `model` in the header")
+    return header, arrays

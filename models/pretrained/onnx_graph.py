@@ -23,9 +23,8 @@ from ...factory.files import check_writable, write_atomically
 from ...factory.imaging.effect import ARTEFACTS
 from ...factory.sonar.geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
-from ..networks.lines import MapLines
 from ..networks.network import Network, padded
-from ..networks.sonarnet import SonarNet
+from ..networks.sonarnet import MapLines, SonarNet
 from ..networks.weights import load_weights
 from ..removal import DEFAULT, vector
 

@@ -1,0 +1,62 @@
+"""`simnfnd train dataset=DIR [KEY=VALUE ...]`: train a denoiser."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+from ...factory.cli import accept_dataset_folder, run_app
+from ...factory.errors import FactoryError
+from ...factory.settings import build
+from .. import WEIGHTS_NAME
+
+_GROUPS = ("data", "model", "loss")
+
+
+def main(words: Sequence[str]) -> int:
+    """Train as the configuration says; returns the exit code."""
+    sys.argv[1:] = words
+    if {"--help", "-h"} & set(words):
+        sys.argv.append(f"hydra.help.template='{_help()}'")
+    accept_dataset_folder()
+    return run_app(run, "models")
+
+
+def _help() -> str:
+    """Hydra's help with the groups of this configuration alone."""
+    lines = ["== Configuration groups (GROUP=NAME) =="]
+    for group in _GROUPS:
+        names = sorted(
+            Path(one.name).stem for one in files("simnfnd.conf").joinpath(group).iterdir()
+        )
+        lines.append(f"{group}: {', '.join(names)}")
+    return "\n".join([*lines, "", "== Keys (KEY=VALUE) ==", "$CONFIG"])
+
+
+def run(config: DictConfig) -> None:
+    """Train as the configuration says."""
+    if config.dataset.dir is None and config.data.get("kind") in ("pairs", "renders", "mixed"):
+        raise FactoryError(
+            "dataset: give the folder that `simnfnd make` made, dataset=DIR "
+            "(or `simnfnd denoise --help` to use trained weights)"
+        )
+    from ..settings import ModelsSettings
+
+    container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    values = cast(dict[str, Any], container)
+    settings: ModelsSettings = build(ModelsSettings, values)
+    # torch takes seconds to import: only when there is something to train.
+    from .train import output_folder, train
+
+    best = train(settings, values)
+    print(
+        f"validation: {best['psnr_noisy']:.2f} -> {best['psnr']:.2f} dB "
+        f"({best['gain_db']:+.2f}), SSIM {best['ssim_noisy']:.3f} -> {best['ssim']:.3f}, "
+        f"step {best['step']}"
+    )
+    print(f"weights: {output_folder(settings) / WEIGHTS_NAME}")

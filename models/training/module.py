@@ -7,8 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 from torch.optim import Optimizer
 from torch.optim.swa_utils import AveragedModel
 
@@ -18,9 +21,9 @@ from ..losses import Loss
 from ..networks.network import Network, known_extras
 from ..networks.weights import channels_last, load_weights
 from ..settings import TrainSettings
-from .quality import psnr_db, shadow_iou, ssim
 
 Row = dict[str, float | int]
+_SIGMA, _RADIUS = 1.5, 5  # of the window of SSIM, pixels
 
 
 class Teacher:
@@ -190,3 +193,57 @@ def running_average(decay: float) -> Callable[..., None]:
         torch._foreach_lerp_(average, current, 1 - keep)
 
     return update
+
+
+def psnr_db(image: Tensor, clean: Tensor) -> Tensor:
+    """(N,) peak signal-to-noise ratio in dB of (N, 1, H, W) images in 0..1, at most 100 dB."""
+    error = (image - clean).square().mean(dim=(1, 2, 3))
+    return -10 * torch.log10(error.clamp_min(1e-10))
+
+
+def ssim(image: Tensor, clean: Tensor) -> Tensor:
+    """(N,) mean structural similarity of (N, 1, H, W) images in 0..1, at least 11x11.
+
+    Gaussian window of sigma 1.5, population covariance, border of 5 pixels left out (Wang et al.
+    2004); float64, because the variances are small differences of large numbers.
+    """
+    a, b = image.double(), clean.double()
+    offset = torch.arange(-_RADIUS, _RADIUS + 1, dtype=a.dtype, device=a.device)
+    window = torch.exp(-offset.square() / (2 * _SIGMA**2))
+    window = window / window.sum()
+
+    def mean(x: Tensor) -> Tensor:
+        rows = functional.conv2d(x, window.view(1, 1, -1, 1))
+        return functional.conv2d(rows, window.view(1, 1, 1, -1))
+
+    mu_a, mu_b = mean(a), mean(b)
+    var_a = mean(a * a) - mu_a.square()
+    var_b = mean(b * b) - mu_b.square()
+    covariance = mean(a * b) - mu_a * mu_b
+    c1, c2 = 0.01**2, 0.03**2
+    similarity = (2 * mu_a * mu_b + c1) * (2 * covariance + c2)
+    similarity = similarity / ((mu_a.square() + mu_b.square() + c1) * (var_a + var_b + c2))
+    return similarity.mean(dim=(1, 2, 3))
+
+
+def shadow_iou(image: Tensor, batch: dict[str, Tensor], threshold: float = 0.02) -> Tensor:
+    """(N,) overlap of the true shadow with what is at or below `threshold`, inside the sector.
+
+    1 where there is no shadow at all.  batch: `noisy`, `clean` and `shadow`, (N, 1, H, W).
+    """
+    truth = batch["shadow"] > 0.5
+    sector = truth | (batch["clean"] > 0) | (batch["noisy"] > 0)
+    dark = (image <= threshold) & sector
+    both = (truth & dark).sum(dim=(1, 2, 3)).float()
+    either = (truth | dark).sum(dim=(1, 2, 3)).float()
+    return torch.where(either > 0, both / either.clamp_min(1), torch.ones_like(both))
+
+
+def denoised(network: nn.Module, batch: Batch) -> npt.NDArray[np.float32]:
+    """(H, W) float32 in 0..1: the image of a batch of one, denoised and clipped."""
+    assert isinstance(network, Network)
+    device = next(network.parameters()).device
+    known = {name: one.to(device) for name, one in known_extras(network, batch).items()}
+    with torch.inference_mode():
+        image = network(batch["noisy"].to(device), **known)
+    return np.asarray(image[0, 0].float().clamp(0, 1).cpu().numpy(), np.float32)

@@ -2,39 +2,42 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import math
 import os
 import signal
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+import numpy.typing as npt
 import torch
 import yaml
+from torch import nn
 from torch.utils.data import DataLoader
 
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of, write_atomically
 from .. import WEIGHTS_NAME
 from ..data.crops import Crops, KeptSource, VisitSampler, concatenate, whole_image
-from ..data.pairs import Batch, Data, windows_of
-from ..data.sources import open_data
+from ..data.pairs import Batch, Data, open_data, windows_of
 from ..losses import build_loss
 from ..networks import build_network
-from ..networks.weights import load_weights
+from ..networks.weights import load_weights, save_weights
 from ..pretrained import find_weights
 from ..settings import ModelsSettings, RendersData
-from .device import device_of, precision_of
-from .loop import Loop
-from .module import DenoisingModule, Row, Teacher
-from .results import (
-    CHECKPOINT_NAME,
-    Results,
-    best_row,
-    contact_sheet,
-    read_checkpoint,
-    write_grey,
-)
+from .loop import Loop, device_of, precision_of
+from .module import DenoisingModule, Row, Teacher, denoised
+
+CHECKPOINT_NAME = "checkpoint.ckpt"
+_FORMAT = "simnfnd-checkpoint/3"
+_GAP = 4
 
 _SHOWN = 4
 
@@ -43,8 +46,7 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     """Train, or continue, or find it done; returns the metrics row of the weights that were kept.
 
     config: the same settings as plain values, for config.yaml.  Writes weights.safetensors,
-    config.yaml, metrics.csv, samples.png, samples/, tensorboard/ and checkpoint.ckpt into
-    `output_folder(settings)`.
+    config.yaml, metrics.csv, samples.png and checkpoint.ckpt into `output_folder(settings)`.
     Raises FactoryError for unusable data, configuration, folder or a loss that became NaN, and
     `Stopped` after Ctrl-C or SIGTERM, with a checkpoint of the last step.
     """
@@ -64,13 +66,6 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         whole_image(data.validation.sample(i * count // min(_SHOWN, count), None), module.extras)
         for i in range(min(_SHOWN, count))
     ]
-    results = Results(
-        out,
-        settings.model,
-        recipe,
-        shown=shown[: settings.pictures],
-        tensorboard=settings.tensorboard,
-    )
     rows: list[Row] = checkpoint["rows"] if checkpoint else []
     if rows and rows[-1]["step"] == settings.train.steps:
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
@@ -79,9 +74,10 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         values = {**config, "train": {**config["train"], "precision": precision}}
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
         write_atomically(out / "config.yaml", text.encode())
-        rows = _fit(module, results, checkpoint, settings, device, data)
+        rows = _fit(module, recipe, checkpoint, settings, device, data)
     network = load_weights(out / WEIGHTS_NAME).network
-    write_grey(out / "samples.png", contact_sheet(network, shown))
+    sheet = cv2.imencode(".png", contact_sheet(network, shown))[1]
+    write_atomically(out / "samples.png", sheet.tobytes(), durable=False, key="out")
     return best_row(rows)
 
 
@@ -114,16 +110,21 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
 
 def _fit(
     module: DenoisingModule,
-    results: Results,
+    recipe: Mapping[str, Any],
     checkpoint: Mapping[str, Any] | None,
     settings: ModelsSettings,
     device: torch.device,
     data: Data,
 ) -> list[Row]:
     """The rows of all checks."""
+    out, started = output_folder(settings), time.monotonic()
 
     def save() -> None:
-        results.save(loop.state(), loop.progress.rows)
+        content = io.BytesIO()
+        # As JSON: a checkpoint is loaded without running code of it.
+        words = {"rows": json.dumps(loop.progress.rows), "recipe": json.dumps(dict(recipe))}
+        torch.save({**loop.state(), **words, "format": _FORMAT}, content)
+        write_atomically(out / CHECKPOINT_NAME, content.getvalue(), key="out")
 
     def batches(interval: int, done: int) -> Iterator[Batch]:
         visits.begin(interval, done)
@@ -131,7 +132,8 @@ def _fit(
 
     def check(step: int, loss: float) -> Row:
         row: Row = {"step": step, "loss": loss, **_measured(loop, module, data)}
-        row = results.add(loop.progress.rows, row, module)
+        seconds = time.monotonic() - started
+        row = _kept(out, module, recipe, settings.model, loop.progress.rows, row, seconds)
         shown = f"loss {loss:.4f}, psnr {row['psnr']:.2f} ({row['gain_db']:+.2f} dB)"
         loop.bar.set_postfix_str(shown)
         return row
@@ -148,9 +150,63 @@ def _fit(
         raise FactoryError(
             "the GPU has too little memory; lower data.batch or data.patch"
         ) from error
-    finally:
-        results.close()
     return loop.progress.rows
+
+
+def _kept(
+    out: Path,
+    module: DenoisingModule,
+    recipe: Mapping[str, Any],
+    model: Mapping[str, Any],
+    rows: Sequence[Row],
+    row: Row,
+    seconds: float,
+) -> Row:
+    """The whole row of a check, written to metrics.csv; its weights where they are the best.
+
+    rows: of the checks before.  row: step, loss and the figures of the validation.
+    Raises FactoryError where one of these is not a number.
+    """
+    figures = {name: row[name] for name in module.FIGURES}
+    if not all(math.isfinite(value) for value in figures.values()):
+        raise FactoryError(
+            f"the network returns NaN at step {row['step']}; lower train.learning_rate"
+        )
+    step = int(row["step"])
+    row = {
+        **{"step": step, "loss": row["loss"], "learning_rate": module.learning_rate(step)},
+        **figures,
+        "gain_db": row["psnr"] - row["psnr_noisy"],
+    }
+    if best_row([*rows, row]) is row:
+        facts = {**recipe, "validation": row}
+        save_weights(out / WEIGHTS_NAME, module.average.module, model, facts)
+    row = {**row, "seconds": round(seconds, 1)}
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(row), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows([*rows, row])
+    write_atomically(out / "metrics.csv", text.getvalue().encode())
+    return row
+
+
+def best_row(rows: Sequence[Row]) -> Row:
+    """The row of the weights that are kept: the highest PSNR; of equal ones the first."""
+    return max(rows, key=lambda row: row["psnr"])
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """The state, recipe and rows of a checkpoint.  Raises FactoryError when it is damaged."""
+    try:
+        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        if content["format"] != _FORMAT:
+            raise ValueError(content["format"])
+        return {**content, **{name: json.loads(content[name]) for name in ("recipe", "rows")}}
+    except Exception as error:
+        # torch reports a damaged file with a dozen exception types.
+        raise FactoryError(
+            f"{path}: damaged, or of another version; delete it or train with resume=false"
+        ) from error
 
 
 def _measured(loop: Loop, module: DenoisingModule, data: Data) -> dict[str, float]:
@@ -184,9 +240,7 @@ def _loader(
         shared["worker_init_fn"] = _leave_ctrl_c
     reuse = kind.reuse if isinstance(kind, RendersData) else 1
     source = KeptSource(data.learning) if reuse > 1 else data.learning
-    crops = Crops(
-        source, crops=kind.crops, flip=kind.flip, seed=settings.seed, extras=module.extras
-    )
+    crops = Crops(source, crops=kind.crops, seed=settings.seed, extras=module.extras)
     steps, windows = settings.train.check_every, windows_of(data.learning)
     visits = VisitSampler(len(data.learning), kind, steps, settings.seed, windows)
     return DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared), visits
@@ -254,3 +308,18 @@ def _innermost(error: FactoryError) -> str:
     last = str(error).strip().splitlines()[-1]
     name = f"{FactoryError.__module__}.{FactoryError.__qualname__}: "
     return last.removeprefix(name)
+
+
+def contact_sheet(network: nn.Module, batches: Sequence[Batch]) -> npt.NDArray[np.uint8]:
+    """(H, W) uint8: noisy | denoised (| clean), one row a batch of one, all of the first's size."""
+    lines: list[npt.NDArray[np.float32]] = []
+    for batch in batches:
+        known = [batch[name][0, 0].numpy() for name in ("noisy", "clean") if name in batch]
+        images = [known[0], denoised(network, batch), *known[1:]]
+        gap = np.full((len(images[0]), _GAP), 0.5, np.float32)
+        line = np.concatenate([part for image in images for part in (gap, image)][1:], axis=1)
+        width = lines[0].shape[1] if lines else line.shape[1]
+        line = np.pad(line[:, :width], ((0, 0), (0, max(0, width - line.shape[1]))))
+        lines += [np.full((_GAP, width), 0.5, np.float32), line]
+    sheet = np.concatenate(lines[1:])
+    return np.asarray(np.rint(np.clip(sheet, 0, 1) * 255), dtype=np.uint8)

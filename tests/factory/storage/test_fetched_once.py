@@ -111,7 +111,6 @@ def visits_of(images: int, steps: int, windows: Windows | None) -> Any:
         patch=16,
         batch=1,
         crops=1,
-        flip=False,
         weaker=0,
         validation=0.1,
         validation_limit=None,

@@ -12,18 +12,17 @@ import torch
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.adapt.command import main
-from simnfnd.models.adapt.module import Lesson, odds_of, psnr_after_levels
-from simnfnd.models.adapt.stretches import find_lessons, read_clips, runs
+from simnfnd.models.adapt import find_lessons, main, read_clips, runs
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.geometries import NONE, Geometries
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.training.adapting import Lesson, odds_of, psnr_after_levels
 from tests.models.adapt.scenes import SIDE, Gray, noisy, scene, write
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared/data"
-CONFIG = {"kind": "unet", "widths": [8, 8], "blocks": 1}
+CONFIG = {"kind": "nafnet", "width": 8, "encoder": [1], "middle": 1, "decoder": [1]}
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from simnfnd.models.settings import DATA, ModelsSettings
 SMALL = (
     *("model.width=4", "model.encoder=[1]", "model.decoder=[1]", "data.patch=32", "data.batch=4"),
     *("train.steps=6", "train.check_every=2", "train.warmup=2", "train.ema=0.5"),
-    *("tensorboard=false", "pictures=0", "data.workers=0"),
+    "data.workers=0",
 )
 
 

@@ -10,9 +10,8 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.views import CachedViews
-from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.pairs import PairSource, Source, hold_out, read_table
-from simnfnd.models.data.renders import RenderSource, open_renders
+from simnfnd.models.data.renders import DeviceSource, RenderSource, open_renders
 from simnfnd.models.settings import RendersData
 from tests.models.data.data_settings import composed
 

@@ -66,7 +66,7 @@ def test_every_image_is_visited_before_any_is_visited_again() -> None:
 def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None:
     table = read_table(dataset, "train")
     samples = table.samples
-    crops = Crops(PairSource(samples, None), crops=4, flip=True, seed=0)
+    crops = Crops(PairSource(samples, None), crops=4, seed=0)
     whole = PairSource(samples, None).sample(3, None)
     assert whole.clean is not None
     assert whole.shadow is not None
@@ -118,7 +118,7 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
 
     def batches(workers: int) -> list[torch.Tensor]:
         loader = DataLoader(
-            Crops(PairSource(samples, None, weaker=0.5), flip=True, seed=0),
+            Crops(PairSource(samples, None, weaker=0.5), seed=0),
             batch_sampler=VisitSampler(len(samples), data, 3, seed=0),
             collate_fn=concatenate,
             num_workers=workers,

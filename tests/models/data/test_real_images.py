@@ -16,9 +16,8 @@ from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.fans import read_fans
-from simnfnd.models.data.images import list_images
-from simnfnd.models.data.olddata import OldDataSource, with_noise
-from simnfnd.models.data.sources import open_data
+from simnfnd.models.data.images import OldDataSource, list_images, with_noise
+from simnfnd.models.data.pairs import open_data
 from simnfnd.models.recordings.pictures import read_grey
 from simnfnd.models.settings import DATA
 from simnfnd.models.training.train import train
@@ -89,7 +88,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_old_data_without_noise_is_the_image_itself(images: Path) -> None:
     samples = list_images(images)
     silent = compose_config(["noise=none"]).noise
-    source = OldDataSource(samples, str(images / "fans.csv"), silent, looks=3, weaker=0.0, seed=0)
+    source = OldDataSource(samples, str(images / "fans.csv"), silent, weaker=0.0, seed=0)
     sample = source.sample(0, 0)
     assert sample.clean is not None
     assert sample.shadow is not None
@@ -106,14 +105,14 @@ def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
     sector = fan.maps(0, 0, 48, 48)["sector"] > 0
     errors = {}
     for effect in draws.effects:
-        noisy = with_noise(clean, fan, Draws(config, (effect,)), 8)
+        noisy = with_noise(clean, fan, Draws(config, (effect,)))
         assert not noisy[~sector].any()
         errors[effect.name] = float(np.abs(noisy - clean).mean())
         if not effect.effect.moves:
             assert (noisy - clean).min() > -1e-6, "echoes are added, never taken away"
     assert all(error > 0 for name, error in errors.items() if name != "range_arc")
     # Range spreading moves echoes along their bearing and loses few.
-    spread = with_noise(clean, fan, Draws(config, (draws["range_spreading"],)), 8)
+    spread = with_noise(clean, fan, Draws(config, (draws["range_spreading"],)))
     assert spread.sum() == pytest.approx(clean.sum(), rel=0.1)
 
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from simnfnd.evaluation.recorded import open_input
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.models.data.images import list_images, read_sample, smallest_side
-from simnfnd.models.data.olddata import OldDataSource
-from simnfnd.models.data.sources import open_data
+from simnfnd.models.data.images import OldDataSource, list_images, read_sample, smallest_side
+from simnfnd.models.data.pairs import open_data
 from tests.models.data.data_settings import composed
 from tests.models.recordings.array_files import write_array
 from tests.models.recordings.recording_files import pings
@@ -50,7 +49,7 @@ def test_arrays_are_recordings_for_training_and_for_evaluate_real(tmp_path: Path
 
 def test_old_data_takes_frames() -> None:
     samples = list_images(LAMPREY)[:2]
-    source = OldDataSource(samples, "polar", NoiseSettings(), looks=1, weaker=0.0, seed=0)
+    source = OldDataSource(samples, "polar", NoiseSettings(), weaker=0.0, seed=0)
     sample = source.sample(1, None)
     assert sample.clean is not None
     assert sample.noisy.shape == sample.clean.shape == (774, 400)

@@ -16,9 +16,8 @@ from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.crops import Crops, Visit, whole_image
-from simnfnd.models.data.pairs import PairSource, hold_out, read_table
+from simnfnd.models.data.pairs import PairSource, hold_out, open_data, read_table
 from simnfnd.models.data.renders import resized
-from simnfnd.models.data.sources import open_data
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.train import train
 from tests.models.data.data_settings import SMALL, composed
@@ -127,7 +126,7 @@ def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) 
         assert (sector[sample.noisy > 0] > 0).mean() > 0.97
         if scale == 1:
             np.testing.assert_array_equal(sample.noisy, once.sample(0, visit).noisy)
-    crops = Crops(source, crops=2, flip=True, seed=1, extras=("range_fraction",))
+    crops = Crops(source, crops=2, seed=1, extras=("range_fraction",))
     sizes = {crops[Visit(visit, 0, visit, 24)]["noisy"].shape for visit in range(4)}
     assert sizes == {(2, 1, 24, 24)}
     assert source.sample(0, None).noisy.shape == (height, width), "validation is as the dataset is"
@@ -151,14 +150,16 @@ def test_scales_that_cannot_be(rendered: tuple[Path, Path]) -> None:
 
 def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path) -> None:
     dataset, _ = rendered
-    with pytest.raises(FactoryError, match=r"none of the 2 training frames.*data\.pack=FILE"):
-        renders(rendered, pack=None, cache=str(tmp_path))
-    (dataset / "config.yaml").rename(tmp_path / "config.yaml")
-    try:
-        with pytest.raises(FactoryError, match=r"config\.yaml: cannot be read"):
-            renders(rendered)
-    finally:
-        (tmp_path / "config.yaml").rename(dataset / "config.yaml")
+    for place, words in (
+        (dataset.parent / "cache", r"none of the 2 training frames.*data\.pack=FILE"),
+        (dataset / "config.yaml", r"config\.yaml: cannot be read"),
+    ):
+        place.rename(tmp_path / "away")
+        try:
+            with pytest.raises(FactoryError, match=words):
+                renders(rendered, pack=None)
+        finally:
+            (tmp_path / "away").rename(place)
 
 
 def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> None:
@@ -169,7 +170,7 @@ def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> No
     assert geometry is not None
     maps = geometry.maps(0, 0, 40, 48)
     assert (maps["sector"][source.sample(0, None).noisy > 0] > 0).mean() > 0.97
-    crops = Crops(source, crops=6, flip=True, seed=1, extras=extras)
+    crops = Crops(source, crops=6, seed=1, extras=extras)
     batch = crops[Visit(0, 0, 0, 24)]
     assert {name: tuple(batch[name].shape) for name in extras} == dict.fromkeys(
         extras, (6, 1, 24, 24)

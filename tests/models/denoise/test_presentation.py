@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import simnfnd
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.adapt.stretches import Shot, presented
+from simnfnd.models.adapt import Shot, presented
 from simnfnd.models.denoise.command import main
 from simnfnd.models.recordings.fan.finder import find_fan
 from simnfnd.models.recordings.presentation import gain_of, presentation_of

@@ -31,9 +31,6 @@ def gradient(config: dict[str, Any], prediction: Tensor, clean: Tensor, **known:
 def test_plain_losses_are_their_formulas() -> None:
     a, b = image(0.0, 0.5), image(0.3, 0.5)
     assert build_loss({"kind": "l1"})(a, b).item() == pytest.approx(0.15)
-    smooth = {"kind": "charbonnier", "epsilon": 0.4}
-    assert build_loss(smooth)(a, b).item() == pytest.approx((0.5 + 0.4) / 2)
-    assert gradient(smooth, a, b).flatten().tolist() == pytest.approx([-0.3 / 0.5 / 2, 0])
 
 
 @pytest.mark.parametrize("kind", [{"kind": "l1"}, NEW])
@@ -135,7 +132,6 @@ def test_decibels_count_every_image_alike() -> None:
     [
         ({"kind": "l7"}, r"loss\.kind"),
         ({"kind": "l1", "epsilon": 1}, r"loss\.epsilon: unknown key"),
-        ({"kind": "charbonnier"}, r"loss\.epsilon"),
         ({**NEW, "shadow": "hard"}, r"loss\.shadow"),
         ({"kind": "l1", "mask": -1}, r"loss\.mask"),
     ],

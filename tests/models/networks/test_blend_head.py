@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter1d
 
-from simnfnd.models.networks.blend_head import BlendHead
+from simnfnd.models.networks.sonarnet import BlendHead
 
 SECTOR = torch.zeros(1, 1, 32, 32)
 SECTOR[..., 4:] = 1

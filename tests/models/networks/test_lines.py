@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from simnfnd.models.networks.lines import GridLines, LineContext, MapLines
+from simnfnd.models.networks.sonarnet import GridLines, LineContext, MapLines
 
 
 def fan(size: int) -> tuple[Tensor, Tensor, Tensor]:

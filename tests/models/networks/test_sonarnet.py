@@ -12,8 +12,7 @@ from torch import Tensor
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.polar import polar_grid
-from simnfnd.models.networks.sonarnet import SonarNet
+from simnfnd.models.networks.sonarnet import SonarNet, polar_grid
 from simnfnd.models.removal import DEFAULT, vector
 from tests.models.networks.tiny_networks import stirred, tiny
 
@@ -30,15 +29,9 @@ def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
     return image * extras["sector"], extras
 
 
-def test_only_what_a_network_uses_is_taken() -> None:
-    with pytest.raises(TypeError, match="UNet does not use sector"):
-        tiny("unet")(torch.zeros(1, 1, 8, 8), sector=torch.ones(1, 1, 8, 8))
-    with pytest.raises(TypeError, match="UNet has no heads"):
-        tiny("unet").with_heads(torch.zeros(1, 1, 8, 8))
+def test_geometry_changes_the_picture() -> None:
     network = stirred(tiny("sonarnet"))
     image, extras = told(network, 32)
-    nothing = {name: None for name in extras}
-    assert torch.equal(network(image, **nothing), network(image))
     assert not torch.allclose(network(image, **extras), network(image))
 
 
@@ -91,17 +84,6 @@ def test_geometry_is_forgotten_in_training_alone() -> None:
     blind, seeing = network(image), network(image, **extras)
     assert torch.equal(network.train()(image, **extras), blind)
     assert not torch.allclose(blind, seeing)
-
-
-def test_colours_share_one_mask_and_one_geometry() -> None:
-    network = stirred(tiny("sonarnet"))
-    image, extras = told(network, 32)
-    colours = image.expand(-1, 3, -1, -1)
-    restored, logits, weight = network.with_heads(colours, **extras)
-    alone, mask, of_one = network.with_heads(image, **extras)
-    torch.testing.assert_close(weight, of_one)
-    torch.testing.assert_close(restored, alone.expand(-1, 3, -1, -1))
-    torch.testing.assert_close(logits, mask)
 
 
 # --- polar inside

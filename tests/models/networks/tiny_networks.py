@@ -19,7 +19,6 @@ TINY: dict[str, dict[str, Any]] = {
         **{"widths": [8, 12], "blocks": [1, 1]},
         **{"polar": True, "lines": True, "mask": True, "forget": 0.1},
     },
-    "unet": {"widths": [4, 8], "blocks": 1},
 }
 
 

@@ -116,7 +116,7 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("wrong", [1e-3, np.nan])
 def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float) -> None:
-    graph = Graph(load_weights(weights(tmp_path, "unet")).network, "none")
+    graph = Graph(load_weights(weights(tmp_path, "nafnet")).network, "none")
 
     def other(inputs: Any) -> list[np.ndarray]:
         found = [values.numpy().copy() for values in graph(*inputs.values())]
@@ -128,7 +128,7 @@ def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float)
 
 
 def test_what_cannot_be_exported_costs_a_line(tmp_path: Path) -> None:
-    given, onnx_file = str(weights(tmp_path, "unet")), str(tmp_path / "a.onnx")
+    given, onnx_file = str(weights(tmp_path, "nafnet")), str(tmp_path / "a.onnx")
     for words, said in (
         (("--to", "onnx", "--out", "a.pt"), r"must end in \.onnx"),
         (("--to", "onnx", "--geometry", "fan", "--out", onnx_file), "does not use the geometry"),

@@ -25,8 +25,6 @@ SMALL = (
     "train.warmup=3",
     "train.learning_rate=0.006",
     "train.ema=0.9",
-    "tensorboard=false",
-    "pictures=0",
 )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from simnfnd.models.networks.weights import load_weights
-from simnfnd.models.training import device
+from simnfnd.models.training import loop as device
 from simnfnd.models.training.train import train
 from tests.models.training.small_training import SMALL, config_for
 from tests.small_dataset import write_dataset

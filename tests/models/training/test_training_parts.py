@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.models.training import quality
+from simnfnd.models.training import module as quality
 from simnfnd.models.training.module import learning_rate_factor
 from tests.small_dataset import fan_images
 

@@ -1,32 +1,168 @@
-"""Stretches of recordings in which the scene stands still, and what each frame would be noiseless.
+"""`simnfnd adapt RECORDING --out WEIGHTS`: fit trained weights to recordings without truth.
 
-The target of a frame is the mean of the *other* frames of its stretch, laid over it below a pixel
-(after Lehtinen et al., Noise2Noise, ICML 2018; the mean of several has less noise left than one).
+The target of a frame is the mean of the *other* frames of a stretch in which the scene stands
+still, laid over it below a pixel (after Lehtinen et al., Noise2Noise, ICML 2018; the mean of
+several has less noise left than one).
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError, FrameError
-from ...factory.sonar.geometry import FanGeometry
-from ..data.pairs import Image
-from ..denoise.geometries import Geometries
-from ..denoise.inputs import Item, find_items, sequences
-from ..recordings import open_recording
-from ..recordings.fan.pings import grey_of, polar_geometry
-from ..recordings.palettes import grey_of_colours
-from ..recordings.pictures import read_grey
-from ..recordings.presentation import presentation_of
-from ..recordings.static import aligned, find_groups, moving, references, shifted
+from ..factory.cli import Parser
+from ..factory.errors import FactoryError, FrameError
+from ..factory.files import check_writable, sha256_of
+from ..factory.sonar.geometry import FanGeometry
+from .denoise.geometries import FIND, Geometries
+from .denoise.inputs import Item, find_items, sequences
+from .pretrained import find_weights
+from .recordings import open_recording
+from .recordings.fan.pings import grey_of, polar_geometry
+from .recordings.palettes import grey_of_colours
+from .recordings.pictures import read_grey
+from .recordings.presentation import presentation_of
+from .recordings.static import aligned, find_groups, moving, references, shifted
+
+Image = npt.NDArray[np.float32]
+_RATE = 2e-4
+_BOUNDS = {
+    "steps": (lambda x: x >= 1, "must be 1 or more"),
+    "minutes": (lambda x: 0 < x <= 1e4, "must be more than 0, and 10000 at most"),
+    "learning_rate": (lambda x: 0 < x <= 1, "must lie between 0 and 1"),
+    "seed": (lambda x: x >= 0, "must be 0 or more"),
+}
+"""Option -> whether a value will do, and what is wrong with one that does not."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the fitted weights; 1 when nothing came out better and so nothing was written."""
+    chosen = _parsed(arguments)
+    out = Path(chosen.out).expanduser()
+    start = find_weights(chosen.weights)
+    if out.exists() and out.resolve() == start.resolve():
+        raise FactoryError(f"--out {out}: would replace the weights to begin with")
+    check_writable(out.parent, "--out")
+    geometries = Geometries(chosen.geometry)
+    found = read_clips([Path(name).expanduser() for name in chosen.recordings], out, geometries)
+    for line in found.skipped[:3]:
+        print(f"skipped: {line}", file=sys.stderr)
+    for line in geometries.summary():
+        print(line)
+    return _adapt(chosen, _lessons(found), start, out)
+
+
+def _parsed(arguments: Sequence[str]) -> Any:
+    parser = Parser(prog="simnfnd adapt")
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        metavar="IN",
+        help="folder, video, .aris, .ddf or .raw; several are learned from alike",
+    )
+    parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
+    parser.add_argument(
+        "--weights", help="weights to begin with: a file, or the name of weights that ship"
+    )
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=float, default=5.0, help="about how long it may take (5)")
+    length.add_argument("--steps", type=int, help="how many steps instead; repeatable to the bit")
+    parser.add_argument(
+        "--geometry",
+        default=FIND,
+        help="of pictures and videos: `find` it in the picture (default), `polar`, `none`, or a "
+        "CSV table of fans (file, apex_x, apex_y, ...); recordings know theirs",
+    )
+    parser.add_argument(
+        "--learning-rate", type=float, default=_RATE, help=f"of AdamW at its highest ({_RATE:g})"
+    )
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
+    chosen = parser.parse_args(list(arguments))
+    if Path(chosen.out).suffix != ".safetensors":
+        raise FactoryError(f"--out {chosen.out}: must end in .safetensors")
+    for name, (is_good, wrong) in _BOUNDS.items():
+        value = getattr(chosen, name)
+        good: Any = is_good
+        if value is not None and not good(value):
+            raise FactoryError(f"--{name.replace('_', '-')} {value:g}: {wrong}")
+    return chosen
+
+
+def _lessons(found: Found) -> Lessons:
+    """What stands still in the recordings; FactoryError where nothing does."""
+    read = sum(len(clip.shots) for clip in found.clips)
+    if read < 2:
+        raise FactoryError(
+            f"{found.clips[0].name}: is one picture; adapting needs at least two frames, and four "
+            "of a scene that stands still are better"
+        )
+    share = f"{read} of {found.frames}" if read < found.frames else f"{read}"
+    lessons = find_lessons(found.clips)
+    if lessons is None:
+        raise FactoryError(
+            f"{found.clips[0].name}: nothing stands still in {share} frames, so no mean of other "
+            "frames can be learned from; record a scene with the sonar at rest"
+        )
+    learning, held = (
+        sum(len(one.frames) for one in part) for part in (lessons.learning, lessons.held)
+    )
+    stretches = len(lessons.learning) + (0 if lessons.same else len(lessons.held))
+    print(
+        f"{stretches} stretch(es) stand still in {share} frames: {learning} frames to learn from, "
+        f"{held} held out" + (", of the same stretch" if lessons.same else "")
+    )
+    return lessons
+
+
+def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
+    # torch takes seconds to import: only when there is something to learn from.
+    from .networks.weights import load_weights, save_weights
+    from .training.adapting import Lesson, module_of, steps_within, tune
+    from .training.loop import device_of
+
+    device = device_of(chosen.device, "--device ")
+    trained = load_weights(start)
+    network = trained.network.to(device)
+    lesson = Lesson(lessons, chosen.seed, "frames" in network.extras)
+    rate, steps = chosen.learning_rate, chosen.steps
+    if not steps:
+        steps = steps_within(chosen.minutes, network, lesson)
+    best = tune(module_of(network, steps, rate, chosen.seed), lesson, device)
+    noisy = lesson.noisy_figure()
+    print(
+        f"frames held out, PSNR after levels: noisy {noisy:.2f}, before {best.before:.2f}, "
+        f"after {best.after:.2f} dB"
+    )
+    if best.after < noisy:
+        print("that is less than the frames as they are; more --minutes may help")
+    if not best.after > best.before:
+        print("nothing written: no weights on the way were better than those it began with")
+        return 1
+    facts = {
+        "adapted.by": "mean of the other frames",
+        "adapted.frames": sum(len(one.frames) for one in lessons.learning),
+        "adapted.stretches": len(lessons.learning),
+        "start": sha256_of(start)[:16],
+        "start.training": dict(trained.training),
+        "steps": steps,
+        "learning_rate": rate,
+        "seed": chosen.seed,
+        "validation": {"step": best.step, "before": best.before, "after": best.after},
+    }
+    save_weights(out, network, trained.model, facts)
+    print(f"weights: {out} (step {best.step} of {steps}; use them with --weights {out})")
+    return 0
+
 
 RUN = 16
 """So many frames that follow each other are read together where not all can be."""

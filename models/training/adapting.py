@@ -14,16 +14,15 @@ import torch
 from torch import Tensor
 
 from ...factory.seeds import stream
+from ..adapt import Lessons, Still
 from ..data.crops import concatenate, crop, whole_image
 from ..data.pairs import Batch, Image, Sample, spread
-from ..losses import L1
+from ..losses import Loss
 from ..networks.network import Network, known_extras
 from ..removal import averaged
 from ..settings import TrainSettings
-from ..training.loop import Loop
-from ..training.module import DenoisingModule, Row
-from ..training.results import denoised
-from .stretches import Lessons, Still
+from .loop import Loop
+from .module import DenoisingModule, Row, denoised
 
 BATCH = 2
 """Crops of a step."""
@@ -79,7 +78,7 @@ def module_of(network: Network, steps: int, learning_rate: float, seed: int) -> 
         ema=0.98,
         precision="32-true",
     )
-    return AdaptModule(network, L1(kind="l1"), settings, seed)
+    return AdaptModule(network, Loss(kind="l1"), settings, seed)
 
 
 class Lesson:
