@@ -8,7 +8,7 @@ from pathlib import Path
 from ..cli import Parser
 from ..cli.compose import compose_config
 from ..errors import FactoryError
-from ..render.cache import Cache
+from ..render.views import Cache
 
 _EPILOG = (
     "KEY=VALUE words are those of `simnfnd make`; cache.dir is the one that matters to stats, "

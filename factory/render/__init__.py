@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ..errors import FactoryError
 from .base import Rendered, Renderer, RenderSettings, check_installed
 
@@ -33,10 +35,11 @@ def open_renderer(settings: RenderSettings) -> Renderer:
     """
     check_renderer(settings)
     # A worker that only adds noise must not pay for Blender or Open3D: import what is asked for.
-    if settings.kind == "cycles":
-        from .cycles import CyclesRenderer
+    from .renderers import AnalyticRenderer, CyclesRenderer, EmbreeRenderer
 
-        return CyclesRenderer(settings)
-    from .closed_form import AnalyticRenderer, EmbreeRenderer
-
-    return (EmbreeRenderer if settings.kind == "embree" else AnalyticRenderer)(settings)
+    kinds: dict[str, Callable[[RenderSettings], Renderer]] = {
+        "cycles": CyclesRenderer,
+        "embree": EmbreeRenderer,
+        "analytic": AnalyticRenderer,
+    }
+    return kinds[settings.kind](settings)

@@ -22,7 +22,7 @@ from ..files import explain_os_errors
 from ..frame import FrameRef
 from ..settings import ClassName
 from ..small_files import open_regular, parse_json
-from .mount import Mount
+from .base import Mount
 from .view import View, decode, encode, mount_of
 
 _SCHEMA = "simnfnd-pack 2"

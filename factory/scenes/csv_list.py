@@ -11,6 +11,7 @@ without it the whole list is one scene, named as the file.
 from __future__ import annotations
 
 import csv
+import os
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal
@@ -23,9 +24,8 @@ from pydantic.dataclasses import dataclass
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import Discovery, Found, Root, SceneSettings, check_some_exist, numbered_lines
-from .calibration import Pinhole, finished_frame
-from .images import read_depth, read_rgb
+from .base import Discovery, Root, SceneSettings, discovery, numbered_lines
+from .frame_files import Pinhole, finished_frame, read_depth, read_rgb
 
 _EXPECTED = "a CSV file of rgb,depth lines"
 
@@ -86,20 +86,22 @@ class CsvListReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        path = self.settings.path
+        path, given = self.settings.path, self.settings.given
         if not path.is_file():
             fault = "is a folder" if path.is_dir() else "no such file"
             raise FactoryError(
-                f"{self.settings.given}: {fault}; give scenes.file={_EXPECTED}, and no scenes.root"
+                f"{given}: {fault}; give scenes.file={_EXPECTED}, and no scenes.root"
             )
         rows = _rows(path)
-        found = Found(_named(path.parent, rows))
-        found.skipped["listed twice"] = len(rows) - len(found.frames)
-        nothing = f"{self.settings.given}: no line lists a frame; give {_EXPECTED}"
-        discovery = found.discovery(nothing)
-        remedy = "paths are relative to the CSV file"
-        check_some_exist(discovery.frames, self.settings.given, remedy)
-        return discovery
+        frames = _named(path.parent, rows)
+        # Unlike Path.is_file, os.path.isfile raises nothing.
+        if frames and not any(os.path.isfile(one) for ref in frames for one in ref.paths):
+            raise FactoryError(
+                f"{given}: none of the {len(frames)} frames listed exists, the first is "
+                f"{frames[0].paths[0]}; paths are relative to the CSV file"
+            )
+        skipped = {"listed twice": len(rows) - len(frames)}
+        return discovery(frames, f"{given}: no line lists a frame; give {_EXPECTED}", skipped)
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""

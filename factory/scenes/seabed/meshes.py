@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .fields import Arrays, Floats, waves
+from .terrain import Arrays, Floats, waves
 
 Indices = npt.NDArray[np.int32]
 Colour = tuple[float, ...]  # red, green, blue

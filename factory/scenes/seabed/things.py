@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ...seeds import stream
-from .fields import WORLD_SEED, Floats, smoothstep, waves
 from .meshes import (
     Colour,
     Mesh,
@@ -34,6 +33,7 @@ from .meshes import (
     sphere,
     tube,
 )
+from .terrain import WORLD_SEED, Floats, smoothstep, waves
 
 Points = npt.NDArray[np.float64]
 GroundHeight = Callable[[Points, Points], Floats]

@@ -13,10 +13,16 @@ from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import FactoryError, NotRendered
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import pair_maker
-from simnfnd.factory.render.cache import Cache, CacheSettings, Limit
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
-from simnfnd.factory.render.views import CachedViews, FrameKeys, ViewMaker
+from simnfnd.factory.render.views import (
+    Cache,
+    CachedViews,
+    CacheSettings,
+    FrameKeys,
+    Limit,
+    ViewMaker,
+)
 from tests.factory.render.small_views import SMALL_SEABED, config, same, some_view
 from tests.project_files import ROOT
 
@@ -162,7 +168,7 @@ config = from_mapping({{"scenes": {SMALL_SEABED!r}, "render": {{"kind": "analyti
 pairs = pair_maker(config).pairs(FrameRef("seabed", "seabed-0000", "0001"), (0, 1))
 assert len(pairs) == 2
 rooms = "simnfnd.factory."
-for heavy in ("torch", "matplotlib", rooms + "render.blender", rooms + "scenes.seabed.world"):
+for heavy in ("torch", "matplotlib", rooms + "render.renderers", rooms + "scenes.seabed.world"):
     assert heavy not in sys.modules, heavy
 """
     done = subprocess.run(

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.render import Rendered, RenderSettings
-from simnfnd.factory.render.mesh import surface_mesh
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.render.surface import pixels_of
+from simnfnd.factory.render.base import Mount
+from simnfnd.factory.render.surface import pixels_of, surface_mesh
 from simnfnd.factory.settings import build
 from tests.factory.render.renderers import ABOVE, HERE, KINDS, LEFT, relative_error, render
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard

@@ -8,7 +8,7 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.render import RenderSettings, open_renderer
-from simnfnd.factory.render.albedo import albedo, linear_luminance
+from simnfnd.factory.render.surface import albedo, linear_luminance
 from simnfnd.factory.settings import build
 
 # ---- albedo ----

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount, Rendered
 from simnfnd.factory.render.view import DEPTH, RADIANCE, decode, encode, fold, view_of
 from tests.factory.render.small_views import same, some_view
 from tests.frames import ground_and_post, plain_render

@@ -12,7 +12,6 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.scenes.flsea import BUILT_IN, SCENES
 from tests.factory.scenes.scene_files import (
     DEPTH,
-    KALIBR_IMUCAM,
     RGB,
     Array,
     flsea_frame,
@@ -55,33 +54,24 @@ def test_flsea_finds_every_layout(tmp_path: Path) -> None:
 @pytest.mark.parametrize("start", ["", "canyons", "canyons/u_canyon", "canyons/u_canyon/."])
 def test_flsea_root_may_be_any_level(tmp_path: Path, start: str, inner: str) -> None:
     flsea_frame(tmp_path / "canyons/u_canyon" / inner, "1")
-    (tmp_path / "canyons/calibration").mkdir()
-    calibration = tmp_path / "canyons/calibration/a-kalibr-results-imucam.txt"
-    calibration.write_text(KALIBR_IMUCAM)
     for root in {start, start + "/" + inner if start.endswith("u_canyon") else start}:
         flsea = reader("flsea", tmp_path / root)
         found = flsea.discover()
         assert [ref.name for ref in found.frames] == ["canyons/u_canyon/1"]
-        assert found.notes[-1] == f"canyons: intrinsics {calibration.name}"
-        # The Kalibr file is for 968x608, the image has 24x16 pixels.
-        camera = flsea.load(found.frames[0]).intrinsics
-        assert camera.fx == pytest.approx(1296.5 * 24 / 968)
-        assert camera.fy == pytest.approx(1300.25 * 16 / 608)
-        assert camera.distortion == (-0.125, 0.0625, -0.0045, 0.0007)
+        # The built-in calibration is for 968x608, the image has 24x16 pixels.
+        camera, known = flsea.load(found.frames[0]).intrinsics, BUILT_IN["canyons"]
+        assert camera.fx == pytest.approx(known.fx * 24 / 968)
+        assert camera.fy == pytest.approx(known.fy * 16 / 608)
+        assert camera.distortion == known.distortion
 
 
-def test_flsea_calibration_belongs_to_its_location(tmp_path: Path) -> None:
+def test_flsea_undistorts_where_the_lens_is_known(tmp_path: Path) -> None:
     flsea_frame(tmp_path / "canyons/u_canyon", "1")
     flsea_frame(tmp_path / "red_sea/sub_pier", "1")
-    (tmp_path / "red_sea/calibration").mkdir()
-    (tmp_path / "red_sea/calibration/x-kalibr-results-imucam.txt").write_text(KALIBR_IMUCAM)
     flsea = reader("flsea", tmp_path, undistort=True)
-    canyon, pier = map(flsea.load, flsea.discover().frames)
-    assert canyon.intrinsics.fx == pytest.approx(BUILT_IN["canyons"].fx * 24 / 968)
-    assert pier.intrinsics.fx == pytest.approx(1296.5 * 24 / 968)
-    assert canyon.intrinsics.distortion == pier.intrinsics.distortion == ()
-    (tmp_path / "red_sea/calibration/x-kalibr-results-imucam.txt").unlink()
-    assert "distortion unknown" in reader("flsea", tmp_path, undistort=True).discover().notes[-1]
+    found = flsea.discover()
+    assert all(flsea.load(ref).intrinsics.distortion == () for ref in found.frames)
+    assert found.notes[2:] == ("red_sea: lens distortion unknown, images are not undistorted",)
 
 
 def test_flsea_selects_scenes_by_name(tmp_path: Path) -> None:

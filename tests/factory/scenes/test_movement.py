@@ -6,8 +6,7 @@ import pytest
 from simnfnd.factory.config import from_mapping, identity
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.scenes.seabed.camera import pose
-from simnfnd.factory.scenes.seabed.path import Movement, movements
+from simnfnd.factory.scenes.seabed.camera import Movement, movements, pose
 
 PATH = "time_s,surge_m,heave_m,yaw_deg\n0,0,0,0\n0.2,0.5,0.1,10\n"
 

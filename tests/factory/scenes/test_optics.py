@@ -12,8 +12,8 @@ from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.scenes.seabed import SeabedSettings
 from simnfnd.factory.scenes.seabed.camera import camera
-from simnfnd.factory.scenes.seabed.reader import SeabedSettings
 
 SMALL = ("scenes.width=320", "scenes.height=200")
 

@@ -22,9 +22,8 @@ from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.scenes.boxes import oriented
 from simnfnd.factory.scenes.mesh_parts import read_parts
-from simnfnd.factory.scenes.seabed.camera import Optics, objects_of, pose, z_buffer
+from simnfnd.factory.scenes.seabed.camera import Optics, objects_of, oriented, pose, z_buffer
 from simnfnd.factory.scenes.seabed.meshes import box, join, sphere
 
 open3d: Any = importlib.import_module("open3d")  # its stubs fit no call
@@ -186,7 +185,7 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
     optics, where = Optics(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
     objects = objects_of(solids, np.array([21, 22], np.uint8))
     seen = z_buffer(where, optics, None, objects)
-    from simnfnd.factory.scenes.boxes import boxes_of
+    from simnfnd.factory.scenes.seabed.camera import boxes_of
 
     numbers = np.where(seen.which < 0, 0, 1 + (seen.which >= len(solids[0].triangles)))
     made = boxes_of(where, optics, objects, seen, numbers.astype(np.uint16))

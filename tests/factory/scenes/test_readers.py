@@ -40,9 +40,12 @@ def test_what_cannot_be_read_is_one_line(tmp_path: Path, monkeypatch: pytest.Mon
     for name in ("imgs/1.tiff", "depth/1_abs_depth.tif"):
         write(tmp_path / "canyons/u_canyon" / name, RGB)
 
-    def closed(folder: Path) -> None:
-        raise PermissionError(13, "Permission denied", str(folder))
+    def closed(folder: Any = ".") -> Any:
+        if str(folder).endswith("depth"):
+            raise PermissionError(13, "Permission denied", str(folder))
+        return scan(folder)
 
+    scan = os.scandir
     monkeypatch.setattr("os.scandir", closed)
     with pytest.raises(FactoryError, match=r"^scenes\.root: .*/depth cannot be read"):
         reader("flsea", tmp_path).discover()

@@ -12,7 +12,8 @@ import yaml
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.scenes.seabed import CLASSES, SeabedSettings
+from simnfnd.factory.labels import CLASSES
+from simnfnd.factory.scenes.seabed import SeabedSettings
 from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.world import build_world
 from simnfnd.factory.settings import build

@@ -14,7 +14,7 @@ from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.camera import Optics, camera, z_buffer
 from simnfnd.factory.scenes.seabed.meshes import Mesh, box, grid_triangles, lathe, sphere, tube
 from simnfnd.factory.scenes.seabed.terrain import view_mesh
-from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
+from simnfnd.factory.scenes.seabed.view import choose_pose
 from simnfnd.factory.scenes.seabed.world import build_world
 from simnfnd.factory.seeds import stream
 
