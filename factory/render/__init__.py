@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ..errors import FactoryError
-from .base import Rendered, Renderer, RenderSettings, check_installed
+from .base import Rendered, Renderer, RenderSettings
 
 __all__ = ["RenderSettings", "Rendered", "Renderer", "check_renderer", "open_renderer"]
 
 
 def check_renderer(settings: RenderSettings) -> None:
-    """Raise FactoryError when the settings contradict each other or the library is not installed.
-
-    Imports nothing heavy, so that a run can be refused before its workers start.
-    """
+    """Raise FactoryError when the settings contradict each other; imports nothing heavy."""
     if settings.geometry == "points" and settings.kind != "cycles":
         raise FactoryError(
             "render.geometry=points is for render=cycles only: "
@@ -25,7 +22,6 @@ def check_renderer(settings: RenderSettings) -> None:
             f"render.stride={settings.stride} is for direct sound only: "
             "set render.stride=1, or render.bounces=0"
         )
-    check_installed(settings.kind)
 
 
 def open_renderer(settings: RenderSettings) -> Renderer:

@@ -6,7 +6,6 @@ Camera axes (OpenCV): x right, y down, z forward.  Sonar axes: x forward, y left
 from __future__ import annotations
 
 from dataclasses import dataclass as plain_dataclass
-from importlib.util import find_spec
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -17,6 +16,7 @@ from pydantic.dataclasses import dataclass
 from ..errors import FactoryError
 from ..frame import Frame
 from ..settings import STRICT
+from ..small_files import one_line
 
 # Rows are the sonar's axes in camera axes, for a sonar that looks where the camera looks.
 _SONAR_FROM_CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -143,9 +143,9 @@ _LIBRARIES = {
 }
 
 
-def missing(kind: str, reason: object) -> FactoryError:
+def missing(kind: str, reason: BaseException) -> FactoryError:
     """The error for a renderer whose module cannot be imported, with the way out of it."""
-    what = str(reason).splitlines()[0] if str(reason) else "not installed"
+    what = one_line(reason) or "not installed"
     module, remedy, other = _LIBRARIES[kind]
     if ".so" in what:  # the module is there, but a shared library of the operating system is not
         remedy = "make setup installs what it needs"
@@ -153,9 +153,3 @@ def missing(kind: str, reason: object) -> FactoryError:
         f"render.kind={kind} needs the module {module} ({what}): {remedy}, or choose "
         f"render=analytic or {other}"
     )
-
-
-def check_installed(kind: str) -> None:
-    """Raise FactoryError when the renderer's module is not installed.  Imports nothing."""
-    if kind in _LIBRARIES and find_spec(_LIBRARIES[kind][0]) is None:
-        raise missing(kind, "not installed")

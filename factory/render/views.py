@@ -82,12 +82,19 @@ class Cache:
         """Whether there is an entry (whole or not)."""
         return self._path(key).exists()
 
-    def get(self, key: str) -> View | None:
-        """The entry, or None when it is absent or was damaged (and is now removed)."""
+    def get(self, key: str, *, used: bool = True) -> View | None:
+        """The entry, or None when it is absent or was damaged (and is now removed).
+
+        used: note that it was, so that it stays longer.
+        """
         path = self._path(key)
-        view = _whole(path)
-        if view is not None:
-            with suppress(OSError):  # a cache that others own may be read only
+        try:
+            view = decode(read_regular(path, _MOST_BYTES))
+        except (OSError, ValueError):
+            path.unlink(missing_ok=True)
+            return None
+        with suppress(OSError):  # a cache that others own may be read only
+            if used:
                 os.utime(path)
         return view
 
@@ -109,10 +116,6 @@ class Cache:
             except FileNotFoundError:
                 continue
             yield Entry(path.stem, path, status.st_size, status.st_mtime_ns)
-
-    def is_whole(self, entry: Entry) -> bool:
-        """Whether an entry can be read; one that cannot is removed."""
-        return _whole(entry.path) is not None
 
     def evict(self, max_bytes: int) -> int:
         """When there is more than `max_bytes`, remove what was unused longest; returns bytes left.
@@ -144,15 +147,6 @@ class Cache:
         return self.folder / key[:2] / f"{key}{_SUFFIX}"
 
 
-def _whole(path: Path) -> View | None:
-    """The entry of this file, or None when it is absent or damaged; then it is removed."""
-    try:
-        return decode(read_regular(path, _MOST_BYTES))
-    except (OSError, ValueError):
-        path.unlink(missing_ok=True)
-        return None
-
-
 class Limit:
     """Keeps a cache within its size while it grows: call it with the bytes that were added."""
 
@@ -162,18 +156,14 @@ class Limit:
 
     def __call__(self, added_bytes: int) -> None:
         """Evict when there is too much.  Looks at the folder at the first call and then."""
-        if added_bytes == 0:
-            return
-        if self._total is None:
-            self._total = self._cache.evict(self._max_bytes)
-            return
-        self._total += added_bytes
-        if self._total > self._max_bytes:
+        if added_bytes and self._total is not None:
+            self._total += added_bytes
+        if added_bytes and (self._total is None or self._total > self._max_bytes):
             self._total = self._cache.evict(self._max_bytes)
 
 
 # Which frames are chosen changes none of them.
-_NOT_PIXELS = {
+_NOT_PIXELS = [
     "root",
     "file",
     "path",
@@ -181,36 +171,10 @@ _NOT_PIXELS = {
     "first_location",
     "frames_per_location",
     "scenes",
-}
+]
 # All code between the files of a recording and the rendered pixels.
 _CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "scenes")
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
-
-
-class FrameKeys:
-    """Keys of the frames of one configuration."""
-
-    def __init__(self, scenes: Scenes, render: RenderSettings, mount: Mount) -> None:
-        self._common = json.dumps(
-            [
-                {k: v for k, v in _plain(Scenes, scenes).items() if k not in _NOT_PIXELS},
-                _plain(RenderSettings, render),
-                _plain(Mount, mount),
-                code_version(render.kind),
-                GENERATOR if scenes.kind == "seabed" else None,
-            ],
-            sort_keys=True,
-        )
-
-    def of(self, ref: FrameRef) -> str:
-        """32 hexadecimal digits.  Raises OSError when a file of the frame cannot be read.
-
-        The content of its files counts and not where they lie, so a recording may be moved.
-        """
-        states = [(path, os.stat(path)) for path in ref.paths]
-        contents = [_digest(path, one.st_size, one.st_mtime_ns) for path, one in states]
-        text = json.dumps([self._common, ref.location, ref.scene, ref.frame, contents])
-        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 @cache
@@ -293,8 +257,23 @@ class CachedViews:
 
     def __init__(self, config: RenderNeeds) -> None:
         self.cache = Cache(config.cache.folder)
-        self.keys = FrameKeys(config.scenes, config.render, config.sonar.mount)
+        scenes, mount = _plain(Scenes, config.scenes), _plain(Mount, config.sonar.mount)
+        pixels = {key: value for key, value in scenes.items() if key not in _NOT_PIXELS}
+        version = GENERATOR if config.scenes.kind == "seabed" else None
+        render = _plain(RenderSettings, config.render)
+        common = pixels, render, mount, code_version(config.render.kind), version
+        self._common = json.dumps(common, sort_keys=True)
         self._expected: Mapping[str, str] = {}
+
+    def key(self, ref: FrameRef) -> str:
+        """32 hexadecimal digits.  Raises OSError when a file of the frame cannot be read.
+
+        The content of its files counts and not where they lie, so a recording may be moved.
+        """
+        states = [(path, os.stat(path)) for path in ref.paths]
+        contents = [_digest(path, one.st_size, one.st_mtime_ns) for path, one in states]
+        text = json.dumps([self._common, ref.location, ref.scene, ref.frame, contents])
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     def expect(self, keys: Mapping[str, str]) -> None:
         """Look for these frames, by their names, under these keys and ask their files no more."""
@@ -302,24 +281,17 @@ class CachedViews:
 
     def holds(self, ref: FrameRef) -> bool:
         """See `Views`."""
-        try:
-            return self.cache.holds(self._key(ref))
-        except OSError:
-            return False
+        with suppress(OSError):
+            return self.cache.holds(self._expected.get(ref.name) or self.key(ref))
+        return False
 
     def view(self, ref: FrameRef) -> View:
         """See `Views`."""
-        try:
-            view = self.cache.get(self._key(ref))
-        except OSError:
-            view = None
-        if view is None:
-            raise NotRendered(ref.name)
-        return view
-
-    def _key(self, ref: FrameRef) -> str:
-        """The frame's key.  Raises OSError when a file of it cannot be read."""
-        return self._expected.get(ref.name) or self.keys.of(ref)
+        with suppress(OSError):
+            view = self.cache.get(self._expected.get(ref.name) or self.key(ref))
+            if view is not None:
+                return view
+        raise NotRendered(ref.name)
 
 
 class OneView:
@@ -349,7 +321,7 @@ class ViewMaker:
     def prepare(self, ref: FrameRef) -> Prepared:
         """Render one frame, unless that was done.  Raises FrameError when the frame is bad."""
         try:
-            key = self.views.keys.of(ref)
+            key = self.views.key(ref)
         except OSError as error:
             self.reader.load(ref)  # knows best what to say about its files
             raise FrameError(f"{ref.name}: {error.filename}: {error.strerror}") from error

@@ -19,7 +19,6 @@ from simnfnd.factory.render.views import (
     Cache,
     CachedViews,
     CacheSettings,
-    FrameKeys,
     Limit,
     ViewMaker,
 )
@@ -34,7 +33,7 @@ def test_keys_tell_what_decides_the_pixels_and_nothing_else(tmp_path: Path) -> N
     ref = FrameRef("seabed", "seabed-0000", "0001")
 
     def key(settings: FactoryConfig, frame: FrameRef = ref) -> str:
-        return FrameKeys(settings.scenes, settings.render, settings.sonar.mount).of(frame)
+        return CachedViews(settings).key(frame)
 
     assert key(base) == key(base)
     equal = [
@@ -55,13 +54,13 @@ def test_keys_tell_what_decides_the_pixels_and_nothing_else(tmp_path: Path) -> N
 
 def test_the_content_of_files_counts_and_not_their_place(tmp_path: Path) -> None:
     base = config(tmp_path)
-    keys = FrameKeys(base.scenes, base.render, base.sonar.mount)
+    keys = CachedViews(base)
     for name, content in (("a", b"one"), ("b", b"one"), ("c", b"two")):
         (tmp_path / name).write_bytes(content)
-    of = {name: keys.of(FrameRef("", "s", "f", (str(tmp_path / name),))) for name in "abc"}
+    of = {name: keys.key(FrameRef("", "s", "f", (str(tmp_path / name),))) for name in "abc"}
     assert of["a"] == of["b"] != of["c"]
     (tmp_path / "a").write_bytes(b"more")
-    assert keys.of(FrameRef("", "s", "f", (str(tmp_path / "a"),))) not in of.values()
+    assert keys.key(FrameRef("", "s", "f", (str(tmp_path / "a"),))) not in of.values()
 
 
 # --- the folder -------------------------------------------------------------------------------
