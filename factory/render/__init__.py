@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from ..errors import FactoryError
 from .base import Rendered, Renderer, RenderSettings
 
@@ -31,11 +29,6 @@ def open_renderer(settings: RenderSettings) -> Renderer:
     """
     check_renderer(settings)
     # A worker that only adds noise must not pay for Blender or Open3D: import what is asked for.
-    from .renderers import AnalyticRenderer, CyclesRenderer, EmbreeRenderer
+    from .renderers import ClosedFormRenderer, CyclesRenderer
 
-    kinds: dict[str, Callable[[RenderSettings], Renderer]] = {
-        "cycles": CyclesRenderer,
-        "embree": EmbreeRenderer,
-        "analytic": AnalyticRenderer,
-    }
-    return kinds[settings.kind](settings)
+    return (CyclesRenderer if settings.kind == "cycles" else ClosedFormRenderer)(settings)

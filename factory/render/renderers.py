@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -24,33 +24,20 @@ from .base import Mount, Rendered, RenderSettings, missing
 from .surface import SHADOW_BIAS, Surface, pixels_of, surface_mesh
 
 
-class AnalyticRenderer:
-    """Shades the normals of the pixel grid; no ray is traced, so nothing casts a shadow.
+class ClosedFormRenderer:
+    """Shades the normals of the pixel grid; with Embree a ray from each traced pixel to the sonar.
 
-    Exact when the sonar is at the camera, where all that the camera sees is insonified; with any
-    other mount it lights what the sonar cannot see.
+    Without rays nothing casts a shadow: exact when the sonar is at the camera, where all that the
+    camera sees is insonified; with any other mount it lights what the sonar cannot see.
     """
 
     def __init__(self, settings: RenderSettings) -> None:
-        self._settings = settings
-
-    def render(self, frame: Frame, mount: Mount) -> Rendered:
-        """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
-        pixels = pixels_of(frame, self._settings)
-        return Rendered(pixels.radiance(mount.position_camera_m()), pixels.mask)
-
-
-class EmbreeRenderer:
-    """The same, and one ray from each traced surface pixel to the sonar."""
-
-    def __init__(self, settings: RenderSettings) -> None:
-        """Raises FactoryError when Open3D is not there: half a second and 100 MB to import."""
+        """Raises FactoryError when Open3D is asked for and not there: half a second, 100 MB."""
         self._settings = settings
         try:
-            import open3d
+            self._open3d: Any = import_module("open3d") if settings.kind == "embree" else None
         except (ImportError, OSError) as error:
             raise missing("embree", error) from error
-        self._open3d: Any = open3d
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
@@ -58,7 +45,7 @@ class EmbreeRenderer:
         sonar_m = mount.position_camera_m()
         radiance = pixels.radiance(sonar_m)
         # What the camera sees, a sonar at its place insonifies.
-        if not mount.colocated and pixels.mask.any():
+        if self._open3d and not mount.colocated and pixels.mask.any():
             surface = pixels.surface()
             shadow = self._shadow(surface, pixels.traced_edge_ratio, sonar_m)
             if pixels.stride == 1:
@@ -97,7 +84,7 @@ class CyclesRenderer:
         """Raises FactoryError when bpy is not there."""
         self._settings = settings
         self._bpy = import_bpy()
-        self._stage = make_stage(self._bpy, settings)
+        self._scene, self._camera, self._light = _stage(self._bpy, settings)
         self._mesh = self._new_object("surface")
         self._mesh.data.materials.append(_material(self._bpy, normal_attribute=None))
         self._caster = self._new_object("shadow caster", self._mesh.data)
@@ -109,7 +96,9 @@ class CyclesRenderer:
         self._points.data.materials.append(_material(self._bpy, normal_attribute=_NORMAL))
         _turn_into_spheres(self._bpy, self._points)
         for shown in (self._mesh, self._points):
-            _hide_from_terminator(shown)
+            # Cycles softens the shading of coarse meshes; ours is a pixel fine.
+            shown.shadow_terminator_geometry_offset = 0
+            shown.shadow_terminator_shading_offset = 0
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
@@ -117,8 +106,8 @@ class CyclesRenderer:
         surface = pixels.surface()
         if not surface.mask.any():
             return Rendered(np.zeros(pixels.mask.shape, np.float32), pixels.mask)
-        aim(self._stage, surface.intrinsics, *surface.mask.shape)
-        light = self._stage.light
+        _aim(self._scene, self._camera.data, surface.intrinsics, *surface.mask.shape)
+        light = self._light
         light.location = mount.position_camera_m()
         # What the camera sees, a sonar at its place insonifies: no shadow rays, no rounding.
         light.data.use_shadow = not mount.colocated
@@ -130,7 +119,7 @@ class CyclesRenderer:
             self._fill_points(surface)
         else:
             self._fill_mesh(surface, pixels.traced_edge_ratio)
-        picture = render_pixels(self._stage)
+        picture = _pixels(self._bpy, self._scene)
         (self._points if as_points else self._mesh).data.clear_geometry()
         hit = surface.mask & (picture[..., 3] > 0.5)
         if pixels.stride == 1:
@@ -140,7 +129,7 @@ class CyclesRenderer:
 
     def _new_object(self, name: str, mesh: Any = None) -> Any:
         new = self._bpy.data.objects.new(name, mesh or self._bpy.data.meshes.new(name))
-        self._stage.scene.collection.objects.link(new)
+        self._scene.collection.objects.link(new)
         return new
 
     def _fill_mesh(self, surface: Surface, edge_ratio: float) -> None:
@@ -193,12 +182,6 @@ def _set(mesh: Any, name: str, values: npt.NDArray[Any]) -> None:
     kind = "FLOAT_VECTOR" if field == "vector" else "FLOAT"
     attribute = mesh.attributes.get(name) or mesh.attributes.new(name, kind, "POINT")
     attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())
-
-
-def _hide_from_terminator(shown: Any) -> None:
-    """Take back what Cycles does to soften the shading of coarse meshes; ours is a pixel fine."""
-    shown.shadow_terminator_geometry_offset = 0
-    shown.shadow_terminator_shading_offset = 0
 
 
 def _material(bpy: Any, normal_attribute: str | None) -> Any:
@@ -287,21 +270,12 @@ def _one_core() -> Iterator[None]:
                 os.sched_setaffinity(int(thread), cores)
 
 
-@dataclass(frozen=True)
-class Stage:
-    """A scene with a camera at the origin, looking along +z with y down, and the sonar's light.
+def _stage(bpy: Any, settings: RenderSettings) -> tuple[Any, Any, Any]:
+    """A scene that renders direct light exactly at pixel centres, the same bytes every time.
 
-    World axes are therefore the camera axes of `simnfnd.factory.frame`.
+    With a camera at the origin, looking along +z with y down, and the sonar's light, returned after
+    the scene.  World axes are therefore the camera axes of `simnfnd.factory.frame`.
     """
-
-    bpy: Any
-    scene: Any
-    camera: Any
-    light: Any
-
-
-def make_stage(bpy: Any, settings: RenderSettings) -> Stage:
-    """A new scene that renders direct light exactly at pixel centres, the same bytes every time."""
     scene = bpy.data.scenes.new("sonar")
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
@@ -337,12 +311,12 @@ def make_stage(bpy: Any, settings: RenderSettings) -> Stage:
     light.data.shadow_soft_size = 0
     light.data.use_soft_falloff = False
     scene.collection.objects.link(light)
-    return Stage(bpy, scene, camera, light)
+    return scene, camera, light
 
 
-def aim(stage: Stage, intrinsics: Intrinsics, height: int, width: int) -> None:
-    """Give the stage's camera these intrinsics and image size, pixel for pixel."""
-    render, lens = stage.scene.render, stage.camera.data
+def _aim(scene: Any, lens: Any, intrinsics: Intrinsics, height: int, width: int) -> None:
+    """Give the camera of a scene these intrinsics and image size, pixel for pixel."""
+    render = scene.render
     render.resolution_x, render.resolution_y = width, height
     # Blender has one focal length; unequal ones are pixels that are not square.
     render.pixel_aspect_x = max(1.0, intrinsics.fy / intrinsics.fx)
@@ -354,8 +328,8 @@ def aim(stage: Stage, intrinsics: Intrinsics, height: int, width: int) -> None:
     lens.shift_y = rise / width * intrinsics.fx / intrinsics.fy
 
 
-def render_pixels(stage: Stage) -> npt.NDArray[np.float32]:
-    """(H, W, 4) float32 linear RGBA of the stage, premultiplied, top row first.
+def _pixels(bpy: Any, scene: Any) -> npt.NDArray[np.float32]:
+    """(H, W, 4) float32 linear RGBA of a scene, premultiplied, top row first.
 
     Taken as soon as Cycles has it: later on, without a window, it cannot be read.
     """
@@ -373,7 +347,7 @@ def render_pixels(stage: Stage) -> npt.NDArray[np.float32]:
 
     CyclesRender.render = render_and_take
     try:
-        stage.bpy.ops.render.render(scene=stage.scene.name)
+        bpy.ops.render.render(scene=scene.name)
     finally:
         CyclesRender.render = original
     return taken[0]
