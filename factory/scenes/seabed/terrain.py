@@ -78,11 +78,7 @@ def waves(
     return Waves(vectors, rng.uniform(0, 2 * np.pi, count), amplitudes)
 
 
-def smoothstep(
-    low: float | Arrays,
-    high: float | Arrays,
-    x: Arrays,
-) -> Floats:
+def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:
     """0 below `low`, 1 above `high`, a smooth ramp between."""
     t = np.clip((x - low) / (high - low), 0, 1).astype(np.float32)
     return t * t * (3 - 2 * t)
@@ -116,10 +112,8 @@ def tiles() -> Tiles:
     sand = _unit(_fractal(rng, 6, 120, 0.9))
     words = np.zeros((TILE // 2, TILE // 2), dtype=np.uint32)
     for k, channel in enumerate((broad, grain, cells, speckle)):
-        steps = (
-            np.clip(np.rint(channel[::2, ::2] * STEPS), -127, 127).astype(np.int8).view(np.uint8)
-        )
-        words |= steps.astype(np.uint32) << np.uint32(8 * k)
+        steps = np.clip(np.rint(channel[::2, ::2] * STEPS), -127, 127).astype(np.int8)
+        words |= steps.view(np.uint8).astype(np.uint32) << np.uint32(8 * k)
     return Tiles(words.view(np.int32), rock, sand)
 
 
@@ -268,11 +262,8 @@ class Terrain:
         crest = np.zeros_like(rock)
         if self.ripples is not None:
             crest = self.ripples.height(x, y) * (1 - rock) * (1 - 0.8 * gravel)
-        heights = (
-            self.rock_relief_m,
-            self.sand_relief_m,
-            0.0 if self.ripples is None else self.ripples.amplitude_m,
-        )
+        crest_m = 0.0 if self.ripples is None else self.ripples.amplitude_m
+        heights = self.rock_relief_m, self.sand_relief_m, crest_m
         noise, attributes = tiles(), np.empty_like(points)
         relieve(
             points, grid_normals(points), (rock, gravel, crest), (noise.rock, noise.sand),
@@ -350,9 +341,8 @@ def view_mesh(
     share /= share.sum(axis=0)
     reached = np.concatenate([np.zeros((1, coarse)), np.cumsum(share, axis=0)])
     even = np.linspace(0, 1, rows)
-    log_r = np.stack(
-        [np.interp(even, reached[:, k], np.log(ranges)) for k in range(coarse)], axis=-1
-    )
+    columns_of = (np.interp(even, column, np.log(ranges)) for column in reached.T)
+    log_r = np.stack(list(columns_of), axis=-1)
     between = np.clip((np.arange(columns) + 0.5) * coarse / columns - 0.5, 0, coarse - 1)
     low = np.minimum(between.astype(np.int64), coarse - 2)
     radius = np.exp(log_r[:, low] + (between - low) * (log_r[:, low + 1] - log_r[:, low]))

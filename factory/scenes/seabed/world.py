@@ -154,20 +154,12 @@ LOW_M = 0.42  # what is lower than this may lie under the camera's path
 CLEAR_M = 0.75  # what is taller keeps this far from it
 
 
-@dataclass(frozen=True, eq=False)
-class Item:
-    """An object in its place.  kind: its name in `things.KINDS`, or None for a pebble (ground)."""
-
-    mesh: Mesh
-    kind: str | None
-
-
 @dataclass(eq=False)
 class Site:
     """A location while it is being furnished.
 
-    taken: (x, y, radius) of what lies there already.  stretch_m: the part of the loop beside which
-    things are put, None for all of it.
+    items: what lies there, and its name in `things.KINDS`, None for a pebble (ground).  taken: its
+    (x, y, radius).  stretch_m: the part of the loop beside which things are put; None: all of it.
     """
 
     rng: np.random.Generator
@@ -175,22 +167,24 @@ class Site:
     terrain: Terrain
     loop: Loop
     heading_rad: float
-    items: list[Item] = field(default_factory=list)
+    items: list[tuple[Mesh, str | None]] = field(default_factory=list)
     taken: list[tuple[float, float, float]] = field(default_factory=list)
     stretch_m: tuple[float, float] | None = None
-    _known: Points = field(default_factory=lambda: np.empty((0, 3)))
 
     def scatter(self, kind: str, count: int) -> None:
         """Put `count` objects of a kind with a free-standing builder near the path."""
         for _ in range(count):
             if things.KINDS[kind].build is None:
                 self._lay(kind)
-                continue
-            turned = things.drawn_model(self.rng, kind)
-            reach = float(np.sqrt((turned.vertices[:, :2] ** 2).sum(axis=1).max()))
-            spot = self.spot(reach, float(turned.vertices[:, 2].max()))
-            if spot is not None:
-                self.settle(turned, kind, spot, reach)
+            else:
+                self.put(things.drawn_model(self.rng, kind), kind)
+
+    def put(self, mesh: Mesh, kind: str, burial: tuple[float, float] = (0.02, 0.18)) -> None:
+        """Put a thing at a free spot near the path, if there is one; see `_settle`."""
+        reach = float(np.sqrt((mesh.vertices[:, :2] ** 2).sum(axis=1).max()))
+        spot = self._spot(reach, float(mesh.vertices[:, 2].max()))
+        if spot is not None:
+            self._settle(mesh, kind, spot, reach, burial)
 
     def pebbles(self, count: int) -> None:
         """Small stones, in heaps, of a few shapes used again and again."""
@@ -200,8 +194,7 @@ class Site:
         for (x, y), height in zip(spots, self.terrain.height_m(*spots.T), strict=True):
             turn, size = self.rng.uniform(0, 2 * np.pi), self.rng.uniform(0.6, 1.5)
             shape = things.model("Pebble", int(self.rng.integers(12)))
-            turned = shape.moved(rotation("z", turn), (x, y, height), size)
-            self.items.append(Item(turned, None))
+            self.items.append((shape.moved(rotation("z", turn), (x, y, height), size), None))
 
     def build_pier(self) -> None:
         """Rows of piles along the axis, braced in pairs."""
@@ -220,29 +213,24 @@ class Site:
                     low, high = rng.uniform(0.4, 1.4), rng.uniform(1.6, 3.2)
                     lift = np.array([0, 0, 1.0])
                     beam = things.brace(rng, previous + low * lift, foot + high * lift)
-                    self.items.append(Item(beam, "Pillar"))
+                    self.items.append((beam, "Pillar"))
                 previous = foot
 
     def build_quay(self) -> None:
         """A long wall left of the axis, with tyres and chains hanging on it."""
         rng = self.rng
-        length, height = 44.0, rng.uniform(3.2, 5.0)
-        face = rng.uniform(2.2, 3.2)
-        foot = self._on_axis(0.0, face)
-        turn = rotation("z", self.heading_rad)
-        steel = rng.random() < 0.35
-        build = things.sheet_pile if steel else things.quay
-        self.items.append(Item(build(rng, length, height).moved(turn, foot), "Wall"))
+        length, height, face = 44.0, rng.uniform(3.2, 5.0), rng.uniform(2.2, 3.2)
+        foot, turn = self._on_axis(0.0, face), rotation("z", self.heading_rad)
+        build = things.sheet_pile if rng.random() < 0.35 else things.quay
+        self.items.append((build(rng, length, height).moved(turn, foot), "Wall"))
         for along in np.arange(-18, 18, 2.2):
             where = np.array([along + rng.uniform(-0.8, 0.8), -0.28, rng.uniform(0.7, 2.4)])
             if rng.random() < 0.5:
-                hung = things.fender(rng)
                 offset = np.einsum("ij,j->i", turn, where) + foot
-                self.items.append(Item(hung.moved(turn, offset), "Tire"))
-        self.taken += [
-            (*self._on_axis(along, face + 0.4)[:2].tolist(), 0.8)
-            for along in np.arange(-20, 20, 0.8)
-        ]
+                hung = things.fender(rng)
+                self.items.append((hung.moved(turn, offset), "Tire"))
+        behind = (self._on_axis(along, face + 0.4) for along in np.arange(-20, 20, 0.8))
+        self.taken += [(float(x), float(y), 0.8) for x, y, _ in behind]
 
     def _lay(self, kind: str) -> None:
         """Lay out an object that follows the ground."""
@@ -252,7 +240,7 @@ class Site:
             wall = build(rng, rng.uniform(1.5, 4.0), rng.uniform(0.5, 1.4))
             wall = wall.moved(rotation("z", rng.uniform(0, 2 * np.pi)))
             reach = float(np.abs(wall.vertices[:, :2]).max())
-            spot = self.spot(reach, 1.5)
+            spot = self._spot(reach, 1.5)
             if spot is not None:
                 self._fix(wall, kind, np.array([*spot, self._ground(*spot)]), reach)
             return
@@ -261,17 +249,17 @@ class Site:
         near = self._near_loop(np.array([aside]))[0]
         line = things.curve(rng, near, length, 0.9 if kind == "Chain" else 0.12)
         build_line = things.chain if kind == "Chain" else things.pipe
-        self.items.append(Item(build_line(rng, line, self.terrain.height_m), kind))
+        self.items.append((build_line(rng, line, self.terrain.height_m), kind))
         if kind == "Pipe":
             self.taken += [(float(x), float(y), 0.25) for x, y in line[::6]]
 
-    def settle(
+    def _settle(
         self,
         mesh: Mesh,
         kind: str,
         spot: tuple[float, float],
         reach: float,
-        burial: tuple[float, float] = (0.02, 0.18),
+        burial: tuple[float, float],
     ) -> None:
         """Set a thing down so that it follows the slope and sinks in by a share of its height."""
         x, y = spot
@@ -286,16 +274,17 @@ class Site:
             mesh = mesh.moved(tilt)
         size = float(np.ptp(mesh.vertices[:, 2]))
         sunk = size * self.rng.uniform(*burial) + 0.01
-        self.items.append(Item(mesh.moved(offset=(x, y, height - sunk)), kind))
+        self.items.append((mesh.moved(offset=(x, y, height - sunk)), kind))
         self.taken.append((x, y, 0.85 * reach))
 
     def _fix(self, mesh: Mesh, kind: str, foot: Points, reach: float = 0.4) -> None:
-        self.items.append(Item(mesh.moved(offset=foot), kind))
+        self.items.append((mesh.moved(offset=foot), kind))
         self.taken.append((float(foot[0]), float(foot[1]), reach))
 
-    def spot(self, reach: float, height: float) -> tuple[float, float] | None:
+    def _spot(self, reach: float, height: float) -> tuple[float, float] | None:
         """A free place for a thing of that reach and height, or None after 40 tries."""
         nearest = 0.0 if height < LOW_M else reach + CLEAR_M
+        there = np.array(self.taken, dtype=np.float64).reshape(-1, 3)
         for _ in range(5):  # eight tries at once
             aside = nearest + self.rng.exponential(self.place.spread_m, 8)
             points = self._near_loop(aside * self.rng.choice([-1, 1], 8))
@@ -303,19 +292,12 @@ class Site:
             if self.terrain.banks is not None:
                 behind = self.terrain.banks.behind_foot_m(*points.T.astype(np.float32))
                 free &= behind <= 0.3 * reach
-            there = self._there()
             apart = np.hypot(*(points[:, :, None] - there[:, :2].T).transpose(1, 0, 2))
             free &= (apart > reach + there[:, 2]).all(axis=1)
             if free.any():
                 x, y = points[np.argmax(free)].tolist()
                 return x, y
         return None
-
-    def _there(self) -> Points:
-        """(N, 3) `taken`."""
-        if len(self._known) != len(self.taken):
-            self._known = np.array(self.taken, dtype=np.float64)
-        return self._known
 
     def _near_loop(self, aside: Points) -> Points:
         """(N, 2) points beside the loop anywhere along it, (N,) metres to its left."""
@@ -333,7 +315,9 @@ class Site:
         return float(self.terrain.height_m(np.array([x]), np.array([y]))[0])
 
 
-def furnish(site: Site, location: int, density: float, allowed: Iterable[str] | None) -> list[Item]:
+def furnish(
+    site: Site, location: int, density: float, allowed: Iterable[str] | None
+) -> list[tuple[Mesh, str | None]]:
     """Build the place's structure, then scatter its objects, large kinds first.
 
     density multiplies every count; allowed: kinds to use, or None for all.
@@ -341,10 +325,7 @@ def furnish(site: Site, location: int, density: float, allowed: Iterable[str] | 
     names = set(things.KINDS if allowed is None else allowed)
     scatter = site.place.scatter
 
-    def draw_from(what: str) -> None:
-        site.rng = stream(WORLD_SEED, "seabed", location, what)
-
-    draw_from("structure")
+    site.rng = stream(WORLD_SEED, "seabed", location, "structure")
     if site.place.structure == "pier" and "Pillar" in names:
         site.build_pier()
     if site.place.structure == "quay" and "Wall" in names:
@@ -353,9 +334,9 @@ def furnish(site: Site, location: int, density: float, allowed: Iterable[str] | 
     order = [*large_first, *(kind for kind in scatter if kind not in large_first)]
     for kind in order:
         if kind in names and kind in scatter:
-            draw_from(kind)
+            site.rng = stream(WORLD_SEED, "seabed", location, kind)
             site.scatter(kind, round(draw(site.rng, scatter[kind]) * density))
-    draw_from("pebbles")
+    site.rng = stream(WORLD_SEED, "seabed", location, "pebbles")
     site.pebbles(round(draw(site.rng, site.place.pebbles) * min(density, 1.0)))
     return site.items
 
@@ -371,11 +352,7 @@ def place_own(site: Site, path: Path, location: int, own: Sequence[Owned]) -> No
             tilt, toward = np.deg2rad(rng.uniform(*settings.tilt_deg)), rng.uniform(0, 2 * np.pi)
             turn = rotation("z", toward) @ rotation("y", tilt) @ rotation("z", -toward)
             turned = one.mesh.moved(turn @ rotation("z", rng.uniform(0, 2 * np.pi))).standing()
-            reach = float(np.sqrt((turned.vertices[:, :2] ** 2).sum(axis=1).max()))
-            spot = site.spot(reach, float(turned.vertices[:, 2].max()))
-            if spot is not None:
-                site.settle(turned, settings.label, spot, reach, settings.burial)
-    site.stretch_m = None
+            site.put(turned, settings.label, settings.burial)
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,19 +392,19 @@ def build_world(
     path = draw_path(rng, place, terrain, loop, heading)
     site = Site(rng, place, terrain, loop, heading)
     items = furnish(site, location, density, kinds)
-    first_own = 1 + sum(item.kind is not None for item in items)
+    first_own = 1 + sum(kind is not None for _, kind in items)
     place_own(site, path, location, own)
     classes = class_names(one.settings.label for one in own)
     if not items:  # an empty mesh has no shape: one triangle far below the ground
-        items = [Item(mesh(np.eye(3) - [0, 0, 1e4], [[0, 1, 2]]), None)]
-    labels = np.array([classes.index(item.kind) if item.kind else 0 for item in items], np.uint8)
-    finish = [things.KINDS.get(item.kind or "Boulder", things.PLAIN) for item in items]
+        items = [(mesh(np.eye(3) - [0, 0, 1e4], [[0, 1, 2]]), None)]
+    labels = np.array([classes.index(kind) if kind else 0 for _, kind in items], np.uint8)
+    finish = [things.KINDS.get(kind or "Boulder", things.PLAIN) for _, kind in items]
     return World(
         location,
         terrain,
         path,
         draw_look(stream(WORLD_SEED, "seabed", location, "light"), place),
-        objects_of([item.mesh for item in items], labels),
+        objects_of([solid for solid, _ in items], labels),
         np.array([(kind.fouling, kind.silt, kind.bump) for kind in finish], np.float32),
         first_own,
     )
