@@ -95,18 +95,10 @@ class Pixels:
         if self.stride > 1:
             # At this distance what hangs loose could join a surface that it is no part of.
             points_m[~mask] = 0
-        return Surface(
-            points_m,
-            normals,
-            np.ascontiguousarray(self.albedo[at]),
-            mask,
-            Intrinsics(
-                camera.fx / self.stride,
-                camera.fy / self.stride,
-                (camera.cx - first) / self.stride,
-                (camera.cy - first) / self.stride,
-            ),
-        )
+        fx, fy, cx, cy = camera.fx, camera.fy, camera.cx - first, camera.cy - first
+        stride = self.stride
+        lens = Intrinsics(fx / stride, fy / stride, cx / stride, cy / stride)
+        return Surface(points_m, normals, np.ascontiguousarray(self.albedo[at]), mask, lens)
 
     def radiance(self, sonar_m: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
         """(H, W) float32 light of a sonar at (3,) metres in camera axes, without shadows."""
@@ -346,12 +338,8 @@ def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Plac
         (xy & ~yz & ~zx, (x, x), (y, z), (x, z)),
         (xy & yz & ~zx, (x, x), (y, y), (x, z)),
     ]
-    owner, other = (
-        np.concatenate(
-            [np.stack([ends[k][chosen] for ends in corners], -1) for chosen, *corners in pieces]
-        )
-        for k in (0, 1)
-    )
+    chosen = [np.stack([np.stack(e, -1)[keep] for e in corners], -2) for keep, *corners in pieces]
+    owner, other = np.moveaxis(np.concatenate(chosen), -1, 0)
     return owner, other
 
 

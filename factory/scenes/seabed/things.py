@@ -142,10 +142,11 @@ def hook(rng: np.random.Generator) -> Mesh:
     bend = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)]) * 0.5
     shank = np.array([[bend[0, 0], 1.35, 0], [bend[0, 0], 0.95, 0], [bend[0, 0], 0.7, 0]])
     path = np.concatenate([shank, bend]) * size
-    thickness = [[0.1, 0.11, 0.12], np.linspace(0.13, 0.17, 11), np.linspace(0.165, 0.045, 11)]
+    upper, lower = np.linspace(0.13, 0.17, 11), np.linspace(0.165, 0.045, 11)
+    thickness = np.array([0.1, 0.11, 0.12, *upper, *lower]) * size
     eye = (circle(18) * 0.24 + np.array([float(bend[0, 0]), 1.55, 0.0])) * size
     paint = pick(rng, (RUST, STEEL, PAINTS[1], PAINTS[0]))
-    bent = tube(path, np.concatenate(thickness) * size, 12, colour=paint)
+    bent = tube(path, thickness, 12, colour=paint)
     whole = join([bent, tube(eye, 0.09 * size, 10, closed=True, colour=paint)])
     return whole.moved(rotation("x", rng.uniform(-0.2, 0.5))).standing()
 

@@ -283,10 +283,9 @@ def _ground_around(world: World, eye: np.ndarray, heading_rad: float) -> np.ndar
     return np.ascontiguousarray(points, dtype=np.float32)
 
 
-def _cost(lost: float, too_near: float, middle: float, share: float, variety: int) -> float:
+def _cost(lost: float, near: float, middle: float, share: float, variety: int) -> float:
     """How bad a view is; arguments as `_facts` returns them."""
-    cost = (
-        8 * max(lost - 0.34, 0) + 60 * max(lost - _MOST_LOST + 0.06, 0) + 30 * max(0.03 - lost, 0)
-    )
-    cost += 12 * max(too_near - 0.02, 0) + max(1.4 - middle, 0) + 0.4 * max(middle - 4, 0)
+    cost = 8 * max(lost - 0.34, 0) + 60 * max(lost - _MOST_LOST + 0.06, 0)
+    cost += 30 * max(0.03 - lost, 0)
+    cost += 12 * max(near - 0.02, 0) + max(1.4 - middle, 0) + 0.4 * max(middle - 4, 0)
     return cost + 4 * max(share - 0.42, 0) - min(share, 0.25) * 4 - 0.05 * min(variety, 14)

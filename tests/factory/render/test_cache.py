@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -248,8 +249,6 @@ def test_from_command_line_to_pack_and_back(
 
 
 def assert_same_pictures(one: Path, other: Path) -> None:
-    import h5py
-
     paths = sorted(path.relative_to(one) for path in one.glob("*/*.h5"))
     assert paths == sorted(path.relative_to(other) for path in other.glob("*/*.h5"))
     for path in paths:

@@ -14,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simnfnd.factory import pairs
-from simnfnd.factory.config import FactoryConfig
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.dataset.describe.quality import psnr_db
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, Intrinsics
-from simnfnd.factory.render import Rendered, RenderSettings, check_renderer, open_renderer
+from simnfnd.factory.render import Rendered, RenderSettings, check_renderer
 from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.surface import albedo, linear_luminance, pixels_of, surface_mesh
 from simnfnd.factory.settings import build
@@ -208,27 +209,16 @@ FINE = [
 ]
 
 
-def _config() -> FactoryConfig:
-    from simnfnd.factory.cli.compose import compose_config
-
-    return compose_config(FINE)
-
-
-def _psnr_db(found: npt.NDArray[np.generic], expected: npt.NDArray[np.generic]) -> float:
-    difference = (found.astype(np.float64) - expected.astype(np.float64)) / 255
-    return float(-10 * np.log10(max((difference**2).mean(), 1e-12)))
-
-
 def _assert_same_pictures(frame: Frame, found: Rendered, expected: Rendered, least: float) -> None:
     """Clean and noisy pictures, 512x512, of the same draws."""
-    config = _config()
+    config = compose_config(FINE)
     one, other = (
         pairs.make_pair(pairs.observe(frame, rendered, config), 0, config)
         for rendered in (found, expected)
     )
     assert one.clean.shape == (512, 512)
-    assert _psnr_db(one.clean, other.clean) > least
-    assert _psnr_db(one.noisy, other.noisy) > least
+    assert psnr_db(one.clean, other.clean) > least
+    assert psnr_db(one.noisy, other.noisy) > least
     np.testing.assert_array_equal(one.shadow, other.shadow)
 
 
@@ -264,10 +254,16 @@ def test_shadows_move_by_the_outline_alone(kind: str, stride: int) -> None:
     assert (differs & ~near).sum() < 0.001 * full.surface.sum()
 
 
-def test_stride_and_bounces_exclude_each_other() -> None:
-    wanted: RenderSettings = build(RenderSettings, {"kind": "cycles", "stride": 2, "bounces": 1})
-    with pytest.raises(FactoryError, match=r"render\.stride=2 .* render\.bounces=0"):
-        check_renderer(wanted)
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"kind": "cycles", "stride": 2, "bounces": 1}, r"render\.stride=2 .* render\.bounces=0"),
+        ({"kind": "embree", "geometry": "points"}, r"geometry=points.*render\.geometry=auto"),
+    ],
+)
+def test_settings_that_exclude_each_other(keys: dict[str, object], says: str) -> None:
+    with pytest.raises(FactoryError, match=says):
+        check_renderer(build(RenderSettings, keys))
     check_renderer(build(RenderSettings, {"kind": "analytic", "bounces": 1}))
 
 
@@ -371,11 +367,3 @@ def test_flattened_albedo_ignores_unmeasured_pixels() -> None:
     np.testing.assert_allclose(found[:, :80], 0.5, rtol=1e-4)
     np.testing.assert_array_equal(found[:, 80:], 0)
     np.testing.assert_array_equal(albedo(rgb, valid, "constant"), np.where(valid, 0.5, 0))
-
-
-# ---- settings and missing libraries ----
-
-
-def test_points_are_for_cycles_only() -> None:
-    with pytest.raises(FactoryError, match=r"render\.geometry=points.*render\.geometry=auto"):
-        open_renderer(build(RenderSettings, {"kind": "embree", "geometry": "points"}))
