@@ -339,8 +339,8 @@ def test_equal_bytes_on_one_and_many_workers(folder: Path, tmp_path: Path) -> No
     for name, how in (("one", "serial"), ("three", "local")):
         words = [
             *("make", f"scenes.own_objects=[{{file: {folder}/cube.ply, class: crate}}]", *SMALL),
-            *("scenes.locations=1", "scenes.frames_per_location=3", f"scheduler={how}"),
-            *("scheduler.workers=2", "scheduler.shard_size=1", "split.test_fraction=0"),
+            *("scenes.locations=2", "scenes.frames_per_location=2", f"scheduler={how}"),
+            *("scheduler.workers=3", "scheduler.shard_size=1"),
             *("dataset.layers=[segmentation]", "dataset.columns=[boxes]"),
             *(f"dataset.dir={tmp_path}/{name}", f"cache.dir={tmp_path}/cache-{name}"),
         ]
