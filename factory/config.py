@@ -24,13 +24,13 @@ from .imaging.resample import ResampleSettings
 from .labels import class_names
 from .noise.registry import EFFECTS, NoiseSettings, blocks
 from .render.base import RenderSettings
-from .render.cache import CacheSettings
+from .render.views import CacheSettings
 from .scenes import Scenes
 from .scenes.base import INTEGERS_PER_M
 from .scenes.csv_list import CsvListSettings
 from .scenes.mesh import MeshSettings
+from .scenes.seabed import SeabedSettings
 from .scenes.seabed.camera import HFOV_DEG
-from .scenes.seabed.reader import SeabedSettings
 from .scheduler.settings import SchedulerSettings, ShardSlice
 from .settings import STRICT, build
 from .sonar.acoustics import WaterSettings

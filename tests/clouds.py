@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
 from simnfnd.factory.sonar.window import Window
 

@@ -25,8 +25,7 @@ from ..errors import FactoryError
 from ..frame import FrameRef
 from ..pairs import pair_maker
 from ..progress import stage_if_slow
-from ..render.cache import Limit
-from ..render.views import ViewMaker, check_views
+from ..render.views import Limit, ViewMaker, check_views
 from ..scheduler.workers import template
 from ..selection import choose_frames, frames_digest, split_frames, split_warnings
 from ..storage.copies import shown

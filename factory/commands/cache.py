@@ -8,7 +8,7 @@ from pathlib import Path
 from ..cli import Parser
 from ..cli.compose import compose_config
 from ..errors import FactoryError
-from ..render.cache import Cache
+from ..render.views import Cache
 
 _EPILOG = (
     "KEY=VALUE words are those of `simnfnd make`; cache.dir is the one that matters to stats, "
@@ -52,7 +52,7 @@ def _stats(cache: Cache) -> int:
 
 def _verify(cache: Cache) -> int:
     entries = list(cache.entries())
-    damaged = [entry for entry in entries if not cache.is_whole(entry)]
+    damaged = [entry for entry in entries if cache.get(entry.key, used=False) is None]
     for entry in damaged:
         print(f"cache: {entry.path}: damaged and removed; it is rendered again when it is needed")
     print(f"cache: {len(entries) - len(damaged)} of {len(entries)} renders are whole")

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from ..errors import FactoryError
-from .base import Rendered, Renderer, RenderSettings, check_installed
+from .base import Rendered, Renderer, RenderSettings
 
 __all__ = ["RenderSettings", "Rendered", "Renderer", "check_renderer", "open_renderer"]
 
 
 def check_renderer(settings: RenderSettings) -> None:
-    """Raise FactoryError when the settings contradict each other or the library is not installed.
-
-    Imports nothing heavy, so that a run can be refused before its workers start.
-    """
+    """Raise FactoryError when the settings contradict each other; imports nothing heavy."""
     if settings.geometry == "points" and settings.kind != "cycles":
         raise FactoryError(
             "render.geometry=points is for render=cycles only: "
@@ -23,7 +20,6 @@ def check_renderer(settings: RenderSettings) -> None:
             f"render.stride={settings.stride} is for direct sound only: "
             "set render.stride=1, or render.bounces=0"
         )
-    check_installed(settings.kind)
 
 
 def open_renderer(settings: RenderSettings) -> Renderer:
@@ -33,10 +29,6 @@ def open_renderer(settings: RenderSettings) -> Renderer:
     """
     check_renderer(settings)
     # A worker that only adds noise must not pay for Blender or Open3D: import what is asked for.
-    if settings.kind == "cycles":
-        from .cycles import CyclesRenderer
+    from .renderers import ClosedFormRenderer, CyclesRenderer
 
-        return CyclesRenderer(settings)
-    from .closed_form import AnalyticRenderer, EmbreeRenderer
-
-    return (EmbreeRenderer if settings.kind == "embree" else AnalyticRenderer)(settings)
+    return (CyclesRenderer if settings.kind == "cycles" else ClosedFormRenderer)(settings)

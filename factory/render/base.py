@@ -1,9 +1,11 @@
-"""What all renderers share: their settings, what they return, and the libraries they need."""
+"""What all renderers share: where the sonar is, their settings, what they return and need.
+
+Camera axes (OpenCV): x right, y down, z forward.  Sonar axes: x forward, y left, z up (REP 103).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass as plain_dataclass
-from importlib.util import find_spec
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -14,7 +16,48 @@ from pydantic.dataclasses import dataclass
 from ..errors import FactoryError
 from ..frame import Frame
 from ..settings import STRICT
-from .mount import Mount
+from ..small_files import one_line
+
+# Rows are the sonar's axes in camera axes, for a sonar that looks where the camera looks.
+_SONAR_FROM_CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True, config=STRICT)
+class Mount:
+    """Pose of the sonar at the camera.
+
+    translation_m: position of the sonar as seen from the camera, (forward, left, up) in metres.
+    pitch_deg: positive looks further down.  yaw_deg: positive looks further left.
+    """
+
+    translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+    @property
+    def colocated(self) -> bool:
+        """True when the sonar is at the camera: what the camera sees, the sonar insonifies."""
+        return not any(self.translation_m)
+
+    def rotation_sonar_from_camera(self) -> npt.NDArray[np.float64]:
+        """(3, 3): turns directions in camera axes into sonar axes."""
+        pitch, yaw = np.deg2rad([self.pitch_deg, self.yaw_deg])
+        about_left = np.array(
+            [[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]]
+        )
+        about_up = np.array(
+            [[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]
+        )
+        return np.asarray((about_up @ about_left).T @ _SONAR_FROM_CAMERA_AXES)
+
+    def position_camera_m(self) -> npt.NDArray[np.float64]:
+        """(3,) position of the sonar in camera axes, metres."""
+        return np.asarray(_SONAR_FROM_CAMERA_AXES.T @ np.asarray(self.translation_m))
+
+    def axes(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Both of them in single precision, as compiled loops want them."""
+        turn, position_m = self.rotation_sonar_from_camera(), self.position_camera_m()
+        return np.ascontiguousarray(turn, np.float32), position_m.astype(np.float32)
 
 
 def _stride(value: Any) -> Any:
@@ -100,9 +143,9 @@ _LIBRARIES = {
 }
 
 
-def missing(kind: str, reason: object) -> FactoryError:
+def missing(kind: str, reason: BaseException) -> FactoryError:
     """The error for a renderer whose module cannot be imported, with the way out of it."""
-    what = str(reason).splitlines()[0] if str(reason) else "not installed"
+    what = one_line(reason) or "not installed"
     module, remedy, other = _LIBRARIES[kind]
     if ".so" in what:  # the module is there, but a shared library of the operating system is not
         remedy = "make setup installs what it needs"
@@ -110,9 +153,3 @@ def missing(kind: str, reason: object) -> FactoryError:
         f"render.kind={kind} needs the module {module} ({what}): {remedy}, or choose "
         f"render=analytic or {other}"
     )
-
-
-def check_installed(kind: str) -> None:
-    """Raise FactoryError when the renderer's module is not installed.  Imports nothing."""
-    if kind in _LIBRARIES and find_spec(_LIBRARIES[kind][0]) is None:
-        raise missing(kind, "not installed")

@@ -11,8 +11,9 @@ import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
+from typing import NamedTuple
 
 from pydantic import TypeAdapter
 
@@ -22,7 +23,7 @@ from ..files import explain_os_errors
 from ..frame import FrameRef
 from ..settings import ClassName
 from ..small_files import open_regular, parse_json
-from .mount import Mount
+from .base import Mount
 from .view import View, decode, encode, mount_of
 
 _SCHEMA = "simnfnd-pack 2"
@@ -36,8 +37,7 @@ _NO_PACK = (
 _TIME = (1980, 1, 1, 0, 0, 0)
 
 
-@dataclass(frozen=True)
-class Contents:
+class Contents(NamedTuple):
     """What a pack holds.
 
     members: frame -> name in the archive, in the order of the frames.  classes: of the user's own
@@ -67,7 +67,7 @@ def write_pack(
             with zipfile.ZipFile(temporary, "w") as archive:
                 for number, ref in enumerate(refs):
                     member = f"{number:06d}.view"
-                    _add(archive, member, encode(view(ref)))
+                    archive.writestr(zipfile.ZipInfo(member, _TIME), encode(view(ref)))
                     names = {"location": ref.location, "scene": ref.scene, "frame": ref.frame}
                     frames.append({**names, "member": member})
                 head = {
@@ -78,16 +78,12 @@ def write_pack(
                     "frames": frames,
                     **({"classes": list(classes)} if classes else {}),
                 }
-                _add(archive, _CONTENTS, json.dumps(head, indent=1).encode())
+                archive.writestr(zipfile.ZipInfo(_CONTENTS, _TIME), json.dumps(head, indent=1))
             size = temporary.stat().st_size
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
     return size
-
-
-def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
-    archive.writestr(zipfile.ZipInfo(name, _TIME), content)
 
 
 def read_contents(path: Path) -> Contents:

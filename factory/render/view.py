@@ -23,8 +23,7 @@ import numpy.typing as npt
 
 from ..frame import BOX_FIELDS, Frame, FrameRef, Intrinsics
 from ..small_files import parse_json
-from .base import Rendered
-from .mount import Mount
+from .base import Mount, Rendered
 
 if sys.version_info >= (3, 14):
     from compression import zstd

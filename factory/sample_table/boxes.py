@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ..dataset.format.schema import Column
 from ..errors import FrameError
-from ..scenes.boxes import oriented
+from ..scenes.seabed.camera import oriented
 from ..sonar.surface import LitSurface
 
 _MOST_BYTES = 12288

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ..dataset.format.schema import Column
 from ..frame import Frame
-from ..render.mount import Mount
+from ..render.base import Mount
 
 Matrix = npt.NDArray[np.float64]
 

@@ -1,25 +1,25 @@
-"""What readers of RGBD recordings share: settings, what they find, and the search of folders."""
+"""What readers of RGBD recordings share: settings, what they find, and lists in text files."""
 
 from __future__ import annotations
 
-import os
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal, Protocol
 
+import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef
 from ..settings import STRICT, ClassName
+from ..small_files import one_line, read_regular
 
 INTEGERS_PER_M = 1000.0
 """What integer depth is divided by where `depth_scale` is null: millimetres."""
+_MOST_LIST_BYTES = 1 << 28
 
 
 def _given(root: str) -> str:
@@ -71,12 +71,26 @@ class Discovery:
 
     frames: every usable frame, sorted by (location, scene, frame).
     skipped: reason -> how many images were left out for it (for example no depth map).
-    notes: one-line remarks for the user (which scenes are absent, which calibration was used).
+    notes: one-line remarks for the user (which scenes are absent, for example).
     """
 
     frames: tuple[FrameRef, ...]
-    skipped: dict[str, int] = field(default_factory=dict)
+    skipped: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+
+def discovery(
+    frames: Iterable[FrameRef],
+    nothing: str,
+    skipped: Mapping[str, int] | None = None,
+    notes: Iterable[str] = (),
+) -> Discovery:
+    """What was found, sorted.  Without frames, raises FactoryError(nothing)."""
+    ordered = sorted(frames, key=lambda ref: (ref.location, ref.scene, ref.frame))
+    if not ordered:
+        raise FactoryError(nothing)
+    counts = {reason: count for reason, count in sorted((skipped or {}).items()) if count}
+    return Discovery(tuple(ordered), counts, tuple(notes))
 
 
 class Reader(Protocol):
@@ -92,79 +106,31 @@ class Reader(Protocol):
         """Read one frame, checked (`frame.checked`).  Raises FrameError when it is bad."""
 
 
-@contextmanager
-def readable(path: Path) -> Iterator[None]:
-    """Raise FactoryError that names what cannot be read at or below `path`."""
-    try:
-        yield
-    except OSError as error:
-        raise FactoryError(
-            f"scenes.root: {error.filename or path} cannot be read ({error.strerror or error}); "
-            "make it readable, or leave that recording out"
-        ) from error
-
-
-@plain_dataclass
-class Found:
-    """What a reader has found so far; see `Discovery`."""
-
-    frames: list[FrameRef] = field(default_factory=list)
-    skipped: Counter[str] = field(default_factory=Counter)
-    notes: list[str] = field(default_factory=list)
-
-    def discovery(self, nothing: str) -> Discovery:
-        """All of it, sorted.  Without frames, raises FactoryError(nothing)."""
-        if not self.frames:
-            raise FactoryError(nothing)
-        return Discovery(
-            tuple(sorted(self.frames, key=lambda ref: (ref.location, ref.scene, ref.frame))),
-            {reason: count for reason, count in sorted(self.skipped.items()) if count},
-            tuple(self.notes),
-        )
-
-
-def root_folder(root: str, expected: str) -> Path:
-    """The folder `root` (`~` expanded).  Raises FactoryError that tells which folder to give."""
-    folder = Path(root).expanduser()
-    with readable(folder):
-        exists, is_folder = folder.exists(), folder.is_dir()
-    if not is_folder:
-        fault = "not a folder" if exists else "no such folder"
-        raise FactoryError(f"scenes.root={root}: {fault}; set scenes.root to {expected}")
-    return folder
-
-
-def check_some_exist(frames: Sequence[FrameRef], given: str, remedy: str) -> None:
-    """Raise FactoryError when none of the listed frames' pictures is there."""
-    # Unlike Path.is_file, os.path.isfile raises nothing.
-    if not any(os.path.isfile(path) for ref in frames for path in ref.paths[:2]):
-        raise FactoryError(
-            f"{given}: none of the {len(frames)} frames listed exists, the first is "
-            f"{frames[0].paths[0]}; {remedy}"
-        )
-
-
-def visible_files(folder: Path) -> list[str]:
-    """Names of the files of a folder, sorted; nothing when the folder is not there.
-
-    Names that start with a dot are left out: archives made on a Mac carry a `._x.tiff` beside
-    every `x.tiff`.  So are links that lead nowhere.  Raises OSError when it cannot be read.
-    """
-    if not folder.is_dir():
-        return []
-    with os.scandir(folder) as entries:
-        return sorted(one.name for one in entries if one.name[0] != "." and one.is_file())
-
-
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
     """(line number, text) of the lines that are neither empty nor comments (`#`).
 
     Raises FactoryError when the file cannot be read, or is no text.
     """
     try:
-        with readable(path):
-            text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FactoryError(f"{path}: not a text file; give the recording's own list") from error
+        text = read_regular(path, _MOST_LIST_BYTES).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FactoryError(
+            f"{path}: not a text file that can be read ({one_line(error)})"
+        ) from error
     numbered = enumerate((line.strip() for line in text.splitlines()), start=1)
     return [(number, line) for number, line in numbered if line and not line.startswith("#")]
+
+
+def numbers_in(path: Path, numbered_line: tuple[int, str], names: Iterable[str]) -> list[float]:
+    """The finite numbers of a line, one for each name.  Raises FactoryError that names the line."""
+    (number, line), expected = numbered_line, list(names)
+    try:
+        found = [float(word) for word in line.replace(",", " ").split()]
+    except ValueError:
+        found = []
+    if len(found) != len(expected) or not np.isfinite(found).all():
+        raise FactoryError(
+            f"{path}:{number}: expected {len(expected)} numbers, {' '.join(expected)}, got "
+            f"{line[:60]!r}"
+        )
+    return found

@@ -11,29 +11,22 @@ without it the whole list is one scene, named as the file.
 from __future__ import annotations
 
 import csv
+import os
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
-from pydantic import AfterValidator, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import Discovery, Found, Root, SceneSettings, check_some_exist, numbered_lines
-from .calibration import Pinhole, finished_frame
-from .images import read_depth, read_rgb
+from .base import Discovery, Root, SceneSettings, discovery, numbered_lines
+from .frame_files import Pinhole, finished_frame, read_depth, read_rgb
 
 _EXPECTED = "a CSV file of rgb,depth lines"
-
-
-def _none_or_four(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    if len(coefficients) not in (0, 4):
-        raise ValueError("give k1, k2, p1, p2, or [] for a lens without distortion")
-    return coefficients
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -54,7 +47,7 @@ class CsvListSettings(SceneSettings):
     file: Root | None = None
     root: Root | None = None
     intrinsics: Pinhole
-    distortion: Annotated[tuple[float, ...], AfterValidator(_none_or_four)] = ()
+    distortion: tuple[()] | tuple[float, float, float, float] = ()
     undistort: bool = False
     depth_scale: Annotated[float, Field(gt=0)] | None = None
     invalid_below_m: float | None = 0.0
@@ -62,10 +55,8 @@ class CsvListSettings(SceneSettings):
 
     def __post_init__(self) -> None:
         """Refuse no file, and two."""
-        if self.file is None and self.root is None:
-            raise ValueError("give the CSV file of rgb,depth lines, scenes.file=frames.csv")
-        if self.file is not None and self.root is not None:
-            raise ValueError("file and root are one key; give scenes.file without scenes.root")
+        if (self.file is None) == (self.root is None):
+            raise ValueError("give the CSV file of rgb,depth lines, scenes.file=frames.csv, alone")
 
     @property
     def given(self) -> str:
@@ -86,40 +77,37 @@ class CsvListReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        path = self.settings.path
+        path, given = self.settings.path, self.settings.given
         if not path.is_file():
             fault = "is a folder" if path.is_dir() else "no such file"
             raise FactoryError(
-                f"{self.settings.given}: {fault}; give scenes.file={_EXPECTED}, and no scenes.root"
+                f"{given}: {fault}; give scenes.file={_EXPECTED}, and no scenes.root"
             )
         rows = _rows(path)
-        found = Found(_named(path.parent, rows))
-        found.skipped["listed twice"] = len(rows) - len(found.frames)
-        nothing = f"{self.settings.given}: no line lists a frame; give {_EXPECTED}"
-        discovery = found.discovery(nothing)
-        remedy = "paths are relative to the CSV file"
-        check_some_exist(discovery.frames, self.settings.given, remedy)
-        return discovery
+        frames = _named(path.parent, rows)
+        # Unlike Path.is_file, os.path.isfile raises nothing.
+        if frames and not any(os.path.isfile(one) for ref in frames for one in ref.paths):
+            raise FactoryError(
+                f"{given}: none of the {len(frames)} frames listed exists, the first is "
+                f"{frames[0].paths[0]}; paths are relative to the CSV file"
+            )
+        skipped = {"listed twice": len(rows) - len(frames)}
+        return discovery(frames, f"{given}: no line lists a frame; give {_EXPECTED}", skipped)
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth = map(Path, ref.paths)
         rgb = read_rgb(image)
-        depth_m = self._measured(read_depth(depth, self.settings.depth_scale))
-        intrinsics = Intrinsics(*self.settings.intrinsics, distortion=self.settings.distortion)
-        return finished_frame(
-            ref, rgb, depth_m, intrinsics, self.settings, undistort=self.settings.undistort
+        settings, depth_m = self.settings, read_depth(depth, self.settings.depth_scale)
+        # NaN and infinities stay to be refused.
+        low, high = settings.invalid_below_m, settings.invalid_above_m
+        invalid = np.isfinite(depth_m) & (
+            (depth_m <= (-np.inf if low is None else low))
+            | (depth_m >= (np.inf if high is None else high))
         )
-
-    def _measured(self, depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """0 where the settings say that a depth is none; NaN and infinities stay to be refused."""
-        below, above = self.settings.invalid_below_m, self.settings.invalid_above_m
-        invalid = np.zeros(depth_m.shape, dtype=bool)
-        if below is not None:
-            invalid |= depth_m <= below
-        if above is not None:
-            invalid |= depth_m >= above
-        return np.where(invalid & np.isfinite(depth_m), np.float32(0), depth_m)
+        depth_m = np.where(invalid, np.float32(0), depth_m)
+        lens = Intrinsics(*settings.intrinsics, distortion=settings.distortion)
+        return finished_frame(ref, rgb, depth_m, lens, settings, undistort=settings.undistort)
 
 
 def _rows(path: Path) -> list[tuple[str, str, str]]:

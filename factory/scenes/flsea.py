@@ -2,7 +2,6 @@
 
     <location>/<scene>/imgs/<timestamp>.tiff                     968x608 RGB
     <location>/<scene>/depth/<timestamp>_SeaErra_abs_depth.tif   968x608 float32 metres, 0 = none
-    <location>/calibration/*kalibr-results-imucam.txt            lens calibration
 
 The public archive repeats the scene folder (canyons/flatiron/flatiron/imgs) and older drops name
 the depth <timestamp>_abs_depth.tif; both are read.  The set has no camera poses.
@@ -11,17 +10,19 @@ the depth <timestamp>_abs_depth.tif; both are read.  The set has no camera poses
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
+from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import Discovery, Found, Root, SceneSettings, readable, root_folder, visible_files
-from .calibration import finished_frame, read_kalibr, scaled
-from .images import read_depth, read_rgb
+from ..small_files import one_line
+from .base import Discovery, Root, SceneSettings, discovery
+from .frame_files import finished_frame, read_depth, read_rgb, scaled
 
 _CANYONS = ("flatiron", "horse_canyon", "tiny_canyon", "u_canyon")
 _RED_SEA = ("big_dice_loop", "coral_table_loop", "cross_pyramid_loop", "dice_path", "landward_path",
@@ -29,8 +30,7 @@ _RED_SEA = ("big_dice_loop", "coral_table_loop", "cross_pyramid_loop", "dice_pat
 SCENES = dict.fromkeys(_CANYONS, "canyons") | dict.fromkeys(_RED_SEA, "red_sea")
 """Scene -> location, all twelve, sorted by location and name."""
 
-# What the calibration files of the set hold, for downloads that lack them.  The distortion of the
-# Red Sea camera is published in its calibration file alone.
+# What the calibration files of the set hold.
 BUILT_IN = {
     "canyons": Intrinsics(
         1175.3913431656817, 1174.2805075232263, 466.2595428966926, 271.2116633091501,
@@ -79,94 +79,86 @@ class FlseaReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        given = f"scenes.root={self.settings.root}"
-        root, found = root_folder(self.settings.root, _EXPECTED), Found()
-        folders: dict[str, Path] = {}
-        absent: list[str] = []
-        calibrations: dict[str, Path | None] = {}
-        for scene in (one for one in SCENES if one in (self.settings.scenes or SCENES)):
-            with readable(root):
-                if (folder := _scene_folder(root, scene)) is None:
-                    absent.append(scene)
-                    continue
-                calibration = _calibration_file(folder, SCENES[scene])
-                _scan(folder, scene, calibration, found)
-            calibrations.setdefault(SCENES[scene], calibration)
-            folders[scene] = folder
+        given, asked = f"scenes.root={self.settings.root}", self.settings.scenes
+        root = os.path.abspath(Path(self.settings.root).expanduser())
+        if not os.path.isdir(root):
+            raise FactoryError(f"{given}: no such folder; set scenes.root to {_EXPECTED}")
+        there, skipped = _scene_folders(Path(root)), Counter[str]()
+        wanted = [scene for scene in SCENES if scene in (asked or SCENES)]
+        folders = {scene: there[scene] for scene in wanted if scene in there}
+        try:
+            frames = [ref for item in folders.items() for ref in _frames(*item, skipped)]
+        except OSError as error:
+            raise FactoryError(
+                f"scenes.root: {error.filename} cannot be read ({one_line(error)}); make it "
+                "readable, or leave that recording out"
+            ) from error
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
-        if absent:
+        if absent := [scene for scene in wanted if scene not in there]:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
-        notes += [self._calibration_note(*item) for item in calibrations.items()]
-        found.notes = notes
-        if folders:
-            counts = [f"{n} x {reason}" for reason, n in sorted(found.skipped.items()) if n]
-            return found.discovery(
-                f"{given}: no frame in {', '.join(folders)} ({', '.join(counts) or 'empty'}); "
-                f"expected imgs/<timestamp>.tiff and depth/<timestamp>{_DEPTH_ENDINGS[0]}"
-            )
-        asked = " or ".join(("FLSea scene", *(self.settings.scenes or ()))).replace(" or ", " ", 1)
-        return found.discovery(
-            f"{given}: no {asked} here, looked for <location>/<scene>/imgs such as "
-            f"canyons/u_canyon/imgs; set scenes.root to {_EXPECTED}"
+        notes += [
+            f"{place}: lens distortion unknown, images are not undistorted"
+            for place in dict.fromkeys(SCENES[scene] for scene in folders)
+            if self.settings.undistort and not BUILT_IN[place].distortion
+        ]
+        nothing = f"no FLSea scene {' or '.join(asked or ())}".rstrip() + (
+            f" here, looked for <location>/<scene>/imgs such as canyons/u_canyon/imgs; set "
+            f"scenes.root to {_EXPECTED}"
         )
+        if folders:
+            counts = ", ".join(f"{n} x {reason}" for reason, n in skipped.items() if n)
+            nothing = (
+                f"no frame in {', '.join(folders)} ({counts or 'empty'}); expected "
+                f"imgs/<timestamp>.tiff and depth/<timestamp>{_DEPTH_ENDINGS[0]}"
+            )
+        return discovery(frames, f"{given}: {nothing}", skipped, notes)
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        image, depth, *calibration = map(Path, ref.paths)
-        rgb = read_rgb(image)
-        depth_m = read_depth(depth, units_per_m=None)
-        known = read_kalibr(calibration[0]) if calibration else BUILT_IN[ref.location]
-        intrinsics = scaled(known, CALIBRATED_SIZE, (rgb.shape[1], rgb.shape[0]))
-        return finished_frame(
-            ref, rgb, depth_m, intrinsics, self.settings, undistort=self.settings.undistort
-        )
-
-    def _calibration_note(self, location: str, calibration: Path | None) -> str:
-        known = read_kalibr(calibration) if calibration else BUILT_IN[location]
-        source = calibration.name if calibration else "built in, no Kalibr file found"
-        note = f"{location}: intrinsics {source}"
-        if self.settings.undistort and not known.distortion:
-            note += "; lens distortion unknown, images are not undistorted"
-        return note
+        image, depth = map(Path, ref.paths)
+        rgb, depth_m = read_rgb(image), read_depth(depth)
+        size = rgb.shape[1], rgb.shape[0]
+        lens = scaled(BUILT_IN[ref.location], CALIBRATED_SIZE, size)
+        undistort = self.settings.undistort
+        return finished_frame(ref, rgb, depth_m, lens, self.settings, undistort=undistort)
 
 
-def _scene_folder(root: Path, scene: str) -> Path | None:
-    """The folder that holds the scene's imgs/, wherever `root` starts in the tree."""
-    starts = [root / SCENES[scene] / scene, root / scene]
-    if Path(os.path.abspath(root)).name == scene:
-        starts.append(root)
-    for start in starts:
-        for folder in (start, start / scene):
-            if (folder / "imgs").is_dir():
-                return folder
-    return None
+def _scene_folders(root: Path) -> dict[str, Path]:
+    """Scene -> the folder that holds its imgs/, wherever `root` starts in the tree."""
+    found: dict[str, Path] = {}
+    for levels in range(4):
+        for images in sorted(root.glob("*/" * levels + "imgs")):
+            if images.parent.name in SCENES:
+                found.setdefault(images.parent.name, images.parent)
+    return found
 
 
-def _calibration_file(folder: Path, location: str) -> Path | None:
-    """The Kalibr result of the location that a scene folder lies in, by name the first of many."""
-    for parent in Path(os.path.abspath(folder)).parents[:2]:
-        if parent.name == location and (parent / "calibration").is_dir():
-            found = (parent / "calibration").rglob("*kalibr-results-imucam.txt")
-            return min(filter(Path.is_file, found), default=None)
-    return None
-
-
-def _scan(folder: Path, scene: str, calibration: Path | None, found: Found) -> None:
-    """Add the scene's images that have a depth map, by time stamp; the others are counted."""
-    depths = set(visible_files(folder / "depth"))
-    images: dict[str, str] = {}
-    for name in visible_files(folder / "imgs"):
+def _frames(scene: str, folder: Path, skipped: Counter[str]) -> list[FrameRef]:
+    """The scene's images that have a depth map, by time stamp; the others are counted."""
+    depths, images, frames = set(_visible_files(folder / "depth")), dict[str, str](), []
+    for name in _visible_files(folder / "imgs"):
         stem, suffix = os.path.splitext(name)
         if suffix.lower() in _IMAGE_SUFFIXES:
             images.setdefault(stem, name)
     for stem in sorted(images):
         depth = next((stem + end for end in _DEPTH_ENDINGS if stem + end in depths), None)
         if depth is None:
-            found.skipped["image without a depth map"] += 1
+            skipped["image without a depth map"] += 1
             continue
         depths.remove(depth)
-        paths = [folder / "imgs" / images[stem], folder / "depth" / depth]
-        paths += [calibration] if calibration else []
-        found.frames.append(FrameRef(SCENES[scene], scene, stem, tuple(map(str, paths))))
+        paths = str(folder / "imgs" / images[stem]), str(folder / "depth" / depth)
+        frames.append(FrameRef(SCENES[scene], scene, stem, paths))
     lonely = sum(name.endswith(_DEPTH_ENDINGS) for name in depths)
-    found.skipped["depth map without an image"] += lonely
+    skipped["depth map without an image"] += lonely
+    return frames
+
+
+def _visible_files(folder: Path) -> list[str]:
+    """Names of the files of a folder, sorted; nothing when the folder is not there.
+
+    Without those that start with a dot: archives made on a Mac carry a `._x.tiff` beside `x.tiff`.
+    """
+    if not folder.is_dir():
+        return []
+    with os.scandir(folder) as entries:
+        return sorted(one.name for one in entries if one.name[0] != "." and one.is_file())

@@ -10,7 +10,7 @@ import itertools
 import re
 from dataclasses import dataclass as plain_dataclass
 from fnmatch import fnmatchcase
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -24,7 +24,7 @@ from ..frame import Frame, FrameRef, checked
 from ..labels import class_names
 from ..seeds import stream
 from ..settings import STRICT
-from .base import Discovery, OwnClass, Root, SceneSettings
+from .base import Discovery, OwnClass, Root, SceneSettings, numbered_lines, numbers_in
 
 if TYPE_CHECKING:
     from .seabed.camera import Objects, Optics, Pose
@@ -125,8 +125,7 @@ class MeshReader:
 
     def load(self, ref: FrameRef) -> Frame:
         """See `Reader`."""
-        from .boxes import boxes_of
-        from .seabed.camera import camera, z_buffer
+        from .seabed.camera import boxes_of, camera, z_buffer
 
         settings, (objects, shades, _) = self._settings, self._world
         found = re.fullmatch(r"(poses|(?:orbit|transect)-(\d{4}))", ref.scene)
@@ -187,19 +186,16 @@ class MeshReader:
             return shaded
         import cv2
 
-        from . import blend
-        from .mesh_parts import READING
+        from .mesh_parts import READING, photograph
 
         matrix = where.matrix
         matrix[:3, 3] /= self._settings.scale
         given = matrix.tolist(), optics.lens.tolist(), optics.width, optics.height
-        content = READING.call(blend.photograph, self._path, *given, limit_s=600.0)
+        content = READING.call(photograph, self._path, *given, limit_s=600.0)
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         return np.ascontiguousarray(picture[..., ::-1])
 
     def _recorded(self) -> tuple[Points, Points]:
-        from .trajectory import trajectory
-
         return trajectory(Path(self._settings.poses or "").expanduser())
 
     def _at(self, view: int) -> tuple[Pose, float]:
@@ -281,3 +277,24 @@ def _level(angle_rad: npt.ArrayLike) -> Points:
     """(..., 3) unit vectors along headings."""
     angle = np.asarray(angle_rad)
     return np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+
+
+@lru_cache(maxsize=4)
+def trajectory(path: Path) -> tuple[Points, Points]:
+    """Times (N,) in seconds and poses (N, 4, 4) from `time tx ty tz qx qy qz qw` lines."""
+    names = ["time", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
+    lines = numbered_lines(path)
+    table = np.array([numbers_in(path, line, names) for line in lines]).reshape(-1, 8)
+    length = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
+    if not length.all():
+        number, line = lines[int(np.argmin(length))]
+        raise FactoryError(f"{path}:{number}: expected a rotation, got {line[:60]!r}")
+    axis, w = np.split(table[:, 4:] / length, [3], axis=1)
+    # R = (w^2 - a.a) I + 2 a a^T + 2 w [a]x  (Rodrigues' formula for the unit quaternion (a, w))
+    outer = axis[:, :, None] * axis[:, None, :]
+    cross = np.cross(axis[:, None, :], np.eye(3)[None], axisa=2, axisb=2)
+    square = (w**2 - np.sum(axis**2, axis=1, keepdims=True))[:, :, None]
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, :3] = square * np.eye(3) + 2 * outer - 2 * w[:, :, None] * cross
+    poses[:, :3, 3] = table[:, 1:4]
+    return table[:, 0], poses

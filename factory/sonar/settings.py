@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from ..render.mount import Mount
+from ..render.base import Mount
 from ..settings import STRICT
 from .array import ArraySettings
 

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..frame import Frame
-from ..render.base import Rendered
-from ..render.mount import Mount
+from ..render.base import Mount, Rendered
 from . import polar
 from .echoes import Echoes
 from .settings import SonarSettings

@@ -23,9 +23,9 @@ from simnfnd.factory.dataset.read.source import dataset_settings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
-from simnfnd.factory.render.cache import Cache
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
+from simnfnd.factory.render.views import Cache
 from simnfnd.factory.scheduler.lock import owner_of
 from simnfnd.factory.small_files import parse_json, parse_yaml, read_regular
 from tests.factory.dataset.hostile import whole

@@ -4,10 +4,135 @@ A location is a number: it fixes the ground, the objects, the water and the came
 are drawn by one z-buffer, so depth, labels and pictures agree to the pixel.
 """
 
-from ...labels import CLASSES
-from .reader import SeabedReader, SeabedSettings
+from __future__ import annotations
+
+import re
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from ...errors import FrameError
+from ...frame import Frame, FrameRef, checked
+from ...labels import ObjectName
+from ...settings import STRICT
+from ..base import Discovery, OwnClass, Root, SceneSettings
+from .biomes import PLACE_NAMES, PlaceName
+from .camera import Movement, movements
+from .camera import camera as optics_of
+from .own_objects import Owned, OwnObject, owned
+
+if TYPE_CHECKING:
+    from .world import World
 
 GENERATOR = 2
 """Version of the frames: changes with their bytes, and is part of the names of cached renders."""
+_LAST = 10_000  # names have four digits and sort as numbers do
+_HELD = 2  # a location takes a second to build and tens of megabytes
 
-__all__ = ["CLASSES", "GENERATOR", "SeabedReader", "SeabedSettings"]
+
+@dataclass(frozen=True, config=STRICT)
+class SeabedSettings(SceneSettings):
+    """Keys of `scenes` for the procedural seabed.
+
+    locations: how many, from number `first_location` on; a number is a place of its own.
+    frames_per_location: poses along its path.  width, height: pixels of a view 45 degrees wide.
+    hfov_deg, vfov_deg: another sector for the camera to see; null: 45 degrees across, or the
+    sonar's sector where that is wider.  A wider view has more pixels, as its solid angle grows.
+    path: a CSV file of the movements of a platform (see `path.Movement`): its lines are then the
+    frames of a location, from the pose of frame 0 on, and `frames_per_location` does not count.
+    objects: factor on how many objects lie around.  kinds: only these (null: all).
+    places: only these kinds of place, taken in turn (null: all).
+    own_objects: the user's meshes; see `OwnObject`.
+    boxes: of each frame's objects; `dataset.columns=[boxes]` sets it.
+    """
+
+    kind: Literal["seabed"] = "seabed"
+    depth_kind: Literal["z"] = "z"
+    locations: Annotated[int, Field(ge=1, le=_LAST)] = 20
+    first_location: Annotated[int, Field(ge=0, lt=_LAST)] = 0
+    frames_per_location: Annotated[int, Field(ge=1, le=_LAST)] = 10
+    width: Annotated[int, Field(ge=64, le=4096)] = 968
+    height: Annotated[int, Field(ge=48, le=4096)] = 608
+    hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
+    vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
+    path: Root | None = None
+    objects: Annotated[float, Field(ge=0, le=4)] = 1.0
+    kinds: tuple[ObjectName, ...] | None = None
+    places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
+    own_objects: tuple[OwnObject, ...] = ()
+    boxes: bool = False
+
+    def own(self) -> tuple[OwnClass, ...]:
+        """See `SceneSettings`."""
+        return self.own_objects
+
+    def __post_init__(self) -> None:
+        """Refuse locations whose number has more than four digits, and half a sector."""
+        if (self.hfov_deg is None) != (self.vfov_deg is None):
+            raise ValueError("give hfov_deg and vfov_deg, or neither")
+        if self.first_location + self.locations > _LAST:
+            raise ValueError(f"first_location + locations must not exceed {_LAST}")
+
+
+class SeabedReader:
+    """Makes frames of procedural locations.  A frame depends on settings and its name alone."""
+
+    def __init__(self, settings: SeabedSettings) -> None:
+        """Nothing is built before the first frame is loaded."""
+        self._settings = settings
+        self._world = lru_cache(maxsize=_HELD)(self._built)
+
+    def discover(self) -> Discovery:
+        """List the frames: scene `seabed-0007` is location number 7, frame `0003` its pose 3."""
+        settings = self._settings
+        lines, first = self._movements(), settings.first_location
+        frames = settings.frames_per_location if lines is None else len(lines)
+        paths: tuple[str, ...] = () if settings.path is None else (settings.path,)
+        # What is wrong with a mesh shows before a worker starts.
+        paths += tuple(path for one in self._own for path in one.files)
+        refs = [
+            FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", paths)
+            for location in range(first, first + settings.locations)
+            for frame in range(frames)
+        ]
+        notes = tuple(note for one in self._own for note in one.notes)
+        return Discovery(tuple(refs), notes=notes)
+
+    def load(self, ref: FrameRef) -> Frame:
+        """Build the location, if it is not at hand, and take the frame."""
+        scene = re.fullmatch(r"seabed-(\d{4})", ref.scene)
+        if scene is None or re.fullmatch(r"\d{4}", ref.frame) is None:
+            raise FrameError(
+                f"{ref.name}: not a procedural frame; names are like seabed/seabed-0007/0003"
+            )
+        # Reading a configuration imports this module, but needs nothing that makes pictures.
+        from .view import take
+
+        settings = self._settings
+        optics = optics_of(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
+        number, movement = int(ref.frame), None
+        if (lines := self._movements()) is not None:
+            if number >= len(lines):
+                raise FrameError(f"{ref.name}: scenes.path={settings.path} has no such line")
+            number, movement = 0, lines[number]
+        world = self._world(int(scene[1]))
+        frame = take(world, number, ref, optics, movement, boxes=settings.boxes)
+        return checked(frame, bad_depth=settings.bad_depth)
+
+    def _movements(self) -> tuple[Movement, ...] | None:
+        path = self._settings.path
+        return None if path is None else movements(Path(path).expanduser())
+
+    @cached_property
+    def _own(self) -> tuple[Owned, ...]:
+        return owned(self._settings.own_objects)
+
+    def _built(self, location: int) -> World:
+        from .world import build_world
+
+        settings = self._settings
+        places = settings.places or PLACE_NAMES
+        return build_world(location, places, settings.objects, settings.kinds, self._own)

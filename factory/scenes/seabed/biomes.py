@@ -7,9 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from .fields import Floats, waves
 from .meshes import Colour
-from .terrain import Banks, Ripples, Terrain
+from .terrain import Banks, Floats, Ripples, Terrain, waves
 
 Range = tuple[float, float]
 

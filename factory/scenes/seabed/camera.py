@@ -1,4 +1,4 @@
-"""The camera of procedural frames, its poses, and what its pixels meet.
+"""The camera of procedural frames and meshes: poses, what pixels meet, boxes around objects.
 
 It has FLSea's field of view, or is as wide as a sonar's sector.
 """
@@ -7,14 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ...frame import Intrinsics
-from .fields import Floats
+from ...errors import FactoryError
+from ...frame import BOX_FIELDS, Intrinsics
+from ..base import numbered_lines, numbers_in
 from .meshes import Mesh, grid_triangles, join, vertex_normals
+from .terrain import Floats
 
 Points = npt.NDArray[np.float64]
 
@@ -219,3 +223,142 @@ def _in_sight(
                           (y, (shape[0] - 1 - cy) / fy), (-y, cy / fy)):  # fmt: skip
         seen &= offset - slope * z < radius * np.hypot(1, slope)
     return np.asarray(seen)
+
+
+@dataclass(frozen=True)
+class Movement:
+    """A frame of a moving platform: its pose relative to where its recording begins.
+
+    Surge is forward, sway to the left, heave up (REP 103, level, along the first heading); yaw
+    turns left, pitch looks down, roll lowers the right side.  time_s: None where it has none.
+    """
+
+    time_s: float | None = None
+    surge_m: float = 0.0
+    sway_m: float = 0.0
+    heave_m: float = 0.0
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+    def moved(self, eye: Points, rotation: Points) -> tuple[Points, Points]:
+        """Eye (3,) and rotation (3, 3; world from camera axes: x right, y down, z forward)."""
+        ahead = np.array([rotation[0, 2], rotation[1, 2], 0.0])
+        ahead /= np.linalg.norm(ahead)
+        left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
+        roll, pitch, yaw = np.deg2rad([self.roll_deg, self.pitch_deg, self.yaw_deg])
+        turned = _about(up, yaw) @ rotation
+        # Pitch about the camera's left, roll about its forward axis.
+        turned = _about(-turned[:, 0], pitch) @ turned
+        turned = _about(turned[:, 2], roll) @ turned
+        return eye + self.surge_m * ahead + self.sway_m * left + self.heave_m * up, turned
+
+
+@lru_cache(maxsize=4)
+def movements(path: Path) -> tuple[Movement, ...]:
+    """The lines of a CSV file: a header of some keys of `Movement`, then a line a frame.
+
+    Raises FactoryError that names the file and the line.
+    """
+    lines = numbered_lines(path)
+    keys = tuple(Movement.__dataclass_fields__)
+    names = [word.strip() for word in lines[0][1].split(",")] if lines else []
+    if not set(names) <= set(keys) or len(set(names)) != len(names) or len(lines) < 2:
+        raise FactoryError(
+            f"{path}: expected a header of {', '.join(keys)} (some of them, each once) and a line "
+            f"for each frame, got {','.join(names)[:60]!r} and {max(len(lines) - 1, 0)} lines"
+        )
+    rows = (numbers_in(path, line, names) for line in lines[1:])
+    return tuple(Movement(**dict(zip(names, row, strict=True))) for row in rows)
+
+
+def _about(axis: Points, angle_rad: float) -> Points:
+    """Rotation matrix (3, 3) about a unit axis, right-handed (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turn = np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * cross @ cross
+    return np.asarray(turn)
+
+
+_SIDE_PX = 64  # of the picture in which an object's outline is counted
+_NEAREST_M = 0.05
+
+
+def boxes_of(
+    where: Pose, optics: Optics, objects: Objects, seen: ZBuffer, number: npt.NDArray[np.uint16]
+) -> Points:
+    """(N, 11) of the instances in a view, whose pixels are `number`; see `Frame.boxes`."""
+    shown = np.unique(number)
+    rows = []
+    for instance in shown[shown > 0]:
+        which = int(np.flatnonzero(objects.instances == instance)[0])
+        first, _, last, _ = objects.parts[which]
+        points = (objects.mesh.vertices[first:last] - where.eye) @ where.rotation
+        box = oriented(np.stack([points[:, 2], -points[:, 0], -points[:, 1]], axis=-1))
+        counted = _outline(where, optics, objects, which, points, seen)
+        rows.append([int(instance), int(objects.labels[which]), *box, *counted])
+    return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
+
+
+def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
+    """Centre (3), length, width, height and yaw (rad) of the box around (V, 3) points, z upright.
+
+    The yaw, to .05 degrees, is that with the least ground: from x to y, of the longer side.
+    """
+    flat = points[:, :2].astype(np.float64)
+    middle = flat.mean(axis=0)
+    coarse, _, _ = _narrowest(flat - middle, np.arange(0.0, 90.0))
+    yaw_deg, extent, centre = _narrowest(flat - middle, coarse + 0.05 * np.arange(-20, 21))
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    yaw = np.deg2rad((yaw_deg + (0 if extent[0] >= extent[1] else 90) + 90) % 180 - 90)
+    x, y = (centre + middle).tolist()
+    return x, y, (low + high) / 2, *sorted(extent.tolist(), reverse=True), high - low, float(yaw)
+
+
+def _narrowest(flat: Points, yaws_deg: Points) -> tuple[float, Points, Points]:
+    """Of the rectangles around (V, 2) points at some yaws the one of least area.
+
+    Its yaw, its extent along and across that, and its centre.
+    """
+    cosine, sine = np.cos(np.deg2rad(yaws_deg)), np.sin(np.deg2rad(yaws_deg))
+    axes = np.array([[cosine, -sine], [sine, cosine]])
+    seen = np.tensordot(flat, axes, 1)
+    least, most = seen.min(axis=0), seen.max(axis=0)
+    at = int(np.argmin(np.prod(most - least, axis=0)))
+    centre = axes[:, :, at] @ (most + least)[:, at] / 2
+    return float(yaws_deg[at]), (most - least)[:, at], centre
+
+
+def _outline(
+    where: Pose, optics: Optics, objects: Objects, which: int, points: Points, seen: ZBuffer
+) -> tuple[float, float]:
+    """Pixels that an object alone would cover, beyond the picture too, and those hidden by others.
+
+    points: (V, 3) its own, camera axes.
+    """
+    ahead = points[points[:, 2] > _NEAREST_M]
+    if not len(ahead):
+        return 0.0, 0.0
+    fx, fy, cx, cy = optics.lens
+    height, width = seen.inverse.shape
+    places = ahead[:, :2] / ahead[:, 2:] * (fx, fy) + (cx, cy)
+    # Of what reaches beside the lens, as far as three pictures.
+    limits = np.array([width, height])
+    left, top = np.clip(places.min(axis=0), -limits, 2 * limits)
+    right, bottom = np.clip(places.max(axis=0), -limits, 2 * limits)
+    from .kernels import paint
+
+    step = max((right - left) / _SIDE_PX, (bottom - top) / _SIDE_PX, 0.25)
+    shape = int((bottom - top) / step) + 2, int((right - left) / step) + 2
+    alone = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+    lens = np.array([fx / step, fy / step, (cx - left) / step, (cy - top) / step])
+    part = np.ascontiguousarray(objects.parts[which : which + 1])
+    sight = where.eye, where.rotation, lens
+    paint(objects.mesh.vertices, objects.mesh.triangles, part, 0, sight, alone)
+    rows, columns = np.nonzero(alone[0])
+    near = alone[0][rows, columns]
+    rows, columns = (np.rint(v).astype(int) for v in (top + step * rows, left + step * columns))
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    front = seen.inverse[rows[inside], columns[inside]]
+    hidden = np.count_nonzero(front > near[inside] * np.float32(1.02))
+    return len(near) * step**2, hidden * step**2

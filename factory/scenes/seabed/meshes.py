@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .fields import Arrays, Floats, waves
+from .terrain import Arrays, Floats, waves
 
 Indices = npt.NDArray[np.int32]
 Colour = tuple[float, ...]  # red, green, blue
@@ -73,22 +73,18 @@ def circle(points: int) -> npt.NDArray[np.float64]:
 def mesh(vertices: npt.ArrayLike, triangles: npt.ArrayLike, colour: npt.ArrayLike = GREY) -> Mesh:
     """A mesh of one colour, or of one colour a vertex."""
     points = np.asarray(vertices, dtype=np.float32)
-    colours = np.array(
-        np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape), order="C"
-    )
+    colours = np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape).copy()
     return Mesh(points, colours, np.asarray(triangles, dtype=np.int32))
 
 
 def join(parts: Iterable[Mesh]) -> Mesh:
     """All parts as one mesh."""
     parts = list(parts)
-    starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]], dtype=np.int32)
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.colours for part in parts]),
-        np.concatenate(
-            [part.triangles + np.int32(start) for part, start in zip(parts, starts, strict=True)]
-        ),
+        np.concatenate([part.triangles + at for part, at in zip(parts, starts, strict=True)]),
     )
 
 
@@ -131,10 +127,8 @@ def lathe(
     points = np.asarray(profile, dtype=np.float32)
     colours = np.broadcast_to(np.asarray(colour, dtype=np.float32), (len(points), 3))
     if crease:
-        pieces = [
-            lathe(points[k : k + 2], segments, colours[k : k + 2]) for k in range(len(points) - 1)
-        ]
-        return join(pieces)
+        pairs = (slice(k, k + 2) for k in range(len(points) - 1))
+        return join(lathe(points[pair], segments, colours[pair]) for pair in pairs)
     angle = np.arange(segments) * (2 * np.pi / segments)
     radius, height = points[:, :1], np.repeat(points[:, 1:], segments, axis=1)
     vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
@@ -226,12 +220,8 @@ def prism(outline: npt.ArrayLike, height: float, colour: Colour = GREY) -> Mesh:
 @functools.cache
 def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
     golden = (1 + np.sqrt(5)) / 2
-    corners = [(s, t * golden) for s in (-1, 1) for t in (-1, 1)]
-    points = np.array(
-        [(0, s, t) for s, t in corners]
-        + [(s, t, 0) for s, t in corners]
-        + [(t, 0, s) for s, t in corners]
-    )
+    corners = np.array([(0, s, t * golden) for s in (-1, 1) for t in (-1, 1)])
+    points = np.concatenate([corners, corners[:, [1, 2, 0]], corners[:, [2, 0, 1]]])
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     sides = np.abs(apart - apart[apart > 0].min()) < 1e-9
     triples = itertools.combinations(range(len(points)), 3)

@@ -1,29 +1,23 @@
-"""The user's own meshes on the seabed, in places that follow from the location's number."""
+"""The user's own meshes for the seabed: what is said of them, and their files."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass as plain_dataclass
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from ...errors import FactoryError
-from ...seeds import stream
 from ...settings import STRICT
 from ..base import OwnClass, Root
 
 if TYPE_CHECKING:
     from .meshes import Mesh
-    from .path import Path
-    from .placement import Site
 
 _LARGEST_M = 15.0
-_VIEWS = 10  # objects lie before the first so many views of a path, where cameras pass
-_AHEAD_M = 1.5
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Count = Annotated[int, Field(ge=0, le=200)]
 
@@ -76,7 +70,7 @@ def _read(settings: OwnObject, key: str) -> Owned:
 
     if settings.label == "Background":
         raise FactoryError(f"{key.removesuffix('file')}class: Background is the ground; name it")
-    path = FilePath(settings.file).expanduser()
+    path = Path(settings.file).expanduser()
     parts = read_parts(path, key, settings.scale, _LARGEST_M)
     whole = join(part.mesh for part in parts)
     low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
@@ -84,24 +78,3 @@ def _read(settings: OwnObject, key: str) -> Owned:
     if settings.colour is not None:
         whole = whole.tinted(settings.colour)
     return Owned(settings, whole, files_of(path, key), turned_note(path, parts))
-
-
-def place_own(site: Site, path: Path, location: int, own: Sequence[Owned]) -> None:
-    """Put the user's objects beside the part of the path that views show."""
-    from .fields import WORLD_SEED
-    from .meshes import rotation
-
-    first = path.start_m + _AHEAD_M
-    for number, one in enumerate(own):
-        site.rng = rng = stream(WORLD_SEED, "seabed", location, "own", number)
-        site.stretch_m = (first, first + _VIEWS * path.step_m)
-        settings = one.settings
-        for _ in range(int(rng.integers(settings.per_place[0], settings.per_place[1] + 1))):
-            tilt, toward = np.deg2rad(rng.uniform(*settings.tilt_deg)), rng.uniform(0, 2 * np.pi)
-            turn = rotation("z", toward) @ rotation("y", tilt) @ rotation("z", -toward)
-            turned = one.mesh.moved(turn @ rotation("z", rng.uniform(0, 2 * np.pi))).standing()
-            reach = float(np.sqrt((turned.vertices[:, :2] ** 2).sum(axis=1).max()))
-            spot = site.spot(reach, float(turned.vertices[:, 2].max()))
-            if spot is not None:
-                site.settle(turned, settings.label, spot, reach, settings.burial)
-    site.stretch_m = None

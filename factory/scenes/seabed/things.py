@@ -9,6 +9,7 @@ coordinates.
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ...seeds import stream
-from .fields import WORLD_SEED, Floats, smoothstep, waves
 from .meshes import (
     Colour,
     Mesh,
@@ -34,6 +34,7 @@ from .meshes import (
     sphere,
     tube,
 )
+from .terrain import WORLD_SEED, Floats, smoothstep, waves
 
 Points = npt.NDArray[np.float64]
 GroundHeight = Callable[[Points, Points], Floats]
@@ -115,13 +116,9 @@ def drink_carton(rng: np.random.Generator) -> Mesh:
     ridge = body + width * 0.55
     gable = prism([[-width / 2, 0], [width / 2, 0], [0, ridge - body]], depth, pale)
     gable = gable.moved(rotation("x", np.pi / 2), (0, depth / 2, body))
-    parts = [
-        box((width, depth, body * 0.55), (0, 0, body * 0.275), paint),
-        box((width, depth, body * 0.45), (0, 0, body * 0.775), pale),
-        gable,
-        box((0.008, depth, 0.03), (0, 0, ridge + 0.012), paint),
-    ]
-    carton = join(parts)
+    lower = box((width, depth, body * 0.55), (0, 0, body * 0.275), paint)
+    upper = box((width, depth, body * 0.45), (0, 0, body * 0.775), pale)
+    carton = join([lower, upper, gable, box((0.008, depth, 0.03), (0, 0, ridge + 0.012), paint)])
     return carton if rng.random() < 0.4 else lying(carton)
 
 
@@ -131,9 +128,8 @@ def shampoo_bottle(rng: np.random.Generator) -> Mesh:
     paint, cap = np.array(pick(rng, PAINTS)), np.array(pick(rng, PAINTS))
     levels = np.array([0, 0, 0.03, 0.3, 0.6, 0.74, 0.78])
     radii = np.array([0, 0.8, 0.95, 1, 0.9, 0.62, 0.3])
-    body = lathe(np.column_stack([radii * width, levels * height]), 20, paint).moved(
-        scale=(1.0, 0.55, 1.0)
-    )
+    body = lathe(np.column_stack([radii * width, levels * height]), 20, paint)
+    body = body.moved(scale=(1.0, 0.55, 1.0))
     top = np.array([[0.34, 0.78], [0.34, 0.97], [0.28, 1.0], [0, 1.0]]) * [width, height]
     whole = join([body, lathe(top, 14, cap, crease=True)])
     return whole if rng.random() < 0.3 else lying(whole)
@@ -146,16 +142,12 @@ def hook(rng: np.random.Generator) -> Mesh:
     bend = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)]) * 0.5
     shank = np.array([[bend[0, 0], 1.35, 0], [bend[0, 0], 0.95, 0], [bend[0, 0], 0.7, 0]])
     path = np.concatenate([shank, bend]) * size
-    thickness = np.concatenate([[0.1, 0.11, 0.12], np.linspace(0.13, 0.17, 11)])
-    thickness = np.concatenate([thickness, np.linspace(0.165, 0.045, 11)]) * size
+    upper, lower = np.linspace(0.13, 0.17, 11), np.linspace(0.165, 0.045, 11)
+    thickness = np.array([0.1, 0.11, 0.12, *upper, *lower]) * size
     eye = (circle(18) * 0.24 + np.array([float(bend[0, 0]), 1.55, 0.0])) * size
     paint = pick(rng, (RUST, STEEL, PAINTS[1], PAINTS[0]))
-    whole = join(
-        [
-            tube(path, thickness, 12, colour=paint),
-            tube(eye, 0.09 * size, 10, closed=True, colour=paint),
-        ]
-    )
+    bent = tube(path, thickness, 12, colour=paint)
+    whole = join([bent, tube(eye, 0.09 * size, 10, closed=True, colour=paint)])
     return whole.moved(rotation("x", rng.uniform(-0.2, 0.5))).standing()
 
 
@@ -172,19 +164,14 @@ def propeller(rng: np.random.Generator) -> Mesh:
     x = along * np.cos(across * width * 0.6)
     y = across * width * np.cos(twist)
     z = across * width * np.sin(twist)
-    for k in range(blades):
-        faces = [
-            _sheet(np.stack([x, y, z + side * thick], axis=-1) * radius, metal, side > 0)
-            for side in (1.0, -1.0)
-        ]
-        parts.append(join(faces).moved(rotation("z", 2 * np.pi * k / blades)))
+    triangles = grid_triangles(*z.shape)
+    blade = []
+    for side, winding in ((1.0, triangles), (-1.0, triangles[:, ::-1])):
+        sheet = np.stack([x, y, z + side * thick], axis=-1) * radius
+        blade.append(mesh(sheet.reshape(-1, 3), winding, metal))
+    parts += [join(blade).moved(rotation("z", 2 * np.pi * k / blades)) for k in range(blades)]
     whole = join(parts)
     return whole.moved(rotation("x", rng.choice([0.2, 1.2]) + rng.uniform(-0.2, 0.2))).standing()
-
-
-def _sheet(grid: npt.NDArray[np.float64], colour: Colour, front: bool) -> Mesh:
-    triangles = grid_triangles(*grid.shape[:2])
-    return mesh(grid.reshape(-1, 3), triangles if front else triangles[:, ::-1], colour)
 
 
 def tire(rng: np.random.Generator) -> Mesh:
@@ -193,14 +180,10 @@ def tire(rng: np.random.Generator) -> Mesh:
     width = outer * rng.uniform(0.32, 0.5)
     rim = outer * rng.uniform(0.55, 0.66)
     # From the rim over the outside's half to its middle, and on the inside; both are mirrored.
-    outside = np.array(
-        [[rim, -0.36], [rim + 0.3 * (outer - rim), -0.49], [rim + 0.75 * (outer - rim), -0.5],
-         [0.985 * outer, -0.4], [outer, -0.2], [0.978 * outer, -0.18], [0.978 * outer, -0.1],
-         [outer, -0.08]]
-    )  # fmt: skip
-    hollow = np.array(
-        [[rim + 0.1 * (outer - rim), 0.34], [rim + 0.7 * (outer - rim), 0.4], [outer * 0.94, 0.3]]
-    )
+    deep, tread = outer - rim, 0.978 * outer
+    radii = [rim, rim + 0.3 * deep, rim + 0.75 * deep, 0.985 * outer, outer, tread, tread, outer]
+    outside = np.column_stack([radii, [-0.36, -0.49, -0.5, -0.4, -0.2, -0.18, -0.1, -0.08]])
+    hollow = np.array([[rim + 0.1 * deep, 0.34], [rim + 0.7 * deep, 0.4], [outer * 0.94, 0.3]])
     mirror = np.array([1.0, -1.0])
     parts = (outside, outside[::-1] * mirror, hollow, hollow[::-1] * mirror, outside[:1])
     profile = np.concatenate(parts)
@@ -350,9 +333,8 @@ def plant(rng: np.random.Generator) -> Mesh:
         length, heading = height * rng.uniform(0.6, 1.2), rng.uniform(0, 2 * np.pi)
         lean = rng.uniform(0.1, 0.7)
         out, up = length * lean * t**1.6, length * t * (1 - 0.35 * lean * t)
-        spine = np.column_stack(
-            [out * np.cos(heading) + 0.12 * t * height, out * np.sin(heading), up]
-        )
+        ahead = out * np.cos(heading) + 0.12 * t * height
+        spine = np.column_stack([ahead, out * np.sin(heading), up])
         spine += [*rng.normal(0, 0.06, 2), 0]
         across = np.array([-np.sin(heading), np.cos(heading), 0.0]) * 0.007
         width = (1.1 - t**2)[:, None] * across
@@ -372,12 +354,8 @@ def _dice(rng: np.random.Generator) -> Mesh:
     """The twelve edges of a cube; sometimes with diagonals or standing on a corner."""
     side, radius = rng.uniform(0.5, 1.6), rng.uniform(0.018, 0.05)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * side / 2
-    edges = [
-        (a, b)
-        for a in range(8)
-        for b in range(a + 1, 8)
-        if int(np.sum(corners[a] != corners[b])) == 1
-    ]
+    pairs = itertools.combinations(range(8), 2)
+    edges = [(a, b) for a, b in pairs if int(np.sum(corners[a] != corners[b])) == 1]
     if rng.random() < 0.4:
         edges += [(0, 3), (4, 7), (1, 4)]
     cube = join([bar(corners[a], corners[b], radius) for a, b in edges])
@@ -468,14 +446,10 @@ def block(rng: np.random.Generator) -> Mesh:
 def _cinder(length: float, colour: Colour) -> Mesh:
     """A hollow block: two side walls, three webs."""
     width, height, wall = length * 0.48, length * 0.48, length * 0.085
-    sides = [
-        box((length, wall, height), (0, s * (width - wall) / 2, 0), colour) for s in (-1.0, 1.0)
-    ]
-    webs = [
-        box((wall, width - 2 * wall, height), (x, 0, 0), colour)
-        for x in (-(length - wall) / 2, 0, (length - wall) / 2)
-    ]
-    return join([*sides, *webs])
+    apart, along = (width - wall) / 2, (length - wall) / 2
+    parts = [box((length, wall, height), (0, y, 0), colour) for y in (-apart, apart)]
+    web = wall, width - 2 * wall, height
+    return join([*parts, *(box(web, (x, 0, 0), colour) for x in (-along, 0, along))])
 
 
 def _tetrapod(size: float, colour: Colour) -> Mesh:
@@ -483,10 +457,8 @@ def _tetrapod(size: float, colour: Colour) -> Mesh:
     profile = np.array([[0.34, 0.0], [0.24, 0.92], [0.18, 1.0], [0, 1.0]]) * size
     leg = lathe(profile, 18, colour, crease=True)
     lean = np.arccos(-1 / 3)
-    legs = [leg] + [
-        leg.moved(rotation("z", k * 2 * np.pi / 3) @ rotation("y", lean)) for k in range(3)
-    ]
-    return join(legs).standing()
+    turns = (rotation("z", k * 2 * np.pi / 3) @ rotation("y", lean) for k in range(3))
+    return join([leg, *(leg.moved(turn) for turn in turns)]).standing()
 
 
 def anchor(rng: np.random.Generator) -> Mesh:
@@ -498,15 +470,12 @@ def anchor(rng: np.random.Generator) -> Mesh:
     crown = tube(arms, 0.05 - 0.018 * np.abs(bend), 10)
     stock = bar((0, -0.42, 0.9), (0, 0.42, 0.9), 0.03, 8)
     eye = tube(circle(18)[:, [0, 2, 1]] * 0.07 + [0, 0, 1.06], 0.018, 8, closed=True)
-    flukes = []
-    for s in (-1.0, 1.0):
-        palm = prism(np.array([[-0.13, -0.1], [0.13, -0.1], [0, 0.2]]), 0.025)
-        turn = rotation("y", s * -0.62) @ rotation("x", np.pi / 2) @ rotation("z", 0.0)
-        flukes.append(palm.moved(rotation("z", np.pi / 2)).moved(turn, (s * 0.37, 0, 0.2)))
+    palm = prism([[-0.13, -0.1], [0.13, -0.1], [0, 0.2]], 0.025).moved(rotation("z", np.pi / 2))
+    turns = {s: rotation("y", s * -0.62) @ rotation("x", np.pi / 2) for s in (-1.0, 1.0)}
+    flukes = [palm.moved(turn, (s * 0.37, 0, 0.2)) for s, turn in turns.items()]
     whole = join([shank, crown, stock, eye, *flukes]).tinted(metal).moved(scale=size)
-    tip = rotation("x", rng.uniform(-0.25, 0.25)) @ rotation(
-        "y", np.pi / 2 + rng.uniform(-0.2, 0.1)
-    )
+    roll, lean = rng.uniform(-0.25, 0.25), np.pi / 2 + rng.uniform(-0.2, 0.1)
+    tip = rotation("x", roll) @ rotation("y", lean)
     laid = whole.moved(rotation("z", rng.uniform(0.9, 1.3))).moved(tip).standing()
     return laid.moved(offset=(-size / 2, 0, -0.06 * size))
 
@@ -525,10 +494,9 @@ def chain(rng: np.random.Generator, line: Points, ground: GroundHeight) -> Mesh:
     wire = float(rng.uniform(0.016, 0.04))
     pitch, metal = wire * 3.9, pick(rng, (RUST, RUST, STEEL))
     bend = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    flat = np.column_stack(
-        [1.5 * wire * np.cos(bend) + 1.25 * wire * np.sign(np.cos(bend)), 1.3 * wire * np.sin(bend)]
-    )
-    link = tube(np.column_stack([flat, np.zeros(16)]), wire / 2, 7, closed=True, colour=metal)
+    long = 1.5 * wire * np.cos(bend) + 1.25 * wire * np.sign(np.cos(bend))
+    ring = np.column_stack([long, 1.3 * wire * np.sin(bend), np.zeros(16)])
+    link = tube(ring, wire / 2, 7, closed=True, colour=metal)
     where = np.arange(0, 0.05 * (len(line) - 1), pitch) / 0.05
     steps = np.arange(len(line))
     x, y = np.interp(where, steps, line[:, 0]), np.interp(where, steps, line[:, 1])
@@ -571,7 +539,7 @@ def pile(rng: np.random.Generator, height_m: float, radius_m: float) -> Mesh:
     path = np.column_stack([np.zeros((90, 2)), levels])
     bare, grown = np.array(pick(rng, (*CONCRETE, RUST))), np.array([0.16, 0.15, 0.09])
     growth = smoothstep(0.3, 1.2, levels * rng.uniform(0.4, 1.2))[:, None]
-    shaft = tube(path, radius_m, 40, colour=np.concatenate([bare * (1 - growth) + grown * growth]))
+    shaft = tube(path, radius_m, 40, colour=bare * (1 - growth) + grown * growth)
     return rough(shaft, rng, 0.06 * radius_m + 0.006, 0.7, 0.09)
 
 
@@ -590,18 +558,15 @@ def quay(rng: np.random.Generator, length_m: float, height_m: float) -> Mesh:
     for row in range(rows):
         for column in range(-1, columns):
             x = (column + 0.5 * (row % 2)) * width - length_m / 2
-            shade = tuple(colour * rng.uniform(0.75, 1.15))
-            size = (width - 0.025, 0.6, course - 0.025)
-            y = 0.3 + rng.uniform(-0.025, 0.025)
+            shade, y = colour * rng.uniform(0.75, 1.15), 0.3 + rng.uniform(-0.025, 0.025)
             centre = (x + width / 2, y, -1 + (row + 0.5) * course)
-            parts.append(box(size, centre, shade))
+            parts.append(box((width - 0.025, 0.6, course - 0.025), centre, tuple(shade)))
     back = box((length_m + width, 0.5, height_m + 1), (0, 0.56, height_m / 2 - 0.5))
     parts.append(back.tinted((0.05, 0.05, 0.05)))
     for x in np.arange(-length_m / 2 + rng.uniform(1, 3), length_m / 2, rng.uniform(4, 6)):
         if rng.random() < 0.5:
             centre = (x, -0.2, height_m / 2 - 0.5)
-            shade = tuple(colour * 0.9)
-            parts.append(box((0.5, 0.6, height_m + 1), centre, shade))
+            parts.append(box((0.5, 0.6, height_m + 1), centre, tuple(colour * 0.9)))
     return join(parts)
 
 
@@ -611,8 +576,7 @@ def fender(rng: np.random.Generator) -> Mesh:
     centred = shape.moved(offset=-0.5 * (shape.vertices.min(axis=0) + shape.vertices.max(axis=0)))
     # The thinnest direction is the hub's axis, whatever way the tyre lay.
     thin = int(np.argmin(np.ptp(centred.vertices, axis=0)))
-    turns = {0: rotation("z", np.pi / 2), 1: np.eye(3), 2: rotation("x", np.pi / 2)}
-    return centred.moved(turns[thin])
+    return centred.moved((rotation("z", np.pi / 2), np.eye(3), rotation("x", np.pi / 2))[thin])
 
 
 def sheet_pile(rng: np.random.Generator, length_m: float, height_m: float) -> Mesh:
@@ -620,15 +584,12 @@ def sheet_pile(rng: np.random.Generator, length_m: float, height_m: float) -> Me
     pitch, depth = rng.uniform(0.8, 1.4), rng.uniform(0.2, 0.4)
     x = np.arange(-length_m / 2, length_m / 2, pitch / 4)
     y = np.where(np.arange(len(x)) % 4 < 2, 0.0, depth)
-    levels = np.linspace(-1, height_m, 20)
-    parts = []
+    levels, parts = np.linspace(-1, height_m, 20), []
+    steps = np.arange(19)[:, None] * 2
+    quads = np.concatenate([steps + np.array(corners) for corners in ([0, 1, 3], [0, 3, 2])])
     for k in range(len(x) - 1):
-        low = np.column_stack([np.full(20, x[k]), np.full(20, y[k]), levels])
-        high = np.column_stack([np.full(20, x[k + 1]), np.full(20, y[k + 1]), levels])
-        grid = np.stack([low, high], axis=1).reshape(-1, 3)
-        steps = np.arange(19)[:, None] * 2
-        quads = np.concatenate([steps + np.array(corners) for corners in ([0, 1, 3], [0, 3, 2])])
-        parts.append(mesh(grid, quads, RUST))
+        edges = [np.column_stack([np.full((20, 2), (x[n], y[n])), levels]) for n in (k, k + 1)]
+        parts.append(mesh(np.stack(edges, axis=1).reshape(-1, 3), quads, RUST))
     return join(parts)
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.pairs import make_pair, observe
-from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount, Rendered
 from simnfnd.factory.sonar import transfer
 from simnfnd.factory.sonar.settings import TransferSettings
 from simnfnd.factory.sonar.surface import LitSurface, mount_weight

@@ -14,7 +14,7 @@ from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.pairs import PairMaker
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.view import view_of
 from simnfnd.factory.render.views import OneView
 from simnfnd.factory.sample_table import pose

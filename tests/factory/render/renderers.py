@@ -11,7 +11,7 @@ import pytest
 
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.render import Rendered, Renderer, RenderSettings, open_renderer
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount
 from simnfnd.factory.settings import build
 
 ABOVE, LEFT = Mount((0.0, 0.0, 1.0)), Mount((0.0, 0.8, 0.5))

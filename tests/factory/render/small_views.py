@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.view import View, view_of
 from tests.frames import ground_and_post, plain_render
 

@@ -1,21 +1,29 @@
-"""Renderers against hand-computed values and against each other."""
+"""Renderers against hand-computed values, each other, and the plain way; settings; repeats."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simnfnd.factory.frame import Intrinsics
-from simnfnd.factory.render import Rendered, RenderSettings
-from simnfnd.factory.render.mesh import surface_mesh
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.render.surface import pixels_of
+from simnfnd.factory import pairs
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.dataset.describe.quality import psnr_db
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Frame, Intrinsics
+from simnfnd.factory.render import Rendered, RenderSettings, check_renderer
+from simnfnd.factory.render.base import Mount
+from simnfnd.factory.render.surface import albedo, linear_luminance, pixels_of, surface_mesh
 from simnfnd.factory.settings import build
-from tests.factory.render.renderers import ABOVE, HERE, KINDS, LEFT, relative_error, render
+from tests.factory.render.renderers import ABOVE, HERE, KINDS, LEFT, digest, relative_error, render
+from tests.project_files import ROOT
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard
 
 CONSTANT = 0.5
@@ -189,3 +197,173 @@ def test_mesh_covers_every_surface_pixel_and_bridges_nothing(seed: int, edge_rat
     hit_m = scene.cast_rays(open3d.core.Tensor(sight))["t_hit"].numpy()
     np.testing.assert_allclose(hit_m[mask], depth_m[mask], rtol=1e-2)
     assert not np.isfinite(hit_m[~mask]).any()
+
+
+# ---- renders: traced every n-th pixel against every pixel ----
+
+FINE = [
+    "sonar.beams=512",
+    "sonar.range_bins=512",
+    "sonar.image.width_px=512",
+    "sonar.image.height_px=512",
+]
+
+
+def _assert_same_pictures(frame: Frame, found: Rendered, expected: Rendered, least: float) -> None:
+    """Clean and noisy pictures, 512x512, of the same draws."""
+    config = compose_config(FINE)
+    one, other = (
+        pairs.make_pair(pairs.observe(frame, rendered, config), 0, config)
+        for rendered in (found, expected)
+    )
+    assert one.clean.shape == (512, 512)
+    assert psnr_db(one.clean, other.clean) > least
+    assert psnr_db(one.noisy, other.noisy) > least
+    np.testing.assert_array_equal(one.shadow, other.shadow)
+
+
+@pytest.mark.skipif(not FLSEA.is_dir(), reason="no real data")
+def test_pictures_of_a_real_frame_are_those_of_full_resolution() -> None:
+    """40 dB is what is asked for; 87 to 92 dB is what six real frames give."""
+    frame = flsea_frame()
+    fast = render("cycles", frame, geometry="auto", stride="auto")
+    full = render("cycles", frame, geometry="auto")
+    _assert_same_pictures(frame, fast, full, 65)
+    # And the other geometry, which misses some pixels that the other sees.
+    mesh = render("cycles", frame)
+    assert (fast.surface != mesh.surface).sum() < 10
+    assert np.median(relative_error(fast, mesh)) < 1e-3
+
+
+@pytest.mark.parametrize(("kind", "stride"), [("embree", 3), ("cycles", 2)])
+def test_shadows_move_by_the_outline_alone(kind: str, stride: int) -> None:
+    frame = yard(304, 484)
+    full, fast = (render(kind, frame, LEFT, stride=n) for n in (1, stride))
+    assert (fast.surface == full.surface).mean() > 0.9999
+    # Cycles' mesh blends the one pixel fine noise of this frame's texture a little, either way.
+    assert np.median(relative_error(fast, full)) < (1e-4 if kind == "embree" else 3e-3)
+    shadow = full.surface & ~full.insonified
+    differs = fast.insonified != full.insonified
+    assert differs.sum() < 0.004 * stride * full.surface.sum()
+    # Where they differ, an outline of full resolution is within reach.
+    reach = 2 * stride + 1
+    near = np.zeros_like(shadow)
+    for down in range(-reach, reach + 1):
+        for across in range(-reach, reach + 1):
+            near |= np.roll(shadow, (down, across), (0, 1)) != shadow
+    assert (differs & ~near).sum() < 0.001 * full.surface.sum()
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"kind": "cycles", "stride": 2, "bounces": 1}, r"render\.stride=2 .* render\.bounces=0"),
+        ({"kind": "embree", "geometry": "points"}, r"geometry=points.*render\.geometry=auto"),
+    ],
+)
+def test_settings_that_exclude_each_other(keys: dict[str, object], says: str) -> None:
+    with pytest.raises(FactoryError, match=says):
+        check_renderer(build(RenderSettings, keys))
+    check_renderer(build(RenderSettings, {"kind": "analytic", "bounces": 1}))
+
+
+# ---- repeatability ----
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_same_bytes_whatever_was_rendered_before(kind: str) -> None:
+    frame, other = yard(152, 242), yard(100, 130, seed=3)
+    mounts = (HERE,) if kind == "analytic" else (HERE, LEFT)
+    first = [digest(render(kind, frame, mount)) for mount in mounts]
+    render(kind, other, HERE if kind == "analytic" else ABOVE)
+    assert [digest(render(kind, frame, mount)) for mount in mounts] == first
+
+
+@pytest.fixture(scope="module")
+def fresh_process() -> Iterator[subprocess.Popen[str]]:
+    """Another process that renders the same with Cycles, started early as Blender takes a while."""
+    pytest.importorskip("bpy")
+    script = (
+        "from tests.factory.render.renderers import LEFT, digest, render\n"
+        "from tests.render_scenes import yard\n"
+        "print(digest(render('cycles', yard(152, 242), LEFT)))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT
+    )
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_a_fresh_process_gives_the_same_bytes_and_prints_nothing_else(
+    fresh_process: subprocess.Popen[str],
+) -> None:
+    printed, _ = fresh_process.communicate(timeout=120)
+    assert fresh_process.returncode == 0
+    assert printed == digest(render("cycles", yard(152, 242), LEFT)) + "\n"
+
+
+# ---- bounces and samples ----
+
+
+def _groove() -> Frame:
+    """Two walls that meet in an upright 90 degree groove, 3 m ahead."""
+    camera = Intrinsics(90.0, 90.0, 47.5, 31.5)
+    left = plane_depth(64, 96, camera, (-(0.5**0.5), 0.0, 0.5**0.5), 3 * 0.5**0.5)
+    right = plane_depth(64, 96, camera, (0.5**0.5, 0.0, 0.5**0.5), 3 * 0.5**0.5)
+    return frame_of(np.minimum(left, right), camera)
+
+
+def test_bounces_light_up_a_groove() -> None:
+    frame = _groove()
+    direct = render("cycles", frame, albedo="constant").radiance
+    bounced = render("cycles", frame, albedo="constant", bounces=2, samples=16).radiance
+    again = render("cycles", frame, albedo="constant", bounces=2, samples=16).radiance
+    np.testing.assert_array_equal(bounced, again)
+    assert bounced.mean() > 1.05 * direct.mean()
+    assert (bounced >= direct * 0.999).mean() > 0.999
+
+
+# ---- albedo ----
+
+
+def test_albedo_rgb_is_linear_luminance() -> None:
+    rgb = np.array([[[255, 255, 255], [128, 128, 128], [255, 0, 0], [0, 0, 0]]], np.uint8)
+    np.testing.assert_allclose(
+        linear_luminance(rgb)[0], [1, 0.2158605, 0.2126, 0], rtol=1e-5, atol=1e-7
+    )
+    found = albedo(rgb, np.array([[True, True, False, True]]), "rgb")
+    np.testing.assert_allclose(found[0], [1, 0.2158605, 0, 0.01], rtol=1e-5)
+
+
+def test_flattened_albedo_forgets_light_and_keeps_texture() -> None:
+    rng = np.random.default_rng(0)
+    texture = rng.uniform(0.5, 1.5, (200, 300))
+    haze = np.linspace(0.02, 0.5, 300)[None, :] * np.linspace(1, 0.4, 200)[:, None]
+
+    def picture(linear: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+        code = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        grey: npt.NDArray[np.uint8] = np.round(255 * code).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=-1)
+
+    valid = np.ones((200, 300), np.bool_)
+    flat = albedo(picture(texture * haze), valid, "flattened")
+    assert flat.mean() == pytest.approx(0.5, abs=0.02)
+    assert flat.min() >= 0.1
+    assert flat.max() <= 1
+    assert np.corrcoef(flat.ravel(), texture.ravel())[0, 1] > 0.97
+    thirds = [part.mean() for part in np.array_split(flat, 3, axis=1)]
+    assert max(thirds) - min(thirds) < 0.03
+
+
+def test_flattened_albedo_ignores_unmeasured_pixels() -> None:
+    rgb = np.full((120, 160, 3), 90, np.uint8)
+    valid = np.ones((120, 160), np.bool_)
+    valid[:, 80:] = False
+    bright = rgb.copy()
+    bright[:, 80:] = 255
+    found = albedo(bright, valid, "flattened")
+    np.testing.assert_allclose(found[:, :80], 0.5, rtol=1e-4)
+    np.testing.assert_array_equal(found[:, 80:], 0)
+    np.testing.assert_array_equal(albedo(rgb, valid, "constant"), np.where(valid, 0.5, 0))

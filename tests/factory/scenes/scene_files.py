@@ -19,41 +19,6 @@ Array = npt.NDArray[Any]
 RGB = np.arange(16 * 24 * 3, dtype=np.uint8).reshape(16, 24, 3)
 DEPTH = np.linspace(0.5, 6, 16 * 24, dtype=np.float32).reshape(16, 24)
 
-KALIBR_IMUCAM = """Calibration results
-===================
-Normalized Residuals
-----------------------------
-Reprojection error (cam0):     mean 0.41, median 0.36, std: 0.27
-
-Transformation (cam0):
------------------------
-T_ci:  (imu0 to cam0):
-[[ 0.01 -0.99  0.02  0.1 ]
- [ 0.    0.    0.    1.  ]]
-
-timeshift cam0 to imu0: [s] (t_imu = t_cam + shift)
-0.0123
-
-Calibration configuration
-=========================
-
-cam0
------
-  Camera model: pinhole
-  Focal length: [1296.5, 1300.25]
-  Principal point: [501.5, 276.125]
-  Distortion model: radtan
-  Distortion coefficients: [-0.125, 0.0625, -4.5e-03, 0.0007]
-  Type: aprilgrid
-  Tags:
-    Size: 0.0594 [m]
-
-cam1
------
-  Camera model: pinhole
-  Focal length: [1.0, 2.0]
-"""
-
 
 def reader(kind: str, root: Path, **values: object) -> Reader:
     settings: Any = build(Scenes, {"kind": kind, "root": str(root), **values}, "scenes")

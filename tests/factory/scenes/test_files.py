@@ -19,10 +19,13 @@ from scipy.spatial.transform import Rotation
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Intrinsics
-from simnfnd.factory.scenes.calibration import read_kalibr, undistorted, z_from_range
-from simnfnd.factory.scenes.images import read_depth, read_rgb
-from simnfnd.factory.scenes.trajectory import trajectory
-from tests.factory.scenes.scene_files import KALIBR_IMUCAM
+from simnfnd.factory.scenes.frame_files import (
+    read_depth,
+    read_rgb,
+    undistorted,
+    z_from_range,
+)
+from simnfnd.factory.scenes.mesh import trajectory
 
 Array = npt.NDArray[Any]
 
@@ -131,37 +134,6 @@ def test_colour_is_rgb_whatever_the_file(tmp_path: Path) -> None:
         read_rgb(tmp_path / "deep.png")
     with pytest.raises(FrameError, match="no such file"):
         read_rgb(tmp_path / "absent.png")
-
-
-def test_a_kalibr_result(tmp_path: Path) -> None:
-    (tmp_path / "imucam.txt").write_text(KALIBR_IMUCAM)
-    assert read_kalibr(tmp_path / "imucam.txt") == Intrinsics(
-        1296.5, 1300.25, 501.5, 276.125, (-0.125, 0.0625, -0.0045, 0.0007)
-    )
-    plain = KALIBR_IMUCAM.replace("radtan", "none").replace("-0.125, 0.0625, -4.5e-03, 0.0007", "")
-    (tmp_path / "plain.txt").write_text(plain)
-    assert read_kalibr(tmp_path / "plain.txt").distortion == ()
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        KALIBR_IMUCAM.replace("model: pinhole", "model: omni"),
-        KALIBR_IMUCAM.replace("radtan", "equi"),
-        KALIBR_IMUCAM.replace("1296.5", "nan"),
-        KALIBR_IMUCAM.replace("1296.5", "-3"),
-        KALIBR_IMUCAM.replace("-0.125,", "?,"),
-        KALIBR_IMUCAM[: KALIBR_IMUCAM.index("  Distortion coeff")],
-    ],
-)
-def test_other_cameras_and_damaged_calibrations_are_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "a-kalibr-results-imucam.txt"
-    path.write_text(text)
-    with pytest.raises(FactoryError, match="not a Kalibr pinhole") as caught:
-        read_kalibr(path)
-    assert str(path) in str(caught.value)
-    assert not isinstance(caught.value, FrameError)
 
 
 def test_range_of_a_sphere_becomes_points_at_its_radius() -> None:

@@ -22,9 +22,15 @@ from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.scenes.boxes import oriented
 from simnfnd.factory.scenes.mesh_parts import read_parts
-from simnfnd.factory.scenes.seabed.camera import Optics, objects_of, pose, z_buffer
+from simnfnd.factory.scenes.seabed.camera import (
+    Optics,
+    boxes_of,
+    objects_of,
+    oriented,
+    pose,
+    z_buffer,
+)
 from simnfnd.factory.scenes.seabed.meshes import box, join, sphere
 
 open3d: Any = importlib.import_module("open3d")  # its stubs fit no call
@@ -107,10 +113,11 @@ def own(folder: Path, entry: str, *words: str) -> FactoryConfig:
 
 def test_own_objects_lie_in_every_place_and_leave_the_rest_as_it_was(folder: Path) -> None:
     asked = "cube.ply, class: crate, per_place: [2, 3], reflectivity_db: -7"
-    config = own(folder, asked, "scenes.locations=2", "scenes.boxes=true")
+    words = "scenes.locations=2", "scenes.frames_per_location=4"
+    config = own(folder, asked, *words, "scenes.boxes=true")
     assert config.acoustics.reflectivity_db["crate"] == -7
     assert from_mapping(plain(config)) == config
-    without = compose_config([*SMALL, "scenes.locations=2"])
+    without = compose_config([*SMALL, *words])
     seen = 0
     for frame, bare in zip(frames(config), frames(without), strict=True):
         assert frame.segmentation is not None
@@ -121,7 +128,7 @@ def test_own_objects_lie_in_every_place_and_leave_the_rest_as_it_was(folder: Pat
         assert ((sizes > 0.38) & (sizes < 0.9)).all()
         if np.array_equal(frame.world_from_camera, bare.world_from_camera) and not crates.any():
             assert np.array_equal(frame.segmentation, bare.segmentation)
-    assert seen >= 4
+    assert seen >= 2
     assert "classes" not in identity(without)
     assert "own_objects" not in identity(without)["scenes"]
     assert identity(config)["classes"] == ["crate"]
@@ -186,8 +193,6 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
     optics, where = Optics(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
     objects = objects_of(solids, np.array([21, 22], np.uint8))
     seen = z_buffer(where, optics, None, objects)
-    from simnfnd.factory.scenes.boxes import boxes_of
-
     numbers = np.where(seen.which < 0, 0, 1 + (seen.which >= len(solids[0].triangles)))
     made = boxes_of(where, optics, objects, seen, numbers.astype(np.uint16))
     assert made[:, :2].tolist() == [[1, 21], [2, 22]]

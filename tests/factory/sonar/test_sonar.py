@@ -6,7 +6,7 @@ import pytest
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.base import Mount
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.echoes import in_plane

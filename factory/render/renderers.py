@@ -1,0 +1,366 @@
+"""The renderers: light in closed form, with Embree's shadows (through Open3D), by Blender's Cycles.
+
+One sample of Cycles without bounces is not an estimate: a point light has one direction, and the
+ray goes through the pixel's centre.  With bounces, sound that was scattered before adds to each
+pixel (also in shadow), as noisily as `samples` allow.
+
+bpy is one Blender for the whole process.  All that is made here lives in a scene of its own, so
+nothing else in that Blender is touched.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..frame import Frame, Intrinsics
+from .base import Mount, Rendered, RenderSettings, missing
+from .surface import SHADOW_BIAS, Surface, pixels_of, surface_mesh
+
+
+class ClosedFormRenderer:
+    """Shades the normals of the pixel grid; with Embree a ray from each traced pixel to the sonar.
+
+    Without rays nothing casts a shadow: exact when the sonar is at the camera, where all that the
+    camera sees is insonified; with any other mount it lights what the sonar cannot see.
+    """
+
+    def __init__(self, settings: RenderSettings) -> None:
+        """Raises FactoryError when Open3D is asked for and not there: half a second, 100 MB."""
+        self._settings = settings
+        try:
+            self._open3d: Any = import_module("open3d") if settings.kind == "embree" else None
+        except (ImportError, OSError) as error:
+            raise missing("embree", error) from error
+
+    def render(self, frame: Frame, mount: Mount) -> Rendered:
+        """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
+        pixels = pixels_of(frame, self._settings, self._settings.stride_at(mount))
+        sonar_m = mount.position_camera_m()
+        radiance = pixels.radiance(sonar_m)
+        # What the camera sees, a sonar at its place insonifies.
+        if self._open3d and not mount.colocated and pixels.mask.any():
+            surface = pixels.surface()
+            shadow = self._shadow(surface, pixels.traced_edge_ratio, sonar_m)
+            if pixels.stride == 1:
+                radiance[shadow] = 0
+            else:
+                returned = np.where(shadow, 0, radiance[pixels.traced, pixels.traced])
+                radiance = pixels.apply(radiance, returned, surface.mask)
+        return Rendered(radiance, pixels.mask)
+
+    def _shadow(
+        self, surface: Surface, edge_ratio: float, sonar_m: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.bool_]:
+        """(h, w) bool: surface pixels that the mesh hides from the sonar."""
+        mesh = surface_mesh(surface.points_m, surface.normals, surface.intrinsics, edge_ratio)
+        scene = self._open3d.t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(
+            mesh.vertices_m * np.float32(1 + SHADOW_BIAS), mesh.triangles.astype(np.uint32)
+        )
+        points_m = surface.points_m[surface.mask]
+        rays = np.concatenate([points_m, sonar_m.astype(np.float32) - points_m], axis=-1)
+        hidden = scene.test_occlusions(self._open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
+        shadow = np.zeros(surface.mask.shape, np.bool_)
+        shadow[surface.mask] = hidden.numpy()
+        return shadow
+
+
+class CyclesRenderer:
+    """Keeps a Blender scene and puts one frame after another into it.
+
+    geometry mesh: `surface_mesh`, shaded with the pixels' normals.  geometry points: a sphere per
+    pixel, shaded likewise; right with the sonar at the camera, but neither a surface that casts
+    whole shadows nor one that sound bounces off.
+    """
+
+    def __init__(self, settings: RenderSettings) -> None:
+        """Raises FactoryError when bpy is not there."""
+        self._settings = settings
+        self._bpy = import_bpy()
+        self._scene, self._camera, self._light = _stage(self._bpy, settings)
+        self._mesh = self._new_object("surface")
+        self._mesh.data.materials.append(_material(self._bpy, normal_attribute=None))
+        self._caster = self._new_object("shadow caster", self._mesh.data)
+        self._caster.scale = (1 + SHADOW_BIAS,) * 3
+        self._mesh.visible_shadow = False
+        for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
+            setattr(self._caster, f"visible_{ray}", False)
+        self._points = self._new_object("points")
+        self._points.data.materials.append(_material(self._bpy, normal_attribute=_NORMAL))
+        _turn_into_spheres(self._bpy, self._points)
+        for shown in (self._mesh, self._points):
+            # Cycles softens the shading of coarse meshes; ours is a pixel fine.
+            shown.shadow_terminator_geometry_offset = 0
+            shown.shadow_terminator_shading_offset = 0
+
+    def render(self, frame: Frame, mount: Mount) -> Rendered:
+        """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
+        pixels = pixels_of(frame, self._settings, self._settings.stride_at(mount))
+        surface = pixels.surface()
+        if not surface.mask.any():
+            return Rendered(np.zeros(pixels.mask.shape, np.float32), pixels.mask)
+        _aim(self._scene, self._camera.data, surface.intrinsics, *surface.mask.shape)
+        light = self._light
+        light.location = mount.position_camera_m()
+        # What the camera sees, a sonar at its place insonifies: no shadow rays, no rounding.
+        light.data.use_shadow = not mount.colocated
+        as_points = self._settings.as_points(mount)
+        self._points.hide_render = not as_points
+        self._mesh.hide_render = as_points
+        self._caster.hide_render = as_points or mount.colocated
+        if as_points:
+            self._fill_points(surface)
+        else:
+            self._fill_mesh(surface, pixels.traced_edge_ratio)
+        picture = _pixels(self._bpy, self._scene)
+        (self._points if as_points else self._mesh).data.clear_geometry()
+        hit = surface.mask & (picture[..., 3] > 0.5)
+        if pixels.stride == 1:
+            return Rendered(np.where(hit, picture[..., 0], np.float32(0)), hit)
+        radiance = pixels.radiance(mount.position_camera_m())
+        return Rendered(pixels.apply(radiance, picture[..., 0], hit), pixels.mask)
+
+    def _new_object(self, name: str, mesh: Any = None) -> Any:
+        new = self._bpy.data.objects.new(name, mesh or self._bpy.data.meshes.new(name))
+        self._scene.collection.objects.link(new)
+        return new
+
+    def _fill_mesh(self, surface: Surface, edge_ratio: float) -> None:
+        grid = surface_mesh(surface.points_m, surface.normals, surface.intrinsics, edge_ratio)
+        mesh = self._mesh.data
+        mesh.clear_geometry()
+        mesh.vertices.add(len(grid.vertices_m))
+        mesh.loops.add(grid.triangles.size)
+        mesh.polygons.add(len(grid.triangles))
+        # Straight into the attributes: by way of vertices.co and loops.vertex_index it takes 4 x
+        # the time.
+        _set(mesh, "position", grid.vertices_m)
+        _set(mesh, ".corner_vert", grid.triangles)
+        starts = np.arange(0, grid.triangles.size, 3, dtype=np.int32)
+        mesh.polygons.foreach_set("loop_start", starts)
+        _set(mesh, _ALBEDO, surface.albedo.ravel()[grid.pixel])
+        # The name by which Blender takes a vertex attribute as the mesh's own shading normals.
+        _set(mesh, "custom_normal", surface.normals.reshape(-1, 3)[grid.pixel])
+        mesh.update_tag()
+
+    def _fill_points(self, surface: Surface) -> None:
+        # Whole rows of three by their places: a third of the time of a mask.
+        chosen = np.flatnonzero(surface.mask)
+        points_m = surface.points_m.reshape(-1, 3).take(chosen, axis=0)
+        camera = surface.intrinsics
+        radius_m = points_m[:, 2] * np.float32(_RADIUS_PX / max(camera.fx, camera.fy))
+        # The ray through the centre meets a sphere's front: that is what must lie at the point.
+        x, y, z = points_m.T
+        set_back = 1 + radius_m / np.sqrt(x * x + y * y + z * z)
+        mesh = self._points.data
+        mesh.clear_geometry()
+        mesh.vertices.add(len(points_m))
+        _set(mesh, "position", points_m * set_back[:, None])
+        _set(mesh, _RADIUS, radius_m)
+        _set(mesh, _ALBEDO, surface.albedo.ravel()[chosen])
+        _set(mesh, _NORMAL, surface.normals.reshape(-1, 3).take(chosen, axis=0))
+        mesh.update_tag()
+
+
+# Far more than the camera's looking past a pixel's centre, and so small that the spheres' boxes
+# hardly overlap: a tenth less time than with half a pixel.
+_RADIUS_PX = 0.2
+
+_ALBEDO, _NORMAL, _RADIUS = "albedo", "surface_normal", "sphere_radius"
+
+
+def _set(mesh: Any, name: str, values: npt.NDArray[Any]) -> None:
+    """Write a mesh attribute, as a new one on the vertices where Blender has none of that name."""
+    field = "vector" if values.ndim == 2 and values.dtype == np.float32 else "value"
+    kind = "FLOAT_VECTOR" if field == "vector" else "FLOAT"
+    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, kind, "POINT")
+    attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())
+
+
+def _material(bpy: Any, normal_attribute: str | None) -> Any:
+    """A Lambert surface with the albedo of the vertices, and their normals where named."""
+    material = bpy.data.materials.new("sonar")
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    diffuse = nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse.inputs["Roughness"].default_value = 0
+    albedo = nodes.new("ShaderNodeAttribute")
+    albedo.attribute_name = _ALBEDO
+    links.new(albedo.outputs["Fac"], diffuse.inputs["Color"])
+    if normal_attribute is not None:
+        normal = nodes.new("ShaderNodeAttribute")
+        normal.attribute_name = normal_attribute
+        links.new(normal.outputs["Vector"], diffuse.inputs["Normal"])
+    output = nodes.new("ShaderNodeOutputMaterial")
+    links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
+    return material
+
+
+def _turn_into_spheres(bpy: Any, shown: Any) -> None:
+    """Geometry nodes: vertices -> points with their own radius -> the object's material."""
+    tree = bpy.data.node_groups.new("spheres", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    nodes, links = tree.nodes, tree.links
+    start, end = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
+    radius = nodes.new("GeometryNodeInputNamedAttribute")
+    radius.data_type = "FLOAT"
+    radius.inputs["Name"].default_value = _RADIUS
+    points = nodes.new("GeometryNodeMeshToPoints")
+    paint = nodes.new("GeometryNodeSetMaterial")
+    paint.inputs["Material"].default_value = shown.data.materials[0]
+    links.new(start.outputs[0], points.inputs["Mesh"])
+    links.new(radius.outputs["Attribute"], points.inputs["Radius"])
+    links.new(points.outputs["Points"], paint.inputs["Geometry"])
+    links.new(paint.outputs["Geometry"], end.inputs[0])
+    shown.modifiers.new("spheres", "NODES").node_group = tree
+
+
+_SENSOR_WIDTH_MM = 36.0
+
+# Pixel centres are vertices of the mesh, and a ray through the very meeting point of six triangles
+# can miss them all.  So the camera looks past them by a little more than the rounding of 32-bit
+# coordinates (1e-4 of a pixel), in a direction along none of the mesh's edges.
+_OFF_VERTEX_PX = (2e-3, 1e-3)
+
+# A point light of P watts has the intensity P / (4 pi), and a Lambert surface returns albedo / pi
+# of it, so this power makes a pixel albedo * cos / range^2.
+_LIGHT_POWER_W = 4 * np.pi**2
+
+
+def import_bpy() -> Any:
+    """Blender's module: a second and 260 MB, so only render workers may call this.
+
+    Raises FactoryError when it cannot be imported.
+    """
+    try:
+        # It may greet the world (a warning where /etc/mtab is missing): stdout is the user's.
+        with _one_core(), _silent_stdout():
+            import bpy
+    except (ImportError, OSError) as error:
+        raise missing("cycles", error) from error
+    return bpy
+
+
+@contextmanager
+def _one_core() -> Iterator[None]:
+    """Let libraries loaded meanwhile believe that the machine has one core.
+
+    Blender counts cores when it starts.  With more than one, a second thread of its spins in
+    sched_yield all through a render, whatever the scene's thread count: twice the CPU time for
+    nothing.  Afterwards every thread may run anywhere again.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        for thread in os.listdir("/proc/self/task"):
+            with suppress(ProcessLookupError):  # threads end as they like
+                os.sched_setaffinity(int(thread), cores)
+
+
+def _stage(bpy: Any, settings: RenderSettings) -> tuple[Any, Any, Any]:
+    """A scene that renders direct light exactly at pixel centres, the same bytes every time.
+
+    With a camera at the origin, looking along +z with y down, and the sonar's light, returned after
+    the scene.  World axes are therefore the camera axes of `simnfnd.factory.frame`.
+    """
+    scene = bpy.data.scenes.new("sonar")
+    render, cycles = scene.render, scene.cycles
+    render.engine = "CYCLES"
+    render.resolution_percentage = 100
+    render.film_transparent = True  # alpha becomes the mask of what the camera's rays hit
+    render.threads_mode, render.threads = "FIXED", 1
+    render.use_compositing = render.use_sequencer = False
+
+    cycles.device = "CPU"
+    cycles.samples = settings.samples
+    cycles.max_bounces = cycles.diffuse_bounces = settings.bounces
+    cycles.use_adaptive_sampling = cycles.use_denoising = cycles.use_auto_tile = False
+    cycles.light_sampling_threshold = 0
+    cycles.use_light_tree = False
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
+    cycles.sampling_pattern = "TABULATED_SOBOL"
+    cycles.seed = 0
+    cycles.debug_bvh_type = "DYNAMIC_BVH"
+    # Further samples would be spread over the pixel, where neighbours' edges are; keep them at its
+    # centre (a box filter is always a pixel wide).
+    cycles.pixel_filter_type = "BLACKMAN_HARRIS"
+    cycles.filter_width = 0.01
+
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.matrix_world = ((1, 0, 0, 0), (0, -1, 0, 0), (0, 0, -1, 0), (0, 0, 0, 1))
+    camera.data.sensor_fit, camera.data.sensor_width = "HORIZONTAL", _SENSOR_WIDTH_MM
+    camera.data.clip_start, camera.data.clip_end = 1e-4, 1e6
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+
+    light = bpy.data.objects.new("sonar", bpy.data.lights.new("sonar", "POINT"))
+    light.data.energy = _LIGHT_POWER_W
+    light.data.shadow_soft_size = 0
+    light.data.use_soft_falloff = False
+    scene.collection.objects.link(light)
+    return scene, camera, light
+
+
+def _aim(scene: Any, lens: Any, intrinsics: Intrinsics, height: int, width: int) -> None:
+    """Give the camera of a scene these intrinsics and image size, pixel for pixel."""
+    render = scene.render
+    render.resolution_x, render.resolution_y = width, height
+    # Blender has one focal length; unequal ones are pixels that are not square.
+    render.pixel_aspect_x = max(1.0, intrinsics.fy / intrinsics.fx)
+    render.pixel_aspect_y = max(1.0, intrinsics.fx / intrinsics.fy)
+    lens.lens = intrinsics.fx * _SENSOR_WIDTH_MM / width
+    across, down = _OFF_VERTEX_PX
+    lens.shift_x = (width / 2 - (intrinsics.cx + 0.5) + across) / width
+    rise = (intrinsics.cy + 0.5) - height / 2 + down
+    lens.shift_y = rise / width * intrinsics.fx / intrinsics.fy
+
+
+def _pixels(bpy: Any, scene: Any) -> npt.NDArray[np.float32]:
+    """(H, W, 4) float32 linear RGBA of a scene, premultiplied, top row first.
+
+    Taken as soon as Cycles has it: later on, without a window, it cannot be read.
+    """
+    from cycles import CyclesRender
+
+    taken: list[npt.NDArray[np.float32]] = []
+    original: Callable[..., None] = CyclesRender.render
+
+    def render_and_take(self: Any, depsgraph: Any) -> None:
+        original(self, depsgraph)
+        result = self.get_result()
+        pixels = np.empty((result.resolution_y, result.resolution_x, 4), np.float32)
+        result.layers[0].passes["Combined"].rect.foreach_get(pixels.ravel())
+        taken.append(pixels[::-1])
+
+    CyclesRender.render = render_and_take
+    try:
+        bpy.ops.render.render(scene=scene.name)
+    finally:
+        CyclesRender.render = original
+    return taken[0]
+
+
+@contextmanager
+def _silent_stdout() -> Iterator[None]:
+    """Blender greets the world on the C level, past sys.stdout."""
+    keep = os.dup(1)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+        yield
+    finally:
+        os.dup2(keep, 1)
+        os.close(keep)
