@@ -16,7 +16,7 @@ from ..frame import Frame
 from ..render.base import Rendered
 from ..render.mount import Mount
 from . import polar
-from .echoes import Echoes
+from .polar import Echoes
 from .settings import SonarSettings
 from .window import Extent, Window
 

@@ -15,8 +15,8 @@ from ...factory.errors import FactoryError
 from ...factory.imaging.pointwise import effect_clouds, noisy_cloud
 from ...factory.noise.draws import Draws, StreamNames, draw
 from ...factory.noise.registry import NoiseSettings
-from ...factory.sonar.echoes import Echoes, in_plane
 from ...factory.sonar.geometry import FanGeometry
+from ...factory.sonar.polar import Echoes, in_plane
 from ...factory.sonar.window import Window
 from ..recordings import is_recording
 from .fans import read_fans
