@@ -229,7 +229,7 @@ def realise_spokes(expected: Expected, ping: Ping, rng: Rng, **parameters: Any) 
 
 def _each(
     ping: Ping, rng: Rng, looks: int, *, count: float, level_db: float, width_beams: float,
-    spacing: str,
+    spacing: str = "random",
 ) -> Iterator[tuple[slice, Floats, Floats]]:  # fmt: skip
     """The beams of each spoke, its noise (looks, 2, range_bins, n) and amplitudes (n,)."""
     rows, beams = ping.shape
