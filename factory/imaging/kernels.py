@@ -89,33 +89,6 @@ def products(rows: Floats, matrix: Floats, out: Floats) -> None:
                 fourth[at] += d0 * w0 + d1 * w1 + d2 * w2 + d3 * w3
 
 
-@compiled("void(float32[:, ::1], int64, float32[:, ::1], float32[:, ::1])")
-def fold(plane: Floats, pairs: int, sums: Floats, differences: Floats) -> None:
-    """Sums and differences of the outer `pairs` of mirrored beams; the others are sums as well."""
-    beams, last = plane.shape[1], np.uint64(plane.shape[1] - 1)
-    for row in range(plane.shape[0]):
-        given, added, subtracted = plane[row], sums[row], differences[row]
-        for beam in range(pairs):
-            mirrored = given[last - np.uint64(beam)]
-            added[beam] = given[beam] + mirrored
-            subtracted[beam] = given[beam] - mirrored
-        for beam in range(pairs, beams - pairs):
-            added[beam] = given[beam]
-
-
-@compiled(f"void({_MATRIX}, {_MATRIX}, int64, float32[:, ::1])")
-def unfold(sums: Floats, differences: Floats, pairs: int, plane: Floats) -> None:
-    """Fill the beams of a plane (rows, beams) with what their sums and differences became."""
-    beams, last = plane.shape[1], np.uint64(plane.shape[1] - 1)
-    for row in range(plane.shape[0]):
-        made, added, subtracted = plane[row], sums[row], differences[row]
-        for beam in range(pairs):
-            made[beam] = added[beam] + subtracted[beam]
-            made[last - np.uint64(beam)] = added[beam] - subtracted[beam]
-        for beam in range(pairs, beams - pairs):
-            made[beam] = added[beam]
-
-
 @compiled(f"void(uint32, {_MATRIX}, float32[::1], float32[::1], float32[:, :, ::1])")
 def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Floats) -> None:
     """Add complex circular noise, a function of the key and the place.

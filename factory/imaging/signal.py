@@ -301,8 +301,6 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
 
     kernel: range response.  power: whether the planes are intensities, and not amplitudes.
     """
-    from . import kernels  # loads numba
-
     factors = None if power else modes(sonar)
     rows, beams = planes.shape[-2:]
     out = np.empty_like(planes)
@@ -323,7 +321,10 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
                 _times(along_range(_times(part, into), kernel), out_of)
                 for part, into, out_of in zip(folded, factors[:2], factors[2:], strict=True)
             )
-        kernels.unfold(alike, unlike, pairs, made)
+        alike, unlike = alike[:rows], unlike[:rows, :pairs]
+        made[:, :pairs] = alike[:, :pairs] + unlike
+        made[:, beams - pairs :] = (alike[:, :pairs] - unlike)[:, ::-1]
+        made[:, pairs : beams - pairs] = alike[:, pairs : beams - pairs]
     return out
 
 
@@ -342,11 +343,11 @@ def along_range(plane: Floats, kernel: Floats) -> Floats:
 
 def _fold(plane: Floats, pairs: int, width: int) -> tuple[Floats, Floats]:
     """Sums (the middle beam as it is) and differences of mirrored beams, filled up with zeros."""
-    from . import kernels  # loads numba
-
-    rows = len(plane)
+    rows, beams = plane.shape
     sums, differences = (np.zeros((rows + -rows % 4, width), np.float32) for _ in range(2))
-    kernels.fold(plane, pairs, sums, differences)
+    left, right = plane[:, :pairs], plane[:, beams - pairs :][:, ::-1]
+    sums[:rows, :pairs], differences[:rows, :pairs] = left + right, left - right
+    sums[:rows, pairs : beams - pairs] = plane[:, pairs : beams - pairs]
     return sums, differences
 
 
