@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.shared import Options, Section, Table, cpu_seconds, frame_words
 from simnfnd.factory import pairs, seeds
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.imaging import resample
+from simnfnd.factory.imaging import pointwise
 from simnfnd.factory.imaging.pointwise import effect_clouds, noisy_cloud
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.render import open_renderer
@@ -25,8 +25,8 @@ from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scheduler.workers.machine import keep_freed_memory
 from simnfnd.factory.sonar import polar, transfer
-from simnfnd.factory.sonar.echoes import join
 from simnfnd.factory.sonar.fan import fan_table
+from simnfnd.factory.sonar.polar import join
 from simnfnd.factory.sonar.surface import insonified
 
 REPEATS = 9
@@ -49,7 +49,7 @@ def _table(options: Options) -> Table:
     observed = pairs.observe(frame, rendered, config)
     window, names = observed.window, StreamNames.of(frame.ref, 0, has_pose=True)
     echoes = insonified(frame, rendered, window, sonar).echoes
-    kept = resample.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
+    kept = pointwise.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
     draws = draw(config.noise, config.seed, names)
     made = effect_clouds(draws.effects, kept, kept, window)
     cloud = join(*noisy_cloud(kept, made, 1.0))
@@ -67,7 +67,7 @@ def _table(options: Options) -> Table:
         "cached render: encode": lambda: encode(view),
         "cached render: decode": lambda: decode(packed),
         "observe: pixels to echoes, window, shadow": lambda: pairs.observe(frame, rendered, config),
-        "resample (random, 0.6)": lambda: resample.random_subset(
+        "resample (random, 0.6)": lambda: pointwise.random_subset(
             echoes, 0.6, seeds.stream(0, "thin")
         ),
     }

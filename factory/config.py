@@ -18,9 +18,7 @@ from pydantic.dataclasses import dataclass
 from .dataset.format.schema import CAMERA_LAYERS
 from .dataset.format.settings import DatasetSettings
 from .errors import FactoryError
-from .imaging.coherent.settings import AcousticsSettings
-from .imaging.materials import with_materials
-from .imaging.resample import ResampleSettings
+from .imaging.settings import AcousticsSettings, ResampleSettings, with_materials
 from .labels import class_names
 from .noise.registry import EFFECTS, NoiseSettings, blocks
 from .render.base import RenderSettings
@@ -33,7 +31,7 @@ from .scenes.seabed import SeabedSettings
 from .scenes.seabed.camera import HFOV_DEG
 from .scheduler.settings import SchedulerSettings, ShardSlice
 from .settings import STRICT, build
-from .sonar.acoustics import WaterSettings
+from .sonar.array import WaterSettings
 from .sonar.settings import SonarSettings
 from .sonar_randomization.settings import DeviceSettings
 

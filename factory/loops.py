@@ -14,7 +14,7 @@ from .progress import stage_if_slow
 
 PICTURES = ("elementary", "render.kernels", "sonar.kernels")
 SEABED = ("scenes.seabed.kernels",)
-FIELD = ("imaging.coherent.kernels",)
+FIELD = ("imaging.kernels",)
 LOOPS = PICTURES + SEABED + FIELD
 
 

@@ -19,9 +19,8 @@ import numpy.typing as npt
 from .dataset.format.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
+from .imaging import coherent, pointwise
 from .imaging import layers as truth
-from .imaging import pointwise
-from .imaging.coherent import scene as coherent
 from .imaging.contract import Floats, Formation, Scene
 from .loops import compile_needed
 from .noise.draws import StreamNames, draw

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.render.base import Mount
-from simnfnd.factory.sonar.echoes import Echoes, in_plane
+from simnfnd.factory.sonar.polar import Echoes, in_plane
 from simnfnd.factory.sonar.window import Window
 
 HALF_RAD = float(np.deg2rad(22.5))

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.imaging.coherent.scene import FieldScene
-from simnfnd.factory.imaging.coherent.signal import Ping
+from simnfnd.factory.imaging.coherent import FieldScene
+from simnfnd.factory.imaging.signal import Ping
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.pairs import ObservedFrame, observe
 from simnfnd.factory.render.base import Rendered

@@ -15,11 +15,10 @@ import numpy.typing as npt
 from .effect import DrawnEffect
 
 if TYPE_CHECKING:
-    from ..sonar.acoustics import WaterSettings
+    from ..sonar.array import WaterSettings
     from ..sonar.settings import SonarSettings
     from ..sonar.surface import LitSurface
-    from .coherent.settings import AcousticsSettings
-    from .resample import ResampleSettings
+    from .settings import AcousticsSettings, ResampleSettings
 
 Floats = npt.NDArray[np.float32]
 Layers = npt.NDArray[np.generic]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass as validated
@@ -15,6 +15,7 @@ from ..distribution import Distribution, number
 from ..settings import STRICT
 
 Names = tuple[str | int, ...]
+Rng = np.random.Generator
 Value = float | int | str
 
 # When an effect acts: on the echoes as points; on the complex field before the device blurs it;
@@ -106,21 +107,6 @@ class Effect:
         )
 
 
-class LateStream:
-    """A random stream that is made when something is drawn from it; many effects draw nothing."""
-
-    def __init__(self, seed: int, *names: str | int) -> None:
-        self._seed, self._names = seed, names
-
-    @cached_property
-    def _stream(self) -> np.random.Generator:
-        return seeds.stream(self._seed, *self._names)
-
-    def __getattr__(self, name: str) -> Any:
-        """What the generator has."""
-        return getattr(self._stream, name)
-
-
 @dataclass(frozen=True)
 class DrawnEffect:
     """An effect with the parameters and the random stream of one sample.
@@ -160,7 +146,6 @@ class DrawnEffect:
         if change is not None:
             change(expected, context, self.stream(), **self.parameters)
 
-    def stream(self) -> np.random.Generator:
+    def stream(self) -> Rng:
         """Its random stream, from the beginning."""
-        late = LateStream(self.seed, "noise", self.name, *self.stream_names)
-        return cast(np.random.Generator, late)
+        return seeds.stream(self.seed, "noise", self.name, *self.stream_names)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ..errors import FrameError
 from ..sonar import polar
-from ..sonar.echoes import Echoes
+from ..sonar.polar import Echoes
 from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface
 from ..sonar.window import Window

@@ -9,19 +9,19 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .. import seeds
+from ..errors import FactoryError
 from ..frame import FrameRef
 from ..sonar import polar, transfer
-from ..sonar.echoes import Echoes, join
+from ..sonar.polar import Echoes, from_xyz, join
 from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface
 from ..sonar.window import Window
-from . import resample
 from .contract import Floats, Layers
 from .effect import DrawnEffect
 
@@ -51,10 +51,10 @@ class PointScene:
         rate, voxel_size_m = config.resample.rate.draw(parameter), None
         if config.resample.kind == "random":
             thinning = seeds.stream(config.seed, "resample", *names)
-            kept = movable = resample.random_subset(self.echoes, rate, thinning)
+            kept = movable = random_subset(self.echoes, rate, thinning)
         else:
-            voxel_size_m = resample.voxel_size_m(self.echoes, rate)
-            kept, movable = resample.voxel(self.echoes, voxel_size_m), self.echoes
+            voxel_size_m = find_voxel_size_m(self.echoes, rate)
+            kept, movable = voxel(self.echoes, voxel_size_m), self.echoes
         clean_level = _image_level([kept], self.window, config.sonar)
         return PointSample(
             self.window,
@@ -109,7 +109,7 @@ class PointSample:
         chosen = [cloud for cloud in self.clouds if cloud.name in effects]
         echoes = noisy_cloud(self.movable, chosen, self.full_scale)
         if self.voxel_size_m is not None:
-            echoes = [resample.voxel(join(*echoes), self.voxel_size_m)]
+            echoes = [voxel(join(*echoes), self.voxel_size_m)]
         level = _image_level(echoes, self.window, self.sonar)
         return transfer.grey(level, self.full_scale, self.sonar.transfer, "intensity")
 
@@ -177,3 +177,51 @@ def noisy_cloud(scene: Echoes, clouds: Iterable[EffectCloud], full_scale: float)
         else:
             added.append(cloud.echoes.louder(full_scale))
     return [scene, *added]
+
+
+def random_subset(echoes: Echoes, rate: float, rng: np.random.Generator) -> Echoes:
+    """Each echo kept with probability `rate`."""
+    if rate >= 1:
+        return echoes
+    from ..sonar import kernels  # loads numba
+
+    lot = rng.random(len(echoes), dtype=np.float32)
+    given = tuple(map(np.ascontiguousarray, vars(echoes).values()))
+    kept = tuple(np.empty(len(echoes) + 1, np.float32) for _ in given)
+    count = kernels.thin(given, lot, np.float32(rate), kept)
+    return Echoes(*(values[:count] for values in kept))
+
+
+def find_voxel_size_m(echoes: Echoes, rate: float) -> float:
+    """Edge of the cubes that leave `rate` of the echoes (bisection, within 2 %)."""
+    points_m = echoes.xyz_m()
+    low, high = 0.0, float(np.ptp(points_m, axis=0).max()) + 1e-6
+    for _ in range(40):
+        size = (low + high) / 2
+        kept = len(_voxel_cloud(points_m, None, size).points) / len(points_m)
+        if abs(kept - rate) <= 0.02 * rate:
+            break
+        low, high = (size, high) if kept > rate else (low, size)
+    return size
+
+
+def voxel(echoes: Echoes, size_m: float) -> Echoes:
+    """One echo per occupied cube of edge `size_m`: mean position and mean strength."""
+    strength = np.repeat(echoes.strength[:, None].astype(np.float64), 3, axis=1)
+    cloud = _voxel_cloud(echoes.xyz_m(), strength, size_m)
+    return from_xyz(np.asarray(cloud.points), np.asarray(cloud.colors)[:, 0])
+
+
+def _voxel_cloud(
+    points_m: npt.NDArray[np.float64], strength: npt.NDArray[np.float64] | None, size_m: float
+) -> Any:
+    try:
+        import open3d  # 1 s to import, and absent on boxes that only make pairs from a cache
+    except ImportError as error:
+        raise FactoryError(
+            'resample.kind=voxel needs Open3D: pip install "simnfnd[open3d]", or resample=random'
+        ) from error
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points_m))
+    if strength is not None:
+        cloud.colors = open3d.utility.Vector3dVector(strength)
+    return cloud.voxel_down_sample(size_m)

@@ -1,9 +1,9 @@
 """All effects of noise, and the `noise` group of the configuration.
 
-An effect is one file in `noise/points` (it makes or moves echoes, paper section 3.3) or
-`noise/field` (it acts on the complex field of acoustics.formation=field): a settings class, a pure
-function and an `Effect` that joins them.  To add one: its file, one line (and its import) in
-`NoiseSettings` below, a block in conf/noise/*.yaml and a test against the formula's statistics.
+An effect is a settings class, a pure function and an `Effect` that joins them: in `points` (it
+makes or moves echoes, paper section 3.3), or in `speckle`, `receiver` and `paths` (it acts on the
+complex field of acoustics.formation=field).  To add one: these three, one line in `NoiseSettings`
+below, a block in conf/noise/*.yaml and a test against the formula's statistics.
 """
 
 from __future__ import annotations
@@ -15,36 +15,58 @@ from pydantic.dataclasses import dataclass
 
 from ..imaging.effect import Effect, EffectSettings
 from ..settings import STRICT
-from .field.crosstalk import CROSSTALK, CrosstalkSettings
-from .field.gains import (
+from .paths import (
+    BOTTOM_MULTIPATH,
+    CROSSTALK,
+    SIDELOBE_ARCS,
+    SPOKES,
+    SURFACE_MULTIPATH,
+    BottomMultipathSettings,
+    CrosstalkSettings,
+    SidelobeArcsSettings,
+    SpokesSettings,
+    SurfaceMultipathSettings,
+)
+from .points import (
+    AZIMUTH,
+    BACKGROUND,
+    MULTIPATH,
+    RANGE_ARC,
+    RANGE_SPREADING,
+    AzimuthSettings,
+    BackgroundSettings,
+    MultipathSettings,
+    RangeArcSettings,
+    RangeSpreadingSettings,
+)
+from .receiver import (
     BEAM_GAIN,
+    COMB_LINES,
+    RECEIVER,
+    RING_DOWN,
+    SATURATION,
     SECTOR_EDGES,
     TVG_ERROR,
     BeamGainSettings,
+    CombLinesSettings,
+    ReceiverSettings,
+    RingDownSettings,
+    SaturationSettings,
     SectorEdgesSettings,
     TvgErrorSettings,
 )
-from .field.image_source import (
-    BOTTOM_MULTIPATH,
-    SURFACE_MULTIPATH,
-    BottomMultipathSettings,
-    SurfaceMultipathSettings,
+from .speckle import (
+    PATH_SPECKLE,
+    SCINTILLATION,
+    SPECKLE,
+    TEXTURE,
+    VOLUME,
+    PathSpeckleSettings,
+    ScintillationSettings,
+    SpeckleSettings,
+    TextureSettings,
+    VolumeSettings,
 )
-from .field.near_range import COMB_LINES, RING_DOWN, CombLinesSettings, RingDownSettings
-from .field.path_speckle import PATH_SPECKLE, PathSpeckleSettings
-from .field.receiver import RECEIVER, ReceiverSettings
-from .field.saturation import SATURATION, SaturationSettings
-from .field.scintillation import SCINTILLATION, ScintillationSettings
-from .field.sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
-from .field.speckle import SPECKLE, SpeckleSettings
-from .field.spokes import SPOKES, SpokesSettings
-from .field.texture import TEXTURE, TextureSettings
-from .field.volume import VOLUME, VolumeSettings
-from .points.azimuth import AZIMUTH, AzimuthSettings
-from .points.background import BACKGROUND, BackgroundSettings
-from .points.multipath import MULTIPATH, MultipathSettings
-from .points.range_arc import RANGE_ARC, RangeArcSettings
-from .points.range_spreading import RANGE_SPREADING, RangeSpreadingSettings
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -12,13 +12,13 @@ import numpy as np
 from .. import seeds
 from ..dataset.format.schema import Axis, Column
 from ..frame import FrameRef
-from ..imaging.coherent.settings import AcousticsSettings
 from ..imaging.contract import Sample
+from ..imaging.settings import AcousticsSettings
 from ..labels import class_names
 from ..noise import draws as drawn
 from ..noise.draws import Draws
 from ..noise.registry import EFFECTS, NoiseSettings
-from ..sonar.acoustics import WaterSettings
+from ..sonar.array import WaterSettings
 from ..sonar.fan import pixel_size
 from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ..frame import Frame
 from ..render.base import Mount, Rendered
 from . import polar
-from .echoes import Echoes
+from .polar import Echoes
 from .settings import SonarSettings
 from .window import Extent, Window
 

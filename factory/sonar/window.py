@@ -12,7 +12,6 @@ import numpy.typing as npt
 from .. import seeds
 from ..errors import FrameError
 from ..frame import FrameRef
-from .echoes import Echoes
 from .settings import SonarSettings
 from .transfer import quantiles
 
@@ -64,10 +63,6 @@ class Window:
     def azimuth_span_rad(self) -> float:
         """Width of the seen sector, radians."""
         return self.azimuth_max_rad - self.azimuth_min_rad
-
-    def range_of(self, echoes: Echoes) -> npt.NDArray[np.float32]:
-        """(N,) float32 range under this window's projection, metres."""
-        return echoes.range_m if self.projection == "slant_range" else echoes.ground_range_m()
 
 
 def set_window(sonar: SonarSettings, seed: int, ref: FrameRef) -> SonarSettings:

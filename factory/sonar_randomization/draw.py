@@ -12,7 +12,7 @@ from .. import seeds
 from ..dataset.format.schema import Column
 from ..distribution import number
 from ..imaging.contract import Scene
-from ..imaging.resample import ResampleSettings
+from ..imaging.settings import ResampleSettings
 from ..noise.registry import EFFECTS, NoiseSettings, blocks
 from ..sonar.fan import fan_size
 from ..sonar.settings import RangeSettings, SonarSettings, TransferSettings

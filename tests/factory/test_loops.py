@@ -24,8 +24,8 @@ from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.kernels import box_mean
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, surface, transfer
-from simnfnd.factory.sonar.echoes import Echoes, from_xyz, join
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
+from simnfnd.factory.sonar.polar import Echoes, from_xyz, join
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window, fit_window
 from tests.clouds import camera_scene, chosen, to_sonar, window
@@ -75,7 +75,7 @@ def plain_surface(
 
 def plain_bins(echoes: Echoes, at: Window, device: SonarSettings) -> npt.NDArray[np.intp]:
     half = np.float32(np.deg2rad(device.hfov_deg) / 2)
-    fraction = (at.range_of(echoes) - at.range_min_m) / at.range_span_m
+    fraction = (echoes.range_in(at) - at.range_min_m) / at.range_span_m
     row = np.floor(fraction * np.float32(device.range_bins)).astype(np.intp)
     scale = np.float32(device.beams / (2 * half))
     beam = np.floor((echoes.azimuth_rad + half) * scale).astype(np.intp)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from simnfnd.factory.imaging.coherent import expected
+from simnfnd.factory.imaging import expected
 from tests.constant_field import config, effects_of, observed, scene_of
 
 EDGE = (slice(12, -12), slice(20, -20))

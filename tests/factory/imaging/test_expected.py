@@ -10,8 +10,8 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.imaging.coherent.expected import Expected, display
 from simnfnd.factory.imaging.effect import ARTEFACTS
+from simnfnd.factory.imaging.expected import Expected, display
 from simnfnd.factory.noise.registry import EFFECTS
 from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render.base import Rendered

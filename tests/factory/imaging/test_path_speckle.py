@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FrameError
-from simnfnd.factory.imaging.coherent.signal import Signal, beamform, beamform_power
-from simnfnd.factory.noise.field.path_speckle import PATH_SPECKLE, edge_m
+from simnfnd.factory.imaging.signal import Signal, beamform, beamform_power
+from simnfnd.factory.noise.speckle import PATH_SPECKLE, edge_m
 from simnfnd.factory.pairs import make_pair, observe
 from tests.constant_field import config, effects_of, ping_of, slope
 

@@ -13,14 +13,13 @@ from hypothesis import strategies as st
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import digest, identity
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.imaging.coherent import beams as matrices
-from simnfnd.factory.imaging.coherent.scatterers import scatterers
-from simnfnd.factory.imaging.coherent.signal import beamform, beamform_power
+from simnfnd.factory.imaging import signal as matrices
+from simnfnd.factory.imaging.scatterers import scatterers
+from simnfnd.factory.imaging.signal import beamform, beamform_power
 from simnfnd.factory.pairs import observe
 from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.sonar import acoustics, array
-from simnfnd.factory.sonar.acoustics import WaterSettings
-from simnfnd.factory.sonar.array import ArraySettings, Taper
+from simnfnd.factory.sonar import array
+from simnfnd.factory.sonar.array import ArraySettings, Taper, WaterSettings
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
 from tests.constant_field import config, constant_field, observed, ping_of
@@ -42,8 +41,8 @@ def test_absorption(water, table):
 
 
 def test_thermal_noise_is_mellens() -> None:
-    assert acoustics.thermal_noise_db(1000, 0.001) == pytest.approx(45)
-    assert acoustics.thermal_noise_db(1000, 10) == pytest.approx(85)
+    assert array.thermal_noise_db(1000, 0.001) == pytest.approx(45)
+    assert array.thermal_noise_db(1000, 10) == pytest.approx(85)
 
 
 @pytest.mark.parametrize(

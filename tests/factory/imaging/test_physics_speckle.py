@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simnfnd.factory.imaging.coherent import kernels
-from simnfnd.factory.imaging.coherent.scene import received
-from simnfnd.factory.imaging.coherent.signal import beamform_power, gaussian_table, white_noise
-from simnfnd.factory.noise.field.texture import gamma_of_normal
+from simnfnd.factory.imaging import kernels
+from simnfnd.factory.imaging.coherent import received
+from simnfnd.factory.imaging.signal import beamform_power, gaussian_table, white_noise
+from simnfnd.factory.noise.speckle import gamma_of_normal
 from simnfnd.factory.pairs import ObservedFrame, observe
 from tests.constant_field import config, effects_of, observed, ping_of, slope
 

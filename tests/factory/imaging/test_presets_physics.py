@@ -12,18 +12,16 @@ import pytest
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.imaging.coherent.scatterers import scatterers
-from simnfnd.factory.imaging.coherent.scene import received
-from simnfnd.factory.imaging.coherent.signal import Ping, Signal, beamform_power
+from simnfnd.factory.imaging.coherent import received
 from simnfnd.factory.imaging.effect import DrawnEffect
-from simnfnd.factory.noise.field.receiver import receiver
-from simnfnd.factory.noise.field.speckle import SPECKLE
-from simnfnd.factory.noise.field.volume import volume
+from simnfnd.factory.imaging.scatterers import scatterers
+from simnfnd.factory.imaging.signal import Ping, Signal, beamform_power
+from simnfnd.factory.noise.receiver import receiver
+from simnfnd.factory.noise.speckle import SPECKLE, volume
 from simnfnd.factory.pairs import observe
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar import array
-from simnfnd.factory.sonar.acoustics import thermal_noise_db
-from simnfnd.factory.sonar.array import Taper
+from simnfnd.factory.sonar.array import Taper, thermal_noise_db
 from simnfnd.factory.sonar.window import Window
 from tests.constant_field import constant_field, ping_of
 from tests.project_files import ROOT

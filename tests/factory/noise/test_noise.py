@@ -6,14 +6,10 @@ from scipy import stats
 
 from simnfnd.factory.imaging.pointwise import effect_clouds
 from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.noise.points.azimuth import azimuth
-from simnfnd.factory.noise.points.background import background
-from simnfnd.factory.noise.points.multipath import multipath
-from simnfnd.factory.noise.points.range_arc import range_arc
-from simnfnd.factory.noise.points.range_spreading import range_spreading
+from simnfnd.factory.noise.points import azimuth, background, multipath, range_arc, range_spreading
 from simnfnd.factory.noise.registry import EFFECTS, POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.echoes import Echoes, in_plane
+from simnfnd.factory.sonar.polar import Echoes, in_plane
 from tests.clouds import HALF_RAD, camera_scene, uniform_scene, window
 
 RNG = np.random.default_rng

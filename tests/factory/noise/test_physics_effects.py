@@ -10,22 +10,29 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.imaging.coherent.beams import vertical_table
-from simnfnd.factory.imaging.coherent.signal import Ping, Signal
+from simnfnd.factory.imaging.scatterers import vertical_table
+from simnfnd.factory.imaging.signal import Ping, Signal
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
-from simnfnd.factory.noise.field.crosstalk import crosstalk
-from simnfnd.factory.noise.field.gains import BEAM_GAIN, SECTOR_EDGES, TVG_ERROR
-from simnfnd.factory.noise.field.image_source import BOTTOM_MULTIPATH, SURFACE_MULTIPATH
-from simnfnd.factory.noise.field.near_range import comb_lines, ring_down
-from simnfnd.factory.noise.field.receiver import receiver
-from simnfnd.factory.noise.field.saturation import saturation
-from simnfnd.factory.noise.field.scintillation import scintillation
-from simnfnd.factory.noise.field.sidelobe_arcs import sidelobe_arcs
-from simnfnd.factory.noise.field.spokes import spokes
+from simnfnd.factory.noise.paths import (
+    BOTTOM_MULTIPATH,
+    SURFACE_MULTIPATH,
+    crosstalk,
+    sidelobe_arcs,
+    spokes,
+)
+from simnfnd.factory.noise.receiver import (
+    BEAM_GAIN,
+    SECTOR_EDGES,
+    TVG_ERROR,
+    comb_lines,
+    receiver,
+    ring_down,
+    saturation,
+)
 from simnfnd.factory.noise.registry import EFFECTS, FIELD_EFFECTS, NoiseSettings, blocks
+from simnfnd.factory.noise.speckle import scintillation
 from simnfnd.factory.pairs import ObservedFrame, make_pair
-from simnfnd.factory.sonar.acoustics import thermal_noise_db
-from simnfnd.factory.sonar.array import directivity_db
+from simnfnd.factory.sonar.array import directivity_db, thermal_noise_db
 from tests.constant_field import config, observed, ping_of
 
 EVERY: dict[str, dict[str, Any]] = {name: {} for name in FIELD_EFFECTS}

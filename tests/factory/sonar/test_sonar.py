@@ -9,8 +9,8 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render.base import Mount
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, transfer
-from simnfnd.factory.sonar.echoes import in_plane
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
+from simnfnd.factory.sonar.polar import in_plane
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
 from simnfnd.factory.sonar.window import Extent, fit_window, set_window
 from tests.clouds import HALF_RAD, to_sonar, uniform_scene, window

@@ -19,10 +19,10 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from ...sonar import transfer
-from ...sonar.settings import TransferSettings
-from ..contract import Floats
-from ..effect import DrawnEffect
+from ..sonar import transfer
+from ..sonar.settings import TransferSettings
+from .contract import Floats
+from .effect import DrawnEffect
 from .signal import Ping, sounds
 
 # The table of expected grey values: levels over full scale, dB, and their fluctuation.

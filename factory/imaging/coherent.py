@@ -17,20 +17,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ...errors import FrameError
-from ...sonar import polar, transfer
-from ...sonar.settings import SonarSettings
-from ...sonar.surface import LitSurface
-from ..contract import Floats, Layers
-from ..effect import DrawnEffect
-from ..pointwise import EffectCloud, effect_clouds
+from ..errors import FrameError
+from ..sonar import polar, transfer
+from ..sonar.settings import SonarSettings
+from ..sonar.surface import LitSurface
+from .contract import Floats, Layers
+from .effect import DrawnEffect
 from .expected import Expected, averaged, display, expected
+from .pointwise import EffectCloud, effect_clouds
 from .scatterers import scatterers
 from .settings import AcousticsSettings
 from .signal import Ping, Receiver, Signal, beamform, beamform_power, sounds
 
 if TYPE_CHECKING:
-    from ..contract import ImagingSettings
+    from .contract import ImagingSettings
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,37 +19,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...errors import FrameError
-from ...frame import Frame
-from ...render.base import Rendered
-from ...sonar.acoustics import WaterSettings
-from ...sonar.settings import SonarSettings
-from ...sonar.surface import mount_weight
-from ...sonar.window import Window
-from .beams import bin_centres_m, vertical_table
+from ..errors import FrameError
+from ..frame import Frame
+from ..render.base import Rendered
+from ..sonar import array
+from ..sonar.array import WaterSettings
+from ..sonar.settings import SonarSettings
+from ..sonar.surface import mount_weight
+from ..sonar.window import Window
 from .settings import AcousticsSettings
 
 Floats = npt.NDArray[np.float32]
 
 _BEAM_STEPS = 16_384
+_PATTERN_STEPS = 4096
 # Of one part of the table of cells: what the second cache of a core holds, in so few parts that
 # sorting into them is fast.
 _SLOTS = 131_072
-
-
-@dataclass(frozen=True, eq=False)
-class Cells:
-    """The cells of the world in which N scatterers lie.
-
-    The scatterers of a cell share its coefficient; their amplitudes are such that a cell's power is
-    the sum of theirs.
-
-    names: (N,) uint32, the cell (hash) of each.
-    shares: (N,) float32, 1 / sqrt(scatterers of the cell): a factor on their amplitudes.
-    """
-
-    names: npt.NDArray[np.uint32]
-    shares: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +64,15 @@ class Scatterers:
     loss: Floats
     frame: Frame
     world_from_camera: npt.NDArray[np.float64]
-    _cells: dict[float, Cells] = field(default_factory=dict)
+    _cells: dict[float, tuple[npt.NDArray[np.uint32], Floats]] = field(default_factory=dict)
 
-    def world_cells(self, edge_m: float) -> Cells:
-        """The world cells of this edge in which the scatterers lie."""
+    def world_cells(self, edge_m: float) -> tuple[npt.NDArray[np.uint32], Floats]:
+        """The world cells of this edge in which the scatterers lie: names and shares.
+
+        (N,) uint32 hashes of the cells, and (N,) float32 1 / sqrt(scatterers of the cell), a factor
+        on amplitudes: the scatterers of a cell share its coefficient, and its power is the sum of
+        theirs.
+        """
         if edge_m not in self._cells:
             from . import kernels  # loads numba
 
@@ -90,7 +81,7 @@ class Scatterers:
             where = (self.pixels, self.parts), self.row_ends, camera_of(self.frame), pose
             kernels.cells(*where, edge_m, names, places)
             self._cells.clear()
-            self._cells[edge_m] = Cells(names, shares(names, places))
+            self._cells[edge_m] = names, shares(names, places)
         return self._cells[edge_m]
 
     @cached_property
@@ -110,7 +101,7 @@ class Scatterers:
 
 
 def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Floats:
-    """(N,) float32: see `Cells`; the arguments are what `kernels.cells` gives."""
+    """(N,) float32: see `world_cells`; the arguments are what `kernels.cells` gives."""
     from . import kernels  # loads numba
 
     made, work = np.empty(len(names), np.float32), np.empty((len(names), 2), np.uint32)
@@ -220,3 +211,16 @@ def beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
     # One step back, for float32 may put a sine into the step before its own.
     first = np.searchsorted(edges, steps - (steps[1] - steps[0]), side="right") - 1
     return edges, np.clip(first, 0, sonar.beams - 1).astype(np.int32)
+
+
+def bin_centres_m(window: Window, sonar: SonarSettings) -> Floats:
+    """(range_bins,) centres of the range bins, metres."""
+    fraction = (np.arange(sonar.range_bins) + 0.5) / sonar.range_bins
+    return np.asarray(window.range_min_m + fraction * window.range_span_m, np.float32)
+
+
+@lru_cache(maxsize=8)
+def vertical_table(sonar: SonarSettings) -> Floats:
+    """(4097,) two-way vertical intensity pattern at equal steps of sin(elevation) from -1 to 1."""
+    sine = np.linspace(-1, 1, _PATTERN_STEPS + 1)
+    return array.vertical_pattern(sine, sonar.vfov_deg, sonar.array).astype(np.float32)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...compiled import compiled
+from ..compiled import compiled
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
@@ -87,33 +87,6 @@ def products(rows: Floats, matrix: Floats, out: Floats) -> None:
                 second[at] += b0 * w0 + b1 * w1 + b2 * w2 + b3 * w3
                 third[at] += c0 * w0 + c1 * w1 + c2 * w2 + c3 * w3
                 fourth[at] += d0 * w0 + d1 * w1 + d2 * w2 + d3 * w3
-
-
-@compiled("void(float32[:, ::1], int64, float32[:, ::1], float32[:, ::1])")
-def fold(plane: Floats, pairs: int, sums: Floats, differences: Floats) -> None:
-    """Sums and differences of the outer `pairs` of mirrored beams; the others are sums as well."""
-    beams, last = plane.shape[1], np.uint64(plane.shape[1] - 1)
-    for row in range(plane.shape[0]):
-        given, added, subtracted = plane[row], sums[row], differences[row]
-        for beam in range(pairs):
-            mirrored = given[last - np.uint64(beam)]
-            added[beam] = given[beam] + mirrored
-            subtracted[beam] = given[beam] - mirrored
-        for beam in range(pairs, beams - pairs):
-            added[beam] = given[beam]
-
-
-@compiled(f"void({_MATRIX}, {_MATRIX}, int64, float32[:, ::1])")
-def unfold(sums: Floats, differences: Floats, pairs: int, plane: Floats) -> None:
-    """Fill the beams of a plane (rows, beams) with what their sums and differences became."""
-    beams, last = plane.shape[1], np.uint64(plane.shape[1] - 1)
-    for row in range(plane.shape[0]):
-        made, added, subtracted = plane[row], sums[row], differences[row]
-        for beam in range(pairs):
-            made[beam] = added[beam] + subtracted[beam]
-            made[last - np.uint64(beam)] = added[beam] - subtracted[beam]
-        for beam in range(pairs, beams - pairs):
-            made[beam] = added[beam]
 
 
 @compiled(f"void(uint32, {_MATRIX}, float32[::1], float32[::1], float32[:, :, ::1])")
@@ -659,26 +632,6 @@ def displayed(
         grey[i] = first + (variance - np.float32(row)) * (other - first)
 
 
-@compiled("void(float32[:, ::1], int64, float32, float32)")
-def leaked(intensity: Floats, step: int, leak: float, alike: float) -> None:
-    """Add what leaks into beams `step` to the left and to the right, as expected intensities.
-
-    leak: of amplitude.  alike: correlation of beams so far apart; what is alike adds in phase.
-    """
-    rows, beams = intensity.shape
-    wide = np.zeros(beams + 2 * step, np.float32)
-    left, middle, right = wide[:beams], wide[step : step + beams], wide[2 * step :]
-    square, double = np.float32(leak * leak), np.float32(2 * leak * alike)
-    for row in range(rows):
-        made = intensity[row]
-        for beam in range(beams):
-            middle[beam] = np.sqrt(made[beam])
-        for beam in range(beams):
-            both = left[beam] * left[beam] + right[beam] * right[beam]
-            in_phase = double * middle[beam] * (left[beam] + right[beam])
-            made[beam] = max(made[beam] + square * both + in_phase, _ZERO)
-
-
 # --- ghosts -----------------------------------------------------------------------------------
 
 # Weakest amplitude of the straight way that a mirrored one is compared with.
@@ -695,7 +648,7 @@ def mirror(
     sources: Integers, points_m: Floats, sonar: Any, level: Any, pattern: Floats, loss: float,
     nepers_per_m: float, bins_per_m: float, beams: int, echoes: Any,
 ) -> None:  # fmt: skip
-    """Add to each bin what comes to it by way of a plane; see `noise.field.image_source`.
+    """Add to each bin what comes to it by way of a plane; see `noise.paths`.
 
     sources: (M,) flat bins; points_m: (3, M) where they are, camera axes.  sonar: as of `place`.
     level: height of the plane above the sonar, cosine and sine of the sonar's tilt.  pattern: as of

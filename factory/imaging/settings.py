@@ -1,0 +1,134 @@
+"""Keys of `acoustics` and `resample`, and how object classes echo."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import field, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from ..distribution import PositiveFraction, uniform
+from ..errors import FactoryError
+from ..labels import CLASSES, class_names
+from ..scenes.base import OwnClass
+from ..settings import STRICT
+from ..small_files import one_line, read_regular
+
+Decibel = Annotated[float, Field(ge=-80, le=20)]
+
+
+def _default_reflectivity() -> dict[str, float]:
+    return {"Background": -25.0}
+
+
+@dataclass(frozen=True, config=STRICT)
+class AcousticsSettings:
+    """Keys of the `acoustics` group.
+
+    formation: points (the paper's, every echo a point) or field (sonar equation and complex field;
+        the keys below, `water` and `sonar.array` count for it alone).
+    target: what the clean picture is: mean_log (the expected displayed picture: random noise
+        averaged, systematic effects kept), restored (the same without the systematic ones) or
+        geometry (the paper's T).
+    standing: part of the speckle's power that stands still from ping to ping, 0 to 1.  It does not
+        average out, so targets mean_log and restored keep it; 0 for a sonar that moves.
+    lambert_exponent: backscatter falls as cos(incidence) to this power, in intensity; 2 is Lambert.
+    reflectivity_db: backscatter coefficient of each object class at normal incidence, dB, for an
+        albedo of 1; classes that are not named, and frames without labels, are Background.
+    lambert_exponents: of object classes that have another.
+    materials: a CSV file of `class,reflectivity_db,lambert_exponent` lines; it wins over both.
+    tvg_log: time-varying gain k log10 r + 2 a r, this is k, dB per tenfold range.
+    tvg_absorption: whether the gain knows 2 a r.
+    """
+
+    formation: Literal["points", "field"] = "points"
+    target: Literal["mean_log", "restored", "geometry"] = "mean_log"
+    standing: Annotated[float, Field(ge=0, le=1)] = 0.0
+    lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
+    reflectivity_db: dict[str, Decibel] = field(default_factory=_default_reflectivity)
+    lambert_exponents: dict[str, Annotated[float, Field(ge=0, le=8)]] = field(default_factory=dict)
+    materials: str | None = None
+    tvg_log: Annotated[float, Field(ge=0, le=80)] = 30.0
+    tvg_absorption: bool = True
+
+    def reflectivity(self) -> tuple[float, ...]:
+        """Backscatter coefficient of every class, in the order of `labels.class_names`.
+
+        The user's classes are those in `reflectivity_db` that are not in CLASSES, in order.
+        """
+        ground = self.reflectivity_db.get("Background", -25.0)
+        names = class_names(self.reflectivity_db)
+        return tuple(10 ** (self.reflectivity_db.get(name, ground) / 10) for name in names)
+
+    def exponents(self) -> tuple[float, ...]:
+        """Lambert's exponent of every class, in the same order."""
+        usual, names = self.lambert_exponent, class_names(self.reflectivity_db)
+        return tuple(self.lambert_exponents.get(name, usual) for name in names)
+
+
+@dataclass(frozen=True, config=STRICT)
+class ResampleSettings:
+    """Keys of the `resample` group.  rate: fraction of the points kept, in (0, 1]."""
+
+    kind: Literal["random", "voxel"] = "random"
+    rate: PositiveFraction = uniform(0.35, 0.9)
+
+    @property
+    def is_default(self) -> bool:
+        """Whether nothing else was asked for."""
+        usual = ResampleSettings.__dataclass_fields__["rate"].default
+        return (self.kind, self.rate.kind, self.rate.values) == ("random", usual.kind, usual.values)
+
+
+def with_materials(
+    acoustics: AcousticsSettings, classes: tuple[str, ...], own: Iterable[OwnClass]
+) -> AcousticsSettings:
+    """The settings with a reflectivity for each of the user's classes, in the order of `classes`.
+
+    classes: those of `labels.class_names`.  own: what they say wins over the keys, and what
+    `acoustics.materials` says over both.  Raises FactoryError.
+    """
+    echo_db, exponents = dict(acoustics.reflectivity_db), dict(acoustics.lambert_exponents)
+    said: dict[str, tuple[float | None, float | None]] = {}
+    for one in own:
+        here = one.reflectivity_db, one.lambert_exponent
+        if said.setdefault(one.label, here) != here:
+            raise FactoryError(
+                f"scenes.own_objects: {one.label} has two materials; give the same, or two classes"
+            )
+    if acoustics.materials is not None:
+        listed = _listed(Path(acoustics.materials).expanduser())
+        said |= {one.label: (one.reflectivity_db, one.lambert_exponent) for one in listed}
+    for name, (level_db, exponent) in said.items():
+        echo_db |= {} if level_db is None else {name: level_db}
+        exponents |= {} if exponent is None else {name: exponent}
+    for name in (*echo_db, *exponents):
+        if name not in classes:
+            raise FactoryError(
+                f"acoustics: no class is called {name}; there are {', '.join(classes)}"
+            )
+    ground_db = echo_db.get("Background", -25.0)
+    echo_db |= {name: echo_db.pop(name, ground_db) for name in classes[len(CLASSES) :]}
+    return replace(acoustics, reflectivity_db=echo_db, lambert_exponents=exponents)
+
+
+def _listed(path: Path) -> list[OwnClass]:
+    """The lines of a file."""
+    key, expected = f"acoustics.materials={path}", "expected class,reflectivity_db,lambert_exponent"
+    try:
+        lines = read_regular(path).decode("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FactoryError(f"{key}: {one_line(error)}") from error
+    found = []
+    for number, line in enumerate(csv.DictReader(lines, skipinitialspace=True), start=2):
+        given = {name: value for name, value in line.items() if value}
+        try:
+            found.append(TypeAdapter(OwnClass).validate_python(given))
+        except ValidationError as error:
+            got = ",".join(map(str, given.values()))
+            raise FactoryError(f"{key}:{number}: {expected}, got {got[:60]!r}") from error
+    return found

@@ -1,0 +1,326 @@
+"""Grain of the complex field: speckle, its texture on the ground, haze, and scintillation.
+
+For acoustics.formation=field, as all effects of stages echo, beam and picture.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic.dataclasses import dataclass
+
+from ..distribution import AnyNumber, NonNegative, Positive
+from ..errors import FrameError
+from ..imaging.effect import Effect, EffectSettings, Rng, parameter
+from ..imaging.expected import Expected, between
+from ..imaging.scatterers import camera_of, grid_of
+from ..imaging.signal import (
+    Floats,
+    Ping,
+    Signal,
+    add_white_noise,
+    beamform,
+    gaussian_table,
+    scattered,
+)
+from ..settings import STRICT
+from ..sonar import array
+
+# Edge of a world cell over what the device tells apart; power is then within 0.15 dB.
+_CELL = 0.3
+_MOST_POINTS = 1 << 25
+# Where a beam is to be at least a cell wide, as a part of the farthest range.
+_NEAR = 0.25
+_STEPS, _REACH = 1024, 5.5
+_NEPERS_PER_DB = np.log(10) / 10  # of intensity
+
+
+@dataclass(frozen=True, config=STRICT)
+class SpeckleSettings(EffectSettings):
+    """Keys of `noise.speckle`.
+
+    looks: independent fields whose intensities are averaged (rounded); 1 is Rayleigh speckle.
+    scatterer_m: edge of a world cell, metres; 0 takes 0.3 of a range bin or of the resolution
+        c / 2B, whichever is shorter.  A cell that reaches over several of them loses power and
+        makes neighbouring bins alike.  Cells smaller than the camera's pixels lose their hold on
+        the scene when the camera moves.
+    """
+
+    looks: Positive = parameter(1, "1")
+    scatterer_m: NonNegative = parameter(0, "m")
+
+
+def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float) -> Signal:
+    """The scatterers' complex field instead of the mean power of the echoes.
+
+    Every scatterer has a complex circular Gaussian coefficient that depends on its cell of the
+    world and on nothing of the frame.  The device's point-spread then filters the field, which
+    gives speckle its grain: fully developed, amplitude Rayleigh, intensity exponential (Goodman,
+    Speckle Phenomena in Optics, ch. 3); the average of L looks is gamma-distributed, L its shape.
+    The same scene from the same pose has the same speckle; a sonar that moves sees other cells in
+    each bin.  A recording without poses has a field of its own in every frame.
+    """
+    scene = ping.scatterers
+    names, shares = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
+    return scattered(ping, rng, looks, (scene.bins, np.sqrt(scene.powers), names), shares)
+
+
+def expect_speckle(
+    expected: Expected, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float
+) -> None:
+    """The echoes fluctuate, but for what stands still.
+
+    A field that keeps the part p of its power from ping to ping is sqrt(p) f + sqrt(1 - p) g, f the
+    same in all pings and g new in each.  This ping shows that sum, so f is, with another g,
+    sqrt(p) (the sum) + sqrt(1 - p) g.
+    """
+    part = expected.standing
+    expected.echo += (1 - part) * expected.steady
+    expected.steady[:] = 0
+    expected.looks = max(round(looks), 1)
+    if part:
+        none = Signal(np.zeros(ping.shape, np.float32), np.empty((0, 2, *ping.shape), np.float32))
+        # The first has the stream of the effect, and so the field that the picture shows.
+        shown, other = (
+            speckle(none, ping, rng, looks=looks, scatterer_m=scatterer_m).field for _ in range(2)
+        )
+        same = np.float32(np.sqrt(part)) * shown + np.float32(np.sqrt(1 - part)) * other
+        standing = (beamform(same, ping) ** 2).sum(axis=1).mean(axis=0)
+        expected.steady[:] = part * np.asarray(standing, np.float32)
+
+
+SPECKLE = Effect(
+    SpeckleSettings, speckle, "echo", "world", expected=expect_speckle, artefact="speckle"
+)
+
+
+@dataclass(frozen=True, config=STRICT)
+class PathSpeckleSettings(EffectSettings):
+    """Keys of `noise.path_speckle`.
+
+    looks: independent fields whose intensities are averaged (rounded); 1 is Rayleigh speckle.
+    scatterer_m: edge of a world cell, metres; 0 takes about what the device tells apart.
+    """
+
+    looks: Positive = parameter(1, "1")
+    scatterer_m: NonNegative = parameter(0, "m")
+
+
+def path_speckle(
+    signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float
+) -> Signal:
+    """Speckle of a sonar that moves: every echo has the phase of the way there and back.
+
+    The cells of the world are points whose echoes turn with their range: when the sonar moves, the
+    cells of a bin come nearer by different parts of a wavelength, and their sum changes.  A sonar
+    at rest sees the same speckle, to the byte; one that moves across loses it over about half its
+    aperture, long before other cells lie in the bin; one that turns or moves along keeps it for
+    longer (Goodman, ch. 5).  Needs frames with poses, of a range window that stays the same
+    (sonar.range.auto=false).  Raises FrameError when the cells are too many.
+    """
+    from ..imaging import kernels  # loads numba
+
+    scene, cell_m = ping.scatterers, scatterer_m or edge_m(ping)
+    pose = np.ascontiguousarray(scene.world_from_camera[:3])
+    given = ((scene.pixels, scene.parts), scene.powers, camera_of(scene.frame), pose, cell_m)
+    nothing = np.empty(0, np.uint32), np.empty(0, np.float32), np.empty((0, 3), np.int32)
+    points = kernels.gather(*given, nothing)
+    if points > _MOST_POINTS:
+        raise FrameError(
+            f"{scene.frame.ref.name}: {points} points for cells of {1000 * cell_m:.2g} mm; set "
+            "noise.path_speckle.scatterer_m to larger ones"
+        )
+    slots = 1 << int(points).bit_length()
+    names, powers = np.zeros(slots, np.uint32), np.zeros(slots, np.float32)
+    table = names, powers, np.empty((slots, 3), np.int32)
+    kernels.gather(*given, table)
+    cells = int(np.count_nonzero(names))
+    found: tuple[Any, ...] = tuple(
+        np.empty(cells, kind) for kind in (np.int32, np.float32, np.uint32, np.uint16)
+    )
+    waves_per_m = 2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s()
+    grid = grid_of(ping.window, ping.sonar)
+    count = kernels.locate(table, cell_m, _sonar_from_world(ping), grid, waves_per_m, found)
+    bins, roots, kept, phases = (values[:count] for values in found)
+    return scattered(ping, rng, looks, (bins, roots, kept), phases=phases)
+
+
+def edge_m(ping: Ping) -> float:
+    """Edge of a cell that suits the device, a power of two, metres: what the device tells apart."""
+    length_m = max(ping.bin_m, ping.resolution_m)
+    width_m = _NEAR * ping.window.range_max_m * array.beam_width_sine(ping.sonar.array)
+    return float(2.0 ** np.floor(np.log2(min(length_m, width_m))))
+
+
+def _sonar_from_world(ping: Ping) -> npt.NDArray[np.float64]:
+    """(3, 4): world axes to sonar axes (x forward, y left, z up)."""
+    camera_from_world = np.linalg.inv(ping.scatterers.world_from_camera)
+    mount = ping.sonar.mount
+    turn = mount.rotation_sonar_from_camera()
+    made = turn @ camera_from_world[:3]
+    made[:, 3] -= turn @ mount.position_camera_m()
+    return np.ascontiguousarray(made)
+
+
+PATH_SPECKLE = Effect(
+    PathSpeckleSettings, path_speckle, "echo", "world", expected=expect_speckle, artefact="speckle"
+)
+
+
+@dataclass(frozen=True, config=STRICT)
+class VolumeSettings(EffectSettings):
+    """Keys of `noise.volume`.
+
+    strength_db: volume scattering strength, dB re 1/m; clear water -70, a harbour -45.
+    """
+
+    strength_db: AnyNumber = parameter(-60, "dB")
+
+
+def volume(signal: Signal, ping: Ping, rng: Rng, *, strength_db: float) -> Signal:
+    """Volume reverberation: the water's own scatterers, with the grain that every echo has.
+
+    They drift, so every frame has a haze of its own.
+    """
+    along, across = _haze(ping, strength_db)
+    add_white_noise(signal.field, rng, np.sqrt(along), np.sqrt(across))
+    return signal
+
+
+def _haze(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
+    """Expected intensity of the haze in each bin: (range_bins,) times (beams,) float32.
+
+    A bin at range r has the volume r^2 theta phi dr; its echo is s_v V / r^4 without absorption,
+    theta being the bin's bearings and phi the integral of the two-way vertical pattern (Urick 1983,
+    ch. 8).
+    """
+    sonar = ping.sonar
+    upright_rad = array.vertical_width_rad(sonar.vfov_deg, sonar.array)
+    range_m = np.maximum(ping.range_m, ping.bin_m)
+    along = 10 ** (strength_db / 10) * upright_rad * ping.bin_m / range_m**2 * ping.scatterers.loss
+    across_rad = np.gradient(sonar.beam_centres_rad())
+    return along.astype(np.float32), across_rad.astype(np.float32)
+
+
+def expect_volume(expected: Expected, ping: Ping, rng: Rng, *, strength_db: float) -> None:
+    """The haze's intensity, which the point-spread leaves as it is."""
+    along, across = _haze(ping, strength_db)
+    expected.echo += along[:, None] * across
+
+
+VOLUME = Effect(
+    VolumeSettings, volume, "echo", systematic=True, expected=expect_volume, artefact="haze"
+)
+
+
+@dataclass(frozen=True, config=STRICT)
+class TextureSettings(EffectSettings):
+    """Keys of `noise.texture`.
+
+    shape: nu of the K distribution; 0.5 is very spiky, above 20 it is nearly Rayleigh.
+    patch_m: size of the patches on the ground, metres.
+    """
+
+    shape: Positive = parameter(5, "1")
+    patch_m: Positive = parameter(0.2, "m")
+
+
+def texture(field: Floats, ping: Ping, rng: Rng, *, shape: float, patch_m: float) -> Floats:
+    """K-distributed clutter: every bin that a surface fills, times sqrt(tau).
+
+    I = mu tau Exp(1) with tau ~ Gamma(nu, 1 / nu): scintillation index 1 + 2 / nu (Abraham & Lyons,
+    IEEE J. Oceanic Eng. 27 (2002), 800).  tau is a field of the world, made of a lattice of
+    Gaussian values (interpolated at unit variance) through the gamma distribution's quantiles, so
+    it is smooth and stays with the ground as speckle does.
+    """
+    from ..imaging import kernels  # loads numba
+
+    scene = ping.scatterers
+    filled, points_m = scene.surface
+    normal = np.empty(len(filled), np.float32)
+    key = int(rng.integers(2**32))
+    lattice_from_camera = np.ascontiguousarray(scene.world_from_camera[:3] / patch_m)
+    kernels.lattice(points_m, lattice_from_camera, key, gaussian_table(), normal)
+    planes = field.reshape(-1, field.shape[-2] * field.shape[-1])
+    patches = np.sqrt(gamma_of_normal(normal, shape))
+    for plane in planes:
+        plane[filled] *= patches
+    return field
+
+
+def gamma_of_normal(normal: Floats, shape: float) -> Floats:
+    """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
+    steps = np.float32((_STEPS - 1) / (2 * _REACH))
+    reach = np.float32(_REACH)
+    return between(_quantiles(shape), (np.clip(normal, -reach, reach) + reach) * steps)
+
+
+@lru_cache(maxsize=64)
+def _quantiles(shape: float) -> Floats:
+    from scipy import special  # slow to import
+
+    normal = np.linspace(-_REACH, _REACH, _STEPS)
+    return np.asarray(special.gammaincinv(shape, special.ndtr(normal)) / shape, np.float32)
+
+
+def expect_texture(
+    expected: Expected, ping: Ping, rng: Rng, *, shape: float, patch_m: float
+) -> None:
+    """What is in the bins that a surface fills varies."""
+    expected.shape = shape
+    total = (expected.echo + expected.steady).reshape(-1)
+    filled, _ = ping.scatterers.surface
+    expected.textured.reshape(-1)[filled] = total[filled]
+
+
+def realise_texture(
+    expected: Expected, ping: Ping, rng: Rng, *, shape: float, patch_m: float
+) -> None:
+    """The patches as they are: a property of the ground, which stays when speckle goes."""
+    weights = np.zeros((1, 2, *ping.shape), np.float32)
+    weights[0, 0] = 1
+    patches = texture(weights, ping, rng, shape=shape, patch_m=patch_m)[0, 0] ** 2
+    expected.echo *= patches
+    expected.steady *= patches
+
+
+TEXTURE = Effect(
+    TextureSettings, texture, "beam", "world", expected=expect_texture, realised=realise_texture
+)
+
+
+@dataclass(frozen=True, config=STRICT)
+class ScintillationSettings(EffectSettings):
+    """Keys of `noise.scintillation`.
+
+    sigma_db: standard deviation of a sample's level, dB.
+    """
+
+    sigma_db: NonNegative = parameter(3, "dB")
+
+
+def scintillation(field: Floats, ping: Ping, rng: Rng, *, sigma_db: float) -> Floats:
+    """Every sample's level trembles from ping to ping, whatever its level is.
+
+    Recordings of a scene at rest show it: part of the speckle stands still, and what changes is
+    nearly Gaussian on a logarithmic display and about as strong in bright bins as in dark ones.
+    Here the intensity of each sample is multiplied by a log-normal number whose median is 1.
+    """
+    level_nepers = rng.standard_normal(field.shape[-2:], np.float32)
+    level_nepers *= np.float32(sigma_db * _NEPERS_PER_DB / 2)  # of amplitude
+    field *= np.exp(level_nepers, out=level_nepers)
+    return field
+
+
+def expect_scintillation(expected: Expected, ping: Ping, rng: Rng, *, sigma_db: float) -> None:
+    """A display of levels shows the median; one of powers shows a little more."""
+    expected.scintillation_nepers2 += (sigma_db * _NEPERS_PER_DB) ** 2
+
+
+SCINTILLATION = Effect(
+    ScintillationSettings, scintillation, "picture", expected=expect_scintillation,
+    artefact="speckle",
+)  # fmt: skip
