@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .api import denoise, make_pair
     from .factory import __version__
     from .factory.dataset import PairDataset
-    from .factory.dataset.format.schema import Pair
+    from .factory.dataset.schema import Pair
     from .factory.errors import FactoryError, FrameError
     from .recording import OpenRecording, RecordedFrame, open_recording
 
@@ -40,7 +40,7 @@ _MODULES = {
     "FactoryError": "simnfnd.factory.errors",
     "FrameError": "simnfnd.factory.errors",
     "OpenRecording": "simnfnd.recording",
-    "Pair": "simnfnd.factory.dataset.format.schema",
+    "Pair": "simnfnd.factory.dataset.schema",
     "PairDataset": "simnfnd.factory.dataset",
     "RecordedFrame": "simnfnd.recording",
     "__version__": "simnfnd.factory",

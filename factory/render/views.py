@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 from pydantic import TypeAdapter
 
-from ..dataset.format.schema import Prepared
+from ..dataset.schema import Prepared
 from ..errors import FrameError, NotRendered
 from ..frame import FrameRef
 from ..loops import compile_needed
@@ -195,7 +195,7 @@ class OneView:
 
 
 class ViewMaker:
-    """Renders frames into the cache; a `simnfnd.factory.dataset.format.schema.Preparer`."""
+    """Renders frames into the cache; a `simnfnd.factory.dataset.schema.Preparer`."""
 
     def __init__(self, config: RenderNeeds) -> None:
         self.config = config
