@@ -27,7 +27,7 @@ import psutil
 from scipy.io import savemat
 
 from benchmarks.shared import Options, Section, Table, in_own_process
-from simnfnd.factory.dataset.format.manifest import INDEX_NAME, MANIFEST_NAME
+from simnfnd.factory.dataset.manifest import INDEX_NAME, MANIFEST_NAME
 from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.isolated import IsolatedProcess

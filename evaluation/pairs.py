@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ..factory.dataset.format.manifest import load_manifest
-from ..factory.dataset.read.image_stack import ImageStack
-from ..factory.dataset.read.reader import Split, open_shard, reading, value_range
-from ..factory.dataset.read.source import CORE, open_source
+from ..factory.dataset.manifest import load_manifest
+from ..factory.dataset.reader import ImageStack, Split, open_shard, reading, value_range
+from ..factory.dataset.schema import CORE
+from ..factory.dataset.source import open_source
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from . import image_files

@@ -22,7 +22,7 @@ from matplotlib import pyplot
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.dataset.describe.quality import psnr_db
+from simnfnd.factory.dataset.quality import psnr_db
 from simnfnd.factory.distribution import Distribution, number
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.noise.registry import NoiseSettings

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
-from .dataset.format.schema import CAMERA_LAYERS
-from .dataset.format.settings import DatasetSettings
+from .dataset.schema import CAMERA_LAYERS
+from .dataset.settings import DatasetSettings
 from .errors import FactoryError
 from .imaging.settings import AcousticsSettings, ResampleSettings, with_materials
 from .labels import class_names

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .api import OpenRecording, RecordedFrame, denoise, make_pair, open_recording
     from .factory import __version__
     from .factory.dataset import PairDataset
-    from .factory.dataset.format.schema import Pair
+    from .factory.dataset.schema import Pair
     from .factory.errors import FactoryError, FrameError
 
 __all__ = [
@@ -39,7 +39,7 @@ _MODULES = {
     "FactoryError": "simnfnd.factory.errors",
     "FrameError": "simnfnd.factory.errors",
     "OpenRecording": "simnfnd.api",
-    "Pair": "simnfnd.factory.dataset.format.schema",
+    "Pair": "simnfnd.factory.dataset.schema",
     "PairDataset": "simnfnd.factory.dataset",
     "RecordedFrame": "simnfnd.api",
     "__version__": "simnfnd.factory",

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 if TYPE_CHECKING:
     from .factory.config import FactoryConfig
-    from .factory.dataset.format.schema import Pair
+    from .factory.dataset.schema import Pair
     from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
     from .models.denoise.asked import InTurn

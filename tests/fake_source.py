@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Prepared
+from simnfnd.factory.dataset.schema import Axis, Column, Pair, Prepared
 from simnfnd.factory.errors import FactoryError, FrameError, NotRendered
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.seeds import stream

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.dataset.format.schema import Provenance, config_hash
-from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.schema import Provenance, config_hash
+from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.scheduler.job import Job
 from simnfnd.factory.scheduler.plan import plan_shards
 from simnfnd.factory.scheduler.results import RunReport

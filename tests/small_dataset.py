@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from simnfnd.factory.dataset.format.manifest import Manifest, save_manifest
-from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance, config_hash
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.manifest import Manifest, save_manifest
+from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance, config_hash
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import write_shard
 
 COLUMNS = (
     Column("location", "S16"),
@@ -88,7 +88,7 @@ def add_shard(root: Path, relative: str, pairs: Iterable[Pair], *, dtype: str = 
 
 def write_manifest(root: Path, *relative: str) -> None:
     """A manifest that lists only these shards."""
-    from simnfnd.factory.dataset.format.manifest import ShardInfo
+    from simnfnd.factory.dataset.manifest import ShardInfo
     from simnfnd.factory.files import sha256_of
 
     manifest = Manifest(config_hash({}), "tests")

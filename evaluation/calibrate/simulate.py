@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...factory.cli.compose import compose_config
 from ...factory.config import FactoryConfig, from_mapping, plain
-from ...factory.dataset.read.pair_dataset import in_unit_range
+from ...factory.dataset.pair_dataset import in_unit_range
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.pairs import PairMaker

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.dataset.describe.similarity import RADIUS_PX, SsimReference, inner
+from ...factory.dataset.quality import RADIUS_PX, SsimReference, inner
 from ...factory.errors import FactoryError
 
 Image = npt.NDArray[Any]

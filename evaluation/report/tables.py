@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ...factory.dataset.describe import markdown
+from ...factory.dataset import card
 from ..methods import shown
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def percent(share: float | None) -> str:
 
 def as_markdown(table: pd.DataFrame, align: str = "lr") -> str:
     """A table of text in Markdown, without its index."""
-    return markdown.table(list(table.columns), table.to_numpy().tolist(), align)
+    return card.table(list(table.columns), table.to_numpy().tolist(), align)
 
 
 def as_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:

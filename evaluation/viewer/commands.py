@@ -8,7 +8,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 from ...factory.cli import Parser
-from ...factory.dataset.describe.preview import Shown, draw, preview
+from ...factory.dataset.preview import Shown, draw, preview
 from ...factory.errors import FactoryError
 from ...factory.files import write_atomically
 from ...models.recordings import is_recording

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.dataset.format.layout import optional_layers
-from ...factory.dataset.format.manifest import MANIFEST_NAME
-from ...factory.dataset.read.pair_dataset import PairDataset
-from ...factory.dataset.read.reader import reading
+from ...factory.dataset.layout import optional_layers
+from ...factory.dataset.manifest import MANIFEST_NAME
+from ...factory.dataset.pair_dataset import PairDataset
+from ...factory.dataset.reader import reading
 from ...factory.errors import FactoryError
 from ...models.recordings import Recording, open_recording
 from ...models.recordings.fan.pings import fan_of, grey_of

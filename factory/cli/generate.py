@@ -19,8 +19,8 @@ from ..config import (
     plain,
     with_cache,
 )
-from ..dataset.describe.quality import lit_share, seen_sector_deg
-from ..dataset.format.schema import Provenance
+from ..dataset.quality import lit_share, seen_sector_deg
+from ..dataset.schema import Provenance
 from ..errors import FactoryError
 from ..frame import FrameRef
 from ..pairs import pair_maker

@@ -35,7 +35,7 @@ _open: list[tuple[Path, list[list[str]]]] = []
 
 def note_result(directory: Path, report: RunReport, exit_code: int) -> None:
     """Within a sweep, leave the row of a point that was made; else do nothing."""
-    from ..dataset.describe.quality import noisiness
+    from ..dataset.quality import noisiness
 
     if _is_sweep():
         _note(
@@ -142,7 +142,7 @@ def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
 
     points: label and folder of each dataset.  None where no sample is in all of them.
     """
-    from ..dataset.describe.preview import draw, in_common, load
+    from ..dataset.preview import draw, in_common, load
     from ..files import write_atomically
 
     common = in_common([Path(folder) for _, folder in points])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..cli import Parser
 from ..cli.extras import Need, require
-from ..dataset.format.schema import SPLITS
+from ..dataset.schema import SPLITS
 from ..export import FORMATS, export
 from ..storage.copies import local_folder
 

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..cli import Parser
-from ..dataset.describe.summary import DatasetSummary, summarize
-from ..dataset.format.schema import CAMERA_LAYERS
-from ..dataset.read.source import dataset_settings
+from ..dataset.quality import DatasetSummary, summarize
+from ..dataset.schema import CAMERA_LAYERS
+from ..dataset.source import dataset_settings
 from ..dataset.validate import validate
 from ..storage.copies import local_folder
 

@@ -58,7 +58,7 @@ def demo(words: Sequence[str]) -> int:
     if code := subprocess.run([sys.executable, "-m", "simnfnd", *again], check=False).returncode:
         return code
 
-    from ..dataset.describe.preview import side_by_side
+    from ..dataset.preview import side_by_side
 
     picture = Path(f"{points.rstrip('/')}-profiles.png")
     side_by_side({"points": Path(points), "sonar equation": Path(physical)}, picture)

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from ..cli import Parser
-from ..dataset.describe.card import write_card
-from ..dataset.describe.preview import preview
-from ..dataset.format.manifest import (
+from ..dataset.card import write_card
+from ..dataset.folder import differences, list_differences, open_folder
+from ..dataset.manifest import (
     MANIFEST_NAME,
     PARTS,
     Manifest,
@@ -23,11 +23,11 @@ from ..dataset.format.manifest import (
     load_manifest,
     save_manifest,
 )
-from ..dataset.format.schema import SPLITS, Provenance, config_hash
-from ..dataset.format.settings import DatasetSettings
-from ..dataset.read.source import Source, dataset_settings, open_source
-from ..dataset.write.folder import differences, list_differences, open_folder
-from ..dataset.write.index import write_index
+from ..dataset.preview import preview
+from ..dataset.schema import SPLITS, Provenance, config_hash
+from ..dataset.settings import DatasetSettings
+from ..dataset.source import Source, dataset_settings, open_source
+from ..dataset.writer import write_index
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 

@@ -104,8 +104,8 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     Raises FactoryError when none of them can be made.
     """
     from ..config import with_cache
-    from ..dataset.format.schema import Provenance
-    from ..dataset.write.writer import write_shard
+    from ..dataset.schema import Provenance
+    from ..dataset.writer import write_shard
     from ..pairs import pair_maker
     from ..render.views import ViewMaker
     from ..scheduler.workers.machine import keep_freed_memory

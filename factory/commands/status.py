@@ -11,10 +11,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from ..cli import Parser
-from ..dataset.format.manifest import CONFIG_NAME, damage, load_manifest
-from ..dataset.format.schema import SPLITS
-from ..dataset.write.failures import load_failures
-from ..dataset.write.folder import STATUS_NAME
+from ..dataset.folder import STATUS_NAME
+from ..dataset.manifest import CONFIG_NAME, damage, load_failures, load_manifest
+from ..dataset.schema import SPLITS
 from ..errors import FactoryError
 from ..scheduler.lock import owner_of
 from ..small_files import load_yaml, one_line, parse_json, read_regular

@@ -1,5 +1,5 @@
 """The files of a dataset."""
 
-from .read.pair_dataset import PairDataset
+from .pair_dataset import PairDataset
 
 __all__ = ["PairDataset"]

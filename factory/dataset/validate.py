@@ -21,12 +21,11 @@ from ..errors import FactoryError
 from ..files import sha256_of
 from ..isolated import LASTING
 from ..labels import classes_of
-from .format.axes import echo_names, image_axes
-from .format.layout import config_of, inside, optional_layers
-from .format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest, damage, load_manifest
-from .format.schema import REQUIRED_COLUMNS, SPLITS, VALUE_RANGES, Layer, layers, stores_grey
-from .read.image_stack import ImageStack
-from .read.reader import read_attributes, reading
+from .checksums import check_texts
+from .layout import config_of, echo_names, image_axes, inside, optional_layers
+from .manifest import INDEX_NAME, MANIFEST_NAME, Manifest, damage, load_manifest
+from .reader import ImageStack, reading
+from .schema import REQUIRED_COLUMNS, SPLITS, VALUE_RANGES, Layer, layers, stores_grey
 
 _LIMIT_S = 60.0
 # Slower than any disk: a shard that takes longer is not read but stuck.
@@ -208,7 +207,7 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
     sizes = [f"{layer.name} {file[layer.name].shape[1:]}" for layer in known if layer.of_camera]
     table = file["meta"][()]
     axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
-    read_attributes(file)
+    check_texts(file)
     problems = [
         f"/meta: column {name} has infinite values"
         for name in table.dtype.names

@@ -5,8 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from ..dataset.read.reader import Split
-from ..dataset.read.source import open_source
+from ..dataset.reader import Split
+from ..dataset.source import open_source
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 

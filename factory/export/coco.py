@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..dataset.read.source import Source
+from ..dataset.source import Source
 from .objects import LEAST_PX, Objects, Shown
 from .pictures import write_notes
 

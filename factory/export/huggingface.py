@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ..dataset.describe.card import hub_fields
-from ..dataset.read.source import Sample, Source, dataset_settings
+from ..dataset.card import hub_fields
+from ..dataset.source import Sample, Source, dataset_settings
 from ..errors import FactoryError
 from ..labels import classes_of
 from .objects import shown_in

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..dataset.format.schema import stored_image
-from ..dataset.read.source import Sample, Source
+from ..dataset.schema import stored_image
+from ..dataset.source import Sample, Source
 from ..errors import FactoryError
 from ..labels import classes_of
 from .pictures import png

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..dataset.read.source import Source, dataset_settings
+from ..dataset.source import Source, dataset_settings
 
 # Level 1: a third of the time of the default, a few per cent larger.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..dataset.read.source import Source, json_record
+from ..dataset.source import Source, json_record
 from .pictures import is_picture, png, sixteen_bit, write_notes
 
 

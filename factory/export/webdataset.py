@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from ..dataset.read.source import Sample, Source, json_record
+from ..dataset.source import Sample, Source, json_record
 from ..errors import FactoryError
 from .pictures import is_picture, npy, png, write_notes
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from ..dataset.read.source import Source
+from ..dataset.source import Source
 from .objects import LEAST_PX, Objects, Shown
 from .pictures import write_notes
 

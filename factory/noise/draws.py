@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from .. import seeds
-from ..dataset.format.schema import Column
+from ..dataset.schema import Column
 from ..distribution import Distribution
 from ..frame import FrameRef
 from ..imaging.effect import DrawnEffect, Names, Parameter, Scope, Value

@@ -22,7 +22,7 @@ from typing import Annotated, Any, Protocol
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from ..dataset.format.schema import Prepared
+from ..dataset.schema import Prepared
 from ..errors import FrameError, NotRendered
 from ..files import check_writable, explain_os_errors, remove_stale_temporaries, write_atomically
 from ..frame import FrameRef
@@ -310,7 +310,7 @@ class OneView:
 
 
 class ViewMaker:
-    """Renders frames into the cache; a `simnfnd.factory.dataset.format.schema.Preparer`."""
+    """Renders frames into the cache; a `simnfnd.factory.dataset.schema.Preparer`."""
 
     def __init__(self, config: RenderNeeds) -> None:
         self.config = config

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..dataset.format.schema import Column
+from ..dataset.schema import Column
 from ..errors import FrameError
 from ..scenes.seabed.camera import oriented
 from ..sonar.surface import LitSurface

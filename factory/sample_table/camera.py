@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ..dataset.format.schema import CAMERA_LAYERS, Column
+from ..dataset.schema import CAMERA_LAYERS, Column
 from ..errors import FactoryError, FrameError
 from ..frame import Frame, FrameRef
 

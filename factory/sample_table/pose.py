@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..dataset.format.schema import Column
+from ..dataset.schema import Column
 from ..frame import Frame
 from ..render.base import Mount
 

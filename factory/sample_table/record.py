@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import seeds
-from ..dataset.format.schema import Axis, Column
+from ..dataset.schema import Axis, Column
 from ..frame import FrameRef
 from ..imaging.contract import Sample
 from ..imaging.settings import AcousticsSettings

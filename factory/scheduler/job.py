@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..dataset.format.schema import PairSource, Preparer, Provenance
-from ..dataset.format.settings import DatasetSettings
-from ..dataset.write.folder import WORK_NAME
+from ..dataset.folder import WORK_NAME
+from ..dataset.schema import PairSource, Preparer, Provenance
+from ..dataset.settings import DatasetSettings
 from ..frame import FrameRef
 from ..storage.publish import Publication
 from .plan import ShardTask

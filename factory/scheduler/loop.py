@@ -13,7 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
 from typing import Any
 
-from ..dataset.write.failures import Failure, FailureKind
+from ..dataset.manifest import Failure, FailureKind
 from ..errors import FactoryError
 from ..frame import FrameRef
 from ..storage.publish import Publication

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..dataset.write.failures import Failure, FailureKind
+from ..dataset.manifest import Failure, FailureKind
 from ..frame import FrameRef
 
 START, DONE, FAILED = "start", "done", "failed"

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from ..dataset.format.schema import SPLITS
+from ..dataset.schema import SPLITS
 from ..frame import FrameRef
 
 FrameVariants = tuple[FrameRef, tuple[int, ...]]

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from ..dataset.write.folder import STATUS_NAME
+from ..dataset.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..files import write_atomically
 from ..progress import Lines, clock, stage, terminal_bars

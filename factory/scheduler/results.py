@@ -13,17 +13,19 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
-from ..dataset.format.manifest import (
+from ..dataset.manifest import (
+    Failure,
     Manifest,
     ShardInfo,
     ShardOutcome,
     damage,
+    failure_lines,
     forget_outcomes,
+    save_failures,
     save_manifest,
     save_outcome,
 )
-from ..dataset.format.schema import SPLITS
-from ..dataset.write.failures import Failure, failure_lines, save_failures
+from ..dataset.schema import SPLITS
 from ..files import explain_os_errors, remove_file
 from .job import Job
 from .plan import ShardTask

@@ -5,12 +5,12 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from ..dataset.describe.card import write_card
-from ..dataset.describe.preview import preview
-from ..dataset.format.manifest import MAX_SHARDS, Manifest, load_manifest
-from ..dataset.format.schema import SPLITS
-from ..dataset.write.folder import open_folder
-from ..dataset.write.index import write_index
+from ..dataset.card import write_card
+from ..dataset.folder import open_folder
+from ..dataset.manifest import MAX_SHARDS, Manifest, load_manifest
+from ..dataset.preview import preview
+from ..dataset.schema import SPLITS
+from ..dataset.writer import write_index
 from ..errors import FactoryError
 from ..files import explain_os_errors, remove_file, remove_stale_temporaries
 from ..progress import stage

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..dataset.format.manifest import ShardInfo
-from ..dataset.format.schema import Pair, PairSource, Preparer, check_pair
-from ..dataset.write.failures import Failure, FailureKind
-from ..dataset.write.writer import write_shard
+from ..dataset.manifest import Failure, FailureKind, ShardInfo
+from ..dataset.schema import Pair, PairSource, Preparer, check_pair
+from ..dataset.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered
 from ..files import outlet
 from ..frame import FrameRef

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from .. import seeds
-from ..dataset.format.schema import Column
+from ..dataset.schema import Column
 from ..distribution import number
 from ..imaging.contract import Scene
 from ..imaging.settings import ResampleSettings

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset, Sampler
 
-from ...factory.dataset.read.stream import Windows
+from ...factory.dataset.pair_dataset import Windows
 from ...factory.seeds import stream
 from ..settings import DataSettings, RendersData
 from .pairs import Batch, Sample, Source

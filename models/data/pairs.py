@@ -14,11 +14,9 @@ import numpy.typing as npt
 import torch
 
 from ...factory.dataset import PairDataset
-from ...factory.dataset.format.manifest import load_manifest
-from ...factory.dataset.read.image_stack import OpenShards
-from ...factory.dataset.read.pair_dataset import in_unit_range
-from ...factory.dataset.read.reader import Split, open_shard
-from ...factory.dataset.read.stream import Windows
+from ...factory.dataset.manifest import load_manifest
+from ...factory.dataset.pair_dataset import Windows, in_unit_range
+from ...factory.dataset.reader import OpenShards, Split, open_shard
 from ...factory.errors import FactoryError
 from ...factory.files import sha256_of
 from ...factory.seeds import stream

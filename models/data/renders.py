@@ -16,8 +16,8 @@ import numpy as np
 import yaml
 
 from ...factory.config import FactoryConfig, digest, from_mapping, plain
-from ...factory.dataset.format.manifest import CONFIG_NAME
-from ...factory.dataset.read.pair_dataset import in_unit_range
+from ...factory.dataset.manifest import CONFIG_NAME
+from ...factory.dataset.pair_dataset import in_unit_range
 from ...factory.distribution import Distribution, number
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import h5py
 
-from ...factory.dataset.read.image_stack import ImageStack
-from ...factory.dataset.read.reader import check_in_isolation, open_shard, value_range
+from ...factory.dataset.reader import ImageStack, check_in_isolation, open_shard, value_range
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar

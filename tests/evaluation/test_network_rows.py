@@ -15,9 +15,9 @@ from simnfnd.evaluation.methods import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
 from simnfnd.evaluation.runner import SECONDS, Task, measure_task
-from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings

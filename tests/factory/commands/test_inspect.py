@@ -10,9 +10,14 @@ import pytest
 
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.factory.commands.inspect import report
-from simnfnd.factory.dataset.describe.quality import PSNR_CAP_DB, psnr_db, ssim
-from simnfnd.factory.dataset.describe.similarity import _plain_window, window
-from simnfnd.factory.dataset.describe.summary import summarize
+from simnfnd.factory.dataset.quality import (
+    PSNR_CAP_DB,
+    _plain_window,
+    psnr_db,
+    ssim,
+    summarize,
+    window,
+)
 from simnfnd.factory.errors import FactoryError
 from tests import small_dataset
 from tests.factory.export.export_dataset import write
@@ -103,7 +108,7 @@ def test_one_shard_and_the_index_can_be_given(dataset, tmp_path) -> None:
     [("none", "fletcher32"), ("gzip", "gzip 1, fletcher32")],
 )
 def test_compression_is_told(compression, said, tmp_path) -> None:
-    from simnfnd.factory.dataset.describe.summary import compression_of
+    from simnfnd.factory.dataset.quality import compression_of
 
     filters = {} if compression == "none" else {"compression": compression}
     if compression == "gzip":

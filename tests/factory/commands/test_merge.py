@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from simnfnd.factory.commands.merge import main, merge
-from simnfnd.factory.dataset.format.manifest import damage, load_manifest
-from simnfnd.factory.dataset.format.schema import config_hash
+from simnfnd.factory.dataset.manifest import damage, load_manifest
+from simnfnd.factory.dataset.schema import config_hash
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import admit, reseal
 from tests.factory.export.export_dataset import CONFIG, write

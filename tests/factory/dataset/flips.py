@@ -7,9 +7,8 @@ from unittest import mock
 
 import numpy as np
 
-from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.read import reader
-from simnfnd.factory.dataset.read.source import open_source
+from simnfnd.factory.dataset import PairDataset, reader
+from simnfnd.factory.dataset.source import open_source
 from simnfnd.factory.errors import FactoryError
 
 LAYERS = ("noisy", "clean", "shadow", "range", "elevation", "segmentation", "layers/background")

@@ -16,13 +16,12 @@ import h5py
 import numpy as np
 
 from simnfnd.factory.dataset import PairDataset, validate
-from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
-from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest, save_manifest
-from simnfnd.factory.dataset.format.schema import Pair, Provenance, config_hash
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import reader as shard_reader
-from simnfnd.factory.dataset.write.index import write_index
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset import reader as shard_reader
+from simnfnd.factory.dataset.checksums import crc32, write_checksums
+from simnfnd.factory.dataset.manifest import Manifest, load_manifest, save_manifest
+from simnfnd.factory.dataset.schema import Pair, Provenance, config_hash
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import write_index, write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 from simnfnd.factory.isolated import IsolatedProcess

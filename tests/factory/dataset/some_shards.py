@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.dataset.format.manifest import Manifest, ShardInfo, save_manifest
-from simnfnd.factory.dataset.format.schema import Pair, Provenance, config_hash
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.write.folder import open_folder
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.folder import open_folder
+from simnfnd.factory.dataset.manifest import Manifest, ShardInfo, save_manifest
+from simnfnd.factory.dataset.schema import Pair, Provenance, config_hash
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import write_shard
 from tests.fake_source import FakeConfig, FakeSource, refs
 
 SOURCE = FakeSource(FakeConfig())

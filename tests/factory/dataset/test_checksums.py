@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.layout import check_shard
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.write.writer import fletcher32, write_shard
+from simnfnd.factory.dataset.checksums import check_contents
+from simnfnd.factory.dataset.layout import check_shard
+from simnfnd.factory.dataset.reader import ImageStack
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import fletcher32, write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.flips import any_bit, flip, given_out, outcome
@@ -195,10 +196,15 @@ def chunked(file: h5py.File, name: str) -> None:
     file[name].attrs.update(attributes)
 
 
+def checked(file: h5py.File) -> None:
+    check_shard(file)
+    check_contents(file)
+
+
 def test_a_table_in_chunks_is_refused(tmp_path: Path) -> None:
     for name in ("meta", "axes/ahead"):
         path = shard(tmp_path, "none")
         with h5py.File(path, "r+") as file:
             chunked(file, name)
             with pytest.raises(FactoryError, match=f"/{name}: the schema keeps it in one piece"):
-                check_shard(file)
+                checked(file)

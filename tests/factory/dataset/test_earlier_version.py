@@ -12,11 +12,11 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.axes import echo_names
-from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.read.reader import Split, reading
+from simnfnd.factory.dataset.layout import echo_names
+from simnfnd.factory.dataset.manifest import load_manifest
+from simnfnd.factory.dataset.reader import Split, reading
 from simnfnd.factory.dataset.validate import validate
-from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.dataset.writer import write_index
 from simnfnd.factory.errors import FactoryError
 
 # BLAKE2b (8 bytes) of all samples of a layer, as the readers of 0.3 gave them.

@@ -18,12 +18,12 @@ import psutil
 import pytest
 import yaml
 
-from simnfnd.factory.dataset.describe.card import write_card
-from simnfnd.factory.dataset.describe.preview import preview
-from simnfnd.factory.dataset.format.schema import config_hash
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.write.failures import Failure
-from simnfnd.factory.dataset.write.folder import open_folder
+from simnfnd.factory.dataset.card import write_card
+from simnfnd.factory.dataset.folder import open_folder
+from simnfnd.factory.dataset.manifest import Failure
+from simnfnd.factory.dataset.preview import preview
+from simnfnd.factory.dataset.schema import config_hash
+from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import (
     check_writable,

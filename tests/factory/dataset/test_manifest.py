@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simnfnd.factory.dataset.format.manifest import (
+from simnfnd.factory.dataset.manifest import (
     Manifest,
     ShardInfo,
     ShardOutcome,
     damage,
     forget_outcomes,
+    load_failures,
     load_manifest,
     save_manifest,
     save_outcome,
 )
-from simnfnd.factory.dataset.format.schema import config_hash
-from simnfnd.factory.dataset.write.failures import load_failures
+from simnfnd.factory.dataset.schema import config_hash
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.some_shards import dataset
 

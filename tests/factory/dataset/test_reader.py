@@ -18,10 +18,9 @@ import numpy as np
 import psutil
 import pytest
 
-from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import image_stack
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset import PairDataset, reader
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
 from tests.fake_source import FakeConfig, FakeSource, refs
@@ -134,7 +133,7 @@ def test_nothing_is_open_before_the_first_read_and_after_the_last(folder: Path) 
 def test_a_dataset_of_many_shards_keeps_few_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(image_stack, "_MOST_FILES", 4)
+    monkeypatch.setattr(reader, "_MOST_FILES", 4)
     for number in range(7):
         write_shard(
             tmp_path,

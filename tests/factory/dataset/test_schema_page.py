@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simnfnd.factory.dataset.format.schema import (
+from simnfnd.factory.dataset.schema import (
     OPTIONAL_LAYERS,
     ROOT_ATTRIBUTES,
     layers,

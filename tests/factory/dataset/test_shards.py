@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import yaml
 
-from simnfnd.factory.dataset.format.manifest import damage
-from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.manifest import damage
+from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.settings import build
 from tests.factory.dataset.some_shards import PROVENANCE, SOURCE, some_pairs, write

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.describe.preview import preview
-from simnfnd.factory.dataset.describe.summary import summarize
-from simnfnd.factory.dataset.read.reader import shard_paths
+from simnfnd.factory.dataset.preview import preview
+from simnfnd.factory.dataset.quality import summarize
+from simnfnd.factory.dataset.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
 from tests.factory.dataset.hostile import admit, reseal
@@ -135,7 +135,7 @@ def test_files_are_opened_in_another_process_first(
     folder: Path, verb: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A table of texts that HDF5 walks for ever would hang this one."""
-    monkeypatch.setattr("simnfnd.factory.dataset.read.reader._LIMIT_S", 2.0)
+    monkeypatch.setattr("simnfnd.factory.dataset.reader._LIMIT_S", 2.0)
     path = folder / SHARD
     content = bytearray(path.read_bytes())
     start = content.index(b"GCOL") + 16

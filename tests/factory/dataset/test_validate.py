@@ -13,12 +13,11 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
-from simnfnd.factory.dataset.format.schema import config_hash
-from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.manifest import load_manifest, save_manifest
+from simnfnd.factory.dataset.schema import config_hash
+from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.validate import Report, validate
-from simnfnd.factory.dataset.write.index import write_index
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.writer import write_index, write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.hostile import (

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from simnfnd.factory.dataset.format.manifest import Manifest, save_manifest
-from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance, config_hash
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.manifest import Manifest, save_manifest
+from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance, config_hash
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import write_shard
 
 SHAPE = (20, 16)
 COUNTS = {"train": (5, 4), "test": (3,)}

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.dataset.format.schema import Pair, layers
+from simnfnd.factory.dataset.schema import Pair, layers
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.labels import CLASSES

@@ -9,9 +9,9 @@ import pytest
 
 from simnfnd.factory import pairs
 from simnfnd.factory.config import from_mapping
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.schema import Provenance
 from simnfnd.factory.dataset.validate import shard_facts
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.base import Mount

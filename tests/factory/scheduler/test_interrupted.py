@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from simnfnd.factory.cli import guard
-from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.scheduler import run
 from simnfnd.factory.scheduler.workers.signals import Interrupted, stop_signals
 from tests.run_fake import make

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from simnfnd.factory.dataset.format.manifest import load_manifest
+from simnfnd.factory.dataset.manifest import load_manifest
 from simnfnd.factory.errors import FactoryError
 from tests.factory.scheduler.run_files import failures, litter, shard_bytes
 from tests.fake_source import BrokenSource, FakeConfig, LethalSource, refs

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from simnfnd.factory.dataset.format.manifest import load_manifest
+from simnfnd.factory.dataset.manifest import load_manifest
 from tests.factory.scheduler.run_files import litter, shard_bytes, wait_for
 from tests.project_files import ROOT
 from tests.run_fake import make

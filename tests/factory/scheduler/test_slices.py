@@ -6,10 +6,9 @@ import multiprocessing
 import threading
 from pathlib import Path
 
-from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.format.schema import Provenance, config_hash
-from simnfnd.factory.dataset.write.failures import load_failures
-from simnfnd.factory.dataset.write.folder import open_folder
+from simnfnd.factory.dataset.folder import open_folder
+from simnfnd.factory.dataset.manifest import load_failures, load_manifest
+from simnfnd.factory.dataset.schema import Provenance, config_hash
 from simnfnd.factory.scheduler.settings import ShardSlice
 from tests.factory.scheduler.run_files import shard_bytes
 from tests.factory.scheduler.staged import staged

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from simnfnd.factory.dataset.write.failures import load_failures
+from simnfnd.factory.dataset.manifest import load_failures
 from tests.factory.scheduler.run_files import shard_bytes
 from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig

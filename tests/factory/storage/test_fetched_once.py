@@ -12,12 +12,11 @@ from typing import Any
 
 import pytest
 
-from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.manifest import Manifest, save_manifest
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import stream
-from simnfnd.factory.dataset.read.stream import Windows
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset import PairDataset, pair_dataset
+from simnfnd.factory.dataset.manifest import Manifest, save_manifest
+from simnfnd.factory.dataset.pair_dataset import Windows
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.storage.store import Store
@@ -144,7 +143,7 @@ def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
     pytest.importorskip("torch")
     from simnfnd.models.data.pairs import PairSource, read_table, windows_of
 
-    monkeypatch.setattr(stream, "WINDOW", WINDOW)
+    monkeypatch.setattr(pair_dataset, "WINDOW", WINDOW)
     keep(monkeypatch, local, room)
     table = read_table(url, "train")
     assert asked.counts == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}

@@ -141,7 +141,7 @@ def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path
     code = (
         "import sys, time; from pathlib import Path\n"
         "from simnfnd.factory.storage.store import Store\n"
-        "from simnfnd.factory.dataset.read.reader import bring\n"
+        "from simnfnd.factory.dataset.reader import bring\n"
         "plain = Store.get\n"
         "def get(self, name):\n"
         "    open(sys.argv[2], 'a').write(name + '\\n')\n"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
+from simnfnd.factory.dataset.pair_dataset import in_unit_range
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import yaml
 
-from ...files import write_atomically
-from ..format.manifest import Manifest
-from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
-from ..format.settings import DatasetSettings
-from ..read.source import open_source
-from ..write.failures import FAILURES_NAME, Failure
-from ..write.folder import CARD_NAME, PREVIEW_NAME
-from .markdown import table
+from ..files import write_atomically
+from .folder import CARD_NAME, PREVIEW_NAME
+from .manifest import FAILURES_NAME, Failure, Manifest
+from .schema import SCHEMA, SPLITS, Provenance, plain_values
+from .settings import DatasetSettings
+from .source import open_source
 
 # Identifiers that the Hugging Face hub knows; anything else goes there as "other" with a name.
 _HUB_LICENCES = (
@@ -128,3 +126,30 @@ def hub_fields(name: str, licence: str | None, samples: int) -> str:
         "tags:\n" + "\n".join(f"- {tag}" for tag in _TAGS),
     ]
     return "\n".join(lines)
+
+
+_RULES = {"l": "---", "r": "---:", "c": ":---:"}
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str = "lr") -> str:
+    """A table, without a newline at its end.
+
+    align: a letter a column, l, r or c; the last one counts for all further columns.  In cells a
+    vertical bar is escaped and a line end becomes a space.  Raises ValueError for a row that has
+    not as many cells as the head.
+    """
+    letters = align.ljust(len(head), align[-1])
+    lines = [_line(head), f"|{'|'.join(_RULES[letter] for letter in letters[: len(head)])}|"]
+    for row in rows:
+        if len(row) != len(head):
+            raise ValueError(f"{len(row)} cells under a head of {len(head)}: {row}")
+        lines.append(_line(row))
+    return "\n".join(lines)
+
+
+def _line(cells: Sequence[object]) -> str:
+    return "| " + " | ".join(map(_cell, cells)) + " |"
+
+
+def _cell(content: object) -> str:
+    return str(content).replace("\n", " ").replace("|", "\\|")

@@ -1,4 +1,4 @@
-"""manifest.json: which shards make up the dataset, and how to tell that they are whole.
+"""manifest.json and failed.jsonl: which shards and frames make up the dataset, and which do not.
 
 While a run goes on, what became of a shard lies in a file beside it: train/shard-00000.json.
 """
@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from ...errors import FactoryError
-from ...files import explain_os_errors, remove_file, sha256_of, write_atomically
-from ...small_files import one_line, parse_json, read_regular
-from ...storage.copies import fetched
+from ..errors import FactoryError
+from ..files import explain_os_errors, remove_file, sha256_of, write_atomically
+from ..frame import FrameRef
+from ..small_files import one_line, parse_json, read_regular
+from ..storage.copies import fetched
 from .schema import SCHEMA, SPLITS, config_hash
 
 MANIFEST_NAME = "manifest.json"
 # All shards as one file, by virtual datasets.
 INDEX_NAME = "index.h5"
+FAILURES_NAME = "failed.jsonl"
 # Every setting of the run.
 CONFIG_NAME = "config.yaml"
 # Keys of a configuration under which those of earlier datasets are kept.
@@ -273,3 +275,80 @@ def _outcome_files(directory: Path) -> list[Path]:
         for path in sorted((directory / split).glob("shard-*.json"))
         if _OUTCOME.fullmatch(path.name)
     ]
+
+
+FailureKind = Literal["frame", "error", "crash", "timeout"]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One frame (all its planned variants) that gave no sample.
+
+    kind: frame (its data is bad), error (a defect of the program), crash (its worker process
+        died) or timeout.
+    shard: the shard that it was planned for.
+    """
+
+    ref: FrameRef
+    kind: FailureKind
+    reason: str
+    shard: str
+
+
+def save_failures(
+    directory: Path, failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]
+) -> None:
+    """Write failed.jsonl, one JSON object a line in the order of shards and frames.
+
+    `rerun_command(ref)` is the command line that tries that one frame again.
+    """
+    found = sorted(failures, key=lambda item: (item.shard, item.ref.name))
+    lines = [json.dumps(line) for line in failure_lines(found, rerun_command)]
+    write_atomically(directory / FAILURES_NAME, "".join(f"{line}\n" for line in lines).encode())
+
+
+def failure_lines(
+    failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]
+) -> list[dict[str, str]]:
+    """What failed.jsonl and the results beside shards say of failures."""
+    return [
+        {
+            "frame": failure.ref.name,
+            "shard": failure.shard,
+            "kind": failure.kind,
+            "reason": failure.reason,
+            "command": rerun_command(failure.ref),
+        }
+        for failure in failures
+    ]
+
+
+def load_failures(directory: Path) -> list[dict[str, str]]:
+    """The lines of failed.jsonl, and what runs have settled since.
+
+    A last line without an end, as earlier versions left it when they were killed, is passed over.
+    Raises FactoryError when one is damaged.
+    """
+    path = directory / FAILURES_NAME
+    items: list[dict[str, str]] = []
+    lines = []
+    try:
+        lines = read_regular(path, _MAX_BYTES).decode().split("\n")[:-1]
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read ({one_line(error)}); run the dataset's command again, it is "
+            "written anew"
+        ) from error
+    for number, line in enumerate(lines, start=1):
+        try:
+            item = parse_json(line)
+            items.append({key: str(item[key]) for key in FAILURE_KEYS})
+        except (ValueError, KeyError, TypeError) as error:
+            raise FactoryError(
+                f"{path}:{number}: damaged; run the dataset's command again, it is written anew"
+            ) from error
+    settled = outcomes(directory)
+    kept = [item for item in items if item["shard"] not in settled]
+    return kept + [dict(line) for path in sorted(settled) for line in settled[path].failures]

@@ -19,13 +19,15 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ...errors import FactoryError, FrameError
-from ...frame import FrameRef
-from ...labels import CLASSES
+from ..errors import FactoryError, FrameError
+from ..frame import FrameRef
+from ..labels import CLASSES
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
 SAMPLE_DIMENSION = "sample"
+# Layers of every shard.
+CORE = ("noisy", "clean", "shadow")
 # What a dataset may be called.
 DATASET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 

@@ -22,13 +22,17 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ...errors import FactoryError
-from .axes import ECHO_PLACE, axis_names, echo_names, exists, image_axes
-from .schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
-
-_CONTENTS, _TEXTS = SEALS
-# Addresses in the file; what they lead to is in `_texts` by name.
-_REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
+from ..errors import FactoryError
+from .layout import (
+    ECHO_PLACE,
+    axis_names,
+    dataset_inside,
+    echo_names,
+    exists,
+    image_axes,
+    optional_layers,
+)
+from .schema import CHECKSUMS, CORE, ROOT_ATTRIBUTES, SEALS
 
 
 def _deflate() -> Any:
@@ -44,11 +48,14 @@ def _deflate() -> Any:
 DEFLATE = _deflate()
 """isal's zlib, in a third to two thirds of the time; readers may have numpy and h5py alone."""
 
+_CONTENTS, _TEXTS = SEALS
+# Addresses in the file; what they lead to is in `_texts` by name.
+_REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
+
 
 def crc32(values: npt.NDArray[Any]) -> int:
     """CRC-32 of an array's bytes in C order."""
-    sums: int = DEFLATE.crc32(np.ascontiguousarray(values).data)
-    return sums
+    return int(DEFLATE.crc32(np.ascontiguousarray(values).data))
 
 
 def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
@@ -61,12 +68,15 @@ def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
     for name, values in sums.items():
         table[name] = values
     file.create_dataset(CHECKSUMS, data=table, track_times=False)
-    file.attrs[_CONTENTS] = _digest(_contents(file, file["meta"][()]))
+    file.attrs[_CONTENTS] = _digest(_contents(file))
     file.attrs[_TEXTS] = _digest(_texts(file, sums))
 
 
-def require_checksums(file: h5py.File) -> None:
-    """Raise FactoryError for a shard that has lost some, or never had any."""
+def check_contents(file: h5py.File) -> None:
+    """Compare `checksum` in a file of sound layout.  Raises FactoryError when it differs.
+
+    A row a sample and a column a layer must be in /checksums.
+    """
     parts = [name in file.attrs for name in SEALS] + [exists(file, CHECKSUMS)]
     if not all(parts):
         some = "some of its" if any(parts) else "its"
@@ -74,20 +84,22 @@ def require_checksums(file: h5py.File) -> None:
             f"{some} checksums are absent; generate the shard again (versions before 0.3 wrote "
             "none)"
         )
-
-
-def check_contents(file: h5py.File, rows: npt.NDArray[Any]) -> None:
-    """Compare `checksum`.  Raises FactoryError when it differs.
-
-    rows: those of /meta.
-    """
-    if file.attrs[_CONTENTS] != _digest(_contents(file, rows)):
+    table, names = dataset_inside(file, CHECKSUMS), _summed(file)
+    columns = table.dtype.names or ()
+    numbers = all(table.dtype[name] == np.dtype("<u4") for name in columns)
+    if table.shape != file["meta"].shape or sorted(columns) != sorted(names) or not numbers:
+        raise FactoryError(f"/{CHECKSUMS} does not fit the layers; generate the shard again")
+    if file.attrs[_CONTENTS] != _digest(_contents(file)):
         raise FactoryError("/meta, /axes or attributes differ from their checksum; damaged")
 
 
-def check_texts(file: h5py.File, layers: Iterable[str]) -> None:
-    """Compare `text_checksum`.  Raises FactoryError when it differs."""
-    if file.attrs[_TEXTS] != _digest(_texts(file, layers)):
+def check_texts(file: h5py.File) -> None:
+    """Read all attributes and axes and compare `text_checksum`, which may raise any exception.
+
+    Raises FactoryError when it differs.
+    """
+    dict(file.attrs)
+    if file.attrs[_TEXTS] != _digest(_texts(file, _summed(file))):
         raise FactoryError("units or descriptions differ from their checksum; damaged")
 
 
@@ -97,18 +109,22 @@ def picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
     return sums
 
 
+def _summed(file: h5py.File) -> tuple[str, ...]:
+    return (*CORE, *optional_layers(file), *echo_names(file))
+
+
 def _digest(document: Any) -> str:
     text = json.dumps(document, separators=(",", ":"))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _contents(file: h5py.File, rows: npt.NDArray[Any]) -> list[Any]:
-    sums = file[CHECKSUMS][()]
+def _contents(file: h5py.File) -> list[Any]:
+    tables = (file["meta"][()], file[CHECKSUMS][()])
     return [
         [[name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS],
         [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])],
         *([["echoes", crc32(file[ECHO_PLACE][()])]] if echo_names(file) else []),
-        *([[[n, t.dtype[n].str] for n in t.dtype.names or ()], crc32(t)] for t in (rows, sums)),
+        *([[[n, t.dtype[n].str] for n in t.dtype.names or ()], crc32(t)] for t in tables),
     ]
 
 

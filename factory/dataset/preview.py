@@ -14,14 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from ...errors import FactoryError
-from ...files import write_atomically
-from ..format.manifest import MANIFEST_NAME, load_manifest
-from ..format.schema import VALUE_RANGES
-from ..read.image_stack import ImageStack
-from ..read.reader import reading
-from ..read.source import CORE, SampleName, open_source
-from ..write.folder import PREVIEW_NAME
+from ..errors import FactoryError
+from ..files import write_atomically
+from .folder import PREVIEW_NAME
+from .manifest import MANIFEST_NAME, load_manifest
+from .reader import ImageStack, reading
+from .schema import CORE, VALUE_RANGES
+from .source import SampleName, open_source
 
 _BACKGROUND, _TEXT, _FAINT = "#0d1117", "#e6edf3", "#8b949e"
 # Black over amber to near white, as imaging sonars show echoes; shadows in the opposite hue.

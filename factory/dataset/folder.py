@@ -9,15 +9,15 @@ from typing import Any
 
 import yaml
 
-from ...errors import FactoryError
-from ...files import (
+from ..errors import FactoryError
+from ..files import (
     check_writable,
     is_temporary,
     remove_stale_temporaries,
     write_atomically,
 )
-from ...small_files import read_regular
-from ..format.manifest import (
+from ..small_files import read_regular
+from .manifest import (
     CONFIG_NAME,
     MANIFEST_NAME,
     PARTS,
@@ -25,7 +25,7 @@ from ..format.manifest import (
     load_manifest,
     save_manifest,
 )
-from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
+from .schema import SCHEMA, SPLITS, Provenance, plain_values
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"

@@ -15,16 +15,13 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ...errors import FactoryError
-from ...small_files import load_yaml, one_line
-from ..format.axes import image_axes
-from ..format.layout import config_of, optional_layers
-from ..format.manifest import CONFIG_NAME
-from ..format.schema import DATASET_NAME, Axis, Column
-from .image_stack import ImageStack
-from .reader import Split, reading, shard_paths
+from ..errors import FactoryError
+from ..small_files import load_yaml, one_line
+from .layout import config_of, image_axes, optional_layers
+from .manifest import CONFIG_NAME
+from .reader import ImageStack, Split, reading, shard_paths
+from .schema import CORE, DATASET_NAME, Axis, Column
 
-CORE = ("noisy", "clean", "shadow")
 Value = float | int | str
 
 

@@ -1,0 +1,279 @@
+"""Is a shard laid out as the schema says, and does everything in it lie in the file itself?
+
+A dataset may come from a stranger or a dying disk.  What is checked here reads no image: links,
+types, sizes, filters and attributes.  A file that passes names no other file and has one chunk for
+each picture; its checksum says whether that is the right one.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from ..errors import FactoryError
+from ..small_files import parse_json
+from .schema import (
+    CAMERA_LAYERS,
+    CHANNELS,
+    CHECKSUMS,
+    EFFECT_FOLDER,
+    MAX_PIXELS,
+    OPTIONAL_LAYERS,
+    REQUIRED_COLUMNS,
+    SCHEMA,
+    SPLITS,
+    VALUE_RANGES,
+    Axis,
+    Layer,
+    layers,
+)
+
+ECHO_PLACE = "echoes/place"
+
+_LZF, _ZSTD, _FLETCHER32 = 32000, 32015, 3
+_CODECS = {1: "gzip", _LZF: "lzf", _ZSTD: "zstd"}
+
+
+# --- what lies in the file itself
+
+
+def exists(file: h5py.File, name: str) -> bool:
+    """Whether there is a link of that name, whatever it leads to."""
+    return bool(file.id.links.exists(name.encode()))
+
+
+def object_inside(file: h5py.File, name: str) -> Any:
+    """The object at `name`; links that could lead out of the file are refused on the way."""
+    parts = name.split("/")
+    for part in ("/".join(parts[: count + 1]) for count in range(len(parts))):
+        if not exists(file, part):
+            raise FactoryError(f"dataset /{part} is absent; generate the shard again")
+        # Not h5py's own `in` and `get`: they open the file that an external link names.
+        if file.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
+            raise FactoryError(f"/{part} is a link to elsewhere; not followed")
+    return file[name]
+
+
+def dataset_inside(file: h5py.File, name: str, *, chunks: bool = False) -> h5py.Dataset:
+    """A dataset that lies in this very file, in one piece or in chunks as the schema has it.
+
+    What lies in one piece is read as a whole, so it may not claim more bytes than the file has.
+    """
+    found = object_inside(file, name)
+    if not isinstance(found, h5py.Dataset):
+        raise FactoryError(f"/{name} is no dataset; generate the shard again")
+    plist = found.id.get_create_plist()
+    if plist.get_layout() == h5py.h5d.VIRTUAL or plist.get_external_count():
+        raise FactoryError(f"/{name} keeps its data in another file; not followed")
+    if chunks != (plist.get_layout() == h5py.h5d.CHUNKED):
+        kept = "chunks" if chunks else "one piece"
+        raise FactoryError(f"/{name}: the schema keeps it in {kept}; generate it again")
+    claimed = int(np.prod(found.shape, dtype=np.float64)) * found.id.get_type().get_size()
+    if not chunks and claimed > file.id.get_filesize():
+        raise FactoryError(f"/{name} claims more bytes than the file has")
+    return found
+
+
+def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
+    """Row and column axes of an image stack.  Raises FactoryError when one cannot be read."""
+    return _axis(stack, 1), _axis(stack, 2)
+
+
+def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
+    # By its name: HDF5 dies of some numbers that stand in place of a reference.
+    name, size = str(stack.dims[dimension].label), stack.shape[dimension]
+    scale = dataset_inside(stack.file, f"axes/{name}")
+    if scale.shape != (size,) or scale.dtype.kind not in "iuf":
+        raise FactoryError(f"/axes/{name} does not have the {size} numbers of {stack.name}")
+    units, about = (str(scale.attrs.get(key, "")) for key in ("units", "description"))
+    return Axis(name, units, np.asarray(scale[()], dtype=np.float64), about)
+
+
+def axis_names(stack: h5py.Dataset) -> tuple[str, ...]:
+    """Of rows and columns; pictures of the camera and lists of echoes have none."""
+    name = str(stack.name).lstrip("/")
+    if name in CAMERA_LAYERS or name.startswith("echoes/"):
+        return ()
+    return str(stack.dims[1].label), str(stack.dims[2].label)
+
+
+def optional_layers(file: h5py.File) -> tuple[str, ...]:
+    """Names of the optional layers that a shard has, in the order of the schema."""
+    names = [layer.name for layer in OPTIONAL_LAYERS if exists(file, layer.name)]
+    if exists(file, folder := EFFECT_FOLDER.rstrip("/")):
+        group = object_inside(file, folder)
+        if not isinstance(group, h5py.Group):
+            raise FactoryError(f"/{folder} is no group of layers")
+        names += [f"{EFFECT_FOLDER}{name}" for name in sorted(group)]
+    return tuple(names)
+
+
+def echo_names(file: h5py.File) -> tuple[str, ...]:
+    """Lists of echoes that versions before 0.4 could write, for h5py alone to read; mostly none.
+
+    Raises FactoryError when one lies in another file.
+    """
+    listed = dataset_inside(file, CHECKSUMS).dtype.names if exists(file, CHECKSUMS) else None
+    names = tuple(name for name in listed or () if name.startswith("echoes/"))
+    for name in (ECHO_PLACE, *names) if names else ():
+        dataset_inside(file, name)
+    return names
+
+
+def config_of(file: h5py.File) -> dict[str, Any]:
+    """The settings that a shard states in its `config` attribute.
+
+    Raises FactoryError (without the file's name) when they are absent or damaged.
+    """
+    text, config = _text_attribute(file, "config"), None
+    with suppress(ValueError):
+        config = parse_json(text)
+    if not isinstance(config, dict):
+        raise FactoryError("attribute config is no JSON object; generate the shard again")
+    return config
+
+
+def inside(root: Path, path: Path) -> bool:
+    """Whether `path`, links followed, is a regular file below `root`."""
+    try:
+        return path.resolve().is_relative_to(root.resolve()) and path.is_file()
+    except (OSError, RuntimeError):
+        return False
+
+
+# --- what the schema says
+
+
+def check_shard(file: h5py.File) -> None:
+    """Raise FactoryError (without the file's name) with what keeps an open shard from being read.
+
+    Other exceptions can escape from HDF5 itself when the file is damaged.
+    """
+    schema = file.attrs.get("schema")
+    if not isinstance(schema, str) or schema != SCHEMA:
+        raise FactoryError(
+            f"schema {str(schema)[:40]!r}, but this program reads {SCHEMA!r}; "
+            "use a matching release"
+        )
+    noisy = dataset_inside(file, "noisy", chunks=True)
+    shape, dtype = noisy.shape, str(noisy.dtype)
+    if len(shape) != 3 or dtype not in VALUE_RANGES:
+        raise FactoryError(
+            f"/noisy is {shape} {dtype}; expected samples, rows and columns of "
+            f"{' or '.join(VALUE_RANGES)}"
+        )
+    for layer in layers(dtype, optional_layers(file)):
+        stack = dataset_inside(file, layer.name, chunks=True)
+        _check_stack(stack, layer, shape)
+        _check_chunks(stack)
+    _check_table(dataset_inside(file, "meta"), shape[0])
+    for name in ("generator", "config_hash"):
+        _text_attribute(file, name)
+    config_of(file)
+    if (split := _text_attribute(file, "split")) not in SPLITS:
+        raise FactoryError(f"attribute split is {split[:40]!r}; expected {' or '.join(SPLITS)}")
+
+
+def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> None:
+    """A stack has the shape, type and chunks of its layer.  shape: of /noisy."""
+    name, picture = f"/{layer.name}", stack.shape[1:]
+    fits = stack.shape == shape
+    if layer.of_camera:
+        fits = stack.shape[:1] == shape[:1] and picture[2:] in ((), (CHANNELS,))
+        fits = fits and len(picture) == len(layer.of_camera)
+    if not fits or not 0 < picture[0] * picture[1] <= MAX_PIXELS:
+        expected = ", ".join(layer.of_camera) or shape
+        raise FactoryError(
+            f"{name} is {stack.shape}; expected {expected} and at most {MAX_PIXELS} pixels"
+        )
+    # Of the same layer in other shards, too: grey values are all of one dtype.
+    if str(stack.dtype) != layer.dtype or stack.chunks != (1, *picture):
+        raise FactoryError(
+            f"{name} is {stack.dtype} in chunks {stack.chunks}; expected {layer.dtype}, one chunk "
+            "for each picture"
+        )
+
+
+def _check_chunks(stack: h5py.Dataset) -> None:
+    """Each sample has a chunk inside the file; HDF5 aborts over sizes that cannot be."""
+    name, (samples, *picture) = stack.name, stack.shape
+    (codec, ending), file_bytes = _filters(stack), stack.file.id.get_filesize()
+    full = prod(picture) * stack.dtype.itemsize + ending
+    # What cannot be made smaller grows by far less than that.
+    least, most = (full, full) if codec == "none" else (ending + 1, full + full // 16 + 4096)
+    origin, found = (0,) * len(picture), 0
+
+    def check_chunk(chunk: Any) -> None:
+        nonlocal found
+        if chunk.chunk_offset != (found, *origin) or found >= samples:
+            raise FactoryError(f"{name}: its table of chunks is damaged; generate it again")
+        # LZF alone leaves a chunk as it is where it cannot make it smaller.
+        if chunk.filter_mask and (codec, chunk.filter_mask, chunk.size) != ("lzf", 1, full):
+            raise FactoryError(f"{name} sample {found} skips its filters; generate it again")
+        end = None if chunk.byte_offset is None else chunk.byte_offset + chunk.size
+        if not least <= chunk.size <= most or end is None or end > file_bytes:
+            raise FactoryError(
+                f"{name} sample {found} has a chunk of {chunk.size} bytes that ends at {end}; "
+                "generate it again"
+            )
+        found += 1
+
+    stack.id.chunk_iter(check_chunk)
+    if found != samples:
+        raise FactoryError(f"{name} holds {found} of {samples} samples; generate it again")
+
+
+def _filters(stack: h5py.Dataset) -> tuple[str, int]:
+    """Compression of an image stack (or none), and bytes of its Fletcher-32 checksum, 4 or 0.
+
+    Raises FactoryError for any filter that the schema has not: it would be a library that HDF5
+    loads from wherever HDF5_PLUGIN_PATH points, or let a chunk grow without bound.
+    """
+    plist = stack.id.get_create_plist()
+    codes = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
+    ending = 4 if codes[-1:] == [_FLETCHER32] else 0
+    codecs = codes[: len(codes) - bool(ending)]
+    if len(codecs) > 1 or not set(codecs) <= set(_CODECS):
+        raise FactoryError(f"{stack.name} uses filters {codes}, which are not of {SCHEMA}")
+    if _ZSTD in codes and not h5py.h5z.filter_avail(_ZSTD):
+        try:
+            import hdf5plugin  # noqa: F401  (registers its filters; 186 MB, so only when needed)
+        except ImportError as error:
+            raise FactoryError(
+                "compressed with zstd, which needs the hdf5plugin package: "
+                "pip install 'simnfnd[zstd]'"
+            ) from error
+    return _CODECS[codecs[0]] if codecs else "none", ending
+
+
+def _check_table(table: h5py.Dataset, samples: int) -> None:
+    names = table.dtype.names or ()
+    if table.shape != (samples,) or not set(REQUIRED_COLUMNS).issubset(names):
+        raise FactoryError(
+            f"/meta must have {samples} rows with the columns {', '.join(REQUIRED_COLUMNS)}"
+        )
+    kinds = {name: table.dtype[name].kind for name in names}
+    text = {kinds[name] for name in REQUIRED_COLUMNS[:3]}
+    if not set(kinds.values()) <= set("iufS") or text != {"S"} or kinds["variant"] not in "iu":
+        raise FactoryError("/meta has columns of types that the schema does not know")
+    rows = table[()]
+    for name in (name for name in names if kinds[name] == "S"):
+        try:
+            # Decoded wherever they are shown.
+            b" ".join(rows[name].tolist()).decode()
+        except UnicodeDecodeError as error:
+            raise FactoryError(f"/meta: column {name} has text that is not UTF-8") from error
+
+
+def _text_attribute(file: h5py.File, name: str) -> str:
+    value = file.attrs.get(name)
+    with suppress(UnicodeEncodeError):
+        if isinstance(value, str):
+            value.encode()
+            return value
+    raise FactoryError(f"attribute {name} is absent or no text; generate the shard again")

@@ -1,0 +1,251 @@
+"""What a finished dataset looks like in figures, for tables, messages and `simnfnd inspect`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import FactoryError
+from .manifest import INDEX_NAME
+from .preview import load, spread
+from .reader import check_in_isolation, reading
+from .source import Source, open_shards, open_source
+
+# Equal pictures count as this much, so that a mean stays finite.
+PSNR_CAP_DB = 100.0
+
+
+def noisiness(directory: Path, most: int = 200) -> dict[str, float]:
+    """PSNR (dB), SSIM and GMSD of noisy against clean: mean and, as `NAME_std`, spread.
+
+    Over whole pictures of (at most `most`) samples; NaN without any.
+    """
+    found: list[tuple[float, ...]] = []
+    for shard in _shards(directory):
+        for noisy, clean in zip(shard["noisy"], shard["clean"], strict=True):
+            if len(found) < most:
+                found.append((psnr_db(clean, noisy), ssim(clean, noisy), gmsd(clean, noisy)))
+    values = np.array(found or [(np.nan,) * 3])
+    made: dict[str, float] = {}
+    for name, column in zip(("psnr_db", "ssim", "gmsd"), values.T, strict=True):
+        made |= {name: float(column.mean()), f"{name}_std": float(column.std())}
+    return made
+
+
+def psnr_db(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
+    """Peak signal-to-noise ratio of (H, W) uint8 (0..255) or float (0..1) images, dB, capped."""
+    mse = float(np.mean((_unit(noisy) - _unit(clean)) ** 2))
+    return float(min(PSNR_CAP_DB, -10 * np.log10(max(mse, 1e-10))))
+
+
+def ssim(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
+    """Mean structural similarity (Wang et al. 2004) of two (H, W) uint8 or float (0..1) images.
+
+    The border of 5 pixels is left out, as in reports.  NaN for images smaller than the window.
+    """
+    if min(clean.shape) < 2 * RADIUS_PX + 1:
+        return float("nan")
+    luminance, structure = SsimReference(_unit(clean), 1.0).terms(_unit(noisy))
+    return float(inner(luminance * structure).mean())
+
+
+def gmsd(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
+    """Gradient magnitude similarity deviation of two (H, W) uint8 or float (0..1) images.
+
+    Xue et al. (2014), as the authors' program has it: of 2x2 means, Prewitt's gradients, c = 170
+    for 255 grey values, zeros beyond the border.  0: identical.
+    """
+    one, other = (_gradient(255 * _unit(image)) for image in (clean, noisy))
+    return float(((2 * one * other + 170) / (one**2 + other**2 + 170)).std())
+
+
+def _gradient(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    height, width = image.shape
+    image = np.pad(image, ((0, height % 2), (0, width % 2)))
+    image = image.reshape(len(image) // 2, 2, -1, 2).mean(axis=(1, 3))
+    edge = np.pad(image, 1)
+    across, down = edge[:, 2:] - edge[:, :-2], edge[2:] - edge[:-2]
+    across = (across[:-2] + across[1:-1] + across[2:]) / 3
+    down = (down[:, :-2] + down[:, 1:-1] + down[:, 2:]) / 3
+    return np.asarray(np.hypot(across, down))
+
+
+def seen_sector_deg(directory: Path) -> tuple[float, float]:
+    """Smallest and largest horizontal sector, degrees, that the camera saw of a sample."""
+    spans = [
+        shard["meta"]["azimuth_max_deg"] - shard["meta"]["azimuth_min_deg"]
+        for shard in _shards(directory)
+    ]
+    joined = np.concatenate(spans)
+    return float(joined.min()), float(joined.max())
+
+
+def lit_share(directory: Path, most: int = 64) -> float:
+    """Share of the pixels of (at most `most`) clean pictures that show an echo, 0 to 1."""
+    found: list[float] = []
+    for shard in _shards(directory):
+        found += [float((picture > 0).mean()) for picture in shard["clean"][: most - len(found)]]
+        if len(found) >= most:
+            break
+    return float(np.mean(found)) if found else 0.0
+
+
+def _unit(image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    scale = 255.0 if image.dtype == np.uint8 else 1.0
+    return np.asarray(image.astype(np.float64) / scale)
+
+
+def _shards(directory: Path) -> Iterator[h5py.File]:
+    for path in sorted(directory.glob("*/shard-*.h5")):
+        with h5py.File(path) as shard:
+            yield shard
+
+
+Values = npt.NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+SIGMA_PX = 1.5
+RADIUS_PX = 5
+"""Of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
+
+_K1, _K2 = 0.01, 0.03
+
+
+class SsimReference:
+    """One image (H, W) float64, and the half of the work that depends on it alone.
+
+    data_range: the difference of the largest and the smallest value that there can be.
+    """
+
+    def __init__(self, image: Values, data_range: float) -> None:
+        self.image = image
+        self._c1, self._c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
+
+    def terms(self, image: Values) -> tuple[Values, Values]:
+        """(H, W) luminance and contrast-structure terms of SSIM; borders are mirrored."""
+        mean = window(image)
+        variance = window(image * image)
+        squared = mean * mean
+        variance -= squared
+        cross = window(self.image * image)
+        product = self._mean * mean
+        cross -= product
+        luminance = (2 * product + self._c1) / (self._mean_squared + squared + self._c1)
+        structure = (2 * cross + self._c2) / (self._variance + variance + self._c2)
+        return luminance, structure
+
+    @cached_property
+    def _mean(self) -> Values:
+        return window(self.image)
+
+    @cached_property
+    def _mean_squared(self) -> Values:
+        return np.asarray(self._mean * self._mean)
+
+    @cached_property
+    def _variance(self) -> Values:
+        return np.asarray(window(self.image * self.image) - self._mean_squared)
+
+
+def inner(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+    """(H, W) values without the border of 5 pixels that the window does not fit into."""
+    return values[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
+
+
+def window(values: Values) -> Values:
+    """(H, W) means under the Gaussian window, borders mirrored."""
+    try:
+        import cv2  # of the extra sonar
+    except ImportError:
+        return _plain_window(values)
+    size = (2 * RADIUS_PX + 1,) * 2
+    means = cv2.GaussianBlur(values, size, SIGMA_PX, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(means, np.float64)
+
+
+def _plain_window(values: Values) -> Values:
+    """The same without OpenCV, to rounding."""
+    weights = np.exp(-0.5 * (np.arange(-RADIUS_PX, RADIUS_PX + 1) / SIGMA_PX) ** 2)
+    wide = np.pad(values, RADIUS_PX, mode="symmetric")
+    for axis in (0, 1):
+        views = np.lib.stride_tricks.sliding_window_view(wide, len(weights), axis=axis)
+        wide = views @ (weights / weights.sum())
+    return wide
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetSummary:
+    """Figures about a dataset.
+
+    schema, generator: as the first shard states them.
+    table: (samples,) structured array, the rows of /meta of all shards.
+    splits: (samples,) the split of each row.
+    stored_bytes: of all files.  image_bytes: of the images without compression.
+    psnr_db, ssim: noisy against clean, of `measured` samples spread evenly.
+    """
+
+    source: Source
+    schema: str
+    generator: str
+    compression: str
+    table: npt.NDArray[np.void]
+    splits: npt.NDArray[np.str_]
+    stored_bytes: int
+    image_bytes: int
+    psnr_db: npt.NDArray[np.float64]
+    ssim: npt.NDArray[np.float64]
+
+    def numbers(self, name: str) -> npt.NDArray[np.float64]:
+        """The finite values of one numeric column."""
+        values = self.table[name].astype(np.float64)
+        return np.asarray(values[np.isfinite(values)])
+
+
+def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
+    """Read a dataset folder, its index.h5 or one shard; `pairs` images at most are decoded.
+
+    Raises FactoryError when there is nothing of the kind, or a file is damaged.
+    """
+    if pairs < 1:
+        raise FactoryError(f"--pairs must be at least 1, got {pairs}")
+    if path.is_file() and path.name != INDEX_NAME:
+        check_in_isolation((path,))
+        source = open_shards(path.parent, (path,))
+    elif not path.exists():
+        raise FactoryError(f"{path}: no such file or folder; give a dataset or one of its shards")
+    else:
+        source = open_source(path.parent if path.is_file() else path, "all")
+    tables = list(source.tables())
+    with reading(source.shards[0][1]) as file:
+        schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
+        compression = compression_of(file["noisy"])
+    images = [load(one).images for one in spread(list(source.names()), pairs)]
+    a_sample = sum(
+        int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
+    )
+    return DatasetSummary(
+        source,
+        schema,
+        generator,
+        compression,
+        np.concatenate([rows for _, _, rows in tables]),
+        np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
+        sum(shard.stat().st_size for _, shard, _ in source.shards),
+        a_sample * sum(source.splits.values()),
+        np.array([psnr_db(one["clean"], one["noisy"]) for one in images]),
+        np.array([ssim(one["clean"], one["noisy"]) for one in images]),
+    )
+
+
+def compression_of(stack: h5py.Dataset) -> str:
+    """The filters of a dataset in words, for example `gzip 1, fletcher32`."""
+    level = "" if stack.compression_opts is None else f" {stack.compression_opts}"
+    names = [f"{stack.compression}{level}"] if stack.compression else []
+    return ", ".join(names + ["fletcher32"] * bool(stack.fletcher32)) or "none"
