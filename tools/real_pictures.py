@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from simnfnd.evaluation.filters.base import Gray
+from simnfnd.evaluation.metrics.measure import Gray
 from simnfnd.evaluation.real.groups import judged, search
 from simnfnd.evaluation.recorded import open_input
 from simnfnd.models.denoise.denoiser import load_denoiser

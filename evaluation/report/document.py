@@ -132,3 +132,6 @@ def _environment() -> Environment:
     )
     environment.filters["marked"] = _marked
     return environment
+
+
+Content = Mapping[str, Any]
