@@ -19,9 +19,10 @@ from ..factory.progress import progress_bar
 from ..factory.seeds import stream
 from ..factory.sonar.geometry import FanGeometry
 from .features import FEATURES, features_of
+from .metrics.measure import Gray
 from .metrics.statistics import evenly
 from .pairs import Place, geometry_of, items_of, picture
-from .recorded import GEOMETRY_FILE, Gray, Shot, open_real
+from .recorded import GEOMETRY_FILE, Shot, open_real
 from .report.document import Example, Section, write_report
 from .report.tables import as_markdown, as_table, plain, written
 from .settings import Grid, RealismSettings
@@ -100,8 +101,6 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
         found[name] = opened.at_most(settings.limit)
     return found
 
-
-Values = npt.NDArray[np.float64]
 
 REAL = "real"
 """What tables call the distance between two halves of the real pictures."""

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -298,9 +299,9 @@ _SOURCES = (
 
 @lru_cache(maxsize=4)
 def program_digest(device: str) -> str:
-    """Changes with the code, the libraries and the setting `device`, which decide figures."""
+    """Changes with the code, the libraries and the device that decide figures."""
     known = {one.name: one.version for one in metadata.distributions() if one.name in _LIBRARIES}
-    parts = [sources_digest(*_SOURCES), *sorted(known.items()), device]
+    parts = [sources_digest(*_SOURCES), *sorted(known.items()), _device_kind(device)]
     return hashlib.blake2b(repr(parts).encode(), digest_size=12).hexdigest()
 
 
@@ -312,6 +313,14 @@ def sources_digest(*folders: Path) -> str:
             digest.update(file.relative_to(folder.resolve()).as_posix().encode() + b"\n")
             digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def _device_kind(device: str) -> str:
+    if device == "cpu" or find_spec("torch") is None:
+        return device
+    import torch
+
+    return torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu"
 
 
 class FigureStore:

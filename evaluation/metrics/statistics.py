@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.seeds import stream
+from .fidelity import Values
 
-Values = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 

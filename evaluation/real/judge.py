@@ -19,7 +19,7 @@ from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .. import tuning
 from ..filters import Baseline, Parameters
 from ..methods import NOISY, Method, baselines_of, networks_at
-from ..metrics.fidelity import edge_preservation, finite_psnr, psnr, ssim
+from ..metrics.fidelity import Mask, edge_preservation, finite_psnr, psnr, ssim
 from ..metrics.measure import (
     SIDE,
     Figures,
@@ -297,8 +297,6 @@ def _about(groups: Sequence[Group], parts: Sequence[Part]) -> list[str]:
     text.append(f"frames lie at most {largest:.1f} pixels from that in the middle, which is undone")
     return text
 
-
-Mask = npt.NDArray[np.bool_]
 
 _CALM = 15  # of the median that decides what is dark, pixels
 _DARKEST, _BRIGHTER = 0.1, 0.5  # shares of the sector

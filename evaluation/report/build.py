@@ -32,13 +32,12 @@ from ..settings import EvaluationSettings
 from . import tables
 from .content import best_forms, breakdown_of, content_of, shown_rows, verdict
 from .document import Example, Section, write_report
+from .tables import Content
 
 PAGE_NAME, REPORT_NAME, RESULTS_NAME = "report.html", "report.json", "results.csv"
 
 _CHUNK = 4  # pairs in a task
 _SHOWN = 10  # methods beside noisy and clean in the viewer and the breakdown
-
-Content = Mapping[str, Any]
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:

@@ -132,6 +132,3 @@ def _environment() -> Environment:
     )
     environment.filters["marked"] = _marked
     return environment
-
-
-Content = Mapping[str, Any]

@@ -118,7 +118,8 @@ def test_known_figures_are_those_of_this_code_these_libraries_and_this_device(
 
     assert again()
     assert not again(), "all is known"
-    with monkeypatch.context() as patch:
-        patch.setattr(runner, "sources_digest", lambda *_: "another")
-        assert again()
+    for name in ("_device_kind", "sources_digest"):
+        with monkeypatch.context() as patch:
+            patch.setattr(runner, name, lambda *_: "another")
+            assert again()
     assert not again(), "what was known before still is"
