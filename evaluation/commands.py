@@ -116,7 +116,7 @@ def _report(config: DictConfig) -> None:
     settings = settings_of(config)
     # The networks that ship are left out where there is nothing to run them.
     require(_needs("models=", [] if settings.models == "auto" else settings.models))
-    require(_needs("ablation=", vars(settings.ablation).values()))
+    require(_needs("ablation=", settings.ablation.values()))
     from .report.build import build as build_report
 
     build_report(settings)

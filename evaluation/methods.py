@@ -109,7 +109,8 @@ def networks_of(settings: EvaluationSettings) -> list[Method]:
     """
     auto = settings.models == "auto"
     models = shipped_for(Path(settings.dataset.dir)) if auto else settings.models
-    return networks_at(models, vars(settings.ablation))
+    ablation = {str(row): weights for row, weights in settings.ablation.items()}
+    return networks_at(models, ablation)
 
 
 def shipped_for(dataset: Path) -> list[str]:

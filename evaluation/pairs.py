@@ -40,8 +40,8 @@ Place = tuple[str, int]
 
 
 @dataclass(frozen=True)
-class Item:
-    """One pair: where it is and what it shows.
+class Item(Subject):
+    """One pair: where it is, what it shows, and what is measured of it.
 
     split, number: as `simnfnd export --to png` names it; of image files '' and their order.
     key: changes with the content of the pair.
@@ -61,6 +61,31 @@ class Item:
     def group(self) -> str:
         """What shares one clean image: the unit of the bootstrap."""
         return f"{self.location}/{self.scene}/{self.frame}"
+
+    def seen(self) -> Gray:
+        """The noisy image (H, W)."""
+        return picture(self.place).noisy
+
+    def geometry(self) -> FanGeometry | None:
+        """Where range and bearing are, as the dataset says."""
+        return geometry_of(self.place)
+
+    def given(self, method: Method) -> Gray:
+        """See `Subject`."""
+        image = given_picture(Path(method.given), names_of(self))
+        if image.shape != (shape := self.seen().shape):
+            sizes = ["x".join(map(str, reversed(one))) for one in (image.shape, shape)]
+            name = names_of(self)[0]
+            raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
+        return image
+
+    def measure(self, image: Gray) -> Figures:
+        """All metrics; identical images count as the PSNR of `finite_psnr`."""
+        try:
+            found = _scene(self).figures(image)
+        except MetricError as error:
+            raise FactoryError(f"{self.shard}: sample {self.place[1]}: {error}") from error
+        return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in found.items()}
 
 
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
@@ -147,44 +172,6 @@ def geometry_of(place: Place) -> FanGeometry | None:
             return None if sonar is None else FanGeometry.from_record(sonar, file["meta"][row])
         except (KeyError, ValueError, TypeError):
             return None
-
-
-@dataclass(frozen=True)
-class Pair(Subject):
-    """A pair as the engine judges methods on it."""
-
-    item: Item
-
-    def key(self) -> str:
-        """The content of the pair."""
-        return self.item.key
-
-    def seen(self) -> Gray:
-        """The noisy image (H, W)."""
-        return picture(self.item.place).noisy
-
-    def geometry(self) -> FanGeometry | None:
-        """Where range and bearing are, as the dataset says."""
-        return geometry_of(self.item.place)
-
-    def given(self, method: Method) -> Gray:
-        """See `Subject`."""
-        image = given_picture(Path(method.given), names_of(self.item))
-        if image.shape != (shape := self.seen().shape):
-            sizes = ["x".join(map(str, reversed(one))) for one in (image.shape, shape)]
-            name = names_of(self.item)[0]
-            raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
-        return image
-
-    def measure(self, image: Gray) -> Figures:
-        """All metrics; identical images count as the PSNR of `finite_psnr`."""
-        try:
-            found = _scene(self.item).figures(image)
-        except MetricError as error:
-            raise FactoryError(
-                f"{self.item.shard}: sample {self.item.place[1]}: {error}"
-            ) from error
-        return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in found.items()}
 
 
 @lru_cache(maxsize=8)

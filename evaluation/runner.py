@@ -49,9 +49,8 @@ class MethodFailed(Exception):
 class Subject:
     """A picture that methods are judged on; it travels to the workers."""
 
-    def key(self) -> str:
-        """Changes with everything that methods see of it and are measured by."""
-        raise NotImplementedError
+    key: str
+    """Changes with all that methods see of it and are measured by; asked where figures are kept."""
 
     def seen(self) -> Gray:
         """(H, W) in 0..1.  Raises FactoryError for a damaged picture."""
@@ -182,7 +181,7 @@ def run(
                 found.figures[method.label] |= result.figures
                 found.images |= {(method.label, n): one for n, one in result.images.items()}
                 if store is not None and result.figures:
-                    pictures = [task.subjects[number].key() for number in result.figures]
+                    pictures = [task.subjects[number].key for number in result.figures]
                     store.add(keys[method.label], pictures, list(result.figures.values()))
             if found.lost:
                 alive = [
@@ -197,7 +196,7 @@ def run(
 
 def _known(store: FigureStore, key: str, some: Mapping[int, Subject]) -> dict[int, Figures]:
     """What the store has of a method on these pictures."""
-    known = {number: store.get(key, subject.key()) for number, subject in some.items()}
+    known = {number: store.get(key, subject.key) for number, subject in some.items()}
     return {number: figures for number, figures in known.items() if figures is not None}
 
 

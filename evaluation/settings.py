@@ -33,15 +33,6 @@ class TuningSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
-class AblationSettings:
-    """Keys of `ablation`: the weights of the paper's Table 3."""
-
-    olddata_l1: str | None
-    simnfnd_l1: str | None
-    simnfnd_newloss: str | None
-
-
-@dataclass(frozen=True, config=STRICT)
 class PicturesFolder:
     """An entry of `pictures`: the row's name, and the folder of its denoised pictures."""
 
@@ -73,7 +64,7 @@ class EvaluationSettings(ReportSettings):
     limit: Count | None
     models: Literal["auto"] | list[str]
     pictures: list[PicturesFolder]
-    ablation: AblationSettings
+    ablation: dict[Literal["olddata_l1", "simnfnd_l1", "simnfnd_newloss"], str | None]
     tuning: TuningSettings
 
     @property

@@ -26,7 +26,7 @@ from ..methods import (
     methods_of,
     networks_of,
 )
-from ..pairs import Item, Pair, config_hash_of, drawn_of, given_methods, items_of, names_of, picture
+from ..pairs import Item, config_hash_of, drawn_of, given_methods, items_of, names_of, picture
 from ..runner import SECONDS, FigureStore, Measured, Subject, run
 from ..settings import EvaluationSettings
 from . import tables
@@ -102,7 +102,7 @@ def measure(
     keep: whether the images come back.  Raises FactoryError for a dataset that cannot be read.
     """
     picture.cache_clear()  # files may have changed since the last report of this process
-    pairs: dict[int, Subject] = {n: Pair(one) for n, one in enumerate(items)}
+    pairs: dict[int, Subject] = dict(enumerate(items))
     with progress_bar(total=len(methods) * len(items), unit="image", desc="measuring") as bar:
         return run(
             methods,
