@@ -116,7 +116,7 @@ def _report(config: DictConfig) -> None:
     settings = settings_of(config)
     # The networks that ship are left out where there is nothing to run them.
     require(_needs("models=", [] if settings.models == "auto" else settings.models))
-    require(_needs("ablation=", vars(settings.ablation).values()))
+    require(_needs("ablation=", settings.ablation.values()))
     from .report.build import build as build_report
 
     build_report(settings)
@@ -146,7 +146,7 @@ def _realism(config: DictConfig) -> None:
     from .settings import RealismSettings
 
     settings = _checked(config, RealismSettings, real="both folders", sim="both folders")
-    from .realism.report import evaluate
+    from .realism import evaluate
 
     evaluate(settings)
 
@@ -154,10 +154,10 @@ def _realism(config: DictConfig) -> None:
 def _fit(config: DictConfig) -> None:
     from hydra.core.global_hydra import GlobalHydra
 
-    from .calibrate.settings import FitSettings
+    from .settings import FitSettings
 
     settings = _checked(config, FitSettings, real="a folder of real pictures")
-    from .calibrate.search import fit as search
+    from .calibrate import fit as search
 
     # The recipe is composed as `simnfnd make` would, by a Hydra of its own.
     GlobalHydra.instance().clear()

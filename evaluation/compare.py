@@ -1,7 +1,7 @@
 """`simnfnd evaluate compare A B`: is one run really better than another?
 
 A and B are folders of reports on the same pairs, or twice the same folder.  The rows are paired
-picture by picture: mean difference with its interval, Wilcoxon test, wins, and a verdict in words.
+picture by picture: mean difference with its interval, Wilcoxon test, wins.
 """
 
 from __future__ import annotations
@@ -15,10 +15,8 @@ import pandas as pd
 
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
-from ..factory.files import check_writable
 from .metrics.statistics import holm, paired
 from .report.build import RESULTS_NAME
-from .report.document import as_json, write_files
 from .report.tables import (
     METRIC_NAMES,
     as_markdown,
@@ -34,21 +32,14 @@ _ALPHA = 0.05
 
 
 def main(words: Sequence[str]) -> int:
-    """Print the comparison; with --out also write it as Markdown and JSON."""
+    """Print the comparison."""
     parser = Parser(prog="simnfnd evaluate compare")
     parser.add_argument("a", metavar="A", help="folder of a report")
     parser.add_argument("b", metavar="B", help="folder of another, or the same")
     parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")
     parser.add_argument("--row-b", help="row of B (default: as A)")
-    parser.add_argument("--out", help="folder for compare.md and compare.json")
     chosen = parser.parse_args(list(words))
-    if chosen.out is not None:
-        check_writable(Path(chosen.out), "--out")
-    result = compare(Path(chosen.a), Path(chosen.b), chosen.row_a, chosen.row_b)
-    text = text_of(result)
-    print(text)
-    if chosen.out is not None:
-        write_files(Path(chosen.out), {"compare.md": text + "\n", "compare.json": as_json(result)})
+    print(text_of(compare(Path(chosen.a), Path(chosen.b), chosen.row_a, chosen.row_b)))
     return 0
 
 
@@ -90,7 +81,7 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
 
 
 def text_of(result: dict[str, Any]) -> str:
-    """The comparison in Markdown, verdict first."""
+    """The comparison in Markdown."""
     a, b = (f"{result[side]['row']} ({result[side]['folder']})" for side in "ab")
     left_out = f", {result['left_out']} in one report only" if result["left_out"] else ""
     rows = []
@@ -102,7 +93,7 @@ def text_of(result: dict[str, Any]) -> str:
         rows.append([metric.label, *figures, written_p(one["p_holm"]), wins, one["verdict"]])
     head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
     about = f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}"
-    return "\n\n".join([about, _verdict(result), as_markdown(as_table(head, rows), "lrcrrl")])
+    return "\n\n".join([about, as_markdown(as_table(head, rows), "lrcrrl")])
 
 
 def _judged(line: dict[str, Any], better: int) -> str:
@@ -113,24 +104,6 @@ def _judged(line: dict[str, Any], better: int) -> str:
     if p is not None and p < _ALPHA and line["low"] * line["high"] > 0:
         return "better" if line["difference"] * better > 0 else "worse"
     return "no difference shown"
-
-
-def _verdict(result: dict[str, Any]) -> str:
-    better, worse = (
-        ", ".join(
-            METRIC_NAMES[name].label.split(",")[0]
-            for name, one in result["metrics"].items()
-            if one["verdict"] == verdict
-        )
-        for verdict in ("better", "worse")
-    )
-    if better and worse:
-        return f"Mixed: A is better in {better} and worse in {worse}."
-    if better or worse:
-        how, other = ("better", "worse") if better else ("worse", "better")
-        return f"A is really {how} than B in {better or worse}, and {other} in nothing."
-    few = " (with fewer than 6 frames the test cannot show any)" if result["frames"] < 6 else ""
-    return f"No difference is shown: it could be chance with {result['frames']} frames{few}."
 
 
 def read_results(folder: Path) -> pd.DataFrame:

@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Any
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from ..models import WEIGHTS_NAME
-from .filters import REGISTRY, chosen
-from .filters.base import Baseline, Parameters
-from .image_files import given_file
+from .filters import Baseline, Parameters, chosen
 from .metrics.measure import Levels
-from .settings import EvaluationSettings, PicturesFolder
+from .settings import EvaluationSettings
 
 if TYPE_CHECKING:
     from ..models.denoise.denoiser import Denoiser
@@ -104,31 +102,6 @@ def methods_of(baselines: Sequence[Baseline], tuned: Mapping[str, Any]) -> list[
     return list({method.label: method for method in methods}.values())
 
 
-def given_methods(
-    folders: Sequence[PicturesFolder], names: Sequence[Sequence[str]]
-) -> list[Method]:
-    """A row for each folder of another program's denoised pictures.
-
-    names: of each picture, where it may lie there.  Raises FactoryError for a folder without one.
-    """
-    found: dict[str, Method] = {}
-    for one in folders:
-        if one.name in (*found, *REGISTRY, "noisy"):
-            raise FactoryError(f"pictures: {one.name}: another row has this name; choose another")
-        files = [given_file(Path(one.dir), several) for several in names]
-        if lacking := [some[0] for some, file in zip(names, files, strict=True) if file is None]:
-            raise FactoryError(
-                f"pictures: {one.name}: {one.dir}: {len(lacking)} of {len(names)} pictures are "
-                f"missing, the first is {lacking[0]}.png (or .npy); names are those of `simnfnd "
-                "export --to png` and of `simnfnd denoise`"
-            )
-        digest = hashlib.blake2b(digest_size=12)
-        for file in filter(None, files):
-            digest.update(f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}\n".encode())
-        found[one.name] = Method(one.name, "", {}, given=one.dir, content=digest.hexdigest())
-    return list(found.values())
-
-
 def networks_of(settings: EvaluationSettings) -> list[Method]:
     """The rows of `models` and `ablation`, each named by its file or folder.
 
@@ -136,7 +109,8 @@ def networks_of(settings: EvaluationSettings) -> list[Method]:
     """
     auto = settings.models == "auto"
     models = shipped_for(Path(settings.dataset.dir)) if auto else settings.models
-    return networks_at(models, vars(settings.ablation))
+    ablation = {str(row): weights for row, weights in settings.ablation.items()}
+    return networks_at(models, ablation)
 
 
 def shipped_for(dataset: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,12 +19,15 @@ from ..factory.dataset.schema import CORE
 from ..factory.dataset.source import open_source
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
-from . import image_files
-from .filters.base import Gray
+from ..models.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
+from ..models.recordings.arrays import is_table
+from ..models.recordings.pictures import in_unit_range, read_picture
+from .filters import REGISTRY
 from .methods import Method
 from .metrics.fidelity import MetricError, finite_psnr
-from .metrics.measure import Figures, Picture, Scene, sector_of
+from .metrics.measure import Figures, Gray, Picture, Scene, sector_of
 from .runner import Subject
+from .settings import PicturesFolder
 
 if TYPE_CHECKING:
     from ..factory.sonar.geometry import FanGeometry
@@ -36,8 +40,8 @@ Place = tuple[str, int]
 
 
 @dataclass(frozen=True)
-class Item:
-    """One pair: where it is and what it shows.
+class Item(Subject):
+    """One pair: where it is, what it shows, and what is measured of it.
 
     split, number: as `simnfnd export --to png` names it; of image files '' and their order.
     key: changes with the content of the pair.
@@ -58,15 +62,40 @@ class Item:
         """What shares one clean image: the unit of the bootstrap."""
         return f"{self.location}/{self.scene}/{self.frame}"
 
+    def seen(self) -> Gray:
+        """The noisy image (H, W)."""
+        return picture(self.place).noisy
+
+    def geometry(self) -> FanGeometry | None:
+        """Where range and bearing are, as the dataset says."""
+        return geometry_of(self.place)
+
+    def given(self, method: Method) -> Gray:
+        """See `Subject`."""
+        image = given_picture(Path(method.given), names_of(self))
+        if image.shape != (shape := self.seen().shape):
+            sizes = ["x".join(map(str, reversed(one))) for one in (image.shape, shape)]
+            name = names_of(self)[0]
+            raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
+        return image
+
+    def measure(self, image: Gray) -> Figures:
+        """All metrics; identical images count as the PSNR of `finite_psnr`."""
+        try:
+            found = _scene(self).figures(image)
+        except MetricError as error:
+            raise FactoryError(f"{self.shard}: sample {self.place[1]}: {error}") from error
+        return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in found.items()}
+
 
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     """Every pair of a split (the first `limit`), in the dataset's order.
 
-    root: a dataset, or a folder with noisy/ and clean/ images (`image_files`).
+    root: a dataset, or a folder with noisy/ and clean/ images.
     Raises FactoryError when it is neither.
     """
-    if image_files.is_folder_of_pairs(root):
-        files = enumerate(image_files.noisy_files(root))
+    if is_folder_of_pairs(root):
+        files = enumerate(noisy_files(root))
         return [
             Item(f.name, (str(f), ROW), "", n, key, "", root.name, f.stem, 0)
             for n, (f, key) in files
@@ -115,7 +144,7 @@ def picture(place: Place) -> Picture:
     """Read one pair.  FactoryError when it is damaged or has NaN."""
     path, row = place
     if row == ROW:
-        noisy, clean, mask = image_files.read_pair(Path(path))
+        noisy, clean, mask = read_pair(Path(path))
         shadow = np.zeros(clean.shape, bool) if mask is None else mask
         sector = sector_of(noisy, clean, shadow)
         return Picture(noisy, clean, shadow, sector, has_shadow=mask is not None)
@@ -145,52 +174,6 @@ def geometry_of(place: Place) -> FanGeometry | None:
             return None
 
 
-@dataclass(frozen=True)
-class Pair(Subject):
-    """A pair as the engine judges methods on it.
-
-    shadow_threshold: fraction of full scale.  texture: also measure speckle and edges.
-    """
-
-    item: Item
-    shadow_threshold: float
-    texture: bool
-
-    def key(self) -> str:
-        """The content of the pair, and what is measured."""
-        texture = "texture" if self.texture else "plain"
-        return f"{self.item.key}-{texture}-{self.shadow_threshold:g}"
-
-    def seen(self) -> Gray:
-        """The noisy image (H, W)."""
-        return picture(self.item.place).noisy
-
-    def geometry(self) -> FanGeometry | None:
-        """Where range and bearing are, as the dataset says."""
-        return geometry_of(self.item.place)
-
-    def given(self, method: Method) -> Gray:
-        """See `Subject`."""
-        image = image_files.given_picture(Path(method.given), names_of(self.item))
-        if image.shape != (shape := self.seen().shape):
-            sizes = ["x".join(map(str, reversed(one))) for one in (image.shape, shape)]
-            name = names_of(self.item)[0]
-            raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
-        return image
-
-    def measure(self, image: Gray) -> Figures:
-        """All metrics; identical images count as the PSNR of `finite_psnr`."""
-        try:
-            found = _scene(self.item).figures(
-                image, shadow_threshold=self.shadow_threshold, texture=self.texture
-            )
-        except MetricError as error:
-            raise FactoryError(
-                f"{self.item.shard}: sample {self.item.place[1]}: {error}"
-            ) from error
-        return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in found.items()}
-
-
 @lru_cache(maxsize=8)
 def _scene(item: Item) -> Scene:
     """What all methods share on a pair."""
@@ -207,3 +190,112 @@ def names_of(item: Item) -> list[str]:
         return [stem, f"noisy/{stem}"]
     number = f"{item.number:06d}"
     return [f"{item.split}/noisy/{number}", f"{item.split}/{number}", f"noisy/{number}", number]
+
+
+_GIVEN = (".png", ".npy")
+
+
+def is_folder_of_pairs(root: Path) -> bool:
+    """Whether there are both folders."""
+    return (root / "noisy").is_dir() and (root / "clean").is_dir()
+
+
+def noisy_files(root: Path) -> list[tuple[Path, str]]:
+    """The noisy files in the order of their names, with a key of each pair's content.
+
+    Raises FactoryError for an image without its partner, and when there is none at all.
+    """
+    noisy, clean = ({one.name for one in images_in(root / part)} for part in ("noisy", "clean"))
+    for part, lonely, other in (
+        ("noisy", noisy - clean, "clean"),
+        ("clean", clean - noisy, "noisy"),
+    ):
+        if lonely:
+            raise FactoryError(
+                f"{root / part / min(lonely)}: no partner in {other}/ ({len(lonely)} such files)"
+            )
+    if not noisy:
+        raise FactoryError(f"dataset={root}: noisy/ and clean/ hold no images {PICTURE_SUFFIXES}")
+    found = []
+    for name in sorted(noisy):
+        files = [root / part / name for part in ("noisy", "clean", "shadow")]
+        digests = [sha256_of(file)[:16] for file in files if file.is_file()]
+        found.append((files[0], "-".join(digests)))
+    return found
+
+
+def images_in(folder: Path) -> list[Path]:
+    """The image files of a folder, by name."""
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in PICTURE_SUFFIXES and path.is_file() and not is_table(path)
+    )
+
+
+def read_pair(noisy: Path) -> tuple[Gray, Gray, npt.NDArray[np.bool_] | None]:
+    """(noisy, clean, shadow or None), (H, W) in 0..1.  FactoryError names a file that is unfit."""
+    root = noisy.parents[1]
+    clean, mask = root / "clean" / noisy.name, root / "shadow" / noisy.name
+    images = read_gray(noisy), read_gray(clean)
+    if images[0].shape != images[1].shape:
+        sizes = [f"{image.shape[1]}x{image.shape[0]}" for image in images]
+        raise FactoryError(f"{noisy}: {sizes[0]}, but its clean image is {sizes[1]} pixels")
+    if not mask.is_file():
+        return *images, None
+    shadow = read_gray(mask) > 0
+    if shadow.shape != images[0].shape:
+        raise FactoryError(f"{mask}: another size than the image that it belongs to")
+    return *images, shadow
+
+
+def given_file(folder: Path, names: Sequence[str]) -> Path | None:
+    """The file of somebody's denoised picture, PNG or .npy, by the first of its names."""
+    paths = (folder.expanduser() / f"{name}{suffix}" for name in names for suffix in _GIVEN)
+    return next((path for path in paths if path.is_file()), None)
+
+
+def given_picture(folder: Path, names: Sequence[str]) -> Gray:
+    """(H, W) float32 in 0..1 of that file.  Raises FactoryError."""
+    path = given_file(folder, names)
+    if path is None:
+        raise FactoryError(f"{folder}: no picture {names[0]}.png or .npy")
+    return read_gray(path)
+
+
+def read_gray(path: Path) -> Gray:
+    """(H, W) float32 in 0..1 of an image file.  FactoryError when it is none, or in colour."""
+    if kind_of(path) in SEQUENCES:
+        raise FactoryError(f"{path}: holds several pages; give each pair files of its own")
+    image = read_picture(path)
+    if image.ndim == 3:
+        colours = image[..., :3]
+        if colours.shape[2] == 3 and not (colours == colours[..., :1]).all():
+            raise FactoryError(f"{path}: in colour; sonar images are gray, convert it first")
+        image = colours[..., 0]
+    return in_unit_range(image, str(path))
+
+
+def given_methods(
+    folders: Sequence[PicturesFolder], names: Sequence[Sequence[str]]
+) -> list[Method]:
+    """A row for each folder of another program's denoised pictures.
+
+    names: of each picture, where it may lie there.  Raises FactoryError for a folder without one.
+    """
+    found: dict[str, Method] = {}
+    for one in folders:
+        if one.name in (*found, *REGISTRY, "noisy"):
+            raise FactoryError(f"pictures: {one.name}: another row has this name; choose another")
+        files = [given_file(Path(one.dir), several) for several in names]
+        if lacking := [some[0] for some, file in zip(names, files, strict=True) if file is None]:
+            raise FactoryError(
+                f"pictures: {one.name}: {one.dir}: {len(lacking)} of {len(names)} pictures are "
+                f"missing, the first is {lacking[0]}.png (or .npy); names are those of `simnfnd "
+                "export --to png` and of `simnfnd denoise`"
+            )
+        digest = hashlib.blake2b(digest_size=12)
+        for file in filter(None, files):
+            digest.update(f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}\n".encode())
+        found[one.name] = Method(one.name, "", {}, given=one.dir, content=digest.hexdigest())
+    return list(found.values())

@@ -23,8 +23,7 @@ from ..factory.sonar.geometry import FanGeometry
 from ..models.recordings import PICTURE_SUFFIXES, kind_of, open_recording
 from ..models.recordings.fan.finder import find_geometry
 from ..models.recordings.fan.pings import frame_picture
-
-Gray = npt.NDArray[np.float32]
+from .metrics.measure import Gray
 
 GEOMETRY_FILE = "geometry.csv"
 

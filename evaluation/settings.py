@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
 from ..factory.settings import STRICT
@@ -32,28 +33,11 @@ class TuningSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
-class AblationSettings:
-    """Keys of `ablation`: the weights of the paper's Table 3."""
-
-    olddata_l1: str | None
-    simnfnd_l1: str | None
-    simnfnd_newloss: str | None
-
-
-@dataclass(frozen=True, config=STRICT)
 class PicturesFolder:
     """An entry of `pictures`: the row's name, and the folder of its denoised pictures."""
 
     name: Annotated[str, Field(min_length=1)]
     dir: Annotated[str, Field(min_length=1)]
-
-
-@dataclass(frozen=True, config=STRICT)
-class PageSettings:
-    """Keys of `page`."""
-
-    examples: Annotated[int, Field(ge=0)]
-    methods: Count
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -66,6 +50,7 @@ class ReportSettings:
     seed: Annotated[int, Field(ge=0)]
     image_timeout_s: Annotated[float, Field(gt=0)]
     baselines: list[str]
+    examples: Annotated[int, Field(ge=0)]
     device: Literal["auto", "cpu", "gpu"]
     debug: bool
 
@@ -77,12 +62,9 @@ class EvaluationSettings(ReportSettings):
     dataset: DatasetFolder
     split: Literal["train", "test", "all"]
     limit: Count | None
-    shadow_threshold: Annotated[float, Field(ge=0, lt=1)]
     models: Literal["auto"] | list[str]
     pictures: list[PicturesFolder]
-    ablation: AblationSettings
-    texture: bool
-    page: PageSettings
+    ablation: dict[Literal["olddata_l1", "simnfnd_l1", "simnfnd_newloss"], str | None]
     tuning: TuningSettings
 
     @property
@@ -111,7 +93,6 @@ class RealSettings(ReportSettings):
     groups: bool
     limit: Annotated[int, Field(ge=4)] | None
     in_time: Annotated[int, Field(ge=0)]
-    examples: Annotated[int, Field(ge=0)]
 
     @property
     def name(self) -> str:
@@ -141,10 +122,110 @@ class RealismSettings:
 
     real: Annotated[str, Field(min_length=1)]
     sim: Annotated[tuple[str, ...], Field(min_length=1)]
-    sim_split: Literal["train", "test", "all"] = "all"
-    layer: Literal["noisy", "clean"] = "noisy"
     limit: Annotated[int, Field(ge=4)] | None = None
     grid: Grid = field(default_factory=Grid)
     seed: Annotated[int, Field(ge=0)] = 0
     out: str | None = None
     debug: bool = False
+
+
+# What decides the renders, the frames or where things lie: not for a search over noise.
+_FIXED = (
+    "scenes", "render", "sonar.mount", "frames", "split", "seed", "dataset", "scheduler", "cache",
+    "shard", "debug",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, config=STRICT)
+class Parameter:
+    """What is searched for one key of the factory's configuration.
+
+    low, high: limits of its value.  log: search the logarithm.  choices: instead of limits, the
+    values to choose from.  spread: a number, or [low, high] to search it as well; above 0 the
+    value is drawn for each sample, uniform from v - spread * (high - low) to v + spread * (high -
+    low) within the limits, or from v / (1 + spread) to v * (1 + spread) with log.
+    """
+
+    low: float | None = None
+    high: float | None = None
+    log: bool = False
+    choices: tuple[float | int | str | bool, ...] | None = None
+    spread: float | tuple[float, float] = 0.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        (low, high), (least, most) = self.limits, self.spreads
+        if self.choices is not None:
+            if not self.choices or not math.isnan(low + high) or most:
+                raise ValueError("choices: at least one, and neither low, high nor spread beside")
+        elif not low < high or (self.log and low <= 0):
+            raise ValueError("give choices, or low < high; log needs low > 0")
+        elif not 0 <= least <= most:
+            raise ValueError("spread must be a number from 0, or [low, high] with 0 <= low <= high")
+        return self
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Of the value; NaN where there are none."""
+        low, high = (math.nan if end is None else end for end in (self.low, self.high))
+        return low, high
+
+    @property
+    def spreads(self) -> tuple[float, float]:
+        """Limits of the spread; equal ones when it is not searched."""
+        return self.spread if isinstance(self.spread, tuple) else (self.spread, self.spread)
+
+
+@dataclass(frozen=True, config=STRICT)
+class FitSettings:
+    """Keys of `simnfnd evaluate fit`, as conf/fit.yaml explains them."""
+
+    real: Annotated[str, Field(min_length=1)]
+    parameters: dict[str, Parameter]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")] = "fitted"
+    recipe: tuple[str, ...] = ("experiment=physical",)
+    frames: Annotated[int, Field(ge=8)] = 24
+    grid: Grid = field(default_factory=Grid)
+    trials: Annotated[int, Field(ge=1)] = 200
+    startup: Annotated[int, Field(ge=1)] = 40
+    seed: Annotated[int, Field(ge=0)] = 0
+    out: str | None = None
+    debug: bool = False
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _flat(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        """Without the keys that are set to null."""
+        return {key: value for key, value in flattened(tree).items() if value is not None}
+
+    @model_validator(mode="after")
+    def _searchable(self) -> Self:
+        if not self.parameters:
+            raise ValueError("parameters: name at least one key to search")
+        for key in self.parameters:
+            if f"{key}.".startswith(tuple(f"{fixed}." for fixed in _FIXED)):
+                raise ValueError(
+                    f"parameters.{key}: it decides what is rendered or where it goes, and cannot "
+                    "be searched; set it in recipe"
+                )
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """Where the search and its result go."""
+        return Path(self.out or Path("outputs", "fit", self.name))
+
+
+_WORDS = {"low", "high", "log", "choices", "spread"}
+
+
+def flattened(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested keys as dotted ones, as YAML and the command line may give either."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict) and not _WORDS & set(value):
+            flat |= flattened(value, f"{name}.")
+        else:
+            flat[name] = value
+    return flat

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -25,15 +26,13 @@ from ..factory.errors import FactoryError
 from ..factory.files import explain_os_errors, write_atomically
 from ..factory.progress import progress_bar
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
-from .filters import REGISTRY
-from .filters.base import Baseline, Gray, Parameters
-from .line_search import line_search
+from .filters import REGISTRY, Baseline, Parameters
 from .methods import reason, shown
 from .metrics.fidelity import finite_psnr, psnr
-from .metrics.measure import Levels, fit_levels
+from .metrics.measure import Gray, Levels, fit_levels
 from .pairs import Item, items_of, picture
+from .runner import sources_digest
 from .settings import EvaluationSettings
-from .store import sources_digest
 
 SCHEMA = "simnfnd-tuned/1"
 
@@ -257,3 +256,72 @@ def _line(name: str, known: dict[str, Any], lost: dict[str, str]) -> str:
         f"{shown(best['parameters'])}, {levels['psnr_levels']:.2f} with levels"
         f"{shown(levels['parameters'])}"
     )
+
+
+_ROUNDS = 2
+_LEAST = 1e-3  # of the score; less is no gain
+
+
+def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> list[Parameters]:
+    """The points of a filter's grid that were tried, one parameter after the other; best first.
+
+    The last steps halve the ratio between neighbours of the grid.
+    measured: the score of a point, high is good.
+    """
+    points: dict[tuple[float, ...], Parameters] = {}
+    known: dict[tuple[float, ...], float] = {}
+
+    def value(point: Parameters) -> float:
+        key = tuple(point[name] for name in sorted(point))
+        if key not in known:
+            known[key], points[key] = measured(point), point
+        return known[key]
+
+    best = dict(baseline.default)
+    for turn in range(_ROUNDS):
+        before = dict(best)
+        for name, axis in baseline.grid.items():
+            best = _along(best, name, axis, value)
+        if best == before or (turn == 0 and len(baseline.grid) == 1):
+            break
+    for name, axis in baseline.grid.items():
+        best = _finer(best, name, axis, value)
+    # Of equal ones the first, which is nearer to the default.
+    first = tuple(best[name] for name in sorted(best))
+    return [points[key] for key in sorted(points, key=lambda key: (key != first, -known[key]))]
+
+
+def _along(
+    start: Parameters, name: str, axis: Sequence[float], value: Callable[[Parameters], float]
+) -> Parameters:
+    """The best value of one parameter, from the present one outwards until two falls."""
+    best, top = start, value(start)
+    above = [one for one in axis if one > start[name]]
+    below = [one for one in reversed(axis) if one < start[name]]
+    for outwards in (above, below):
+        last, falls = value(start), 0
+        for one in outwards:
+            point = {**start, name: one}
+            now = value(point)
+            if now > top + _LEAST:
+                best, top = point, now
+            falls = falls + 1 if now < last else 0
+            last = now
+            if falls == 2:
+                break
+    return best
+
+
+def _finer(
+    start: Parameters, name: str, axis: Sequence[float], value: Callable[[Parameters], float]
+) -> Parameters:
+    """The best of the present value and those half way, in ratio, to its neighbours on the grid."""
+    if not all(isinstance(one, float) for one in axis) or start[name] not in axis:
+        return start
+    place = axis.index(start[name])
+    best, top = start, value(start)
+    for neighbour in (*axis[max(place - 1, 0) : place], *axis[place + 1 : place + 2]):
+        point = {**start, name: float(f"{math.sqrt(start[name] * neighbour):.3g}")}
+        if (now := value(point)) > top + _LEAST:
+            best, top = point, now
+    return best

@@ -91,7 +91,7 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.commands:sheet",
+        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer:sheet",
         (
             "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
             "simnfnd preview dive.aris --out outputs/dive.png",
@@ -99,7 +99,7 @@ VERBS: dict[str, Verb] = {
     ),
     "view": Verb(
         LOOK, "a dataset or recording in the browser, before and after",
-        "simnfnd.evaluation.viewer.commands:view",
+        "simnfnd.evaluation.viewer:view",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(
@@ -182,7 +182,7 @@ VERBS: dict[str, Verb] = {
             ),
             "paper": Verb(
                 JUDGE, "the paper's Tables 2 and 3: dataset, trainings and report",
-                "simnfnd.evaluation.reproduce:main",
+                "simnfnd.evaluation.paper:main",
                 ("simnfnd evaluate paper --quick",
                  "simnfnd evaluate paper --scenes flsea-vi --real mdd"),
                 needs=("pandas", "skimage", *_TRAINING),

@@ -2,22 +2,72 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from ...factory.errors import FactoryError
-from .base import Baseline
+from ..metrics.measure import Gray
 from .bm3d import bm3d
-from .plain import (
+from .classical import (
     bilateral,
+    frost,
     gaussian,
     grey_opening,
     identity,
+    kuan,
+    lee,
     median,
     nlm,
+    srad,
     total_variation,
     wavelet,
 )
-from .speckle import frost, kuan, lee, srad
+
+Number = int | float
+Parameters = dict[str, Number]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One method: a pure function and a grid to tune it on.
+
+    function: (image, **parameters) -> (H, W).
+    default: what its authors or its library recommend, scaled to 0..1.
+    grid: the values to try of each parameter, ascending; parameters not in it stay at the default.
+    source: where the method was published.
+    """
+
+    name: str
+    function: Callable[..., npt.NDArray[np.floating]]
+    default: Mapping[str, Number]
+    grid: Mapping[str, tuple[Number, ...]]
+    source: str
+
+    def points(self) -> list[Parameters]:
+        """Every combination of the grid, completed by the defaults."""
+        combinations = itertools.product(*self.grid.values())
+        return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
+
+    def __call__(self, image: npt.NDArray[Any], parameters: Mapping[str, Number]) -> Gray:
+        """The denoised picture, (H, W) float32 clipped to 0..1.
+
+        Raises FactoryError when the method gives another shape or a value that is no number.
+        """
+        image = np.ascontiguousarray(image, dtype=np.float32)
+        return checked(self.name, np.asarray(self.function(image, **parameters)), image)
+
+
+def checked(name: str, result: npt.NDArray[Any], image: Gray) -> Gray:
+    """What a method made of an image, float32 clipped to 0..1.  Raises FactoryError."""
+    if result.shape != image.shape or not np.isfinite(result).all():
+        raise FactoryError(f"{name}: gave {result.shape} or NaN for an image of {image.shape}")
+    return np.clip(result, 0, 1).astype(np.float32)
+
 
 _SIZES = (3, 5, 7, 9, 13)
 _WIDE = (*_SIZES, 19, 27)

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from .base import Gray
+from ..metrics.measure import Gray
 
 Floats = npt.NDArray[np.float32]
 

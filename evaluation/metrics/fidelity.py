@@ -112,8 +112,7 @@ class Reference:
 
     def gms_map(self, image: Values, *, pooled: bool = True) -> Values:
         """(H, W) or (ceil(H/2), ceil(W/2)) gradient magnitude similarity."""
-        own = self._pooled_gradients if pooled else self._plain_gradients
-        other = self._gradients(image, pooled)
+        own, other = self._own_gradients[pooled], self._gradients(image, pooled)
         return np.asarray((2 * own * other + GMSD_C) / (other * other + (own * own + GMSD_C)))
 
     def edges_kept(self, image: Values, mask: Mask | None = None) -> float:
@@ -138,12 +137,8 @@ class Reference:
         return np.asarray(cv2.Laplacian(self.image, cv2.CV_64F), np.float64)
 
     @cached_property
-    def _pooled_gradients(self) -> Values:
-        return self._gradients(self.image, True)
-
-    @cached_property
-    def _plain_gradients(self) -> Values:
-        return self._gradients(self.image, False)
+    def _own_gradients(self) -> tuple[Values, Values]:
+        return self._gradients(self.image, False), self._gradients(self.image, True)
 
     def _gradients(self, image: Values, pooled: bool) -> Values:
         """Length of the gradient by Prewitt's kernels divided by 3, zeros beyond the border."""

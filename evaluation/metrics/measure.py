@@ -12,16 +12,21 @@ import numpy as np
 import numpy.typing as npt
 
 from . import fidelity as metrics
-from .speckle import SIDE, contrast_to_noise, enl, homogeneous_zones, mean_ratio
+from .fidelity import Image, Mask, Values
 
 Gray = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
+"""(H, W) in 0..1, 0 = no echo."""
 Floats = npt.NDArray[np.floating]
+Zones = npt.NDArray[np.int64]
 
 Figures = dict[str, float]
 """Metric -> value; NaN where it does not exist.  `_fan`: inside the sonar's sector alone."""
 
-_OF_SHADOW = ("shadow_iou", "shadow_residual", "false_light_rate")
+SHADOW = 0.02
+"""A pixel counts as shadow at or below this fraction of full scale."""
+SIDE = 16
+"""Of an even zone, pixels."""
+_DARK = 0.01  # of full scale: below, a ratio says nothing
 
 
 @dataclass(frozen=True)
@@ -85,15 +90,16 @@ class Scene:
         self.pair = pair
         self.reference = metrics.Reference(pair.clean.astype(np.float64), 1.0)
 
-    def figures(self, image: metrics.Image, *, shadow_threshold: float, texture: bool) -> Figures:
-        """All metrics of an image (H, W) in 0..1, with `texture` those of texture and speckle, too.
+    def figures(self, image: Image) -> Figures:
+        """All metrics of an image (H, W) in 0..1; NaN where one does not exist.
 
-        shadow_threshold: fraction of full scale.  Raises MetricError where it cannot be measured.
+        Raises MetricError where it cannot be measured.
         """
         pair, reference = self.pair, self.reference
         _, values = metrics.checked_pair(pair.clean, image, 1.0, smallest=metrics.SSIM_SMALLEST)
         squared = np.square(reference.image - values)
         similarity, gradients = reference.ssim_map(values), reference.gms_map(values)
+        large = min(values.shape) >= metrics.MS_SSIM_SMALLEST
         found: Figures = {
             "psnr": metrics.decibels(float(squared.mean()), 1.0),
             "ssim": metrics.mean_ssim(similarity),
@@ -102,39 +108,96 @@ class Scene:
             "ssim_fan": metrics.mean_ssim(similarity, pair.sector),
             "gmsd_fan": metrics.deviation(gradients, pair.sector),
             "shadow_iou": metrics.shadow_iou(
-                pair.shadow, image, threshold=shadow_threshold, sector=pair.sector
+                pair.shadow, image, threshold=SHADOW, sector=pair.sector
             ),
             "shadow_residual": metrics.shadow_residual(pair.shadow, image, data_range=1.0),
-            "false_light_rate": metrics.false_light_rate(
-                pair.shadow, image, threshold=shadow_threshold
+            "false_light_rate": metrics.false_light_rate(pair.shadow, image, threshold=SHADOW),
+            "gmsd_unpooled": metrics.deviation(reference.gms_map(values, pooled=False)),
+            "ms_ssim": reference.ms_ssim(values) if large else math.nan,
+            "edge_preservation": reference.edges_kept(values, pair.sector),
+            "enl": enl(values, self._zones),
+            "cnr": contrast_to_noise(
+                values, pair.sector & ~pair.shadow & (pair.clean > 0), pair.shadow
             ),
+            "ratio_mean": mean_ratio(pair.noisy, values),
         }
         if not pair.has_shadow:
-            found.update(dict.fromkeys(_OF_SHADOW, math.nan))
-        return found | (self._texture(values) if texture else {})
-
-    def _texture(self, image: npt.NDArray[np.float64]) -> Figures:
-        """NaN where a metric does not exist: too small a picture, no even zone, no shadow.
-
-        The zones are chosen on the clean picture, so they are the same for all methods.
-        """
-        pair, reference = self.pair, self.reference
-        large = min(image.shape) >= metrics.MS_SSIM_SMALLEST
-        return {
-            "gmsd_unpooled": metrics.deviation(reference.gms_map(image, pooled=False)),
-            "ms_ssim": reference.ms_ssim(image) if large else math.nan,
-            "edge_preservation": reference.edges_kept(image, pair.sector),
-            "enl": enl(image, self._zones),
-            "cnr": contrast_to_noise(
-                image, pair.sector & ~pair.shadow & (pair.clean > 0), pair.shadow
-            ),
-            "ratio_mean": mean_ratio(pair.noisy, image),
-        }
+            found |= dict.fromkeys(("shadow_iou", "shadow_residual", "false_light_rate"), math.nan)
+        return found
 
     @cached_property
-    def _zones(self) -> npt.NDArray[np.int64]:
-        """The even zones of the clean picture; none where it is smaller than one."""
-        pair = self.pair
-        if min(pair.clean.shape) < SIDE:
-            return np.empty((0, 2), dtype=np.int64)
-        return homogeneous_zones(pair.clean, data_range=1.0, sector=pair.sector)
+    def _zones(self) -> Zones:
+        """The even zones of the clean picture, the same for all methods."""
+        return homogeneous_zones(self.pair.clean, data_range=1.0, sector=self.pair.sector)
+
+
+def homogeneous_zones(
+    image: Image, *, data_range: float, sector: Mask, share: float = 0.1
+) -> Zones:
+    """(N, 2) top-left corners of the image's most even blocks, the evenest first.
+
+    Blocks of 16x16 pixels on a grid without overlap, wholly inside `sector` and with a mean above
+    5 % of full scale (shadow is even, too, but has no speckle); of these the `share` (at least one)
+    with the least std/mean.  Choose them on the clean image where there is one, so that all methods
+    are measured in the same places.  Empty when no block qualifies.
+    """
+    rows, columns = (size // SIDE for size in image.shape)
+
+    def blocks(array: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        cut = array[: rows * SIDE, : columns * SIDE].reshape(rows, SIDE, columns, SIDE)
+        return cut.transpose(0, 2, 1, 3).reshape(rows * columns, SIDE * SIDE)
+
+    values = blocks(image.astype(np.float64))
+    mean, deviation = values.mean(axis=1), values.std(axis=1)
+    (usable,) = np.nonzero(blocks(sector).all(axis=1) & (mean > 0.05 * data_range))
+    if not usable.size:
+        return np.empty((0, 2), dtype=np.int64)
+    count = max(1, round(share * usable.size))
+    order = np.argsort(deviation[usable] / mean[usable], kind="stable")[:count]
+    chosen = usable[order]
+    corners = np.stack([chosen // columns * SIDE, chosen % columns * SIDE], axis=1)
+    return np.asarray(corners, dtype=np.int64)
+
+
+def enl(image: Image, zones: Zones) -> float:
+    """Median over the zones of the equivalent number of looks, mean^2 / variance.
+
+    NaN without zones, inf where all is equal.  Blur alone raises it: never read it alone.
+    """
+    if not len(zones):
+        return math.nan
+    offsets = np.arange(SIDE)
+    rows, columns = zones[:, :1] + offsets, zones[:, 1:] + offsets
+    blocks = image[rows[:, :, None], columns[:, None, :]].reshape(len(zones), -1).astype(float)
+    squared, variance = blocks.mean(axis=1) ** 2, blocks.var(axis=1)
+    # The variance of a constant is rounding alone.
+    some = variance > 1e-20 * squared
+    looks: Values = np.where(some, squared / np.where(some, variance, 1.0), math.inf)
+    return float(np.median(looks))
+
+
+def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
+    """CNR of two regions, |m1 - m2| / sqrt(v1 + v2) with population variances (linear, not dB).
+
+    Here `bright` is the insonified seabed and `dark` the true shadow.  NaN when a region is empty,
+    inf when both are constant and differ.
+    """
+    gray = np.asarray(image, dtype=np.float64)
+    one, other = gray[bright], gray[dark]
+    if not one.size or not other.size:
+        return math.nan
+    difference = abs(float(one.mean() - other.mean()))
+    noise = math.sqrt(float(one.var() + other.var()))
+    if noise == 0:
+        return math.inf if difference else 0.0
+    return difference / noise
+
+
+def mean_ratio(noisy: Image, denoised: Image) -> float:
+    """Mean of noisy / denoised, images in 0..1, where denoised is at least 1 % of full scale.
+
+    1 = the mean is kept; NaN where nothing is bright enough.
+    """
+    below = denoised.astype(np.float64)
+    lit = below >= _DARK
+    return float((noisy[lit].astype(np.float64) / below[lit]).mean()) if lit.any() else math.nan

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -11,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.seeds import stream
+from .fidelity import Values
 
-Values = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 
@@ -100,14 +99,6 @@ def paired(
     elif names.size:
         p = 1.0
     return Paired(estimate(difference, groups, resamples=resamples, seed=seed), p, wins)
-
-
-def frames_needed(comparisons: int, alpha: float = 0.05) -> int:
-    """The fewest frames with which one of so many comparisons can have Holm's p below alpha.
-
-    The least p of the signed-rank test of n frames is 2^(1 - n), where all of them agree.
-    """
-    return math.ceil(1 + math.log2(max(1, comparisons) / alpha))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -9,13 +9,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ...factory.errors import FrameError
 from ...factory.sonar.geometry import FanGeometry
 from ...models.recordings.fan.finder import find_geometry
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
-from ..filters.base import Gray
+from ..metrics.fidelity import Mask
+from ..metrics.measure import Gray
 from ..metrics.statistics import evenly
 from ..recorded import Shot, Stretch, outline
 
@@ -33,9 +33,6 @@ MOST_FRAMES = 16
 
 _MARGIN_PX = 2.0  # of the sector that does not count, beside what the scene moves
 _LEAST_STILL = 0.25  # share of the sector that must stand still
-
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

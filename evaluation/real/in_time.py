@@ -26,16 +26,13 @@ from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
 from ...models.denoise.temporal.stream import InTime, Network, Shot
 from ..filters import REGISTRY
 from ..methods import Method, network
-from ..metrics.fidelity import psnr, ssim_map
-from ..metrics.measure import Levels, fit_levels
+from ..metrics.fidelity import Mask, psnr, ssim_map
+from ..metrics.measure import Gray, Levels, fit_levels
 from ..settings import RealSettings
 from .groups import Group, nearest
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Gray = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
 
 AWAY, FAR = 3, 15
 """Frames up to so far from one are a denoiser's; those beyond, up to so far, make the reference."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from markupsafe import Markup
 
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, write_atomically
@@ -20,24 +23,21 @@ from ..methods import (
     Method,
     baselines_of,
     costs_of,
-    given_methods,
     methods_of,
     networks_of,
 )
-from ..pairs import Item, Pair, config_hash_of, drawn_of, items_of, names_of, picture
-from ..runner import SECONDS, Measured, Subject, run
+from ..pairs import Item, config_hash_of, drawn_of, given_methods, items_of, names_of, picture
+from ..runner import SECONDS, FigureStore, Measured, Subject, run
 from ..settings import EvaluationSettings
-from ..store import FigureStore
-from . import charts, tables
-from .breakdown import breakdown_of
-from .content import best_forms, content_of, shown_rows, verdict
+from . import tables
+from .content import best_forms, breakdown_of, content_of, shown_rows, verdict
 from .document import Example, Section, write_report
+from .tables import Content
 
 PAGE_NAME, REPORT_NAME, RESULTS_NAME = "report.html", "report.json", "results.csv"
 
-_CHUNK = 4
-
-Content = Mapping[str, Any]
+_CHUNK = 4  # pairs in a task
+_SHOWN = 10  # methods beside noisy and clean in the viewer and the breakdown
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
         content = content_of(methods, measured, items, settings, tuned, costs)
         content["facts"]["image"] = "x".join(map(str, picture(items[0].place).clean.shape))
         content["facts"]["config_hash"] = config_hash_of(items[0])
-        labels = shown_rows(content["rows"], settings.page.methods)
+        labels = shown_rows(content["rows"], _SHOWN)
         drawn = drawn_of(items)
         write_results(out / RESULTS_NAME, measured, items, drawn)
         found = breakdown_of(measured.wide()["psnr"], items, drawn, labels)
@@ -84,7 +84,6 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     write_report(out, "report", title, about, sections, facts=content, examples=examples)
     print("", tables.as_markdown(sections[0].tables[0]), *filter(None, sections[0].text),
           sep="\n\n")  # fmt: skip
-    print(*content["ordering"], *content["ordering_3"], sep="\n")
     print(f"report: {out / PAGE_NAME}")
     return content
 
@@ -103,8 +102,7 @@ def measure(
     keep: whether the images come back.  Raises FactoryError for a dataset that cannot be read.
     """
     picture.cache_clear()  # files may have changed since the last report of this process
-    threshold, texture = settings.shadow_threshold, settings.texture
-    pairs: dict[int, Subject] = {n: Pair(one, threshold, texture) for n, one in enumerate(items)}
+    pairs: dict[int, Subject] = dict(enumerate(items))
     with progress_bar(total=len(methods) * len(items), unit="image", desc="measuring") as bar:
         return run(
             methods,
@@ -144,15 +142,15 @@ def sections_of(content: Content) -> list[Section]:
     best = best_forms(rows)
     more = len(rows) - len(best)
     note = f"Of each method its best form here; {more} more in report.md." if more else ""
-    said = (note, facts["few_frames"], verdict(content))
+    said = (note, verdict(content))
     found = [Section("Leaderboard", [tables.leaderboard(best)], said)]
     if more:
         found.append(Section(f"All {len(rows)} forms", [tables.leaderboard(rows)], folded=True))
-    found.append(Section("Quality against cost", chart=charts.cost(content)))
-    for number, order in ((2, "ordering"), (3, "ordering_3")):
-        if content[order]:
-            table = tables.beside_paper(content[f"table_{number}"])
-            found.append(Section(f"The paper's Table {number}", [table], content[order]))
+    found.append(Section("Quality against cost", chart=_cost(content)))
+    for number in (2, 3):
+        if lines := content[f"table_{number}"]:
+            title = f"The paper's Table {number}"
+            found.append(Section(title, [tables.beside_paper(lines)]))
     places = [tables.as_table(one["columns"], one["data"]) for one in content["breakdown"]]
     return [
         *found,
@@ -160,6 +158,32 @@ def sections_of(content: Content) -> list[Section]:
         Section("More metrics", [tables.more_metrics(rows)]),
         Section("How it was measured", text=facts["rules"]),
     ]
+
+
+def _cost(content: Content) -> Markup:
+    """PSNR against time of the best form of each method; empty where one point shows no trade."""
+    import matplotlib
+    from matplotlib.figure import Figure  # a second to import; a Figure needs no display
+
+    rows = {row["label"]: row for row in content["rows"]}
+    timed = [rows[one] for one in shown_rows(content["rows"], 9)[1:] if rows[one]["milliseconds"]]
+    if len(timed) < 2:
+        return Markup("")
+    figure = Figure(figsize=(7.1, 3.4), layout="constrained")
+    axis = figure.subplots()
+    for row in timed:
+        psnr, gmac = row["metrics"]["psnr"], row["gmac"]
+        sides = [[max(psnr["mean"] - psnr["low"], 0)], [max(psnr["high"] - psnr["mean"], 0)]]
+        label = f"{row['label']} ({gmac:.2f} GMAC)" if gmac else row["label"]
+        axis.errorbar(row["milliseconds"], psnr["mean"], yerr=sides, fmt="o", label=label)
+    axis.set(xlabel="CPU milliseconds an image", ylabel="PSNR, dB", xscale="log")
+    figure.legend(loc="outside right upper", fontsize=8)
+    title, buffer = "PSNR against CPU milliseconds an image", io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": title}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    drawn = base64.b64encode(buffer.getvalue()).decode("ascii")
+    shown = Markup('<img class="chart" alt="{}" src="data:image/svg+xml;base64,{}">')
+    return shown.format(title, drawn)
 
 
 def _examples(
@@ -170,7 +194,7 @@ def _examples(
     pool: TaskPool,
 ) -> list[Example]:
     """Pairs from the worst to the best by the PSNR of the noisy image, evenly between."""
-    count = min(settings.page.examples, len(items))
+    count = min(settings.examples, len(items))
     if not count:
         return []
     noisy = measured.wide()["psnr"][NOISY.label].to_numpy()

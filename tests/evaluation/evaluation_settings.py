@@ -9,9 +9,8 @@ from typing import Any
 from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.pairs import items_of
 from simnfnd.evaluation.report.build import measure
-from simnfnd.evaluation.runner import Measured
+from simnfnd.evaluation.runner import FigureStore, Measured
 from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.evaluation.store import FigureStore
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from simnfnd.factory.settings import build
 
@@ -19,7 +18,6 @@ _DEFAULTS: dict[str, Any] = {
     "split": "test",
     "workers": 1,
     "limit": None,
-    "shadow_threshold": 0.02,
     "bootstrap": 200,
     "seed": 0,
     "image_timeout_s": 60,
@@ -28,8 +26,7 @@ _DEFAULTS: dict[str, Any] = {
     "pictures": [],
     "ablation": {"olddata_l1": None, "simnfnd_l1": None, "simnfnd_newloss": None},
     "device": "cpu",
-    "texture": False,
-    "page": {"examples": 2, "methods": 4},
+    "examples": 2,
     "debug": False,
 }
 

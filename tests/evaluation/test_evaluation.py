@@ -18,14 +18,12 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation import runner
 from simnfnd.evaluation.compare import read_results
-from simnfnd.evaluation.image_files import read_gray
 from simnfnd.evaluation.methods import NOISY, Method, baselines_of, methods_of
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.measure import Picture, Scene, sector_of
-from simnfnd.evaluation.pairs import items_of, picture
+from simnfnd.evaluation.pairs import items_of, picture, read_gray
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.runner import Measured, Task, measure_task
-from simnfnd.evaluation.store import STORE_NAME
+from simnfnd.evaluation.runner import STORE_NAME, Measured, Task, measure_task
 from simnfnd.factory.errors import FactoryError
 from tests.evaluation.evaluation_settings import measured, settings_for
 from tests.small_dataset import fan_images, write_dataset
@@ -152,7 +150,7 @@ def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
     noisy, clean, shadow = fan_images(64, np.random.default_rng(1))
     sector = sector_of(noisy, clean, shadow)
     scene = Scene(Picture(noisy, clean, shadow, sector))
-    scores = scene.figures(noisy, shadow_threshold=0.02, texture=False)
+    scores = scene.figures(noisy)
     share = sector.mean()
     assert 0.2 < share < 0.8
     # Outside all is 0 in both images: it adds 10 log10(1/share) dB to the full frame.

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from simnfnd.evaluation import runner
-from simnfnd.evaluation import store as store_module
 from simnfnd.evaluation.methods import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
@@ -113,7 +112,7 @@ def test_known_figures_are_those_of_this_code_these_libraries_and_this_device(
 
     def again() -> bool:
         ran.clear()
-        store_module.program_digest.cache_clear()
+        runner.program_digest.cache_clear()
         measured(dataset, [], tmp_path / "out")
         return bool(ran)
 
@@ -121,6 +120,6 @@ def test_known_figures_are_those_of_this_code_these_libraries_and_this_device(
     assert not again(), "all is known"
     for name in ("_device_kind", "sources_digest"):
         with monkeypatch.context() as patch:
-            patch.setattr(store_module, name, lambda *_: "another")
+            patch.setattr(runner, name, lambda *_: "another")
             assert again()
     assert not again(), "what was known before still is"

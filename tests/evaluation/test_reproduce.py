@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from simnfnd import command
-from simnfnd.evaluation import reproduce
+from simnfnd.evaluation import paper
 from tests.evaluation.realism.realism_pictures import polar_folder
 
 
@@ -28,15 +28,15 @@ def test_one_command_gives_both_tables_and_goes_on(
         monkeypatch.setattr(sys, "argv", ["simnfnd"])
         return command.main([*words, *small[words[0]]])
 
-    monkeypatch.setattr(reproduce, "run", lambda words: 0 if words[0] != "train" else 3)
+    monkeypatch.setattr(paper, "run", lambda words: 0 if words[0] != "train" else 3)
     out, real = tmp_path / "out", polar_folder(tmp_path / "real", 1, 4)
     words = ["--quick", "--real", str(real), "--frames", "8", "--steps", "2", "--out", str(out)]
-    assert reproduce.main(words) == 3
+    assert paper.main(words) == 3
     said = capsys.readouterr()
     assert said.out.startswith("Quick mode, no reproduction: 16 pairs of 8 frames at most")
     assert "the same command goes on from here" in said.err
-    monkeypatch.setattr(reproduce, "run", here)
-    assert reproduce.main(words) == 0
+    monkeypatch.setattr(paper, "run", here)
+    assert paper.main(words) == 0
     assert ran == ["make", "train", "train", "train", "evaluate"]
     text = (out / "tables.md").read_text(encoding="utf-8")
     assert "Quick mode, no reproduction" in text
@@ -47,6 +47,6 @@ def test_one_command_gives_both_tables_and_goes_on(
     assert "| Median | 17.76 / 0.690 / 0.190 |" in text
     # What is done is not done again.
     kept = (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns
-    monkeypatch.setattr(reproduce, "run", lambda w: here(w) if "name=simnfnd_l1" in w else 0)
-    assert reproduce.main(words) == 0
+    monkeypatch.setattr(paper, "run", lambda w: here(w) if "name=simnfnd_l1" in w else 0)
+    assert paper.main(words) == 0
     assert (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns == kept

@@ -10,10 +10,9 @@ import yaml
 from PIL import Image
 
 from simnfnd.command import main
-from simnfnd.evaluation.calibrate import search
-from simnfnd.evaluation.calibrate.settings import FitSettings, flattened
-from simnfnd.evaluation.calibrate.simulate import Simulation
-from simnfnd.evaluation.settings import Grid
+from simnfnd.evaluation import calibrate as search
+from simnfnd.evaluation.calibrate import Simulation
+from simnfnd.evaluation.settings import FitSettings, Grid, flattened
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run as generate
 from simnfnd.factory.errors import FactoryError

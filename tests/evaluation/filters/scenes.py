@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.filters.base import Baseline
+from simnfnd.evaluation.filters import REGISTRY, Baseline
 
 Array = npt.NDArray[Any]
 

@@ -13,8 +13,7 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.evaluation import tuning
-from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.filters.base import Baseline
+from simnfnd.evaluation.filters import REGISTRY, Baseline
 from simnfnd.evaluation.methods import baselines_of, methods_of
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
 from simnfnd.evaluation.metrics.measure import fit_levels
@@ -154,7 +153,7 @@ def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
     forms = ["", " + levels", " tuned", " tuned + levels"]
     labels = ["noisy", *(f"median{form}" for form in forms), "noisy + levels"]
     assert [method.label for method in methods] == labels
-    found = measured(dataset, methods, tmp_path / "out", texture=True).wide()
+    found = measured(dataset, methods, tmp_path / "out").wide()
     # One pair by hand.
     number, label = 4, "median tuned + levels"
     pair = picture(items_of(dataset, "test")[number].place)

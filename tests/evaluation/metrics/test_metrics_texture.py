@@ -16,12 +16,14 @@ from simnfnd.evaluation.metrics.fidelity import (
     gmsd,
     ms_ssim,
 )
-from simnfnd.evaluation.metrics.measure import Picture, Scene, sector_of
-from simnfnd.evaluation.metrics.speckle import (
+from simnfnd.evaluation.metrics.measure import (
+    Picture,
+    Scene,
     contrast_to_noise,
     enl,
     homogeneous_zones,
     mean_ratio,
+    sector_of,
 )
 from tests.evaluation.metrics.waves import waves
 
@@ -147,7 +149,7 @@ def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
     zones = homogeneous_zones(clean, data_range=1, sector=sector)
     assert len(zones) > 1
     for image in (noisy, ndimage.gaussian_filter(noisy, 2), rng.random(clean.shape, np.float32)):
-        found = scene.figures(image, shadow_threshold=0.02, texture=True)
+        found = scene.figures(image)
         alone = {
             "gmsd_unpooled": gmsd(clean, image, data_range=1, pooled=False),
             "ms_ssim": ms_ssim(clean, image, data_range=1),

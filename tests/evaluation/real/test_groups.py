@@ -13,9 +13,9 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.line_search import line_search
 from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of
 from simnfnd.evaluation.recorded import Shot
+from simnfnd.evaluation.tuning import line_search
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
 
 

@@ -15,7 +15,7 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.real.groups import sector_of
-from simnfnd.evaluation.real.measure import Scene, figures_of, scene_of
+from simnfnd.evaluation.real.judge import Scene, figures_of, scene_of
 from simnfnd.evaluation.recorded import MDD_GEOMETRIES, MDD_SHAPE, Shot, open_input
 from tests.evaluation.filters.scenes import BROKEN
 

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.evaluation.real.measure import score
+from simnfnd.evaluation.real.judge import score
 from simnfnd.models.recordings.static import (
     aligned,
     find_groups,

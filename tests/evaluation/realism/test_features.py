@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from simnfnd.evaluation.realism import features as statistics
+from simnfnd.evaluation import features as statistics
 from tests.evaluation.realism.realism_pictures import speckle
 
 

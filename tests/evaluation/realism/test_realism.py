@@ -13,9 +13,8 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.evaluation import recorded as real
-from simnfnd.evaluation.realism.compare import distances, kolmogorov_smirnov
-from simnfnd.evaluation.realism.features import FEATURES, features_of
-from simnfnd.evaluation.realism.pictures import real_pictures, to_polar
+from simnfnd.evaluation.features import FEATURES, features_of
+from simnfnd.evaluation.realism import distances, real_pictures, to_polar
 from simnfnd.evaluation.settings import Grid
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.fan import fan_table
@@ -139,14 +138,6 @@ def test_a_perfect_simulation_reaches_the_halves_and_another_does_not(
     assert again.equals(table)
     without = many["real"].assign(slope_per_m=np.nan)
     assert "slope_per_m" not in distances(without, simulated, seed=1)[0].index
-
-
-def test_the_distance_is_that_of_scipy() -> None:
-    from scipy.stats import ks_2samp
-
-    rng = np.random.default_rng(0)
-    one, other = rng.normal(size=30), np.round(rng.normal(0.5, 1, 20), 1)
-    assert kolmogorov_smirnov(one, other) == pytest.approx(ks_2samp(one, other).statistic)
 
 
 def test_the_command_writes_a_report_that_needs_nothing_else(

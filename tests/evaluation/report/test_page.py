@@ -30,7 +30,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     names = ["median", "gaussian", "grey_opening", "broken"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(REGISTRY, "broken", BROKEN)
-        builder.build(settings_for(dataset, out=str(root / "out"), baselines=names, texture=True))
+        builder.build(settings_for(dataset, out=str(root / "out"), baselines=names))
     return root / "out" / builder.PAGE_NAME
 
 

@@ -12,16 +12,15 @@ from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
 from urllib.parse import quote
-from urllib.request import Request, urlopen
+from urllib.request import urlopen
 
 import cv2
 import h5py
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.viewer import server
-from simnfnd.evaluation.viewer.server import Viewer
-from simnfnd.evaluation.viewer.shown import Shown, open_shown
+from simnfnd.evaluation import viewer as server
+from simnfnd.evaluation.viewer import Shown, Viewer, open_shown
 from simnfnd.factory.errors import FactoryError
 from tests.factory.export.export_dataset import SHAPE, write
 from tests.models.recordings.recording_files import pings, write_aris
@@ -53,16 +52,15 @@ def served(shown: Shown) -> Iterator[str]:
             viewer.shutdown()
 
 
-def fetched(url: str, host: str | None = None) -> bytes:
-    request = Request(url, headers={"Host": host} if host else {})
-    with urlopen(request, timeout=90) as answer:
+def fetched(url: str) -> bytes:
+    with urlopen(url, timeout=90) as answer:
         content: bytes = answer.read()
         return content
 
 
-def code(url: str, host: str | None = None) -> int:
+def code(url: str) -> int:
     with pytest.raises(HTTPError) as caught:
-        fetched(url, host)
+        fetched(url)
     return caught.value.code
 
 
@@ -106,8 +104,7 @@ def test_only_what_is_shown_and_only_to_this_machine(dataset: Path) -> None:
     with served(open_shown(dataset)) as url:
         assert url.startswith("http://127.0.0.1:")
         port = url.split(":")[2].split("/")[0]
-        assert fetched(url, f"localhost:{port}").startswith(b"<!doctype html>")
-        assert code(url, "somebody.example") == 403
+        assert fetched(url).startswith(b"<!doctype html>")
         for path in ("picture/12/0.png", "picture/0/99.png", "facts/12.json", "../pyproject.toml",
                      "picture/-1/0.png", "page.html"):  # fmt: skip
             assert code(url + path) == 404, path

@@ -131,11 +131,10 @@ def written(plan: Plan) -> str:
     content = json.loads((plan.out / "report" / REPORT_NAME).read_text(encoding="utf-8"))
     ours = "ours (quick)" if plan.quick else "ours"
     parts = [plan.about]
-    for number, order in ((2, "ordering"), (3, "ordering_3")):
+    for number in (2, 3):
         table = beside_paper(content[f"table_{number}"]).rename(columns={"ours": ours})
-        lines = "\n".join(f"- {line}" for line in content[order])
-        parts += [f"## Table {number}", as_markdown(table, "lrrl"), lines]
-    text = "\n\n".join(filter(None, parts))
+        parts += [f"## Table {number}", as_markdown(table, "lrrl")]
+    text = "\n\n".join(parts)
     write_files(plan.out, {"tables.md": f"# Tables 2 and 3 of the paper\n\n{text}\n"})
     return text
 

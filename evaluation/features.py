@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-Gray = npt.NDArray[np.float32]
-Values = npt.NDArray[np.float64]
+from .metrics.fidelity import Values
+from .metrics.measure import Gray
 
 SIDE = 16
 """Edge of a window in cells of the polar grid."""

@@ -1,1 +1,0 @@
-"""How near are simulated sonar pictures to real ones, beside real ones to each other?"""

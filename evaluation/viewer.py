@@ -1,0 +1,305 @@
+"""`simnfnd view` and `simnfnd preview`: datasets and recordings, in the browser or on a sheet."""
+
+from __future__ import annotations
+
+import colorsys
+import io
+import json
+import re
+import secrets
+import socket
+import sys
+import tempfile
+import threading
+import webbrowser
+from contextlib import closing, suppress
+from functools import cached_property
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from ..factory.cli import Parser
+from ..factory.dataset.describe.preview import Shown as OnSheet
+from ..factory.dataset.describe.preview import draw, preview
+from ..factory.dataset.format.layout import optional_layers
+from ..factory.dataset.format.manifest import MANIFEST_NAME
+from ..factory.dataset.read.pair_dataset import PairDataset
+from ..factory.dataset.read.reader import reading
+from ..factory.errors import FactoryError
+from ..factory.files import write_atomically
+from ..models.recordings import Recording, is_recording, open_recording
+from ..models.recordings.fan.pings import fan_of, grey_of
+from ..models.recordings.pictures import Pictures
+from .metrics.statistics import evenly
+
+
+def view(words: list[str]) -> None:
+    """Serve what `words` ask for until Ctrl-C."""
+    parser = Parser(prog="simnfnd view")
+    parser.add_argument("path", type=Path, help="dataset, recording, bag, video, or pictures")
+    parser.add_argument("after", type=Path, nargs="?", help="the same recording, denoised")
+    parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1; default: a free one")
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    given = parser.parse_args(words)
+    with (
+        Viewer(open_shown(given.path, given.after), given.port) as viewer,
+        tempfile.TemporaryDirectory(prefix="simnfnd-view-", ignore_cleanup_errors=True) as folder,
+    ):
+        print(f"view: {viewer.url} (Ctrl-C ends)", flush=True)
+        if not given.no_browser:
+            # Every user can read the words of a browser's process: a file of ours has the address.
+            page = Path(folder, "open.html")
+            page.write_text(f'<meta http-equiv="refresh" content="0; url={viewer.url}">')
+            webbrowser.open(page.as_uri())
+        with suppress(KeyboardInterrupt):
+            viewer.serve_forever()
+        print()
+
+
+def sheet(words: list[str]) -> None:
+    """Draw the contact sheet that `words` ask for."""
+    parser = Parser(prog="simnfnd preview")
+    parser.add_argument("dir", type=Path, help="folder of a dataset, or a recording")
+    parser.add_argument(
+        "--out", type=Path, help="picture to write (default: DIR/preview.png; a recording needs it)"
+    )
+    parser.add_argument("--pairs", type=int, default=8, help="pairs or frames to show")
+    given = parser.parse_args(words)
+    if is_recording(given.dir):
+        path = _of_recording(given.dir, given.out, given.pairs)
+    else:
+        path = preview(given.dir, out=given.out, pairs=given.pairs)
+    print(f"preview: {path}")
+
+
+def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
+    """Draw frames, evenly spread, pings as fans; returns the path."""
+    if out is None:
+        raise FactoryError(f"{source}: a recording has no folder of its own; give --out FILE.png")
+    if frames < 1:
+        raise FactoryError(f"--pairs must be at least 1, got {frames}")
+    shown = []
+    with closing(ShownRecording(source)) as recording:
+        count = len(recording)
+        for number in evenly(range(count), frames):
+            picture = recording.picture(number, 0)
+            grey = picture.mean(axis=-1) if picture.ndim == 3 else picture
+            shown.append(OnSheet(f"frame {number}", {"picture": grey}, 255.0))
+    write_atomically(out, draw(shown, source.name, f"{count} frames"), key="--out")
+    return out
+
+
+ADDRESS = "127.0.0.1"
+_PAGE = Path(__file__).with_name("view.html")
+_ASKED = re.compile(r"/(?:picture|facts)/(\d{1,12})(?:/(\d{1,3})\.png|\.json)")
+
+
+class Viewer(ThreadingHTTPServer):
+    """Serves what is shown until it is shut down.
+
+    url: where; it holds a random token, without which other users of the machine get nothing.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, shown: Shown, port: int = 0) -> None:
+        """port: 0 takes a free one.  Raises FactoryError when it is taken."""
+        try:
+            super().__init__((ADDRESS, port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise FactoryError(f"--port {port}: cannot be used ({error})") from error
+        self.shown = shown
+        # Files are read by one thread at a time.
+        self.lock = threading.Lock()
+        self.token = secrets.token_urlsafe(24)
+        self.url = f"http://{ADDRESS}:{self.server_port}/{self.token}/"
+
+    def handle_error(
+        self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any
+    ) -> None:
+        """Nothing of a browser that went away; one line of anything else."""
+        error = sys.exc_info()[1]
+        if not isinstance(error, ConnectionError | TimeoutError):
+            print(f"view: {type(error).__name__}: {error}", file=sys.stderr)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Viewer
+
+    def do_GET(self) -> None:
+        token, slash, wanted = self.path.removeprefix("/").partition("/")
+        # In bytes, because a path may have any letters.
+        if not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            self._send(403, "text/plain", b"open the address that `simnfnd view` printed")
+            return
+        try:
+            with self.server.lock:
+                kind, content = self._answer(slash + wanted)
+            self._send(200, kind, content)
+        except LookupError:
+            self._send(404, "text/plain", b"not found")
+        except FactoryError as error:
+            self._send(500, "text/plain; charset=utf-8", str(error).encode())
+
+    def _answer(self, path: str) -> tuple[str, bytes]:
+        shown = self.server.shown
+        if path == "/":
+            return "text/html; charset=utf-8", _PAGE.read_bytes()
+        if path == "/about.json":
+            return _json({"title": shown.title, "layers": shown.layers, "count": len(shown)})
+        found = _ASKED.fullmatch(path)
+        number, layer = (int(one or 0) for one in found.groups()) if found else (len(shown), 0)
+        if number >= len(shown) or layer >= len(shown.layers):
+            raise LookupError
+        if path.startswith("/facts"):
+            return _json(shown.facts(number))
+        buffer = io.BytesIO()
+        Image.fromarray(shown.picture(number, layer)).save(buffer, "PNG", compress_level=1)
+        return "image/png", buffer.getvalue()
+
+    def _send(self, code: int, kind: str, content: bytes) -> None:
+        self.send_response(code)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
+        own = "default-src 'self'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+        self.send_header("Content-Security-Policy", own)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        """Nothing: the terminal is the user's."""
+
+
+def _json(value: Any) -> tuple[str, bytes]:
+    return "application/json", json.dumps(value).encode()
+
+
+Picture = npt.NDArray[np.uint8]
+"""(H, W), or (H, W, 3): red, green, blue."""
+Facts = dict[str, str | float | int | None]
+
+_HUES = 180
+_COLOURS = np.rint(
+    [np.multiply(255, colorsys.hsv_to_rgb(h / _HUES, 0.63, 1)) for h in range(_HUES)]
+)
+_LABELS = ("segmentation", "instance")
+
+
+class ShownDataset:
+    """All samples of a dataset; layers: of each, the first is shown before the second."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises FactoryError when it is no dataset."""
+        self.title = folder.resolve().name
+        with reading(PairDataset(folder, "all").paths[0]) as file:
+            self.layers = ("noisy", "clean", "shadow", *optional_layers(file))
+        # Checked a moment ago.
+        self._pairs = PairDataset(folder, "all", layers=self.layers, scaled=True, trusted=True)
+        self._table = self._pairs.meta()
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def picture(self, number: int, layer: int) -> Picture:
+        """One layer of one.  Raises FactoryError when it is damaged."""
+        name = self.layers[layer]
+        image = self._pairs[number][name]
+        if name in _LABELS:
+            # Colours that neighbours do not share; 0 is black.
+            numbers = image.astype(np.int64)[..., None]
+            colours = _COLOURS[numbers[..., 0] * 67 % _HUES]
+            return np.asarray(np.where(numbers > 0, colours, 0), np.uint8)
+        return np.asarray(image, np.uint8) if name == "rgb" else _grey(image)
+
+    def facts(self, number: int) -> Facts:
+        """Names and values of the row of /meta.  Raises FactoryError when it is damaged."""
+        row, found = self._table[number], Facts()
+        for name in self._table.dtype.names or ():
+            value = row[name]
+            if isinstance(value, bytes):
+                found[name] = value.decode(errors="replace")
+            else:
+                found[name] = value.item() if np.isfinite(value) else None
+        return found
+
+
+class ShownRecording:
+    """The frames of a recording, and of the same one denoised; as `ShownDataset`."""
+
+    def __init__(self, path: Path, after: Path | None = None) -> None:
+        """Raises FactoryError when one cannot be read."""
+        self.title = path.resolve().name
+        self.layers: tuple[str, ...] = ("before", "after") if after else ("recorded",)
+        self._recordings = [_opened(one) for one in (path, after) if one is not None]
+
+    def __len__(self) -> int:
+        return min(map(len, self._recordings))
+
+    def picture(self, number: int, layer: int) -> Picture:
+        """Of pings the fan."""
+        frame = self._recordings[layer][number]
+        grey = grey_of(frame)
+        if frame.beams is not None:
+            black, white = self._window
+            fan = fan_of(grey, frame.beams)[0]
+            return _grey(np.clip((fan - black) / (white - black), 0, 1))
+        return _grey(grey[..., 2::-1] if grey.ndim == 3 else grey)
+
+    @cached_property
+    def _window(self) -> tuple[float, float]:
+        """Grey values of pings shown black and white: raw ones fill a part of the scale."""
+        black, white = np.quantile(grey_of(self._recordings[0][0]), (0.01, 0.999))
+        return (float(black), float(white)) if white > black else (0.0, 1.0)
+
+    def close(self) -> None:
+        """Let go of the files."""
+        for recording in self._recordings:
+            recording.close()
+
+    def facts(self, number: int) -> Facts:
+        """What the file says of the frame."""
+        frame = self._recordings[0][number]
+        found: Facts = {"time_s": frame.time_s, "samples": "x".join(map(str, frame.samples.shape))}
+        if frame.beams is not None:
+            found["range_min_m"] = frame.beams.range_min_m
+            found["range_max_m"] = frame.beams.range_max_m
+        for part in (frame.device, frame.pose):
+            found |= {name: value for name, value in vars(part).items() if value is not None}
+        return found
+
+
+Shown = ShownDataset | ShownRecording
+
+
+def open_shown(path: Path, after: Path | None = None) -> Shown:
+    """A dataset by its manifest or else a recording.  Raises FactoryError when it is neither."""
+    if (path / MANIFEST_NAME).is_file():
+        if after is not None:
+            raise FactoryError(f"{after}: a dataset is shown alone, its layers beside each other")
+        return ShownDataset(path)
+    return ShownRecording(path, after)
+
+
+def _opened(path: Path) -> Recording:
+    recording = open_recording(path)
+    if isinstance(recording, Pictures):
+        # Those of denoised pings have their samples beside the fans.
+        fans = [file for file in recording.files if not file.stem.endswith("_polar")]
+        recording.files = fans or recording.files
+    return recording
+
+
+def _grey(image: npt.NDArray[np.generic]) -> Picture:
+    """0..1 or a mask as it is; metres and radians from their least to their largest."""
+    values = image.astype(np.float32)
+    known = np.isfinite(values)
+    low, high = (values[known].min(), values[known].max()) if known.any() else (0, 1)
+    if low < 0 or high > 1:
+        values = (values - low) / max(float(high - low), 1e-9)
+    return np.asarray(np.rint(np.where(known, values, 0) * 255), np.uint8)
