@@ -37,8 +37,8 @@ __all__ = [
 ]
 
 READERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "aris": ("aris:ArisFile", (".aris",)),
-    "ddf": ("ddf:DdfFile", (".ddf",)),
+    "aris": ("sound_metrics:ArisFile", (".aris",)),
+    "ddf": ("sound_metrics:DdfFile", (".ddf",)),
     "oculus": ("oculus:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": ("video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),

@@ -28,7 +28,6 @@ from .base import (
     ask_bytes,
     ask_pixels,
     explained,
-    most_at_once,
     swapped,
 )
 
@@ -132,7 +131,7 @@ class ArrayFile(FileOfFrames):
         self.header = headers[self.name]
         ask_pixels(str(self.path), self.header.shape[2], self.header.shape[1])
         if self.path.suffix.lower() != ARRAY_SUFFIX:
-            ask_bytes(f"{self.path}: {self.name}", self.header.bytes, most_at_once(self.size))
+            ask_bytes(f"{self.path}: {self.name}", self.header.bytes, self.size)
 
     @property
     def _matlab(self) -> bool:

@@ -17,6 +17,7 @@ from .base import (
     ARRAY_SUFFIX,
     FULL_SCALE,
     PICTURE_SUFFIXES,
+    TOO_LARGE,
     FileOfFrames,
     Frame,
     Recording,
@@ -24,9 +25,7 @@ from .base import (
     ask_bytes,
     ask_pixels,
     explained,
-    most_streamed,
     swapped,
-    too_large,
 )
 from .palettes import grey_of_colours
 
@@ -101,7 +100,7 @@ def _opened(
         try:
             return Image.open(file, formats=formats)
         except Image.DecompressionBombError as error:
-            raise FrameError(f"{what}: {too_large()}") from error
+            raise FrameError(f"{what}: {TOO_LARGE}") from error
 
 
 def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
@@ -141,7 +140,7 @@ class StackFile(FileOfFrames):
         ask_pixels(str(self.path), width, height)
         mode = self._image.mode
         wide = 2 if "16" in mode else 4 if mode in ("I", "F") else len(self._image.getbands())
-        ask_bytes(str(self.path), self._count * width * height * wide, most_streamed(self.size))
+        ask_bytes(str(self.path), self._count * width * height * wide, self.size, streamed=True)
 
     def __len__(self) -> int:
         return self._count
