@@ -76,11 +76,11 @@ class OpenRecording:
         self.close()
 
     def _shown(self, frame: Frame) -> RecordedFrame:
-        from .models.recordings.fan.pings import fan_of, grey_of
+        from .models.recordings.views import fan_of, grey_of
 
         if frame.beams is not None:
             return RecordedFrame(*fan_of(grey_of(frame), frame.beams), frame.time_s, frame)
-        from .models.recordings.fan.finder import find_geometry  # of the extra sonar
+        from .models.recordings.fan_finder import find_geometry  # of the extra sonar
 
         # As `simnfnd denoise` does it: a video's fan stays where it was found first.
         shape = frame.samples.shape

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ...factory.errors import FrameError
 from ...factory.sonar.geometry import FanGeometry
-from ...models.recordings.fan.finder import find_geometry
+from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
 from ..filters.base import Gray
 from ..metrics.statistics import evenly

@@ -15,8 +15,8 @@ from ...factory.dataset.read.pair_dataset import PairDataset
 from ...factory.dataset.read.reader import reading
 from ...factory.errors import FactoryError
 from ...models.recordings import Recording, open_recording
-from ...models.recordings.fan.pings import fan_of, grey_of
 from ...models.recordings.pictures import Pictures
+from ...models.recordings.views import fan_of, grey_of
 
 Picture = npt.NDArray[np.uint8]
 """(H, W), or (H, W, 3): red, green, blue."""

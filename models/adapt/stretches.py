@@ -22,11 +22,10 @@ from ..data.pairs import Image
 from ..denoise.geometries import Geometries
 from ..denoise.inputs import Item, find_items, sequences
 from ..recordings import open_recording
-from ..recordings.fan.pings import grey_of, polar_geometry
 from ..recordings.palettes import grey_of_colours
 from ..recordings.pictures import read_grey
-from ..recordings.presentation import presentation_of
 from ..recordings.static import aligned, find_groups, moving, references, shifted
+from ..recordings.views import grey_of, polar_geometry, presentation_of
 
 RUN = 16
 """So many frames that follow each other are read together where not all can be."""

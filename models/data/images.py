@@ -15,8 +15,8 @@ from ..recordings import (
     kind_of,
     open_recording,
 )
-from ..recordings.fan.pings import frame_picture
 from ..recordings.pictures import read_grey
+from ..recordings.views import frame_picture
 from .pairs import Image, SampleRef
 
 

@@ -17,9 +17,9 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry
-from ..recordings.fan.finder import find_geometry
-from ..recordings.presentation import presentation_of
+from ..recordings.fan_finder import find_geometry
 from ..recordings.static import find_groups, shifted
+from ..recordings.views import presentation_of
 from ..removal import DEFAULT, averaged, vector
 from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source

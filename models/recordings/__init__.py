@@ -41,7 +41,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "ddf": ("sound_metrics:DdfFile", (".ddf",)),
     "oculus": ("oculus:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
-    "video": ("video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
+    "video": ("pictures:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "stack": ("pictures:StackFile", (".gif",)),
     "array": ("arrays:ArrayFile", (".npz", ".mat")),
     "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),

@@ -21,7 +21,7 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt.module import psnr_after_levels
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.pretrained import shipped
-from simnfnd.models.recordings.fan.finder import find_geometry
+from simnfnd.models.recordings.fan_finder import find_geometry
 from tests.project_files import ROOT
 
 Grey = npt.NDArray[np.float32]

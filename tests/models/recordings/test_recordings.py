@@ -14,8 +14,8 @@ import pytest
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import is_recording, kind_of, open_recording
 from simnfnd.models.recordings.base import Beams
-from simnfnd.models.recordings.fan.pings import fan_of, grey_of, polar_geometry
 from simnfnd.models.recordings.sound_metrics import ArisFile, beam_centres_deg
+from simnfnd.models.recordings.views import fan_of, grey_of, polar_geometry
 from tests.models.recordings.recording_files import (
     DATA,
     pings,
