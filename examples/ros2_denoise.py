@@ -14,9 +14,9 @@ import argparse
 from simnfnd import FactoryError
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.pictures import denoise_image
-from simnfnd.models.recordings.fan.finder import find_geometry
-from simnfnd.models.recordings.fan.pings import polar_geometry
-from simnfnd.models.recordings.ros_messages import IMAGE, SONAR, frame_of, with_samples
+from simnfnd.models.recordings.fan_finder import find_geometry
+from simnfnd.models.recordings.rosbag import IMAGE, SONAR, frame_of, with_samples
+from simnfnd.models.recordings.views import polar_geometry
 
 
 class Worker:

@@ -65,7 +65,7 @@ def denoise(
     from .factory.sonar.geometry import FanGeometry
     from .models.denoise.pictures import Denoising, check_frames
     from .models.pretrained import find_weights
-    from .models.recordings.fan.finder import find_geometry
+    from .models.recordings.fan_finder import find_geometry
 
     given = np.asarray(picture)
     if given.ndim not in (2, 3):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...factory.errors import FrameError
 from ...factory.sonar.geometry import FanGeometry
-from ...models.recordings.fan.finder import find_geometry
+from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
 from ..metrics.fidelity import Mask
 from ..metrics.measure import Gray

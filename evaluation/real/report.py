@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
-from ...models.recordings.fan.pings import close_last
+from ...models.recordings.views import close_last
 from ..methods import shown
 from ..recorded import frame_of, open_input
 from ..report.document import Example, Section, write_report

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry
-from ..recordings.fan.finder import find_geometry
-from ..recordings.presentation import presentation_of
+from ..recordings.fan_finder import find_geometry
 from ..recordings.static import find_groups, shifted
 from ..removal import averaged
 from .images import list_images, read_sample

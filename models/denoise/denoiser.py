@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
-from ..recordings.presentation import presentation_of
+from ..recordings.views import presentation_of
 from ..removal import DEFAULT, averaged, vector
 from .pictures import Gray
 from .runtime import open_runtime

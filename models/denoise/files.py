@@ -14,12 +14,11 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError, FrameError
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings import Frame, Recording, open_recording
-from ..recordings.aris import ArisFile
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
-from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
-from ..recordings.pictures import in_unit_range, read_picture
-from ..recordings.video import VideoFile
+from ..recordings.pictures import VideoFile, in_unit_range, read_picture
+from ..recordings.sound_metrics import ArisFile
+from ..recordings.views import fan_of, grey_of, polar_geometry
 from .inputs import Item
 from .pictures import Denoising, Picture, Place, Seen
 from .writers import COMPARED, FrameFiles, write_compared, write_image

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ...factory.sonar.geometry import FanGeometry
 from ..data.fans import read_fans
-from ..recordings.fan.finder import find_geometry
+from ..recordings.fan_finder import find_geometry
 from .inputs import Item
 
 FIND, POLAR, NONE = "find", "polar", "none"

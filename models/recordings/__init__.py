@@ -37,11 +37,11 @@ __all__ = [
 ]
 
 READERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "aris": ("aris:ArisFile", (".aris",)),
-    "ddf": ("ddf:DdfFile", (".ddf",)),
+    "aris": ("sound_metrics:ArisFile", (".aris",)),
+    "ddf": ("sound_metrics:DdfFile", (".ddf",)),
     "oculus": ("oculus:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
-    "video": ("video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
+    "video": ("pictures:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "stack": ("pictures:StackFile", (".gif",)),
     "array": ("arrays:ArrayFile", (".npz", ".mat")),
     "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),

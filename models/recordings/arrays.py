@@ -28,7 +28,6 @@ from .base import (
     ask_bytes,
     ask_pixels,
     explained,
-    most_at_once,
     swapped,
 )
 
@@ -132,7 +131,7 @@ class ArrayFile(FileOfFrames):
         self.header = headers[self.name]
         ask_pixels(str(self.path), self.header.shape[2], self.header.shape[1])
         if self.path.suffix.lower() != ARRAY_SUFFIX:
-            ask_bytes(f"{self.path}: {self.name}", self.header.bytes, most_at_once(self.size))
+            ask_bytes(f"{self.path}: {self.name}", self.header.bytes, self.size)
 
     @property
     def _matlab(self) -> bool:
@@ -252,10 +251,6 @@ def _matlab_headers(path: Path) -> dict[str, Header]:
         raise FrameError(
             f"{path}: reading MATLAB files needs scipy: pip install 'simnfnd[sonar]'"
         ) from error
-    with path.open("rb") as file:
-        head = file.read(20)
-    if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
-        raise FrameError(f"{path}: of MATLAB 7.3; save it with -v7, or as .npy")
     found = {}
     # SciPy may crash over a damaged file, so another process looks at it first.
     for name, shape, kind in look_at(path, list_matlab, str(path)):

@@ -37,8 +37,15 @@ ALWAYS_BYTES = 1 << 28
 MOST_BYTES = 1 << 31
 MOST_PIXELS = 1 << 26
 """Of a picture, whatever it is packed into."""
+TOO_LARGE = f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
 MOST_RANGES, MOST_BEAMS = 8192, 4096
 MOST_RANGE_M = 2000.0
+_POSE = {
+    **dict.fromkeys(("heading_deg", "pitch_deg", "roll_deg"), 360.0),
+    **dict.fromkeys(("pan_deg", "tilt_deg"), 720.0),
+    **{"depth_m": 1e6, "latitude_deg": 90.0, "longitude_deg": 180.0},
+}
+"""What is more than that is absurd."""
 
 
 @dataclass(frozen=True)
@@ -173,28 +180,16 @@ class FileOfFrames(Recording):
 
     def bytes_at(self, offset: int, count: int, what: str) -> bytes:
         """`count` bytes.  Raises FrameError when the file ends before."""
-        if offset < 0 or count < 0 or offset + count > self.size:
-            raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
-        try:
-            self._file.seek(offset)
-            content = self._file.read(count)
-        except OSError as error:
-            raise FrameError(f"{self.path}: cannot be read ({error.strerror})") from error
+        content = b""
+        if 0 <= offset <= self.size - count:
+            try:
+                self._file.seek(offset)
+                content = self._file.read(count)
+            except OSError as error:
+                raise FrameError(f"{self.path}: cannot be read ({error.strerror})") from error
         if len(content) != count:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
         return content
-
-    def count_frames(self, start: int, stride: int) -> int:
-        """How many frames of `stride` bytes follow `start`; notes a rest as a warning.
-
-        Raises FrameError when there is none.
-        """
-        count, rest = divmod(self.size - start, stride)
-        if count < 1:
-            raise FrameError(f"{self.path}: ends within its first frame; the file is cut short")
-        if rest:
-            self.warning = f"{self.path}: ends within frame {count}, which is left out"
-        return count
 
     def within(self, what: str, value: float, least: float, most: float) -> float:
         """`value`.  Raises FrameError unless it is a number from `least` to `most`."""
@@ -218,29 +213,22 @@ def explained(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
-    except FrameError:
-        raise
+    except FactoryError as error:
+        raise error if isinstance(error, FrameError) else FrameError(str(error)) from error
     except passing:
         raise
-    except FactoryError as error:
-        raise FrameError(str(error)) from error
     except Exception as error:
         told = " ".join(str(error).split())[:120] or type(error).__name__
         raise FrameError(f"{words} ({told})" if reason else words) from error
 
 
-def most_streamed(size: int) -> int:
-    """Bytes that a file of `size` bytes may give in all, read piece by piece."""
-    return ALWAYS_BYTES + RATIO * size
+def ask_bytes(what: str, needed: int, size: int, *, streamed: bool = False) -> None:
+    """Raise FrameError where a file of `size` bytes unpacks to more than it may.
 
-
-def most_at_once(size: int) -> int:
-    """Bytes that a file of `size` bytes may unpack to in memory."""
-    return min(MOST_BYTES, most_streamed(size))
-
-
-def ask_bytes(what: str, needed: int, most: int) -> None:
-    """Raise FrameError unless `needed` bytes are at most `most`, of one of the above."""
+    needed: bytes, in memory at once; streamed: read piece by piece.
+    """
+    most = ALWAYS_BYTES + RATIO * size
+    most = most if streamed else min(MOST_BYTES, most)
     if needed > most:
         raise FrameError(
             f"{what}: unpacks to {needed:,} bytes or more, at most {most:,} are read ({RATIO} "
@@ -252,32 +240,7 @@ def ask_bytes(what: str, needed: int, most: int) -> None:
 def ask_pixels(what: str, width: float, height: float) -> None:
     """Raise FrameError for a picture of more than `MOST_PIXELS`."""
     if width * height > MOST_PIXELS:
-        raise FrameError(f"{what}: {width:.0f} x {height:.0f} pixels are {too_large()}")
-
-
-def too_large() -> str:
-    """Words for a picture of more than `MOST_PIXELS`."""
-    return f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
-
-
-def layout_of(fields: str, size: int | None = None) -> np.dtype:
-    """The dtype of a header, little end first.
-
-    fields: "NAME KIND ..." of all fields in order, or, of a header of `size` bytes, "NAME OFFSET
-        KIND ..." of those that are read; "KIND*COUNT" is several.
-    """
-    words = fields.split()
-    step = 2 if size is None else 3
-    names, kinds = words[::step], [word.split("*") for word in words[step - 1 :: step]]
-    formats = [(f"<{kind}", *((int(count),) for count in counts)) for kind, *counts in kinds]
-    if size is None:
-        return np.dtype([(name, *one) for name, one in zip(names, formats, strict=True)])
-    offsets = [int(word) for word in words[1::3]]
-    made = {"names": names, "formats": [one[0] for one in formats]}
-    layout: np.dtype[Any] = np.dtype(
-        {**made, "offsets": offsets, "itemsize": size}  # type: ignore[call-overload]
-    )
-    return layout
+        raise FrameError(f"{what}: {width:.0f} x {height:.0f} pixels are {TOO_LARGE}")
 
 
 def swapped(picture: Samples) -> Samples:
@@ -290,13 +253,28 @@ def swapped(picture: Samples) -> Samples:
     return picture.astype(picture.dtype.newbyteorder("="), copy=False)
 
 
-def pose_of(header: np.void, names: str) -> Pose:
-    """What the fields of a header say; names: in the order of `Pose`."""
-    most = (360, 360, 360, 1e6, 720, 720, 90, 180)
-    pairs = zip(names.split(), most, strict=True)
-    return Pose(*(known(header[name], limit) for name, limit in pairs))
-
-
 def known(value: float, most: float = 1e6) -> float | None:
     """A number of a header, or None where it is not finite or absurd."""
     return float(value) if np.isfinite(value) and abs(value) <= most else None
+
+
+def pose_of(header: np.void) -> Pose:
+    """What those fields of a header say that are named as fields of `Pose`."""
+    names = header.dtype.names or ()
+    return Pose(**{name: known(header[name], _POSE[name]) for name in names if name in _POSE})
+
+
+def layout_of(fields: str, size: int | None = None) -> np.dtype[Any]:
+    """The dtype of a header, little end first.
+
+    fields: "NAME KIND ..." of all fields in order, or, of a header of `size` bytes, "NAME OFFSET
+        KIND ..." of those that are read.
+    """
+    words = fields.split()
+    step = 2 if size is None else 3
+    names, kinds = words[::step], [f"<{kind}" for kind in words[step - 1 :: step]]
+    if size is None:
+        return np.dtype(list(zip(names, kinds, strict=True)))
+    offsets = [int(word) for word in words[1::3]]
+    made: Any = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": size}
+    return np.dtype(made)

@@ -24,11 +24,11 @@ from .base import (
     Device,
     FileOfFrames,
     Frame,
-    Pose,
     Samples,
     explained,
     known,
     layout_of,
+    pose_of,
 )
 
 MAGIC = 0x4F53
@@ -52,9 +52,9 @@ PING_1 = layout_of(
     start u4  data_size u1  range_step_m f8  ranges u2  beams u2  {_IMAGE}"""
 )
 PING_2 = layout_of(
-    f"""{_FIRE} more_flags u4*9  ping u4  status u4  frequency_hz f8  temperature f8  pressure f8
-    heading f8  pitch f8  roll f8  speed_m_s f8  start_s f8  data_size u1  range_step_m f8
-    ranges u2  beams u2  spare u4*4  {_IMAGE}"""
+    f"""{_FIRE} more_flags V36  ping u4  status u4  frequency_hz f8  temperature f8  pressure f8
+    heading_deg f8  pitch_deg f8  roll_deg f8  speed_m_s f8  start_s f8  data_size u1
+    range_step_m f8  ranges u2  beams u2  spare V16  {_IMAGE}"""
 )
 LOG = layout_of(
     "magic u4  size u4  source S16  version u2  encryption u2  spare u4  key i8  time f8"
@@ -159,7 +159,7 @@ class OculusFile(FileOfFrames):
             self._samples(content, ping, ranges, beams, what),
             Beams(tuple(np.deg2rad(bearings).tolist()), 0.0, far),
             time_s=one.time_s or (known(ping["start_s"], 1e10) if version == 2 else None),
-            pose=_pose(ping) if version == 2 else Pose(),
+            pose=pose_of(ping),
             device=Device(
                 name="Oculus",
                 serial_number=int(ping["source"]),
@@ -193,11 +193,3 @@ class OculusFile(FileOfFrames):
 def _header(content: bytes) -> np.void:
     header: np.void = np.frombuffer(content.ljust(HEADER.itemsize, b"\0"), HEADER, count=1)[0]
     return header
-
-
-def _pose(ping: np.void) -> Pose:
-    return Pose(
-        heading_deg=known(ping["heading"], 360),
-        pitch_deg=known(ping["pitch"], 360),
-        roll_deg=known(ping["roll"], 360),
-    )

@@ -9,8 +9,7 @@ import pytest
 
 from simnfnd.models.denoise import command
 from simnfnd.models.recordings import open_recording
-from simnfnd.models.recordings.ros_messages import IMAGE, SONAR, typestore
-from simnfnd.models.recordings.rosbag import RosBag
+from simnfnd.models.recordings.rosbag import IMAGE, SONAR, RosBag, typestore
 from tests.models.denoise.halving import Halving, main
 from tests.models.recordings.bag_files import content, image, sonar, write_bag
 from tests.models.recordings.fan_pictures import fan, preset

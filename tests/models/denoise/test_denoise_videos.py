@@ -11,7 +11,7 @@ import pytest
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.models.denoise.writers import CODECS, FrameFiles
-from simnfnd.models.recordings.video import VideoFile
+from simnfnd.models.recordings.pictures import VideoFile
 from tests.models.denoise.halving import main
 from tests.models.denoise.untrained import through_network
 from tests.small_dataset import fan_images

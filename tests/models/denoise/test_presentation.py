@@ -1,4 +1,4 @@
-"""Pictures that lie otherwise, are negatives or dark, are denoised as the usual ones are."""
+"""Pictures that lie otherwise or are dark are denoised as the usual ones are."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import simnfnd
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt import Shot, presented
 from simnfnd.models.denoise.command import main
-from simnfnd.models.recordings.fan.finder import find_fan
-from simnfnd.models.recordings.presentation import gain_of, presentation_of
+from simnfnd.models.recordings.fan_finder import find_fan
+from simnfnd.models.recordings.views import gain_of, presentation_of
 from tests.models.recordings.fan_pictures import fan, preset
 from tests.models.recordings.screens import LEFT, TOP, screen, with_rings
 
@@ -52,8 +52,6 @@ WAYS: dict[str, Callable[[Picture], Picture]] = {
     "from the left": np.rot90,
     "upside down": lambda grey: np.rot90(grey, 2),
     "from the right": lambda grey: np.rot90(grey, 3),
-    "negative": lambda grey: 255 - grey,
-    "negative upside down": lambda grey: 255 - np.rot90(grey, 2),
 }
 BACK: dict[str, Callable[[Picture], Picture]] = {
     **WAYS,
@@ -62,7 +60,7 @@ BACK: dict[str, Callable[[Picture], Picture]] = {
 }
 
 
-def test_turned_fans_and_negatives_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
+def test_turned_fans_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
     grey, _ = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
     (tmp_path / "in").mkdir()
     for name, way in WAYS.items():
@@ -76,16 +74,13 @@ def test_turned_fans_and_negatives_are_denoised_as_the_usual_one(tmp_path: Path)
     for name, back in BACK.items():
         again = back(read[name]).astype(np.float64)
         assert np.abs(again - usual).mean() < 0.2, name
-    turned, negative = np.rot90(grey), 255 - grey
+    turned = np.rot90(grey)
     found = find_fan(turned)
     assert found is not None
     in_python = simnfnd.denoise(turned.astype(np.float32) / 255)
     np.testing.assert_allclose(in_python * 255, read["from the left"], atol=1.5)
-    shots = [
-        Shot((one / np.float32(255)).astype(np.float32), geometry)
-        for one, geometry in ((turned, found.geometry), (negative, _known(negative)))
-    ]
-    for made in presented(shots):
+    shot = Shot((turned / np.float32(255)).astype(np.float32), found.geometry)
+    for made in presented([shot]):
         np.testing.assert_allclose(made.grey * 255, grey, atol=1e-3)
         assert made.geometry is not None
         assert made.geometry.quarter_turns == 0
@@ -114,22 +109,6 @@ def test_a_screen_keeps_its_text(ground: tuple[int, int, int], tmp_path: Path) -
     plain = cv2.erode((inside & ~coloured[part]).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     left = np.abs(result[part][..., 0] - alone)[plain].mean()
     assert left < 0.25 * np.abs(alone - grey)[plain].mean()
-
-
-def test_a_bright_fan_on_a_page_is_no_negative() -> None:
-    grey, geometry = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
-    inside = geometry.sector_mask(*grey.shape)
-    shown = (np.where(inside, grey, 255) / 255).astype(np.float32)
-    assert not presentation_of(shown, geometry).negative
-    assert presentation_of((1 - grey / np.float32(255)).astype(np.float32), geometry).negative
-    polar = FanGeometry.polar().with_size(*grey.shape)
-    assert not presentation_of(np.full(grey.shape, 0.9, np.float32), polar).negative
-
-
-def _known(picture: Picture) -> FanGeometry:
-    found = find_fan(picture)
-    assert found is not None
-    return found.geometry
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12])

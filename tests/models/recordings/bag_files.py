@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from simnfnd.models.recordings.ros_messages import COMPRESSED, IMAGE, SONAR, typestore
+from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE, SONAR, typestore
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000

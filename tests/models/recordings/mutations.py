@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from simnfnd.models.recordings import open_recording
-from simnfnd.models.recordings.fan.pings import fan_of, grey_of
 from simnfnd.models.recordings.rosbag import RosBag
+from simnfnd.models.recordings.views import fan_of, grey_of
 
 MUTATIONS = 50
 

@@ -13,9 +13,9 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import is_recording, kind_of, open_recording
-from simnfnd.models.recordings.aris import ArisFile, beam_centres_deg
 from simnfnd.models.recordings.base import Beams
-from simnfnd.models.recordings.fan.pings import fan_of, grey_of, polar_geometry
+from simnfnd.models.recordings.sound_metrics import ArisFile, beam_centres_deg
+from simnfnd.models.recordings.views import fan_of, grey_of, polar_geometry
 from tests.models.recordings.recording_files import (
     DATA,
     pings,
@@ -116,8 +116,7 @@ def test_ddf(tmp_path: Path, version: int, reverse: bool) -> None:
         (100, False, 0, 8 * 0.419, 20.0),
         (100, True, 1, 4 * 0.375, 4.5),
         (100, True, 2, 4 * 0.419, 10.0),
-        (10, True, 0, 4 * 0.375, 4.5),
-        (15, False, 0, 8 * 0.375, 36.0),
+        (100, False, 3, 8 * 0.375, 36.0),
     ],
 )
 def test_window_of_a_ddf(

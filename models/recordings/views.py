@@ -1,8 +1,13 @@
-"""From the samples of a ping to a fan picture, and what is known of where range and bearing are."""
+"""Frames as they are shown: a ping as a fan, far range on top, and bright enough.
+
+Samples of 12 bits in files of 16, and amplitudes without a logarithm, fill a small part of the grey
+scale.  Networks take what is that dark for shadow, or for another kind of noise.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,15 +15,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ....factory.errors import FactoryError
-from ....factory.sonar.fan import fan_table
-from ....factory.sonar.geometry import FanGeometry
-from .. import open_recording
-from ..base import FULL_SCALE, Beams, Frame, Recording
-from ..palettes import grey_of_colours
+from ...factory.errors import FactoryError
+from ...factory.sonar.fan import fan_table
+from ...factory.sonar.geometry import FanGeometry
+from . import open_recording
+from .base import FULL_SCALE, Beams, Frame, Recording
 
 if TYPE_CHECKING:
-    from ....factory.sonar.settings import SonarSettings
+    from ...factory.sonar.settings import SonarSettings
+
+Grey = npt.NDArray[np.float32]
 
 MOST_ROWS = 1024
 _MOST_SIDE = 2048
@@ -65,7 +71,7 @@ def fan_of(
 
 @lru_cache(maxsize=8)
 def _sonar(beams: Beams, ranges: int, count: int) -> SonarSettings:
-    from ....factory.sonar.settings import ImageSettings, SonarSettings  # load pydantic
+    from ...factory.sonar.settings import ImageSettings, SonarSettings  # load pydantic
 
     half = max(abs(edge) for edge in _edges_rad(beams))
     near = beams.range_min_m / beams.range_max_m
@@ -105,6 +111,8 @@ def frame_picture(path: Path, number: int) -> tuple[npt.NDArray[np.float32], Fan
     if frame.beams is not None:
         return fan_of(grey, frame.beams)
     if grey.ndim == 3:
+        from .palettes import grey_of_colours  # needs an extra
+
         grey = grey_of_colours(grey)
     return np.ascontiguousarray(np.clip(grey, 0, 1)), None
 
@@ -125,3 +133,58 @@ def _opened(path: Path) -> Recording:
         close_last()
         _LAST[path] = open_recording(path)
     return _LAST[path]
+
+
+_SHARE = 99.5  # percentile of the pixels that are not zero
+_DARK, _DARKER, _WANTED = 0.25, 0.125, 0.5
+"""Bright pixels below the first make a picture dark; below the second they come to the last."""
+
+
+@dataclass(frozen=True)
+class Presentation:
+    """What is done to a picture before networks see it, and undone after.
+
+    quarter_turns: counter-clockwise.  gain: what the picture is multiplied by.  geometry: of the
+    picture that networks see; None where it is not known.
+    """
+
+    quarter_turns: int
+    gain: np.float32
+    geometry: FanGeometry | None
+
+    def shown(self, grey: Grey) -> Grey:
+        """A picture, (H, W) in 0..1, as networks see it; those beside it in time are alike."""
+        if self.quarter_turns:
+            grey = np.ascontiguousarray(np.rot90(grey, self.quarter_turns))
+        return grey if self.gain == 1 else np.minimum(grey * self.gain, 1)
+
+    def undone(self, grey: Grey) -> Grey:
+        """The inverse of `shown`."""
+        if self.gain != 1:
+            grey = grey / self.gain
+        if self.quarter_turns:
+            grey = np.ascontiguousarray(np.rot90(grey, -self.quarter_turns))
+        return grey
+
+
+def presentation_of(grey: Grey, geometry: FanGeometry | None) -> Presentation:
+    """How a picture, (H, W) in 0..1, is to be shown; most are left as they are."""
+    turns = 0 if geometry is None else geometry.quarter_turns
+    if geometry is not None and turns:
+        geometry = geometry.turned(*grey.shape)
+    return Presentation(turns, gain_of(grey), geometry)
+
+
+def gain_of(grey: Grey) -> np.float32:
+    """By what a picture, (H, W) in 0..1, is to be multiplied; 1 where it is bright enough.
+
+    It rises without a step as pictures get darker, and no pixel comes above 1.
+    """
+    # Most pictures are bright enough, and counting takes a fiftieth of what a percentile does.
+    few = np.count_nonzero(grey) * (1 - _SHARE / 100)
+    if np.count_nonzero(grey >= _DARK) >= few:
+        return np.float32(1)
+    lit = grey[grey > 0]
+    bright = max(float(np.percentile(lit, _SHARE)), 1e-6)
+    gain = _WANTED / bright if bright < _DARKER else (_DARK / bright) ** 2
+    return np.float32(max(1.0, min(gain, 1 / float(lit.max()))))

@@ -1,1 +1,0 @@
-"""Fans: found in pictures, and made of pings."""

@@ -1,0 +1,634 @@
+"""The geometry of a fan picture, found in the picture itself: where its black border ends.
+
+A fan picture is lit inside a sector and black outside it, mostly with far range on top.  A pixel is
+lit with one probability inside the sector and with another outside; the outline with the greatest
+likelihood wins, so holes (shadows, noise that reaches zero) and specks (ringing of JPEG or MPEG,
+text) cost little each.  Then it is looked at for how much of its outline is really there.  Where
+there is none, the picture is turned by quarters, what is largest on a screen is looked at alone,
+and last a V of white lines is searched, as chart plotters draw it.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.sonar.geometry import FanGeometry
+from .palettes import find_painted
+
+Numbers = npt.NDArray[np.float64]
+Sector = tuple[float, float, float, float, float, float, float]
+"""apex_x, apex_y, far_px, near_px, tangents of the left and the right edge's bearings, and pixels
+along x for one along y."""
+Bytes = npt.NDArray[np.uint8]
+
+_MOST_BLACK = 48
+"""Of 255: a border lighter than this is no black one."""
+_HOLES = np.ones((7, 7), np.uint8)  # of zeros in a fan
+_LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
+SURE = 0.7
+"""Fans found with less confidence are not returned."""
+_SURE_ODD = 0.8  # turned fans, and fans on screens
+_LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
+
+_SMALLEST = 32  # pixels a side
+_MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
+_SURE_SQUEEZE = 1.95
+_GROUND_SPREADS = 2, 6  # of 255: the ground of a screen
+_DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
+_LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
+_PIECES = 12  # of each side of the outline, looked at one by one
+
+
+@dataclass(frozen=True)
+class FoundFan:
+    """A fan as it lies in a picture.
+
+    geometry: in pixels and shares of the largest range; metres cannot be seen.
+    confidence: 0..1, the share of the outline (both edges and the far arc, in equal parts) at which
+        the picture is lit just inside and black just outside.  A fan whose outline is half in the
+        dark has 0.5.
+    """
+
+    geometry: FanGeometry
+    confidence: float
+
+
+def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
+    """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
+
+    None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
+    full rectangle.  Raises ValueError for another shape.
+    """
+    grey = _bytes(picture)
+    if min(grey.shape) < _SMALLEST:
+        return None
+    found = _find_upright(grey, SURE) or _find_turned(grey)
+    # A video's ground is not quite flat; the wider, the farther it reaches into a fan's grain.
+    for spread in _GROUND_SPREADS:
+        if found is not None:
+            break
+        alone = _largest_part(grey, spread)
+        if alone is not None:
+            found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
+    if found is None and (drawn := find_drawn(grey)) is not None:
+        found = FoundFan(*drawn)
+    return found
+
+
+def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
+    """The geometry of the fan that `find_fan` sees, if it sees one."""
+    found = find_fan(picture)
+    return None if found is None else found.geometry
+
+
+def _find_turned(grey: Bytes) -> FoundFan | None:
+    """The fan with far range elsewhere."""
+    for turns in (2, 1, 3):
+        found = _find_upright(np.ascontiguousarray(np.rot90(grey, turns)), _SURE_ODD)
+        if found is not None:
+            geometry = found.geometry.turned_back(turns, *grey.shape)
+            if geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
+                return replace(found, geometry=geometry)
+    return None
+
+
+def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
+    """The fan with far range on top."""
+    black = _black(grey)
+    if black > _MOST_BLACK:
+        return None
+    grey, top, left = _cropped(grey, black)
+    sector = fit_sector(grey > black)
+    if sector is None:
+        return None
+    # JPEG and MPEG ring on both sides of an edge: there the border is not quite black.
+    ringing = min(_level_beside(grey, sector), _MOST_BLACK)
+    if ringing > black:
+        again = fit_sector(grey > ringing)
+        if again is not None:
+            black, sector = ringing, again
+    half_deg = np.rad2deg(np.arctan([-sector[4], sector[5]]))
+    if half_deg.min() < _LEAST_HALF_DEG or half_deg.max() > _MOST_HALF_DEG:
+        return None
+    outside = (grey > black) & (_inside(sector, *grey.shape) == 0)
+    if outside.mean() > _MOST_OUTSIDE:
+        return None
+    if abs(math.log(sector[6])) > math.log(_SURE_SQUEEZE):
+        return None
+    geometry = _geometry(sector)
+    confidence = _confidence(grey > black, geometry)
+    if confidence < sure:
+        return None
+    moved = replace(
+        geometry, apex_x_px=geometry.apex_x_px + left, apex_y_px=geometry.apex_y_px + top
+    )
+    return FoundFan(moved, confidence)
+
+
+def _corners(grey: Bytes) -> tuple[Bytes, Bytes]:
+    """Both upper ones, which no fan reaches."""
+    size = max(2, min(grey.shape) // 40)
+    return grey[:size, :size], grey[:size, -size:]
+
+
+def _black(grey: Bytes) -> int:
+    """The level of the border: the lesser of the corners', as there may be text in the other."""
+    return min(int(np.quantile(corner, 0.99)) for corner in _corners(grey))
+
+
+def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
+    """What is not border, with some border around it; its first row and column."""
+    lit = grey > black
+    spans = []
+    for share in (lit.mean(axis=1), lit.mean(axis=0)):
+        some = np.flatnonzero(share > 0.02)
+        ends = (int(some[0]), int(some[-1]) + 1) if len(some) else (0, len(share))
+        spans.append(slice(max(ends[0] - 16, 0), ends[1] + 16))
+    rows, columns = spans
+    return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
+
+
+def _bytes(picture: npt.NDArray[Any]) -> Bytes:
+    """(H, W) of 8 bits: grey values, or the levels of a colour map."""
+    if picture.ndim == 3:
+        painted = find_painted(picture)
+        picture = picture[..., :3].max(axis=2) if painted is None else painted.levels
+    if picture.ndim != 2:
+        raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
+    return _grey_bytes(picture)
+
+
+def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
+    if picture.dtype == np.uint8:
+        return picture
+    full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
+    # Samples of 10 or 12 bits in files of 16 leave most of the scale empty.
+    brightest = float(np.nan_to_num(picture, posinf=0).max(initial=0))
+    full = brightest if 0 < brightest < _DIM * full else full
+    # A level that is not zero stays one.
+    return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
+
+
+def _inside(sector: Sector, height: int, width: int) -> Bytes:
+    (top,), (bottom,) = limits(np.array([sector]), np.arange(width, dtype=np.float64))
+    row = np.arange(height)[:, None]
+    inside: Bytes = ((row >= top) & (row <= bottom)).astype(np.uint8)
+    return inside
+
+
+def _level_beside(grey: Bytes, sector: Sector) -> int:
+    """The level below which 97 % of the pixels lie that are 2 to 8 pixels outside the sector."""
+    inside = _inside(sector, *grey.shape)
+    near = cv2.dilate(inside, np.ones((5, 5), np.uint8))
+    wide = cv2.dilate(inside, np.ones((17, 17), np.uint8))
+    beside = grey[(wide > 0) & (near == 0)]
+    return int(np.quantile(beside, 0.97)) if beside.size else 0
+
+
+def _geometry(sector: Sector) -> FanGeometry:
+    apex_x, apex_y, far, near, left, right, squeeze = sector
+    first, last = math.atan(left), math.atan(right)
+    return FanGeometry(
+        "fan",
+        near_fraction=near / far,
+        sector_rad=2 * max(-first, last),
+        azimuth_min_rad=first,
+        azimuth_max_rad=last,
+        apex_x_px=apex_x,
+        apex_y_px=apex_y,
+        far_px=far,
+        x_scale=squeeze,
+    )
+
+
+def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
+    """See `FoundFan`."""
+    count = _PIECES * 12
+    # Some pixels away from the outline, as shares of the largest range.
+    away = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
+    ranges = np.linspace(fan.near_fraction + 0.03, 0.97, count)[:, None]
+    bearings = np.linspace(fan.azimuth_min_rad, fan.azimuth_max_rad, count + 8)[4:-4, None]
+    seen = []
+    for edge_rad, side in ((fan.azimuth_min_rad, -1.0), (fan.azimuth_max_rad, 1.0)):
+        inner = _lit_share(lit, fan, ranges, edge_rad - side * away / ranges)
+        outer = _lit_share(lit, fan, ranges, edge_rad + side * away / ranges)
+        seen.append(_seen(inner, outer))
+    inner = _lit_share(lit, fan, 1 - away, bearings)
+    outer = _lit_share(lit, fan, 1 + away, bearings)
+    seen.append(_seen(inner, outer))
+    return float(np.mean(seen))
+
+
+def _seen(inner: Numbers, outer: Numbers) -> npt.NDArray[np.bool_]:
+    # Outside the picture all is black, and inside there must be something.
+    inner, outer = np.nan_to_num(inner), np.nan_to_num(outer)
+    return np.asarray((inner > 0.1) & (outer < 0.35 * inner))
+
+
+def _lit_share(
+    lit: npt.NDArray[np.bool_],
+    fan: FanGeometry,
+    ranges: npt.NDArray[Any],
+    bearings: npt.NDArray[Any],
+) -> Numbers:
+    """(_PIECES,) share of lit pixels of each piece of the outline, NaN outside the picture."""
+    height, width = lit.shape
+    row, column = (np.rint(place).astype(int) for place in fan.pixels(ranges, bearings))
+    row, column = np.broadcast_arrays(row, column)
+    there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    hit = there & lit[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    counts = there.reshape(_PIECES, -1).sum(axis=1)
+    share = hit.reshape(_PIECES, -1).sum(axis=1) / np.maximum(counts, 1)
+    return np.where(counts > 0, share, np.nan)
+
+
+def border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The outermost pixels of (H, W), in one row."""
+    return np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
+
+
+def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
+    """What is largest on a flat ground, alone on black: a fan amid text and panels."""
+    ground = int(np.median(border(grey)))
+    shown = grey
+    if ground > spread:
+        shown = np.where(_ground(grey, ground, spread) > 0, 0, grey).astype(np.uint8)
+    lit = cv2.morphologyEx((shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, _HOLES)
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=4)
+    if count < (2 if ground > spread else 3):
+        return None  # a single one on black is no other picture than before
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    if not _LEAST_PART <= stats[largest, cv2.CC_STAT_AREA] / grey.size <= _MOST_PART:
+        return None
+    return np.where(parts == largest, shown, 0).astype(np.uint8)
+
+
+def _ground(grey: Bytes, level: int, spread: int) -> Bytes:
+    """1 where pixels of a level reach in from the picture's border, else 0."""
+    alike = (np.abs(grey.astype(np.int16) - level) <= spread).astype(np.uint8)
+    _, parts = cv2.connectedComponents(alike, connectivity=4)
+    return np.isin(parts, np.setdiff1d(border(parts), 0)).astype(np.uint8)
+
+
+_SIDE = 160  # the picture is made about this large for the first guess
+_LEAST_AREA = 0.03  # of the picture
+_PLAINLY = 30.0  # logarithm of a likelihood ratio
+_MOST_SQUEEZE = 2.0
+_NONE = 1e15  # cost of an outline that is no sector
+
+
+def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
+    """The sector that best separates lit from black pixels, (H, W); None where there is none."""
+    guess = _first_guess(lit)
+    if guess is None:
+        return None
+    outline, rows, cell = guess
+    counts = _Counts(lit)
+    coarse = _objective(counts, outline, rows)
+    if coarse is None:
+        return None
+    outline = coarse.improve(outline, cell, squeezed=False)
+    # Now that the shares inside and outside are known better.
+    objective = _objective(counts, outline, rows)
+    if objective is None:
+        return None
+    outline = objective.improve(outline, 1.0, squeezed=False)
+    squeezed = objective.improve(outline, 0.5, squeezed=True)
+    # Pixels are square unless the arcs say plainly that they are not.
+    changed, square = objective.costs([squeezed.tolist(), outline.tolist()])
+    if changed < square - _PLAINLY:
+        outline = squeezed
+    return _sector(objective.polish(outline).tolist(), rows)
+
+
+def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, float], float] | None:
+    """(outline, its two rows, pixels a cell) from the picture made small.
+
+    The outline: columns of the left edge at two rows, columns of the right edge at these, rows of
+    the far and the near arc in the sonar's column, logarithm of the squeeze.
+    """
+    height, width = lit.shape
+    scale = max(1, math.ceil(max(height, width) / _SIDE))
+    size = math.ceil(width / scale), math.ceil(height / max(1, math.ceil(height / _SIDE)))
+    share = cv2.resize(lit.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    share = cv2.blur(share, (3, 3))
+    some = share[share > 0.05]
+    if some.size < 20:
+        return None
+    dense = (share > 0.4 * np.median(some)).astype(np.uint8)
+    dense = cv2.morphologyEx(dense, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=8)
+    if count < 2:
+        return None
+    part = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])
+    if part.mean() < _LEAST_AREA:
+        return None
+    rows = np.flatnonzero(part.any(axis=1))
+    first = part[rows].argmax(axis=1)
+    last = part.shape[1] - 1 - part[rows, ::-1].argmax(axis=1)
+    left, right = _edge(rows, first), _edge(rows, part.shape[1] - 1 - last)
+    if left is None or right is None:
+        return None
+    right = np.array([-right[0], part.shape[1] - 1 - right[1]])
+    if left[0] - right[0] <= 1e-3:
+        return None
+    apex_row = (right[1] - left[1]) / (left[0] - right[0])
+    apex_column = int(np.clip(np.polyval(left, apex_row), 1, part.shape[1] - 2))
+    ahead = np.flatnonzero(part[:, apex_column - 1 : apex_column + 2].any(axis=1))
+    if not len(ahead):
+        return None
+    across, along = width / size[0], height / size[1]
+    pair = np.array([rows[len(rows) // 4], rows[-1]], float)
+    columns = [(np.polyval(line, pair) + 0.5) * across - 0.5 for line in (left, right)]
+    arcs = (np.array([ahead[0], ahead[-1]]) + 0.5) * along - 0.5
+    upper, lower = (pair + 0.5) * along - 0.5
+    return np.concatenate([*columns, arcs, [0.0]]), (float(upper), float(lower)), float(scale)
+
+
+def _edge(rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> Numbers | None:
+    """(columns a row, column in row 0) of the line from the outermost column down."""
+    corner = int(np.flatnonzero(columns <= columns.min()).max())
+    y, x = rows[corner + 1 : -1].astype(float), columns[corner + 1 : -1].astype(float)
+    if len(y) < 6:
+        return None
+    weights = np.ones(len(y))
+    for _ in range(4):
+        line = np.polyfit(y, x, 1, w=weights)
+        off = np.abs(np.polyval(line, y) - x)
+        weights = 1 / (1 + (off / max(0.7, 1.5 * float(np.median(off)))) ** 2)
+    return np.asarray(line)
+
+
+def _sector(outline: Sequence[float], rows: tuple[float, float]) -> Sector | None:
+    """The sector of an outline; None where its edges do not meet below.
+
+    Takes plain numbers, as the other loops here do: scalars of NumPy cost ten times as much.
+    """
+    upper, lower = rows
+    left = (outline[1] - outline[0]) / (lower - upper)
+    right = (outline[3] - outline[2]) / (lower - upper)
+    if not (left > 1e-3 and right < -1e-3):
+        return None
+    apex_y = upper + (outline[2] - outline[0]) / (left - right)
+    apex_x = outline[0] + left * (apex_y - upper)
+    squeeze = math.exp(outline[6])
+    far, near = apex_y - outline[4], max(apex_y - outline[5], 0.0)
+    if not (far > near and 1 / _MOST_SQUEEZE < squeeze < _MOST_SQUEEZE):
+        return None
+    return apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze
+
+
+def _objective(counts: _Counts, outline: Numbers, rows: tuple[float, float]) -> _Objective | None:
+    """With the shares of lit pixels inside and outside `outline`; None if it parts nothing."""
+    sector = _sector(outline.tolist(), rows)
+    if sector is None:
+        return None
+    area, lit = counts.inside([sector], 1, False)[:, 0].tolist()
+    inside_share = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
+    outside = max(counts.pixels - area, 1.0)
+    outside_share = float(np.clip((counts.lit - lit) / outside, 1e-3, 0.05))
+    if inside_share <= outside_share:
+        return None
+    gain = math.log(inside_share / outside_share)
+    price = math.log((1 - outside_share) / (1 - inside_share))
+    return _Objective(counts, rows, gain, price)
+
+
+@dataclass(frozen=True)
+class _Objective:
+    """How badly an outline tells lit from black, to be made small.
+
+    rows: see `_first_guess`.
+    gain, price: of a lit and of a black pixel inside, logarithms of likelihood ratios.
+    """
+
+    counts: _Counts
+    rows: tuple[float, float]
+    gain: float
+    price: float
+
+    def costs(self, outlines: Sequence[Sequence[float]], whole: bool = False) -> Numbers:
+        """Minus the logarithms of their likelihoods, but for a constant."""
+        sectors = [_sector(outline, self.rows) for outline in outlines]
+        there = [sector for sector in sectors if sector is not None]
+        costs = np.full(len(sectors), _NONE)
+        if there:
+            step = max(1, self.counts.width // 400)
+            area, lit = self.counts.inside(there, step, whole)
+            found = (self.price * (area - lit) - self.gain * lit) * step
+            costs[[sector is not None for sector in sectors]] = found
+        return costs
+
+    def improve(self, outline: Numbers, size_px: float, squeezed: bool) -> Numbers:
+        """The likeliest outline nearby; `size_px`: of the first steps; squeezed: of any squeeze."""
+        free = 7 if squeezed else 6
+        steps = np.diag([size_px] * 6 + [0.05])[:free, :free]
+        fixed = outline[free:].tolist()
+        simplex = np.vstack([outline[:free], outline[:free] + steps])
+
+        def cost(values: Numbers) -> float:
+            return float(self.costs([values.tolist() + fixed])[0])
+
+        best = _lowest(cost, simplex, most=40 * free)
+        return np.concatenate([best, outline[free:]])
+
+    def polish(self, outline: Numbers) -> Numbers:
+        """Each end of an edge and each arc moved by itself to where it fits best."""
+        outline = outline.copy()
+        # The arcs first, from further away: a short one has hardly any weight until here.
+        for reach_px, parts in ((8.0, (5, 4)), (1.5, range(6)), (0.5, range(6))):
+            moves = np.linspace(-reach_px, reach_px, 21)
+            for at in parts:
+                tried = np.repeat(outline[None], len(moves), axis=0)
+                tried[:, at] += moves
+                costs = self.costs(tried.tolist(), whole=True)
+                # The middle of the places that are as good as the best.
+                outline = tried[costs <= costs.min() + 1e-6].mean(axis=0)
+        return outline
+
+
+def _lowest(cost: Callable[[Numbers], float], simplex: Numbers, most: int) -> Numbers:
+    """Where the cost is lowest near a simplex (N + 1, N), by at most `most` looks at it.
+
+    Nelder and Mead 1965 with the parameters of Gao and Han 2012; it stops where no corner is more
+    than .05 away and 1 above.  SciPy has it, too, and takes a third of a second to import.
+    """
+    size = simplex.shape[1]
+    expand, contract, shrink = 1 + 2 / size, 0.75 - 1 / (2 * size), 1 - 1 / size
+    costs = [cost(corner) for corner in simplex]
+    looks = len(costs)
+    by = np.argsort(costs, kind="stable")
+    corners, costs = simplex[by], [costs[place] for place in by]
+    while looks < most:
+        if costs[-1] - costs[0] <= 1.0 and np.abs(corners[1:] - corners[0]).max() <= 0.05:
+            break
+        middle, worst = np.add.reduce(corners[:-1]) / size, corners[-1]
+        tried = 2 * middle - worst
+        found = cost(tried)
+        looks += 1
+        if costs[0] <= found < costs[-2]:
+            pass
+        elif looks >= most:
+            break
+        elif found < costs[0]:
+            further = (1 + expand) * middle - expand * worst
+            there = cost(further)
+            looks += 1
+            if there < found:
+                tried, found = further, there
+        else:
+            outside = found < costs[-1]
+            limit = found if outside else costs[-1]
+            part = contract if outside else -contract
+            tried = (1 + part) * middle - part * worst
+            found = cost(tried)
+            looks += 1
+            if found > limit or (not outside and found == limit):
+                for number in range(1, min(len(corners), most - looks + 1)):
+                    corners[number] = corners[0] + shrink * (corners[number] - corners[0])
+                    costs[number] = cost(corners[number])
+                looks += size
+                by = np.argsort(costs, kind="stable")
+                corners, costs = corners[by], [costs[place] for place in by]
+                continue
+        place = bisect_right(costs, found, hi=size)
+        corners[place + 1 :] = corners[place:-1].copy()
+        corners[place] = tried
+        costs[place:] = [found, *costs[place:-1]]
+    return np.asarray(corners[0])
+
+
+def limits(sectors: Numbers, x: Numbers) -> Numbers:
+    """First and last row of each sector, (N, 7), in each column, (W,); last < first outside it.
+
+    (2, N, W), fractions of a row.
+    """
+    apex_x, apex_y, _, _, *_, squeeze = by_name = sectors.T[..., None]
+    across = (x - apex_x) / squeeze
+    reach = np.square(by_name[2:4]) - across * across
+    ahead: Numbers = np.sqrt(np.maximum(reach, 0.0, out=reach), out=reach)
+    # An edge lies ahead on its own side alone.
+    edges = across / by_name[4:6]
+    np.maximum(ahead[1], np.maximum(edges[0], edges[1]), out=ahead[1])
+    return np.subtract(apex_y, ahead, out=ahead)
+
+
+class _Counts:
+    """How many pixels of a picture are lit in a sector, quickly: a fit asks two thousand times.
+
+    pixels, lit: of the whole picture.
+    """
+
+    def __init__(self, lit: npt.NDArray[np.bool_]) -> None:
+        height, self.width = lit.shape
+        # How many of the pixels above each row's upper border are lit, and the last row once more.
+        above = np.zeros((height + 2, self.width), np.int32)
+        np.cumsum(lit, axis=0, dtype=np.int32, out=above[1:-1])
+        above[-1] = above[-2]
+        self._above, self._height = above.ravel(), height
+        self.pixels, self.lit = lit.size, int(above[-1].sum())
+
+    def inside(self, sectors: Sequence[Sector], step: int, whole: bool) -> Numbers:
+        """Pixels in each of N sectors, and lit ones, of every `step`-th column; (2, N).
+
+        whole: a pixel counts if its centre is in the sector; else parts of pixels count as such,
+        which is smoother and draws the outline outward.
+        """
+        columns = np.arange(step // 2, self.width, step)
+        found = np.empty((2, 2, len(sectors), len(columns)))
+        rows, lit = found
+        # Pixel r reaches from r - 0.5 to r + 0.5.
+        np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
+        if whole:
+            rows[0], rows[1] = np.ceil(rows[0] - 0.5), np.floor(rows[1] + 0.5)
+        np.maximum(rows, 0.0, out=rows)
+        np.minimum(rows, self._height, out=rows)
+        np.minimum(rows[0], rows[1], out=rows[0])  # nothing where last < first
+        at = rows.astype(np.int64)
+        part = rows - at
+        at *= self.width
+        at += columns
+        here = self._above.take(at)
+        at += self.width
+        np.multiply(part, self._above.take(at) - here, out=lit)
+        lit += here
+        # One after the other, so that the sums do not depend on how NumPy splits them.
+        sums: Numbers = (found[:, 1] - found[:, 0]).cumsum(axis=-1)[..., -1]
+        return sums
+
+
+_WHITE = 200  # of 255
+_WIDE = np.ones((9, 9), np.uint8)  # echoes and panels are as wide as that, lines are not
+_LEAST_LENGTH = 0.2  # of the picture's width: a line's length
+_LEAST_DEG, _MOST_DEG = 3.0, 75.0  # a line's angle against the picture's rows
+_ALIKE_DEG = 1.0  # by which both angles may differ
+_GAP_PX = 12.0  # between the sonar and the beginning of a line
+_TRIED = 8  # of the longest lines
+_MOST_DRAWN = 0.05  # of the picture: where more is thin and bright, it is speckle
+_ARC_SHARE = 0.35  # of an arc within the picture that must be white
+
+
+def find_drawn(grey: npt.NDArray[np.uint8]) -> tuple[FanGeometry, float] | None:
+    """The fan between two white lines as far as the outermost arc, and how much of that is seen.
+
+    grey: (H, W), or levels of a map, of which white is the highest.
+    """
+    mask = (grey >= _WHITE).astype(np.uint8)
+    lines = mask - cv2.morphologyEx(mask, cv2.MORPH_OPEN, _WIDE)
+    height, width = lines.shape
+    if lines.mean() > _MOST_DRAWN:
+        return None
+    found = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, _LEAST_LENGTH * width, _GAP_PX)
+    if found is None:
+        return None
+    left: list[tuple[float, ...]] = []
+    right: list[tuple[float, ...]] = []
+    for x1, y1, x2, y2 in found.reshape(-1, 4).astype(float):
+        slope = math.degrees(math.atan2(y2 - y1, x2 - x1))  # x1 <= x2
+        if _LEAST_DEG <= abs(slope) <= _MOST_DEG:
+            (left if slope > 0 else right).append((math.hypot(x2 - x1, y2 - y1), slope, x1, y1))
+    for _, down, x1, y1 in sorted(left, reverse=True)[:_TRIED]:
+        for _, up, x2, y2 in sorted(right, reverse=True)[:_TRIED]:
+            # Where both meet is the sonar.
+            fall, rise = math.tan(math.radians(down)), math.tan(math.radians(up))
+            x = (y2 - y1 + fall * x1 - rise * x2) / (fall - rise)
+            y = y1 + fall * (x - x1)
+            if abs(down + up) > _ALIKE_DEG or not (0 < x < width and height / 2 < y < height):
+                continue
+            half = math.pi / 2 - math.radians(down - up) / 2
+            arc = _farthest_arc(lines, x, y, half)
+            if arc is not None:
+                far, seen = arc
+                return FanGeometry.fan(
+                    2 * half, apex_x_px=x, apex_y_px=y, near_px=0.0, far_px=far
+                ), seen
+    return None
+
+
+def _farthest_arc(
+    lines: npt.NDArray[Any], x: float, y: float, half: float
+) -> tuple[float, float] | None:
+    """Radius of the outermost circle about the sonar that is drawn within the fan, and its share.
+
+    None where there is none.
+    """
+    height, width = lines.shape
+    bearings = np.linspace(-half, half, 720)[10:-10]
+    radii = np.arange(height / 4, math.hypot(width, height))[:, None]
+    column = np.rint(x + radii * np.sin(bearings)).astype(int)
+    row = np.rint(y - radii * np.cos(bearings)).astype(int)
+    there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    near = cv2.dilate(lines, np.ones((3, 3), np.uint8))
+    lit = near[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] * there
+    count = there.sum(axis=1)
+    share = np.where(count >= 180, lit.sum(axis=1) / np.maximum(count, 1), 0)
+    arcs = np.flatnonzero(share >= _ARC_SHARE)
+    return (float(radii[arcs[-1], 0]), float(share[arcs[-1]])) if len(arcs) else None
