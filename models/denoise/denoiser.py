@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.presentation import presentation_of
-from ..removal import DEFAULT, averaged, vector
+from ..removal import averaged
 from .pictures import Gray
 from .runtime import open_runtime
 from .sizes import Maps, by_scales, tiled
@@ -37,20 +35,16 @@ class Denoiser:
         device: str,
         tile: int,
         overlap: int,
-        remove: Sequence[str] | None = None,
         strength: float = 1.0,
     ) -> None:
-        """remove: artefacts of `formation.contract.ARTEFACTS`; None: the usual ones.
+        """strength: part of the change that a picture gets, 0 to 1.
 
-        strength: part of the change that a picture gets, 0 to 1.
-        Raises FactoryError for a file that holds no weights, for a GPU that is not there, and for
-        artefacts that there are not or that the network cannot be asked for.
+        Raises FactoryError for a file that holds no weights and a GPU that is not there.
         """
         self.runtime = open_runtime(weights, device)
         self.name = weights.name if weights.stem == "weights" else weights.stem
         self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
         self.tile, self.overlap, self.strength = tile, overlap, np.float32(strength)
-        self._told = _told(self.runtime.extras, remove)
 
     @property
     def knows_frames(self) -> bool:
@@ -102,7 +96,7 @@ class Denoiser:
         areas: list[int] = []
 
         def denoise_tile(part: Gray, maps: Maps) -> Gray:
-            denoised, weight = self.runtime.run(part, maps, self._told)
+            denoised, weight = self.runtime.run(part, maps)
             weights.append(weight)
             areas.append(part.size)
             return denoised
@@ -124,36 +118,20 @@ def _surroundings(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
     return outside if outside.any() and (gray[outside] > _LIT).mean() > _LIT_SHARE else None
 
 
-def _told(extras: Sequence[str], remove: Sequence[str] | None) -> Gray | None:
-    """What the network is told to remove, (6,); None where it cannot be told."""
-    if "remove" not in extras:
-        if remove is not None:
-            raise FactoryError(
-                "--remove: these weights always remove the same; use those that ship, or train "
-                "model=sonarnet"
-            )
-        return None
-    try:
-        return vector(DEFAULT if remove is None else remove)
-    except ValueError as error:
-        raise FactoryError(f"--remove: {error}") from error
-
-
 def load_denoiser(
     weights: str | Path | None = None,
     device: str = "auto",
     *,
     tile: int = TILE,
     overlap: int = OVERLAP,
-    remove: Sequence[str] | None = None,
     strength: float = 1.0,
 ) -> Denoiser:
     """A function that denoises one gray image.
 
     weights: a file that training wrote, the name of weights that ship, or None for the default of
-    these.  remove, strength: see `Denoiser`.
+    these.  strength: see `Denoiser`.
     Raises FactoryError when there are none, and as `Denoiser` does.
     """
     from ..pretrained import find_weights
 
-    return Denoiser(find_weights(weights), device, tile, overlap, remove, strength)
+    return Denoiser(find_weights(weights), device, tile, overlap, strength)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
 from ..networks.weights_file import read_header, read_weights
 from ..pretrained import graphs
+from ..removal import DEFAULT, vector
 from .polar_grid import PolarGrid
 
 Gray = npt.NDArray[np.float32]
@@ -28,35 +29,14 @@ _MOST = np.float32(80)
 """Of a logit, so that its exponential is a number."""
 
 
-class Runtime(Protocol):
-    """A network ready to denoise.
-
-    extras: names of its optional inputs (see `models.networks`).
-    wide_grain: see `models.denoise.sizes`.  on_gpu: whether it runs on a GPU.
-    """
-
-    extras: tuple[str, ...]
-    wide_grain: float
-    on_gpu: bool
-
-    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
-        """The picture (H, W) with its whole change, and the part of that it should get, 0 to 1.
-
-        gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
-        told: (6,), what to remove; None where the network is not told.
-        """
-
-
-def open_runtime(weights: Path, device: str) -> Runtime:
+def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
     """The network of a weights file.
 
     device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
     not there, and packages that are not installed.
     """
     graph = _graph_of(weights)
-    if graph is not None:
-        return OnnxNetwork(weights, graph, device)
-    return TorchNetwork(weights, device)
+    return TorchNetwork(weights, device) if graph is None else OnnxNetwork(weights, graph, device)
 
 
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,7 +59,11 @@ def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[
 
 
 class OnnxNetwork:
-    """A network in onnxruntime, in 32 bits; a `Runtime`."""
+    """A network in onnxruntime, in 32 bits, ready to denoise.
+
+    extras: names of its optional inputs (see `models.networks`).
+    wide_grain: see `models.denoise.sizes`.  on_gpu: whether it runs on a GPU.
+    """
 
     def __init__(self, path: Path, graph: Path, device: str) -> None:
         """See `open_runtime`.  graph: as `simnfnd export-weights --to runtime` wrote it."""
@@ -118,11 +102,14 @@ class OnnxNetwork:
         self._mask = bool(model["mask"])
         self._inputs = tuple(one.name for one in self._session.get_inputs())
 
-    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
-        """See `Runtime`."""
+    def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
+        """The picture (H, W) with its whole change, and the part of that it should get, 0 to 1.
+
+        gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
+        """
         grid = PolarGrid.of(maps) if self.is_polar and _known(maps) else None
         if grid is None:
-            found = inputs_of(gray, maps, told, self._stride)
+            found = inputs_of(gray, maps, self._stride)
         else:
             sector = maps.get("sector", np.ones_like(gray))
             shown = {
@@ -130,7 +117,7 @@ class OnnxNetwork:
                 "azimuth_rad": grid.azimuth_rad,
                 "sector": grid.polar(sector),
             }
-            found = inputs_of(grid.polar(gray), shown, told, self._stride, is_grid=True)
+            found = inputs_of(grid.polar(gray), shown, self._stride, is_grid=True)
         change, logits, weight = self._session.run(
             ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
         )
@@ -156,9 +143,7 @@ def _graph_of(weights: Path) -> Path | None:
     return None
 
 
-def inputs_of(
-    gray: Gray, maps: Maps, told: Gray | None, stride: int, *, is_grid: bool = False
-) -> dict[str, Any]:
+def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:
     """What a graph of `--to runtime` computes a picture from, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
@@ -194,7 +179,7 @@ def inputs_of(
         "frames": np.zeros((1, 1, height, width), np.float32)
         if frames is None
         else np.ascontiguousarray(frames, np.float32)[None, None],
-        "remove": None if told is None else told[None],
+        "remove": vector(DEFAULT)[None],
     }
 
 
@@ -218,7 +203,7 @@ def _numbers(values: Gray, inside: npt.NDArray[np.bool_], count: int) -> npt.NDA
 
 
 class TorchNetwork:
-    """A network in torch; a `Runtime`."""
+    """A network in torch; used as an `OnnxNetwork`."""
 
     def __init__(self, path: Path, device: str) -> None:
         """See `open_runtime`."""
@@ -237,8 +222,8 @@ class TorchNetwork:
         self.extras = network.extras
         self.wide_grain = network.wide_grain
 
-    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
-        """See `Runtime`."""
+    def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
+        """See `OnnxNetwork`."""
         import torch
 
         known = {
@@ -246,8 +231,6 @@ class TorchNetwork:
             for name, plane in maps.items()
             if name in self.extras
         }
-        if told is not None:
-            known["remove"] = torch.from_numpy(told)[None]
         known = {name: plane.to(self._device) for name, plane in known.items()}
         noisy, weight = torch.from_numpy(np.ascontiguousarray(gray))[None, None], 1.0
         noisy = noisy.to(self._device)

@@ -37,7 +37,7 @@ class Stopping:
 
 def use(monkeypatch: pytest.MonkeyPatch, at: int | None, number: int = signal.SIGINT) -> Stopping:
     made = Stopping(at, number)
-    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: made)
+    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: made)
     return made
 
 
