@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ...factory.cli import Parser
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of
-from ..denoise.geometries import FIND, Geometries
+from ..denoise.inputs import FIND, Geometries
 from ..pretrained import find_weights
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError, FrameError
 from ...factory.sonar.geometry import FanGeometry
 from ..data.pairs import Image
-from ..denoise.geometries import Geometries
-from ..denoise.inputs import Item, find_items, sequences
+from ..denoise.inputs import Geometries, Item, find_items, sequences
 from ..recordings import open_recording
 from ..recordings.fan.pings import grey_of, polar_geometry
 from ..recordings.palettes import grey_of_colours

@@ -26,10 +26,8 @@ from .denoiser import (
     load_denoiser,
 )
 from .files import Job, denoise_bag, denoise_files, denoise_recording, open_bag
-from .geometries import FIND, Geometries
-from .inputs import Item, find_items, sequences
+from .inputs import FIND, Finished, Geometries, Item, find_items, sequences
 from .pictures import Denoising, check_frames
-from .resume import Finished
 from .temporal.stream import FRAMES
 
 _WHICH = f"""\

@@ -16,7 +16,7 @@ from simnfnd.models.adapt.command import main
 from simnfnd.models.adapt.module import Lesson, odds_of, psnr_after_levels
 from simnfnd.models.adapt.stretches import find_lessons, read_clips, runs
 from simnfnd.models.denoise.denoiser import load_denoiser
-from simnfnd.models.denoise.geometries import NONE, Geometries
+from simnfnd.models.denoise.inputs import NONE, Geometries
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from tests.models.adapt.scenes import SIDE, Gray, noisy, scene, write
