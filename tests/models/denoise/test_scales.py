@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simnfnd.models.denoise.denoiser import Denoiser, Maps, by_scales, correlation, load_denoiser
-from simnfnd.models.denoise.denoiser import Gray as Grey
+from simnfnd.models.denoise.pictures import Gray as Grey
 
 
 def grain(side: int, seed: int = 0) -> Grey:
