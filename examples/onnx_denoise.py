@@ -42,9 +42,6 @@ if table:
     inputs |= maps(rows[Path(source).name], *picture.shape)
 inputs = {name: values[None, None].astype(np.float32) for name, values in inputs.items()}
 session = onnxruntime.InferenceSession(model)
-if "remove" in {value.name for value in session.get_inputs()}:
-    # What goes: speckle, haze, spokes, ghosts, blur, gains.
-    inputs["remove"] = np.array([[1, 0, 1, 1, 1, 0]], np.float32)
 denoised, *weight = session.run(None, inputs)
 Image.fromarray(np.rint(255 * denoised[0, 0]).astype(np.uint8)).save(target)
 print(f"{target}: {' x '.join(map(str, picture.shape))}", *weight)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from .factory.dataset.schema import Pair
     from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
-    from .models.denoise.asked import InTurn
     from .models.denoise.denoiser import Denoiser
     from .models.recordings import Frame, Recording
 
@@ -27,9 +26,7 @@ def denoise(
     *,
     weights: str | Path | None = None,
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
-    remove: Sequence[str] | None = None,
     strength: float = 1.0,
-    noise: Literal["real", "points"] = "real",
     frames: int = 7,
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
@@ -38,17 +35,13 @@ def denoise(
 
     picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.
-    weights: a weights.safetensors of a training or the name of weights that ship; None: of those
-        that ship `simnfnd`, and `simnfnd-removal` for haze, spokes, ghosts and gains.  They stay
-        loaded for the next call.
+    weights: a weights.safetensors of a training or the name of weights that ship: `simnfnd` (None)
+        for real sonars, `simnfnd-paper` for the points that the paper simulates.  They stay loaded
+        for the next call.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
         in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
         the columns span 30 degrees.  None: not known.
-    remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
-        of an unknown picture (speckle, spokes, ghosts and blur).
-    strength: how much of it, 0 to 1.
-    noise: of real sonars, or of the points that the paper simulates, whose weights are
-        `simnfnd-paper`.
+    strength: part of the change that a picture gets, 0 to 1.
     frames: of a stack whose pictures follow each other in time: up to so many, odd, are laid over
         each other and fused where they show the same; 1: each by itself.
     causal: fuse with pictures before alone.
@@ -76,10 +69,7 @@ def denoise(
     check_frames(frames)
     if not 0 <= strength <= 1:
         raise ValueError(f"strength={strength}: expected 0 to 1")
-    chosen = None if remove is None else tuple(remove)
-    network: Callable[..., npt.NDArray[np.float32]]
-    named = None if weights is None else path
-    network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength, noise)
+    network = _denoiser(path, path.stat().st_mtime_ns, device, strength)
     if isinstance(geometry, str) and geometry not in ("find", "polar"):
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
 
@@ -91,8 +81,7 @@ def denoise(
         return FanGeometry.polar().with_size(*image.shape[:2])
 
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
-    calibrated = remove is None and strength == 1
-    denoising = Denoising(network, frames=frames, causal=causal, calibrated=calibrated)
+    denoising = Denoising(network, frames=frames, causal=causal, calibrated=strength == 1)
     if given.ndim == 2 or given.shape[2] in (3, 4):
         return denoising.one(known, place).astype(given.dtype)
     result = np.empty(given.shape, given.dtype)
@@ -167,18 +156,11 @@ def _renderer(settings: RenderSettings) -> Renderer:
 
 
 @lru_cache(maxsize=2)
-def _denoiser(
-    path: Path | None,
-    changed_ns: int,
-    device: str,
-    remove: tuple[str, ...] | None,
-    strength: float,
-    noise: str,
-) -> Denoiser | InTurn:
+def _denoiser(path: Path, changed_ns: int, device: str, strength: float) -> Denoiser:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from .models.denoise.asked import asked_denoiser
+    from .models.denoise.denoiser import load_denoiser
 
-    return asked_denoiser(path, device, remove, noise=noise, strength=strength)
+    return load_denoiser(path, device, strength=strength)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,11 +224,11 @@ class OpenRecording:
         self.close()
 
     def _shown(self, frame: Frame) -> RecordedFrame:
-        from .models.recordings.fan.pings import fan_of, grey_of
+        from .models.recordings.views import fan_of, grey_of
 
         if frame.beams is not None:
             return RecordedFrame(*fan_of(grey_of(frame), frame.beams), frame.time_s, frame)
-        from .models.recordings.fan.finder import find_geometry  # of the extra sonar
+        from .models.recordings.fan_finder import find_geometry  # of the extra sonar
 
         # As `simnfnd denoise` does it: a video's fan stays where it was found first.
         shape = frame.samples.shape

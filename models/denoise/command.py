@@ -14,14 +14,11 @@ from typing import Any
 from ...factory.cli import Parser
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import check_writable
-from ...factory.imaging.effect import ARTEFACTS
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
-from ..pretrained import POINTS, REMOVAL
+from ..pretrained import POINTS
 from ..recordings import open_recording
-from ..removal import DEFAULT
-from .asked import NOISES, OF_POINTS, OVER, REAL, InTurn, asked_denoiser
 from .denoiser import (
     OVERLAP,
     TILE,
@@ -29,17 +26,14 @@ from .denoiser import (
     load_denoiser,
 )
 from .files import Job, denoise_bag, denoise_files, denoise_recording, open_bag
-from .geometries import FIND, Geometries
-from .inputs import Item, find_items, sequences
+from .inputs import FIND, Finished, Geometries, Item, find_items, sequences
 from .pictures import Denoising, check_frames
-from .resume import Finished
 from .temporal.stream import FRAMES
 
 _WHICH = f"""\
 weights that ship:
   {DEFAULT_WEIGHTS:16}  real sonars: single frames and recordings (default)
   {POINTS:16}  the paper's points: datasets say so, other files need --noise points
-  {REMOVAL:16}  before {DEFAULT_WEIGHTS}, where --remove names {", ".join(OVER)}
 your own sonar: `simnfnd adapt RECORDING --out own.safetensors`, then --weights own.safetensors
 """
 
@@ -64,18 +58,13 @@ def main(arguments: Sequence[str]) -> int:
         help="weights.safetensors of a training, or the name of weights that ship (see below)",
     )
     parser.add_argument(
-        "--remove",
-        metavar="LIST",
-        help=f"what to remove, of {','.join(ARTEFACTS)} (default: {','.join(DEFAULT)})",
-    )
-    parser.add_argument(
         "--noise",
-        choices=NOISES,
-        default=REAL,
+        choices=("real", "points"),
+        default="real",
         help="of real sonars, or of the paper's points; shards say it themselves",
     )
     parser.add_argument(
-        "--strength", type=float, default=1.0, help="how much of it, 0 to 1 (default: 1)"
+        "--strength", type=float, default=1.0, help="part of the change, 0 to 1 (default: 1)"
     )
     parser.add_argument(
         "--frames",
@@ -114,9 +103,12 @@ def main(arguments: Sequence[str]) -> int:
     inputs = [Path(name).expanduser() for name in chosen.inputs]
     items = find_items(inputs, out, compare=chosen.compare)
     geometries = Geometries(chosen.geometry)
-    remove = None if chosen.remove is None else chosen.remove.split(",")
     # What is asked for by hand is not what predicts other frames of a recording.
-    calibrated = remove is None and chosen.strength == 1
+    calibrated = chosen.strength == 1
+    if chosen.noise == "points":
+        if chosen.weights is not None:
+            raise FactoryError("--noise points: chooses weights that ship; leave out --weights")
+        chosen.weights = POINTS
     check_frames(chosen.frames)
     check_writable(out, "--out")
     how: dict[str, Any] = {
@@ -124,10 +116,8 @@ def main(arguments: Sequence[str]) -> int:
         "tile": chosen.tile,
         "strength": chosen.strength,
     }
-    denoise = asked_denoiser(chosen.weights, remove=remove, noise=chosen.noise, **how)
-    points = None
-    if chosen.weights is None and remove is None and chosen.noise != OF_POINTS:
-        points = cache(lambda: load_denoiser(POINTS, **how))
+    denoise = load_denoiser(chosen.weights, **how)
+    points = cache(lambda: load_denoiser(POINTS, **how)) if chosen.weights is None else None
     denoising = Denoising(
         denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
     )
@@ -151,7 +141,7 @@ class _Work:
     """
 
     job: Job
-    denoise: Denoiser | InTurn
+    denoise: Denoiser
     points: Callable[[], Denoiser] | None
     used: Counter[str] = field(default_factory=Counter)
 
@@ -188,7 +178,7 @@ class _Work:
 
         return made_of_points(item)
 
-    def _on_other(self, item: Item, denoise: Denoiser | InTurn) -> str:
+    def _on_other(self, item: Item, denoise: Denoiser) -> str:
         if item.kind == "shard":
             from .shards import denoise_shard  # loads h5py, for datasets alone
 
@@ -197,7 +187,7 @@ class _Work:
         return (denoise_bag if item.kind == "bag" else denoise_recording)(item, self.job)
 
 
-def _unsuited(item: Item, denoise: Denoiser | InTurn, of_points: bool) -> str:
+def _unsuited(item: Item, denoise: Denoiser, of_points: bool) -> str:
     """A warning where weights that ship were made for other noise."""
     if denoise.name not in (DEFAULT_WEIGHTS, POINTS) or of_points == (denoise.name == POINTS):
         return ""

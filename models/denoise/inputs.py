@@ -1,20 +1,28 @@
-"""What `simnfnd denoise` is given: images, folders, datasets, shards, videos, recordings, bags."""
+"""What `simnfnd denoise` is given: files, where range and bearing lie in them, what is done."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+import numpy.typing as npt
 
 from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ...factory.sonar.geometry import FanGeometry
+from ..data.fans import read_fans
 from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, is_bag_folder, kind_of
 from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
 from ..recordings.arrays import is_table
 from ..recordings.base import ARRAY_SUFFIX
+from ..recordings.fan.finder import find_geometry
 
 PING_KINDS = ("aris", "ddf", "oculus")
 """Recordings (`simnfnd.models.recordings`) whose frames are pings, not pictures."""
@@ -29,6 +37,9 @@ SUFFIXES = (
     ),
 )
 
+FIND, POLAR, NONE = "find", "polar", "none"
+NAME = ".denoise-stopped.json"
+"""In the output folder, of a run that was stopped."""
 _NUMBER = re.compile(r"\d+")
 
 
@@ -188,3 +199,92 @@ def _output_of(relative: Path) -> Path:
 
 def _is_below(file: Path, folder: Path) -> bool:
     return file.resolve().is_relative_to(folder.resolve())
+
+
+class Geometries:
+    """Geometry of pictures, as `--geometry` says.
+
+    chosen: `find` it in each picture (for a video or bag in its first frame); `polar`: rows are
+    ranges, near range first, and the columns span 30 degrees; `none`; or the path of a table of
+    fans.
+    """
+
+    def __init__(self, chosen: str) -> None:
+        """Raises FactoryError for a table that cannot be read."""
+        self.chosen = chosen
+        self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
+        # By the size of the pictures, too: a bag may have several topics.
+        self._videos: dict[tuple[Path, tuple[int, ...]], FanGeometry | None] = {}
+        # Folder, video or bag -> pictures with a fan, and all that were looked at.
+        self._counts: dict[Path, tuple[int, int]] = {}
+
+    def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
+        """The geometry of a picture of `item`; None where it is not known."""
+        if self.chosen == POLAR:
+            return FanGeometry.polar().with_size(*picture.shape[:2])
+        if self.chosen != FIND:
+            return self._table.get(item.source.name)
+        key = item.source, picture.shape
+        if key in self._videos:
+            return self._videos[key]
+        geometry = find_geometry(picture)
+        video = item.kind in ("video", "bag")
+        if video:
+            self._videos[key] = geometry
+        place = item.source if video else item.source.parent
+        with_fan, looked_at = self._counts.get(place, (0, 0))
+        self._counts[place] = with_fan + (geometry is not None), looked_at + 1
+        return geometry
+
+    def summary(self) -> Iterator[str]:
+        """One line a folder, video or bag whose pictures were looked at."""
+        for place, (with_fan, looked_at) in self._counts.items():
+            yield f"geometry: fan found in {with_fan} of {looked_at} pictures searched ({place})"
+
+
+class Finished:
+    """Which files are denoised, kept where a run is stopped and for the same command alone."""
+
+    def __init__(self, out: Path, digest: str, arguments: Sequence[str]) -> None:
+        """digest: of the weights.  arguments: of the command."""
+        self._path = out / NAME
+        whole = json.dumps([digest, *arguments])
+        self._command = hashlib.sha256(whole.encode()).hexdigest()
+        self._done: dict[str, list[int]] = {}
+
+    def of(self, items: Sequence[Item]) -> frozenset[Path]:
+        """Results of the run that was stopped, of files that did not change since."""
+        try:
+            kept = json.loads(self._path.read_bytes())
+            done = dict(kept["done"]) if kept["command"] == self._command else {}
+        except (OSError, ValueError, TypeError, KeyError):
+            return frozenset()
+        found = [
+            item.relative
+            for item in items
+            if done.get(str(item.relative)) == _state(item)
+            and (self._path.parent / item.relative).exists()
+        ]
+        self._done = {str(relative): done[str(relative)] for relative in found}
+        return frozenset(found)
+
+    def add(self, item: Item) -> None:
+        """A file is denoised."""
+        self._done[str(item.relative)] = _state(item)
+
+    def save(self) -> None:
+        """The run is stopped."""
+        content = json.dumps({"command": self._command, "done": self._done})
+        write_atomically(self._path, content.encode(), key="--out")
+
+    def forget(self) -> None:
+        """The run came to its end."""
+        self._path.unlink(missing_ok=True)
+
+
+def _state(item: Item) -> list[int]:
+    try:
+        found = item.source.stat()
+    except OSError:
+        return []
+    return [found.st_size, found.st_mtime_ns]

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,44 +20,25 @@ from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
 from ..networks.weights import read_header, read_weights
 from ..pretrained import graphs
-from .polar_grid import PolarGrid
+from ..removal import DEFAULT, vector
 
 Gray = npt.NDArray[np.float32]
 Maps = Mapping[str, Gray]
+Positions = tuple[Gray, Gray]
+_SMALLEST = np.float32(1e-6)
 
 _MOST = np.float32(80)
 """Of a logit, so that its exponential is a number."""
 
 
-class Runtime(Protocol):
-    """A network ready to denoise.
-
-    extras: names of its optional inputs (see `models.networks`).
-    wide_grain: see `models.denoise.sizes`.  on_gpu: whether it runs on a GPU.
-    """
-
-    extras: tuple[str, ...]
-    wide_grain: float
-    on_gpu: bool
-
-    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
-        """The picture (H, W) with its whole change, and the part of that it should get, 0 to 1.
-
-        gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
-        told: (6,), what to remove; None where the network is not told.
-        """
-
-
-def open_runtime(weights: Path, device: str) -> Runtime:
+def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
     """The network of a weights file.
 
     device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
     not there, and packages that are not installed.
     """
     graph = _graph_of(weights)
-    if graph is not None:
-        return OnnxNetwork(weights, graph, device)
-    return TorchNetwork(weights, device)
+    return TorchNetwork(weights, device) if graph is None else OnnxNetwork(weights, graph, device)
 
 
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,7 +61,11 @@ def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[
 
 
 class OnnxNetwork:
-    """A network in onnxruntime, in 32 bits; a `Runtime`."""
+    """A network in onnxruntime, in 32 bits, ready to denoise.
+
+    extras: names of its optional inputs (see `models.networks`).
+    wide_grain: see `denoiser.by_scales`.  on_gpu: whether it runs on a GPU.
+    """
 
     def __init__(self, path: Path, graph: Path, device: str) -> None:
         """See `open_runtime`.  graph: as `simnfnd export-weights --to runtime` wrote it."""
@@ -118,11 +104,14 @@ class OnnxNetwork:
         self._mask = bool(model["mask"])
         self._inputs = tuple(one.name for one in self._session.get_inputs())
 
-    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
-        """See `Runtime`."""
+    def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
+        """The picture (H, W) with its whole change, and the part of that it should get, 0 to 1.
+
+        gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
+        """
         grid = PolarGrid.of(maps) if self.is_polar and _known(maps) else None
         if grid is None:
-            found = inputs_of(gray, maps, told, self._stride)
+            found = inputs_of(gray, maps, self._stride)
         else:
             sector = maps.get("sector", np.ones_like(gray))
             shown = {
@@ -130,7 +119,7 @@ class OnnxNetwork:
                 "azimuth_rad": grid.azimuth_rad,
                 "sector": grid.polar(sector),
             }
-            found = inputs_of(grid.polar(gray), shown, told, self._stride, is_grid=True)
+            found = inputs_of(grid.polar(gray), shown, self._stride, is_grid=True)
         change, logits, weight = self._session.run(
             ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
         )
@@ -156,9 +145,7 @@ def _graph_of(weights: Path) -> Path | None:
     return None
 
 
-def inputs_of(
-    gray: Gray, maps: Maps, told: Gray | None, stride: int, *, is_grid: bool = False
-) -> dict[str, Any]:
+def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:
     """What a graph of `--to runtime` computes a picture from, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
@@ -194,7 +181,7 @@ def inputs_of(
         "frames": np.zeros((1, 1, height, width), np.float32)
         if frames is None
         else np.ascontiguousarray(frames, np.float32)[None, None],
-        "remove": None if told is None else told[None],
+        "remove": vector(DEFAULT)[None],
     }
 
 
@@ -218,7 +205,7 @@ def _numbers(values: Gray, inside: npt.NDArray[np.bool_], count: int) -> npt.NDA
 
 
 class TorchNetwork:
-    """A network in torch; a `Runtime`."""
+    """A network in torch; used as an `OnnxNetwork`."""
 
     def __init__(self, path: Path, device: str) -> None:
         """See `open_runtime`."""
@@ -237,8 +224,8 @@ class TorchNetwork:
         self.extras = network.extras
         self.wide_grain = network.wide_grain
 
-    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
-        """See `Runtime`."""
+    def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
+        """See `OnnxNetwork`."""
         import torch
 
         known = {
@@ -246,8 +233,6 @@ class TorchNetwork:
             for name, plane in maps.items()
             if name in self.extras
         }
-        if told is not None:
-            known["remove"] = torch.from_numpy(told)[None]
         known = {name: plane.to(self._device) for name, plane in known.items()}
         noisy, weight = torch.from_numpy(np.ascontiguousarray(gray))[None, None], 1.0
         noisy = noisy.to(self._device)
@@ -258,3 +243,83 @@ class TorchNetwork:
             else:
                 image = self._network(noisy, **known)
         return np.asarray(image[0, 0].float().cpu().numpy(), np.float32), weight
+
+
+@dataclass(frozen=True, eq=False)
+class PolarGrid:
+    """Fan pictures to range by bearing and back, in NumPy, as `models.networks.polar` does it.
+
+    in_fan, in_grid: rows and columns, in pixels, of the cells in the fan and of the pixels in the
+    grid.  range_fraction, azimuth_rad: (H, W) of the cells, near range first.
+    """
+
+    in_fan: Positions
+    in_grid: Positions
+    range_fraction: Gray
+    azimuth_rad: Gray
+
+    @classmethod
+    def of(cls, maps: Mapping[str, Gray]) -> PolarGrid | None:
+        """The grid for a fan; None for pictures that are polar already, or too small to tell."""
+        radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
+        height, width = radius.shape
+        if min(height, width) < 2 or (radius == radius[:, :1]).all():
+            return None
+        inside = maps["sector"] > 0 if "sector" in maps else np.ones(radius.shape, bool)
+        if not inside.any():
+            inside = np.ones_like(inside)
+        right, ahead = radius * np.sin(azimuth), radius * np.cos(azimuth)
+        first_right, first_ahead = right[:, 0].mean(), ahead[0].mean()
+        right_step = (right[:, -1].mean() - first_right) / np.float32(width - 1)
+        ahead_step = (ahead[-1].mean() - first_ahead) / np.float32(height - 1)
+        near, far = _extent(radius[inside])
+        left, right_end = _extent(azimuth[inside])
+        down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
+        across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(width)
+        cell_range = np.broadcast_to((near + (far - near) * down)[:, None], radius.shape)
+        cell_azimuth = np.broadcast_to(left + (right_end - left) * across, radius.shape)
+        row = (cell_range * np.cos(cell_azimuth) - first_ahead) / ahead_step
+        column = (cell_range * np.sin(cell_azimuth) - first_right) / right_step
+        in_fan = [
+            _rounded((2 * place + 1) / np.float32(side) - 1, side)
+            for place, side in ((row, height), (column, width))
+        ]
+        in_grid = [
+            _rounded(2 * (values - least) / (most - least) - 1, side)
+            for values, least, most, side in (
+                (radius, near, far, height),
+                (azimuth, left, right_end, width),
+            )
+        ]
+        return cls((in_fan[0], in_fan[1]), (in_grid[0], in_grid[1]), cell_range, cell_azimuth)
+
+    def polar(self, picture: Gray) -> Gray:
+        """A fan picture (H, W) on the grid, bilinear."""
+        return _sampled(picture, self.in_fan)
+
+    def fan(self, cells: Gray) -> Gray:
+        """What is on the grid as a fan picture, bilinear; repeated outside the grid."""
+        return _sampled(cells, self.in_grid)
+
+
+def _extent(values: Gray) -> tuple[np.float32, np.float32]:
+    least = values.min()
+    return least, max(values.max(), least + _SMALLEST)
+
+
+def _rounded(position: Gray, side: int) -> Gray:
+    """Pixels from a position of -1 to 1 over a side, rounded as torch's `grid_sample` does."""
+    return ((position + 1) * np.float32(side) - 1) / 2
+
+
+def _sampled(picture: Gray, at: Positions) -> Gray:
+    height, width = picture.shape
+    row, column = (
+        np.clip(place, 0, side - 1) for place, side in zip(at, picture.shape, strict=True)
+    )
+    top, first = row.astype(np.int64), column.astype(np.int64)
+    lower, right = row - top, column - first
+    bottom, last = np.minimum(top + 1, height - 1), np.minimum(first + 1, width - 1)
+    above = picture[top, first] * (1 - right) + picture[top, last] * right
+    below = picture[bottom, first] * (1 - right) + picture[bottom, last] * right
+    return np.asarray(above * (1 - lower) + below * lower, np.float32)

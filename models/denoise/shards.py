@@ -13,7 +13,6 @@ from ...factory.dataset.reader import ImageStack, check_in_isolation, open_shard
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
-from .asked import InTurn
 from .denoiser import Denoiser
 from .files import Job
 from .inputs import Item
@@ -23,7 +22,7 @@ from .writers import COMPARED, write_compared
 SCHEMA = "simnfnd-denoised/1"
 
 
-def denoise_shard(item: Item, job: Job, denoise: Denoiser | InTurn) -> None:
+def denoise_shard(item: Item, job: Job, denoise: Denoiser) -> None:
     """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along.
 
     Raises FrameError when it is not a shard of this program, or damaged.

@@ -32,7 +32,7 @@ class Network(nn.Module):
     extras: tuple[str, ...] = ()
     has_heads: ClassVar[bool] = False
     wide_grain: float = 1.0
-    """See `models.denoise.sizes`."""
+    """See `models.denoise.denoiser`."""
 
     def __init__(self, stride: int) -> None:
         """stride: pictures are padded until their sizes divide by it."""

@@ -56,7 +56,7 @@ class SonarNetSettings:
     mask: whether the second head gates the picture with the shadow that it predicts.
     forget: part of the training steps in which the network gets no geometry.
     wide_grain: correlation of neighbouring pixels' grain from which on `simnfnd denoise` denoises
-        a picture at half its size first (`models.denoise.sizes`); 1: never; not in training, so
+        a picture at half its size first (`models.denoise.denoiser`); 1: never; not in training, so
         trained weights may change it.
     told: whether what is removed, always the same now, scales features (the weights that ship).
     frames: whether it gets the number of frames averaged in each pixel; not with `polar`.

@@ -13,8 +13,6 @@ DEFAULT = "simnfnd"
 """Name of the weights that `simnfnd denoise` takes when none are given."""
 POINTS = "simnfnd-paper"
 """Those for the paper's noise: shards of acoustics.formation=points, and where it is asked for."""
-REMOVAL = "simnfnd-removal"
-"""Those for what lies over a picture (haze, spokes, ghosts, gains), where it is asked for."""
 
 
 def shipped(folder: Path | None = None) -> dict[str, Path]:

@@ -64,9 +64,8 @@ class Graph(nn.Module):
     """What `simnfnd denoise` computes of a picture that fits one tile, without choices at run time.
 
     Inputs, in this order: `noisy` (N, 1, H, W) float32 in 0..1; the maps of range, bearing and
-    sector, each (N, 1, H, W), where layout is not `none`; `remove` (1, 6) where the network is told
-    what to remove.  Outputs: `denoised` (N, 1, H, W), 0..1; and `weight` (N,), the part of its
-    change that a picture was given, of networks that weigh it.
+    sector, each (N, 1, H, W), where layout is not `none`.  Outputs: `denoised` (N, 1, H, W), 0..1;
+    and `weight` (N,), the part of its change that a picture was given, of networks that weigh it.
     """
 
     tolerance: ClassVar[float] = 1e-4
@@ -81,8 +80,7 @@ class Graph(nn.Module):
             )
         self.network, self.layout = network, layout
         maps = _MAPS if layout != "none" else ()
-        told = ("remove",) if "remove" in network.extras else ()
-        self.inputs: tuple[str, ...] = ("noisy", *maps, *told)
+        self.inputs: tuple[str, ...] = ("noisy", *maps)
         self.outputs: tuple[str, ...] = (
             ("denoised", "weight") if network.has_heads else ("denoised",)
         )
@@ -99,8 +97,6 @@ class Graph(nn.Module):
     def forward(self, noisy: Tensor, *told: Tensor) -> tuple[Tensor, ...]:
         """See the class."""
         extras = dict(zip(self.inputs[1:], told, strict=True))
-        if "remove" in extras:
-            extras["remove"] = extras["remove"].expand(noisy.shape[0], -1)
         if not self.network.has_heads:
             return (self.network(noisy, **extras).clamp(0, 1),)
         found = self.network.with_heads(noisy, **extras)
@@ -113,7 +109,6 @@ class Graph(nn.Module):
         speckle = np.random.default_rng(seed).exponential(0.2, (count, 1, height, width))
         every = {name: np.repeat(values[None, None], count, 0) for name, values in maps.items()}
         every["noisy"] = (np.clip(speckle, 0, 1) * maps["sector"]).astype(np.float32)
-        every["remove"] = vector(DEFAULT)[None]
         return {name: torch.from_numpy(every[name]) for name in self.inputs}
 
 
@@ -172,8 +167,7 @@ class RuntimeGraph(Graph):
         noisy *= maps.get("sector", np.float32(1))
         if "frames" in self.inputs:
             maps["frames"] = rng.uniform(0, 3, (height, width)).astype(np.float32)
-        told = vector(DEFAULT) if "remove" in self.inputs else None
-        found = inputs_of(noisy, maps, told, self.sonarnet.core_stride)
+        found = inputs_of(noisy, maps, self.sonarnet.core_stride)
         return {name: torch.from_numpy(found[name]) for name in self.inputs}
 
 

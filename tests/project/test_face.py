@@ -160,7 +160,7 @@ def test_a_picture_comes_back_in_its_own_form(dtype: type, shape: tuple[int, ...
     full = 1 if np.dtype(dtype).kind == "f" else np.iinfo(dtype).max
     picture: np.ndarray = (np.random.default_rng(0).random(shape) * full).astype(dtype)
     before = picture.copy()
-    result = simnfnd.denoise(picture, remove=["speckle"])
+    result = simnfnd.denoise(picture)
     assert result.shape == shape
     assert result.dtype == dtype
     assert (result != picture).any()

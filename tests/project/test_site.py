@@ -72,7 +72,7 @@ def test_every_page_verb_key_and_name_is_shown(site: Path) -> None:
     names = [*VERBS, *(f"{name} {own}" for name, verb in VERBS.items() for own in verb.verbs)]
     for name in names:
         assert f'id="{name.replace(" ", "-")}"' in commands, name
-    assert "--remove LIST" in commands
+    assert "--frames N" in commands
     python = (site / "reference" / "python.html").read_text(encoding="utf-8")
     for name in set(simnfnd.__all__) - {"__version__"}:
         assert f'.{name}"' in python, name

@@ -14,7 +14,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt import find_lessons, main, read_clips, runs
 from simnfnd.models.denoise.denoiser import load_denoiser
-from simnfnd.models.denoise.geometries import NONE, Geometries
+from simnfnd.models.denoise.inputs import NONE, Geometries
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.training.adapting import Lesson, odds_of, psnr_after_levels

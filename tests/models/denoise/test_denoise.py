@@ -103,15 +103,12 @@ def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:
     np.testing.assert_allclose(half[inside], ((gray + whole) / 2)[inside], atol=1e-6)
 
 
-def test_what_cannot_be_removed_is_said(
-    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_that_will_not_do(tmp_path: Path, weights: Path) -> None:
     assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((16, 16), np.uint8))
     arguments = [str(tmp_path / "a.png"), "--out", str(tmp_path / "out"), "--weights"]
     for own, words, said in (
-        (untrained_sonarnet(tmp_path), ["--remove", "hiss"], "'hiss' is none of speckle, haze"),
-        (untrained_sonarnet(tmp_path), ["--strength", "2"], "must lie between 0 and 1"),
-        (weights, ["--remove", "haze"], "these weights always remove the same"),
+        (weights, ["--strength", "2"], "must lie between 0 and 1"),
+        (weights, ["--noise", "points"], "leave out --weights"),
     ):
         with pytest.raises(FactoryError, match=said):
             main([*arguments, str(own), *words])
@@ -127,7 +124,7 @@ def test_all_tiles_of_a_picture_get_the_same_part_of_their_change(
     monkeypatch.setattr(
         denoise.runtime,
         "run",
-        lambda part, maps, told: (part / 2, 1.0 if part[0, 0] > 0.6 else 0.5),
+        lambda part, maps: (part / 2, 1.0 if part[0, 0] > 0.6 else 0.5),
     )
     np.testing.assert_allclose(denoise(gray), gray * (1 - 0.5 * 0.75), rtol=1e-6)
 

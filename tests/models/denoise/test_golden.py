@@ -32,7 +32,6 @@ _MAY_LOSE = 0.03
 GOLDEN = {
     "simnfnd": {"frame": 3.696, "mean of 4": 1.238, "sonar": 3.665, "points": 4.192},
     "simnfnd-paper": {"points": 9.554},
-    "simnfnd-removal": {"frame": 2.992, "sonar": 3.752},
 }
 """What each gains, dB."""
 

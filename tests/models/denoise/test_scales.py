@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.sizes import Grey, Maps, by_scales, correlation
+from simnfnd.models.denoise.denoiser import Denoiser, Maps, by_scales, correlation, load_denoiser
+from simnfnd.models.denoise.pictures import Gray as Grey
 
 
 def grain(side: int, seed: int = 0) -> Grey:

@@ -14,9 +14,8 @@ from simnfnd.command import main as simnfnd_main
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command
-from simnfnd.models.denoise.inputs import items_below
+from simnfnd.models.denoise.inputs import NAME, items_below
 from simnfnd.models.denoise.pictures import Gray
-from simnfnd.models.denoise.resume import NAME
 from tests.models.adapt.scenes import noisy, scene, write
 
 
@@ -37,7 +36,7 @@ class Stopping:
 
 def use(monkeypatch: pytest.MonkeyPatch, at: int | None, number: int = signal.SIGINT) -> Stopping:
     made = Stopping(at, number)
-    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: made)
+    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: made)
     return made
 
 

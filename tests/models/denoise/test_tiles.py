@@ -15,8 +15,7 @@ from scipy import ndimage
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.denoise.command import main
-from simnfnd.models.denoise.denoiser import load_denoiser
-from simnfnd.models.denoise.sizes import starts, tiled
+from simnfnd.models.denoise.denoiser import load_denoiser, starts, tiled
 from tests.small_dataset import fan_images
 
 

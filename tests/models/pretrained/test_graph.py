@@ -80,23 +80,18 @@ def test_onnxruntime_gets_what_torch_gets_at_any_size(
 
 
 def test_the_graph_is_the_network_of_denoise(tmp_path: Path) -> None:
-    """With its weight and with what it is told; the choice of a layout changes nothing."""
+    """With its weight; the choice of a layout changes nothing."""
     given = weights(tmp_path, "sonarnet")
     picture = np.random.default_rng(2).random((50, 64), np.float32)
     for layout in ("none", "polar"):
         graph = Graph(load_weights(given).network, layout)
         inputs = arrays(graph, (1, 50, 64))
         inputs["noisy"] = picture[None, None]
-        inputs["remove"] = np.array([[0, 1, 0, 0, 0, 1]], np.float32)
         image, weight = of_torch(graph, inputs)
         assert 0 < weight[0] < 1
         geometry: Any = "polar" if layout == "polar" else None
-        expected = denoise(picture, weights=given, remove=("haze", "gains"), geometry=geometry)
+        expected = denoise(picture, weights=given, geometry=geometry)
         np.testing.assert_allclose(image[0, 0], expected, atol=1e-6)
-        usual = of_torch(graph, {**inputs, "remove": np.array([[1, 0, 1, 1, 1, 0]], np.float32)})
-        np.testing.assert_allclose(
-            usual[0][0, 0], denoise(picture, weights=given, geometry=geometry), atol=1e-6
-        )
 
 
 def test_the_file_says_what_it_is(tmp_path: Path) -> None:
