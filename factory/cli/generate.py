@@ -36,7 +36,7 @@ from .extras import needs_of, require
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from ..scheduler.job import Job
+    from ..scheduler.plan import Job
     from ..scheduler.results import RunReport
 
 # So many procedural frames take minutes.
@@ -140,8 +140,7 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     """
     from .. import __version__
     from ..scenes import open_reader
-    from ..scheduler.job import Job, work_folder
-    from ..scheduler.plan import plan_shards
+    from ..scheduler.plan import Job, plan_shards, work_folder
 
     with stage_if_slow(f"looking for the frames of scenes={config.scenes.kind}"):
         discovery = open_reader(config.scenes).discover()

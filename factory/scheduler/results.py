@@ -25,8 +25,7 @@ from ..dataset.format.manifest import (
 from ..dataset.format.schema import SPLITS
 from ..dataset.write.failures import Failure, failure_lines, save_failures
 from ..files import explain_os_errors, remove_file
-from .job import Job
-from .plan import ShardTask
+from .plan import Job, ShardTask
 from .worker import ShardResult
 
 
