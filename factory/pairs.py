@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from .compiled import compile_needed
 from .dataset.format.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
@@ -23,7 +24,6 @@ from .imaging import layers as truth
 from .imaging import pointwise
 from .imaging.coherent import scene as coherent
 from .imaging.contract import Floats, Formation, Scene
-from .loops import compile_needed
 from .noise.draws import StreamNames, draw
 from .render.views import CachedViews, Views, open_views
 from .sample_table.camera import Camera

@@ -98,7 +98,7 @@ def commonest(report: RunReport) -> tuple[int, str]:
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
-    from ..loops import compile_needed
+    from ..compiled import compile_needed
     from ..scheduler.run import make_dataset
 
     require(needs_of(config))

@@ -18,10 +18,10 @@ from typing import Any, Protocol
 
 from pydantic import TypeAdapter
 
+from ..compiled import compile_needed
 from ..dataset.format.schema import Prepared
 from ..errors import FrameError, NotRendered
 from ..frame import FrameRef
-from ..loops import compile_needed
 from ..scenes import Scenes, open_reader
 from ..scenes.seabed import GENERATOR
 from .base import Renderer, RenderSettings
