@@ -18,8 +18,11 @@ class FrameError(FactoryError):
 
 
 class NotRendered(FactoryError):
-    """The render of a frame is not at hand; the scheduler has it made and tries again."""
+    """The render of a frame is not at hand; whoever makes its pairs has it made."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"{name}: its render is not in the cache; run the same command again")
+        super().__init__(
+            f"{name}: its render is not in the cache; run the same command again, and raise "
+            "cache.max_bytes where it vanishes before it is used"
+        )
         self.frame = name

@@ -11,14 +11,15 @@ import os
 import re
 import secrets
 import shutil
+import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Protocol
 
 from .errors import FactoryError
-from .ownership import space
 
 _TEMPORARY = re.compile(r"\..+\.(?:[^.-]+-)?(?P<space>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]{16}\.tmp$")
 _FOREIGN_STALE_S = 86_400.0
@@ -131,6 +132,26 @@ def _is_stale(path: Path, where: str, pid: int) -> bool:
     if where != space():
         # Another machine's or container's process cannot be looked up, only waited for.
         return time.time() - written > _FOREIGN_STALE_S
+    return is_dead(pid)
+
+
+@cache
+def space() -> str:
+    """8 hexadecimal digits for where a process number means something.
+
+    That is one boot of one machine, and there one name space of process numbers: containers that
+    share a host name have process 1 each.
+    """
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
+        told = boot + os.readlink("/proc/self/ns/pid")
+    except (OSError, UnicodeDecodeError):
+        told = socket.gethostname()
+    return hashlib.blake2b(told.encode(), digest_size=4).hexdigest()
+
+
+def is_dead(pid: int) -> bool:
+    """Whether no process of this name space has that number, or one that waits to be collected."""
     import psutil  # only needed here, and readers of datasets have numpy and h5py alone
 
     try:

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from .compiled import compile_needed
 from .dataset.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging import coherent, pointwise
 from .imaging import layers as truth
 from .imaging.contract import Floats, Formation, Scene
-from .loops import compile_needed
 from .noise.draws import StreamNames, draw
 from .render.views import CachedViews, Views, open_views
 from .sample_table.camera import Camera

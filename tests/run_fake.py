@@ -8,8 +8,7 @@ from typing import Any
 
 from simnfnd.factory.dataset.schema import Provenance, config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
-from simnfnd.factory.scheduler.job import Job
-from simnfnd.factory.scheduler.plan import plan_shards
+from simnfnd.factory.scheduler.plan import Job, plan_shards
 from simnfnd.factory.scheduler.results import RunReport
 from simnfnd.factory.scheduler.run import make_dataset
 from simnfnd.factory.scheduler.settings import SchedulerSettings

@@ -35,7 +35,7 @@ from .extras import needs_of, require
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from ..scheduler.job import Job
+    from ..scheduler.plan import Job
     from ..scheduler.results import RunReport
 
 # So many procedural frames take minutes.
@@ -97,7 +97,7 @@ def commonest(report: RunReport) -> tuple[int, str]:
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
-    from ..loops import compile_needed
+    from ..compiled import compile_needed
     from ..scheduler.run import make_dataset
 
     require(needs_of(config))
@@ -139,8 +139,7 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     """
     from .. import __version__
     from ..scenes import open_reader
-    from ..scheduler.job import Job, work_folder
-    from ..scheduler.plan import plan_shards
+    from ..scheduler.plan import Job, plan_shards, work_folder
 
     with stage_if_slow(f"looking for the frames of scenes={config.scenes.kind}"):
         discovery = open_reader(config.scenes).discover()

@@ -16,7 +16,7 @@ gc.disable()
 # What is absent or broken is told by the task that needs it.
 with suppress(Exception):
     from .. import pairs  # noqa: F401
-    from ..loops import load_compiled
+    from ..compiled import load_compiled
     from ..render import views  # noqa: F401
     from ..scheduler import worker  # noqa: F401
 

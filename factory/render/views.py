@@ -22,11 +22,11 @@ from typing import Annotated, Any, Protocol
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from ..compiled import compile_needed
 from ..dataset.schema import Prepared
 from ..errors import FrameError, NotRendered
 from ..files import check_writable, explain_os_errors, remove_stale_temporaries, write_atomically
 from ..frame import FrameRef
-from ..loops import compile_needed
 from ..scenes import Scenes, open_reader
 from ..scenes.seabed import GENERATOR
 from ..settings import STRICT

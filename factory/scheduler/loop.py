@@ -7,7 +7,7 @@ can be made go before frames that can be prepared.
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
@@ -17,13 +17,12 @@ from ..dataset.manifest import Failure, FailureKind
 from ..errors import FactoryError
 from ..frame import FrameRef
 from ..storage.publish import Publication
-from .job import Job
-from .pending import AttemptState, Pending
-from .plan import ShardTask
+from .plan import Job, ShardTask
 from .progress import ProgressBar
 from .results import Results, Resumed
 from .settings import NOISE, RENDER
 from .worker import (
+    AttemptState,
     FrameAttempt,
     FrameResult,
     ShardAttempt,
@@ -36,8 +35,37 @@ from .workers.contract import Backend
 _POLL_S = 0.2
 # So many workers that die without having begun a frame, one after another, are no accident.
 _MAX_BARREN_DEATHS = 10
-# A shard whose frames vanish from the cache that often will not be made.
-_MAX_ROUNDS = 20
+
+
+class Pending:
+    """A shard to make, or one frame to prepare, and what happened to it so far.
+
+    A frame that was in hand at `retries` + 1 deaths is given up, and the rest goes on without it.
+    Where workers die that often between frames, all are given up.  Every death uses up a try of one
+    frame, so there is an end whatever happens.
+
+    refs: its frames.  path: of the shard; empty for a frame.
+    given_up: failures of frames that are not to be tried again, by their names.
+    """
+
+    def __init__(self, refs: Sequence[FrameRef], retries: int, path: str = "") -> None:
+        self.path = path
+        self.given_up: dict[str, Failure] = {}
+        self._refs, self._retries = refs, retries
+        self._deaths: Counter[int | None] = Counter()
+
+    def died(self, in_hand: int | None, kind: FailureKind, reason: str) -> bool:
+        """Note a death with frame number `in_hand` in hand (None: between frames).
+
+        Returns whether a frame is left to be tried again.
+        """
+        self._deaths[in_hand] += 1
+        if (deaths := self._deaths[in_hand]) > self._retries:
+            tries = f"in each of {deaths} tries" if deaths > 1 else "once tried"
+            for ref in self._refs if in_hand is None else (self._refs[in_hand],):
+                text = f"{ref.name}: {reason}, {tries}"
+                self.given_up.setdefault(ref.name, Failure(ref, kind, text, self.path))
+        return len(self.given_up) < len(self._refs)
 
 
 class _Shard(Pending):
@@ -45,7 +73,6 @@ class _Shard(Pending):
 
     needs: names of the frames that have to be prepared before.
     keys: of those that were, by their names; see `schema.Prepared`.
-    rounds: how often it was found that a prepared frame was gone again.
     """
 
     def __init__(self, task: ShardTask, retries: int) -> None:
@@ -53,7 +80,6 @@ class _Shard(Pending):
         self.task = task
         self.needs: set[str] = set()
         self.keys: dict[str, str] = {}
-        self.rounds = 0
 
 
 class _Frame(Pending):
@@ -141,8 +167,6 @@ class Loop:
             self._died(work, state, *self._cause(error))
         elif isinstance(work, _Frame):
             self._prepared(work, future.result())
-        elif missing := future.result().missing:
-            self._need_again(work, missing)
         else:
             self._settle(work, future.result())
 
@@ -182,16 +206,6 @@ class Loop:
                 self._preparing.append(self._needed[ref.name])
             self._needed[ref.name].waiting.append(shard)
             shard.needs.add(ref.name)
-
-    def _need_again(self, shard: _Shard, missing: Sequence[FrameRef]) -> None:
-        shard.rounds += 1
-        if shard.rounds > _MAX_ROUNDS or self._recipe.preparer is None:
-            raise FactoryError(
-                f"{missing[0].name}: its render vanishes from the cache before it is used; "
-                "raise cache.max_bytes, it must hold the frames of a shard for every worker"
-            )
-        self._need(shard, missing)
-        self._progress.frames_total += len(missing)
 
     def _prepared(self, frame: _Frame, result: FrameResult) -> None:
         del self._needed[frame.ref.name]

@@ -16,9 +16,9 @@ from ..dataset.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..files import write_atomically
 from ..progress import Lines, clock, stage, terminal_bars
-from .job import Job
-from .pending import AttemptState
+from .plan import Job
 from .settings import Crew
+from .worker import AttemptState
 
 if TYPE_CHECKING:
     from tqdm import tqdm

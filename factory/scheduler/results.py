@@ -27,8 +27,7 @@ from ..dataset.manifest import (
 )
 from ..dataset.schema import SPLITS
 from ..files import explain_os_errors, remove_file
-from .job import Job
-from .plan import ShardTask
+from .plan import Job, ShardTask
 from .worker import ShardResult
 
 

@@ -15,9 +15,9 @@ from ..errors import FactoryError
 from ..files import explain_os_errors, remove_file, remove_stale_temporaries
 from ..progress import stage
 from ..storage.publish import Publication, publishing
-from .job import Job, work_folder
 from .lock import Lock
 from .loop import Loop
+from .plan import Job, work_folder
 from .progress import ProgressBar
 from .results import Results, RunReport, take_up
 from .workers import workers_of

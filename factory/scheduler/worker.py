@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,12 +16,38 @@ from ..errors import FactoryError, FrameError, NotRendered
 from ..files import outlet
 from ..frame import FrameRef
 from ..storage.publish import apart_copy
-from .job import Recipe
-from .pending import DONE, FAILED, START
-from .plan import FrameVariants, ShardTask
+from .plan import FrameVariants, Recipe, ShardTask
 from .workers.contract import tell
 
 T = TypeVar("T")
+
+START, DONE, FAILED = "start", "done", "failed"
+"""What a worker tells of a frame: it begins with number N, made N samples, or got none."""
+
+
+@dataclass
+class AttemptState:
+    """What the run knows of one attempt.
+
+    samples: made so far.  failed: frames that failed so far.
+    in_hand: index of the frame being worked on, or None between frames.
+    begun: whether any frame was begun.
+    """
+
+    samples: int = 0
+    failed: int = 0
+    in_hand: int | None = None
+    begun: bool = False
+
+    def hear(self, message: tuple[str, int]) -> None:
+        """Take in what the worker tells."""
+        event, value = message
+        if event == START:
+            self.begun, self.in_hand = True, value
+        else:
+            self.in_hand = None
+            self.samples += value if event == DONE else 0
+            self.failed += event == FAILED
 
 
 @dataclass(frozen=True)
@@ -43,15 +69,11 @@ class ShardAttempt:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """The outcome of a `ShardAttempt`: `info` is None when no frame gave a sample, or when `kept`.
-
-    missing: frames that have to be prepared first; then there is nothing else.
-    """
+    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `kept`."""
 
     info: ShardInfo | None
     failures: tuple[Failure, ...]
     kept: bool = False
-    missing: tuple[FrameRef, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -101,12 +123,7 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
     with ExitStack() as here:
-        shard = _Shard(_at_hand(attempt, here))
-        try:
-            return shard.result()
-        except NotRendered as error:
-            gone = tuple(ref for ref, _ in attempt.task.items if ref.name == error.frame)
-            return ShardResult(None, (), missing=gone)
+        return _Shard(_at_hand(attempt, here)).result()
 
 
 def _at_hand(attempt: ShardAttempt, here: ExitStack) -> ShardAttempt:
@@ -139,10 +156,7 @@ class _Shard:
         self._lacking = attempt.lacking
         self._source: PairSource = _build(self._recipe.source, self._recipe)
         self._source.expect(attempt.keys)
-        # What a frame needs is made here, too, by who shares no folder.
-        self._preparer: Preparer | None = None
-        if self._recipe.apart and self._recipe.preparer:
-            self._preparer = _build(self._recipe.preparer, self._recipe)
+        self._keys = dict(attempt.keys)
         self._axes, self._columns = self._source.axes(), self._source.columns()
         self._given_up = {failure.ref.name: failure for failure in attempt.given_up}
         self._failures: list[Failure] = []
@@ -152,13 +166,9 @@ class _Shard:
         task, recipe = self._task, self._recipe
         todo = list(enumerate(task.items))
         lacking = [item for item in todo if item[1][0].name in self._lacking]
-        if missing := self._missing(lacking):
-            return ShardResult(None, (), missing=missing)
         failures = [failure for item in lacking if (failure := self._made(*item)[1])]
         if lacking and len(failures) == len(lacking):
             return ShardResult(None, tuple(failures), kept=True)
-        if missing := self._missing(todo):
-            return ShardResult(None, (), missing=missing)
         how = self._axes, self._columns, recipe.provenance, recipe.dataset
         info = write_shard(recipe.directory, task.path, self._pairs(), *how)
         if info is not None:
@@ -169,13 +179,6 @@ class _Shard:
                 config_hash=recipe.provenance.config_hash,
             )
         return ShardResult(info, tuple(self._failures))
-
-    def _missing(self, items: Sequence[tuple[int, FrameVariants]]) -> tuple[FrameRef, ...]:
-        """Frames that somebody else has to prepare first."""
-        if self._preparer is not None:
-            return ()
-        asked = (ref for _, (ref, _) in items if ref.name not in self._given_up)
-        return tuple(ref for ref in asked if not self._source.ready(ref))
 
     def _pairs(self) -> Iterator[Pair]:
         """The pairs of all frames in order; frames without go to the failures."""
@@ -195,9 +198,12 @@ class _Shard:
             return [], self._given_up[ref.name]
         tell(START, index)
         try:
-            if self._preparer is not None:
-                self._preparer.prepare(ref)
-            pairs = self._source.pairs(ref, variants)
+            self._prepare(ref)
+            try:
+                pairs = self._source.pairs(ref, variants)
+            except NotRendered:  # it was damaged, or went this very moment
+                self._prepare(ref)
+                pairs = self._source.pairs(ref, variants)
             if len(pairs) != len(variants):
                 raise FrameError(f"{ref.name}: {len(pairs)} pairs for {len(variants)} variants")
             for pair in pairs:
@@ -205,6 +211,13 @@ class _Shard:
             return pairs, None
         except Exception as error:
             return [], _failure(ref, error, self._task.path)
+
+    def _prepare(self, ref: FrameRef) -> None:
+        """Prepare a frame that nobody has, or whose render has gone from the cache again."""
+        if self._recipe.preparer is not None and not self._source.ready(ref):
+            preparer: Preparer = _build(self._recipe.preparer, self._recipe)
+            self._keys[ref.name] = preparer.prepare(ref).key
+            self._source.expect(self._keys)
 
 
 def _failure(ref: FrameRef, error: Exception, shard: str) -> Failure:

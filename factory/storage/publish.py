@@ -1,8 +1,8 @@
 """What a run writes into the copy of a dataset goes to its URL, whole, while the run owns it.
 
-The lock is an object that is only written where there is none.  An owner that can be looked up
-from here holds it as long as it lives; any other as long as it has written its lock in the last ten
-minutes, by its clock and ours.
+The lock is an object that is only written where there is none.  Its owner holds it as long as it
+has written it in the last ten minutes, by its clock and ours; one that can be looked up from here
+no longer than it lives.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import socket
 import tempfile
 import threading
 import time
@@ -20,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FactoryError
-from ..files import outlet
-from ..ownership import is_alive, myself, taken
+from ..files import is_dead, outlet, space
 from ..small_files import parse_json
 from .copies import make_room, shard_names, take_copy, url_of
 from .store import Store
@@ -65,7 +65,15 @@ class StoreLock:
                 self.store.remove(self.name)
 
     def _text(self) -> bytes:
-        return json.dumps({"token": self.token, **myself(), "beat": time.time()}).encode()
+        return json.dumps(
+            {
+                "token": self.token,
+                "host": socket.gethostname(),
+                "space": space(),
+                "pid": os.getpid(),
+                "beat": time.time(),
+            }
+        ).encode()
 
     def _is_ours(self) -> bool:
         return read_lock(self.store, self.name).get("token") == self.token
@@ -93,10 +101,10 @@ class StoreLock:
     def _refuse_if_held(self, name: str) -> dict[str, Any]:
         """What a lock says that nobody holds any more; raises FactoryError for any other."""
         owner = read_lock(self.store, name)
-        held = is_alive(owner)
-        if held is None:  # of another machine
-            beat = owner.get("beat")
-            held = isinstance(beat, float) and abs(time.time() - beat) < _SILENT_S
+        beat, pid = owner.get("beat"), owner.get("pid")
+        held = isinstance(beat, float) and abs(time.time() - beat) < _SILENT_S
+        if owner.get("space") == space() and type(pid) is int and 0 < pid < 1 << 31:
+            held = held and not is_dead(pid)
         if held:
             raise FactoryError(
                 f"dataset.dir: {self.store.url} is being written by process {owner.get('pid')} on "
@@ -146,7 +154,10 @@ class Publication:
         store = Store(self.url)
         owner = read_lock(store, self.lock)
         if owner.get("token") != self.token:
-            raise taken(self.url, owner)
+            by = f"by process {owner['pid']} on {owner.get('host')}" if "pid" in owner else "away"
+            raise FactoryError(
+                f"{self.url}: was taken {by} while this run stood still; nothing more is written"
+            )
         return store
 
 

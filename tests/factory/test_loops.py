@@ -219,7 +219,7 @@ def test_streams_are_those_of_numpys_seed_sequence(seed: int, names: list[str | 
 
 def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
     """A module that `loops` forgets would be compiled by every worker at once."""
-    from simnfnd.factory.loops import LOOPS
+    from simnfnd.factory.compiled import LOOPS
 
     using = {
         ".".join(("simnfnd", *path.relative_to(ROOT).with_suffix("").parts))

@@ -28,10 +28,10 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import (
     check_writable,
     remove_stale_temporaries,
+    space,
     whole_folder,
     write_atomically,
 )
-from simnfnd.factory.ownership import space
 from tests.factory.dataset.some_shards import PROVENANCE, dataset, write
 from tests.factory.scheduler.run_files import wait_for
 from tests.fake_source import refs

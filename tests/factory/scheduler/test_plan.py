@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simnfnd.factory.scheduler.pending import Pending
+from simnfnd.factory.scheduler.loop import Pending
 from simnfnd.factory.scheduler.plan import plan_shards
 from simnfnd.factory.scheduler.settings import MAX_AUTO_WORKERS, Crew, SchedulerSettings
 from simnfnd.factory.settings import build
