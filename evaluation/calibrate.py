@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 
 from ..factory.cli.compose import compose_config
 from ..factory.config import FactoryConfig, from_mapping, plain
-from ..factory.dataset.read.pair_dataset import in_unit_range
+from ..factory.dataset.pair_dataset import in_unit_range
 from ..factory.errors import FactoryError, FrameError
 from ..factory.files import explain_os_errors
 from ..factory.frame import FrameRef

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..factory.dataset.read.reader import Split
+from ..factory.dataset.reader import Split
 from ..factory.errors import FactoryError
 from ..factory.progress import progress_bar
 from ..factory.seeds import stream

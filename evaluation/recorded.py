@@ -21,8 +21,8 @@ import numpy.typing as npt
 from ..factory.errors import FactoryError
 from ..factory.sonar.geometry import FanGeometry
 from ..models.recordings import PICTURE_SUFFIXES, kind_of, open_recording
-from ..models.recordings.fan.finder import find_geometry
-from ..models.recordings.fan.pings import frame_picture
+from ..models.recordings.fan_finder import find_geometry
+from ..models.recordings.views import frame_picture
 from .metrics.measure import Gray
 
 GEOMETRY_FILE = "geometry.csv"

@@ -23,17 +23,17 @@ import numpy.typing as npt
 from PIL import Image
 
 from ..factory.cli import Parser
-from ..factory.dataset.describe.preview import Shown as OnSheet
-from ..factory.dataset.describe.preview import draw, preview
-from ..factory.dataset.format.layout import optional_layers
-from ..factory.dataset.format.manifest import MANIFEST_NAME
-from ..factory.dataset.read.pair_dataset import PairDataset
-from ..factory.dataset.read.reader import reading
+from ..factory.dataset.layout import optional_layers
+from ..factory.dataset.manifest import MANIFEST_NAME
+from ..factory.dataset.pair_dataset import PairDataset
+from ..factory.dataset.preview import Shown as OnSheet
+from ..factory.dataset.preview import draw, preview
+from ..factory.dataset.reader import reading
 from ..factory.errors import FactoryError
 from ..factory.files import write_atomically
 from ..models.recordings import Recording, is_recording, open_recording
-from ..models.recordings.fan.pings import fan_of, grey_of
 from ..models.recordings.pictures import Pictures
+from ..models.recordings.views import fan_of, grey_of
 from .metrics.statistics import evenly
 
 

@@ -23,15 +23,13 @@ from ..factory.cli import Parser
 from ..factory.errors import FactoryError, FrameError
 from ..factory.files import check_writable, sha256_of
 from ..factory.sonar.geometry import FanGeometry
-from .denoise.geometries import FIND, Geometries
-from .denoise.inputs import Item, find_items, sequences
+from .denoise.inputs import FIND, Geometries, Item, find_items, sequences
 from .pretrained import find_weights
 from .recordings import open_recording
-from .recordings.fan.pings import grey_of, polar_geometry
 from .recordings.palettes import grey_of_colours
 from .recordings.pictures import read_grey
-from .recordings.presentation import presentation_of
 from .recordings.static import aligned, find_groups, moving, references, shifted
+from .recordings.views import grey_of, polar_geometry, presentation_of
 
 Image = npt.NDArray[np.float32]
 _RATE = 2e-4

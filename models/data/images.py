@@ -14,12 +14,12 @@ from ...factory.files import sha256_of
 from ...factory.imaging.pointwise import effect_clouds, noisy_cloud
 from ...factory.noise.draws import Draws, StreamNames, draw
 from ...factory.noise.registry import NoiseSettings
-from ...factory.sonar.echoes import Echoes, in_plane
 from ...factory.sonar.geometry import FanGeometry
+from ...factory.sonar.polar import Echoes, in_plane
 from ...factory.sonar.window import Window
 from ..recordings import PICTURE_SUFFIXES, is_recording, kind_of, open_recording
-from ..recordings.fan.pings import frame_picture
 from ..recordings.pictures import read_grey
+from ..recordings.views import frame_picture
 from .fans import read_fans
 from .pairs import Image, Sample, SampleRef, weakened
 

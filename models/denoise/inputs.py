@@ -22,7 +22,7 @@ from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, is_bag_folder, ki
 from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
 from ..recordings.arrays import is_table
 from ..recordings.base import ARRAY_SUFFIX
-from ..recordings.fan.finder import find_geometry
+from ..recordings.fan_finder import find_geometry
 
 PING_KINDS = ("aris", "ddf", "oculus")
 """Recordings (`simnfnd.models.recordings`) whose frames are pings, not pictures."""

@@ -9,7 +9,7 @@ A network is one file beside this one with a settings class and a torch module, 
   `with_heads` that may be left out where it is unknown: `range_fraction` (N, 1, H, W),
   slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
   (N, 1, H, W), 1 inside the insonified sector and 0 outside; `remove` (N, 6), 1 for each artefact
-  to remove (`simnfnd.models.removal`).  Batches hold them under these names.
+  to remove (`models.removal`).  Batches hold them under these names.
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each picture.

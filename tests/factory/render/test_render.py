@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from simnfnd.factory import pairs
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.dataset.describe.quality import psnr_db
+from simnfnd.factory.dataset.quality import psnr_db
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, Intrinsics
 from simnfnd.factory.render import Rendered, RenderSettings, check_renderer

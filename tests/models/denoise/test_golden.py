@@ -20,7 +20,7 @@ import pytest
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.pretrained import shipped
-from simnfnd.models.recordings.fan.finder import find_geometry
+from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.training.adapting import psnr_after_levels
 from tests.project_files import ROOT
 

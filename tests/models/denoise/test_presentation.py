@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import simnfnd
-from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt import Shot, presented
 from simnfnd.models.denoise.command import main
 from simnfnd.models.recordings.fan_finder import find_fan
