@@ -186,8 +186,9 @@ def radiance(view: View) -> Panel:
 def from_above(view: View, config: FactoryConfig, cells: int = 420) -> Panel:
     """Mean echo strength of the cloud per cell of the floor plan, metres."""
     echoes = insonified(view.frame, view.rendered, view.observed.window, config.sonar).echoes
-    right_m = echoes.ground_range_m() * np.sin(echoes.azimuth_rad)
-    ahead_m = echoes.ground_range_m() * np.cos(echoes.azimuth_rad)
+    ground_m = echoes.range_m * np.cos(echoes.elevation_rad)
+    right_m = ground_m * np.sin(echoes.azimuth_rad)
+    ahead_m = ground_m * np.cos(echoes.azimuth_rad)
     half_m, near_m, far_m = np.abs(right_m).max(), ahead_m.min(), ahead_m.max()
     box = ((near_m, far_m), (-half_m, half_m))
     total, _, _ = np.histogram2d(ahead_m, right_m, cells, box, weights=echoes.strength)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ...factory.seeds import stream
-from .fidelity import Values
+
+if TYPE_CHECKING:
+    from .fidelity import Values  # loads OpenCV
 
 T = TypeVar("T")
 

@@ -69,11 +69,15 @@ class ShardAttempt:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `kept`."""
+    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `kept`.
+
+    renders: bytes of each frame that was prepared on the way because it had gone again.
+    """
 
     info: ShardInfo | None
     failures: tuple[Failure, ...]
     kept: bool = False
+    renders: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -160,6 +164,7 @@ class _Shard:
         self._axes, self._columns = self._source.axes(), self._source.columns()
         self._given_up = {failure.ref.name: failure for failure in attempt.given_up}
         self._failures: list[Failure] = []
+        self._renders: list[int] = []
 
     def result(self) -> ShardResult:
         """Write the shard, or say why it is not to be written."""
@@ -168,7 +173,7 @@ class _Shard:
         lacking = [item for item in todo if item[1][0].name in self._lacking]
         failures = [failure for item in lacking if (failure := self._made(*item)[1])]
         if lacking and len(failures) == len(lacking):
-            return ShardResult(None, tuple(failures), kept=True)
+            return ShardResult(None, tuple(failures), True, tuple(self._renders))
         how = self._axes, self._columns, recipe.provenance, recipe.dataset
         info = write_shard(recipe.directory, task.path, self._pairs(), *how)
         if info is not None:
@@ -178,7 +183,7 @@ class _Shard:
                 failed=tuple(failure.ref.name for failure in self._failures),
                 config_hash=recipe.provenance.config_hash,
             )
-        return ShardResult(info, tuple(self._failures))
+        return ShardResult(info, tuple(self._failures), renders=tuple(self._renders))
 
     def _pairs(self) -> Iterator[Pair]:
         """The pairs of all frames in order; frames without go to the failures."""
@@ -216,7 +221,9 @@ class _Shard:
         """Prepare a frame that nobody has, or whose render has gone from the cache again."""
         if self._recipe.preparer is not None and not self._source.ready(ref):
             preparer: Preparer = _build(self._recipe.preparer, self._recipe)
-            self._keys[ref.name] = preparer.prepare(ref).key
+            prepared = preparer.prepare(ref)
+            self._keys[ref.name] = prepared.key
+            self._renders.append(prepared.bytes)
             self._source.expect(self._keys)
 
 
