@@ -9,14 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError
 from simnfnd.models.recordings import open_recording
-from tests.models.denoise.halving import Halving, main
-from tests.models.recordings.array_files import write_array
+from tests.models.denoise.untrained import Halving, main
 from tests.models.recordings.fan_pictures import fan, preset
 from tests.models.recordings.recording_files import (
     pings,
     write_aris,
+    write_array,
     write_ddf,
     write_oculus,
     write_stack,
@@ -90,13 +89,6 @@ def test_arrays_in_files_of_several(tmp_path: Path, halving: Halving, name: str)
     assert [path.name for path in out.iterdir()] == [f"{name[0]}.npy"]
     found = np.load(out / f"{name[0]}.npy")
     assert np.abs(found - given / 2.0).max() <= 0.5
-
-
-def test_floats_that_are_no_grey_values(tmp_path: Path, halving: Halving) -> None:
-    decibels = (pings(2, 41, 48) * 75 / 255.0 - 70).astype("f4")
-    write_stack(tmp_path / "a.tif", decibels)
-    with pytest.raises(FactoryError, match=r"in 0\.\.1; divide by full scale"):
-        main([str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")])
 
 
 def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:

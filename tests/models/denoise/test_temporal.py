@@ -19,7 +19,7 @@ from simnfnd.models.denoise.pictures import check_frames
 from simnfnd.models.denoise.temporal.fusion import Fusion
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, Shot, Tally
-from simnfnd.models.denoise.temporal.strength import Strength, total_variation
+from simnfnd.models.denoise.temporal.strength import Strength
 from simnfnd.models.recordings import open_recording
 
 SIDE, MARGIN, NOISE = 224, 24, 0.05
@@ -232,15 +232,6 @@ def test_the_recording_chooses_the_strength() -> None:
     assert perfect.measured >= 2
     assert perfect.weights.whole[2:5, 1].min() > 0.8
     assert np.abs(spoiling.weights.whole[2:5, 1]).max() < 0.2
-
-
-def test_total_variation_removes_noise_and_keeps_edges() -> None:
-    truth = np.full((96, 96), 0.2, np.float32)
-    truth[:, 48:] = 0.8
-    picture = noisy(truth, 0)
-    found = total_variation(picture, np.full_like(truth, NOISE))
-    assert error(found, truth) < 0.4 * error(picture, truth)
-    assert found[:, 49].mean() - found[:, 46].mean() > 0.5
 
 
 @pytest.mark.parametrize("frames", [0, 2, -1, 33])

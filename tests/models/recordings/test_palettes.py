@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simnfnd.models.recordings.palettes import SUM, find_painted, grey_of_colours
-from tests.models.recordings.fan_pictures import fan, preset
-from tests.models.recordings.screens import LEFT, TOP, screen, with_rings
+from tests.models.recordings.fan_pictures import LEFT, TOP, fan, preset, screen, with_rings
 
 KNOWN = ("JET", "TURBO", "RAINBOW", "VIRIDIS", "HOT", "OCEAN", "BONE", "PARULA", "INFERNO")
 Bytes = npt.NDArray[Any]
@@ -107,35 +106,6 @@ def test_jpeg_mixes_colours_and_levels_are_found_all_the_same(name: str, quality
     assert np.corrcoef(found.levels.ravel(), levels.ravel())[0, 1] > (
         0.98 if quality > 60 else 0.97
     )
-
-
-def test_marks_and_mixed_colours_are_no_black_specks() -> None:
-    """A drawn mark keeps its pixels; what JPEG mixed beside the map is a level like others."""
-    rng = np.random.default_rng(0)
-    grey = cv2.GaussianBlur(rng.rayleigh(80, (120, 160)), (0, 0), 2).clip(0, 255).astype(np.uint8)
-    picture = np.asarray(cv2.applyColorMap(grey, cv2.COLORMAP_JET))
-    marked = picture.copy()
-    marked[40:46, 50:56] = 255
-    marked[90:, 100:] = 255
-    found = find_painted(marked)
-    assert found is not None
-    assert not found.known[40:46, 50:56].any()
-    assert not found.known[90:, 100:].any()
-    assert (found.levels[40:46, 50:56] > 0.2).all(), "the level of what is around a mark"
-    assert not found.levels[92:, 102:].any(), "but not of a page"
-    again = found.repainted(np.zeros_like(found.levels))
-    np.testing.assert_array_equal(again[40:46, 50:56], 255)
-    blurred = picture.copy()
-    mixed = rng.random(grey.shape) < 0.3
-    blurred[mixed] = (picture[mixed].astype(int) + rng.integers(-9, 10, (mixed.sum(), 3))).clip(
-        0, 255
-    )
-    specks = rng.random(grey.shape) < 0.01
-    blurred[specks] = (128, 20, 128)
-    found = find_painted(blurred)
-    assert found is not None
-    assert found.known[specks].mean() > 0.95
-    assert np.abs(found.levels[specks] - grey[specks] / 255).mean() < 0.06
 
 
 @pytest.mark.parametrize("name", [None, "HOT", "JET"])
