@@ -1,9 +1,7 @@
-"""Pairs on their way to a network: scenes held out, visits, crops, weaker noise, reuse."""
+"""Pairs on their way to a network: scenes held out, visits, crops, reuse."""
 
 from __future__ import annotations
 
-import pickle
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +10,9 @@ import torch
 from torch.utils.data import DataLoader
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.data.crops import Crops, KeptSource, Visit, VisitSampler, concatenate, drawn
+from simnfnd.models.data.crops import Crops, Visit, VisitSampler, concatenate
 from simnfnd.models.data.pairs import (
     PairSource,
-    Sample,
     hold_out,
     read_table,
 )
@@ -72,22 +69,6 @@ def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None
     assert mirrored == {1, -1}
 
 
-def test_some_visits_show_weaker_noise_down_to_none(dataset: Path) -> None:
-    samples = read_table(dataset, "train").samples
-    source = PairSource(samples, None, weaker=0.5, seed=0)
-    whole = source.sample(0, None)
-    noisy, clean = whole.noisy, whole.clean
-    assert clean is not None
-    factors = []
-    for visit in range(60):
-        seen = source.sample(0, visit).noisy
-        factors.append(float(np.vdot(seen - clean, noisy - clean) / np.sum((noisy - clean) ** 2)))
-        np.testing.assert_allclose(seen, clean + factors[-1] * (noisy - clean), atol=1e-5)
-    assert 0.3 < np.mean(np.array(factors) < 0.999) < 0.7
-    assert min(factors) == pytest.approx(0, abs=1e-6)
-    np.testing.assert_array_equal(source.sample(0, 7).noisy, source.sample(0, 7).noisy)
-
-
 def test_reading_processes_change_nothing(dataset: Path) -> None:
     samples = read_table(dataset, "train").samples
     data = data_settings(batch=4, patch=16)
@@ -104,39 +85,6 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
 
     for one, other in zip(batches(0), batches(1), strict=True):
         assert torch.equal(one, other)
-
-
-class Counting:
-    """Samples that say which visit they are, and how often one was made."""
-
-    def __init__(self) -> None:
-        self.made: Counter[tuple[int, int | None]] = Counter()
-
-    def __len__(self) -> int:
-        return 5
-
-    def sample(self, index: int, visit: int | None) -> Sample:
-        self.made[index, visit] += 1
-        picture = np.full((2, 2), index + 10 * (visit or 0), np.float32)
-        return Sample(picture, picture, None, None, None)
-
-
-def test_kept_pictures_are_those_of_the_source_and_made_once() -> None:
-    plain, counting = Counting(), Counting()
-    kept = KeptSource(counting)
-    for number in range(400):
-        picture = drawn(number, 8, 0)
-        index, visit = picture % 5, picture // 5
-        np.testing.assert_array_equal(
-            kept.sample(index, visit).noisy, plain.sample(index, visit).noisy
-        )
-    assert set(counting.made.values()) == {1}
-    assert len(counting.made) == 50
-    # Validation pictures are not kept, and a copy in another process begins with none.
-    kept.sample(0, None)
-    kept.sample(0, None)
-    assert counting.made[0, None] == 2
-    assert not pickle.loads(pickle.dumps(kept))._kept
 
 
 def test_the_sampler_goes_on_where_it_was_interrupted() -> None:

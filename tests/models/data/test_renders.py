@@ -19,7 +19,19 @@ from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import DeviceSource, resized
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.train import train
-from tests.models.data.small_renders import SMALL, composed, drawn_devices, renders
+from tests.models.data.small_renders import (
+    SMALL,
+    composed,
+    drawn_devices,
+    rendered_dataset,
+    renders,
+)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A dataset, and a pack of its renders."""
+    return rendered_dataset(tmp_path_factory.mktemp("rendered"))
 
 
 def test_renders_train_on_no_scene_that_tests_or_validates(

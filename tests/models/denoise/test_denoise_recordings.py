@@ -41,39 +41,29 @@ def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_a_stack_becomes_one(tmp_path: Path, halving: Halving, dtype: Any) -> None:
-    """All of its pages, and not the first alone."""
-    full = 1 if dtype is np.uint8 else 257 if dtype is np.uint16 else 1 / 255
-    pages = (pings(3, 41, 48) * float(full)).astype(dtype)
-    write_stack(tmp_path / "a.tif", pages)
-    write_stack(tmp_path / "one.tif", pages[:1])
-    out = tmp_path / "out"
-    assert main([str(tmp_path), "--out", str(out), "--compare"]) == 0
-    assert sorted(path.name for path in out.iterdir()) == ["a.tif", "compare", "one.tif"]
-    with open_recording(out / "a.tif") as after:
-        found = np.array([frame.samples for frame in after])
-    assert found.dtype == dtype
-    assert np.abs(found - pages / 2.0).max() <= 0.5
-    assert (out / "compare" / "a.png").is_file()
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_arrays_become_arrays(tmp_path: Path, halving: Halving, dtype: Any) -> None:
-    """Of one picture or several, grey or in colours; tables beside them are left alone."""
+def test_stacks_and_arrays_become_the_same(tmp_path: Path, halving: Halving, dtype: Any) -> None:
+    """All of their frames, grey or in colours; tables beside them are left alone."""
     full = 1 if dtype is np.uint8 else 257 if dtype is np.uint16 else 1 / 255
     given = (pings(3, 41, 48) * float(full)).astype(dtype)
-    coloured = np.stack([given[0], given[1], given[2]], axis=-1)
+    coloured = np.stack(list(given), axis=-1)
     arrays = {"one": given[0], "several": given, "colours": coloured, "first": given[:1]}
     for name, array in arrays.items():
         np.save(tmp_path / f"{name}.npy", array)
     np.save(tmp_path / "poses.npy", np.zeros((3, 4, 4)))
+    write_stack(tmp_path / "a.tif", given)
+    write_stack(tmp_path / "page.tif", given[:1])
     out = tmp_path / "out"
     assert main([str(tmp_path), "--out", str(out), "--compare"]) == 0
-    assert {path.stem for path in out.iterdir()} == {*arrays, "compare"}
+    assert {path.stem for path in out.iterdir()} == {*arrays, "a", "page", "compare"}
     for name, array in arrays.items():
         found = np.load(out / f"{name}.npy")
         assert (found.dtype, found.shape) == (dtype, array.shape)
         assert np.abs(found - array / 2.0).max() <= 0.5
+    with open_recording(out / "a.tif") as after:
+        pages = np.array([frame.samples for frame in after])
+    assert pages.dtype == dtype
+    assert np.abs(pages - given / 2.0).max() <= 0.5
+    assert (out / "compare" / "a.png").is_file()
 
 
 @pytest.mark.parametrize("name", ["a.npz", "b.mat"])

@@ -64,21 +64,6 @@ def test_frames_survive_in_every_container(
     assert not capfd.readouterr().err, "what OpenCV says of codecs is of no use to anybody"
 
 
-@pytest.mark.parametrize(("shape", "rate_hz"), [((31, 46), 7.5), ((30, 47), 7.5), ((30, 46), None)])
-def test_frames_that_fit_no_container_are_pictures(
-    tmp_path: Path, shape: tuple[int, int], rate_hz: float | None
-) -> None:
-    frame = np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8)
-    with FrameFiles(tmp_path / "a.avi", rate_hz) as files:
-        files.add(frame)
-        files.add(frame)
-    assert sorted(path.name for path in (tmp_path / "a.avi").iterdir()) == [
-        "000000.png",
-        "000001.png",
-    ]
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.avi/000001.png"), -1), frame)
-
-
 Bytes = npt.NDArray[Any]
 
 

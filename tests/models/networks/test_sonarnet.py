@@ -1,4 +1,4 @@
-"""SonarNet: what it is told, its mask, its weight, its lines, and the polar grid inside."""
+"""SonarNet: what it is told, its mask, its weight, and the polar grid inside."""
 
 from __future__ import annotations
 
@@ -7,17 +7,12 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.sonarnet import (
-    BlendHead,
-    GridLines,
-    LineContext,
-    MapLines,
     SonarNet,
     polar_grid,
 )
@@ -128,64 +123,3 @@ def test_the_polar_grid_is_the_factorys() -> None:
     assert far_row == pytest.approx(1.0, abs=0.02)
     bearings = grid.azimuth_rad[0, 0, 0, [0, -1]].tolist()
     assert bearings == pytest.approx([-math.pi / 6, math.pi / 6], abs=0.02)
-
-
-SECTOR = torch.zeros(1, 1, 32, 32)
-SECTOR[..., 4:] = 1
-
-
-def picture(seed: int = 0) -> torch.Tensor:
-    """White noise without dark cells, (1, 1, 32, 32)."""
-    return 0.1 + 0.9 * torch.rand(1, 1, 32, 32, generator=torch.Generator().manual_seed(seed))
-
-
-def test_it_learns_which_pictures_are_blurred_along_range() -> None:
-    torch.manual_seed(0)
-    head, features = BlendHead(2), torch.zeros(8, 2, 16, 16)
-    noisy = torch.cat([picture(seed) for seed in range(8)])
-    noisy[:4] = torch.from_numpy(gaussian_filter1d(noisy[:4].numpy(), 1.0, axis=2))
-    inputs = (features, noisy, torch.zeros_like(noisy), SECTOR.expand(8, -1, -1, -1))
-    wanted = torch.tensor([0.9] * 4 + [0.1] * 4)
-    optimizer = torch.optim.AdamW(head.parameters(), lr=0.01)
-    for _ in range(80):
-        optimizer.zero_grad()
-        torch.nn.functional.smooth_l1_loss(head(*inputs), wanted).backward()
-        optimizer.step()
-    assert (head(*inputs) - wanted).abs().max() < 0.2
-    # Neither the picture nor the features are made better for its sake.
-    given = [features.requires_grad_(), torch.zeros_like(noisy, requires_grad=True)]
-    head(given[0], noisy, given[1], inputs[3]).sum().backward()
-    assert [x.grad for x in given] == [None, None]
-
-
-def fan(size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Azimuth, range and sector of a fan of 60 degrees, (1, 1, size, size) each."""
-    step = (torch.arange(size) + 0.5) / size
-    ahead, right = 1 - 0.9 * step[:, None], (step - 0.5)[None]
-    radius, azimuth = torch.hypot(ahead, right), torch.atan2(right, ahead)
-    sector = ((azimuth.abs() <= torch.pi / 6) & (radius <= 1)).float()
-    return azimuth[None, None], radius[None, None], sector[None, None]
-
-
-def test_a_grid_gets_what_maps_of_it_would_give() -> None:
-    torch.manual_seed(2)
-    x, context = torch.rand(2, 4, 7, 5), LineContext(4, 3)
-    torch.nn.init.normal_(context.added.weight)
-    row, column = (torch.arange(n, dtype=torch.float32) for n in (7, 5))
-    radius = row[:, None].expand(2, 1, 7, 5)
-    maps = MapLines.of(column.expand(2, 1, 7, 5), radius, torch.ones(2, 1, 7, 5), (7, 5))
-    torch.testing.assert_close(context(x, GridLines()), context(x, maps))
-
-
-def test_a_spoke_of_a_fan_is_one_beam_and_an_arc_one_range() -> None:
-    azimuth, radius, sector = fan(64)
-    lines = MapLines.of(azimuth, radius, sector, (64, 64))
-    spoke = ((azimuth - 0.2).abs() < 0.02).float() * sector
-    beams = lines.beam_means(spoke)[0, 0]
-    # The sector is 60 degrees wide: 0.2 rad is 69 % of the way.
-    assert beams.argmax().item() == pytest.approx(0.69 * 64, abs=1.5)
-    assert beams.max() > 0.8
-    assert beams.median() < 0.02
-    arc = ((radius - 0.6).abs() < 0.02).float() * sector
-    assert lines.arc_means(arc)[0, 0].max() > 0.8
-    assert lines.beam_means(arc)[0, 0].max() < 0.2

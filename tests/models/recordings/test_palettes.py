@@ -145,20 +145,6 @@ def test_colours_of_no_map() -> None:
     assert [find_painted(case) for case in cases] == [None] * len(cases)
 
 
-def test_a_brighter_picture_of_an_unknown_map() -> None:
-    """Its bright colours are of the map, too, though the picture before had none of them."""
-    levels = np.asarray(echoes() // 3, np.uint8)
-    thing = np.s_[60:80, 40:70]
-    levels[thing] = 60
-    dark = find_painted(np.asarray(cv2.applyColorMap(levels, BRONZE)))
-    assert dark is not None
-    levels[thing] = echoes()[thing]
-    found = find_painted(np.asarray(cv2.applyColorMap(levels, BRONZE)), dark.palette)
-    assert found is not None
-    assert found.known.all()
-    assert found.levels[thing].mean() > 0.7
-
-
 def test_grey_of_colours() -> None:
     levels = echoes()
     same = grey_of_colours(np.dstack([levels] * 3))

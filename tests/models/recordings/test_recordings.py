@@ -229,18 +229,6 @@ def test_a_stack_of_pages(tmp_path: Path, dtype: Any) -> None:
             assert np.array_equal(one, pages[number].astype(dtype))
 
 
-def test_a_stack_as_imagej_writes_it(tmp_path: Path) -> None:
-    """The most significant byte first, and the page's size in a description."""
-    tifffile = pytest.importorskip("tifffile")
-    pages = pings(4, 30, 40).astype(np.uint16)
-    path = tmp_path / "a.tif"
-    tifffile.imwrite(path, pages, imagej=True, byteorder=">", metadata={"axes": "TYX"})
-    with open_recording(path) as recording:
-        found = [frame.samples for frame in recording]
-    assert found[0].dtype == np.uint16
-    assert np.array_equal(found, pages)
-
-
 def test_pages_that_are_no_frames(tmp_path: Path) -> None:
     """A smaller copy behind a picture; a page of another size; pages of another kind."""
     picture = pings(1, 32, 40)[0]

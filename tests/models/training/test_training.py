@@ -319,16 +319,6 @@ def batch_of(size: int = 16) -> dict[str, torch.Tensor]:
     }
 
 
-def test_share_weighs_truth_and_teacher(teacher: Path) -> None:
-    batch = batch_of()
-    network = load_weights(teacher).network
-    with torch.no_grad():
-        image = network.with_heads(batch["noisy"]).image
-    for share in (0.0, 0.25, 1.0):
-        got = completed(batch, batch["noisy"], Teacher(teacher, share))["clean"]
-        torch.testing.assert_close(got, share * image + (1 - share) * batch["clean"])
-
-
 def test_a_student_becomes_like_its_teacher(teacher: Path, dataset: Path, tmp_path: Path) -> None:
     """Taught alone, it darkens pictures as the teacher does, whatever the clean ones say."""
     before = copy.deepcopy(load_weights(teacher).network.state_dict())
@@ -357,3 +347,13 @@ def test_quality_agrees_with_the_evaluation() -> None:
     assert float(quality.ssim(*batch)) == pytest.approx(
         metrics.ssim(clean, noisy, data_range=1), abs=1e-6
     )
+
+
+def test_share_weighs_truth_and_teacher(teacher: Path) -> None:
+    batch = batch_of()
+    network = load_weights(teacher).network
+    with torch.no_grad():
+        image = network.with_heads(batch["noisy"]).image
+    for share in (0.0, 0.25, 1.0):
+        got = completed(batch, batch["noisy"], Teacher(teacher, share))["clean"]
+        torch.testing.assert_close(got, share * image + (1 - share) * batch["clean"])
