@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.adapt import find_lessons, main, read_clips, runs
+from simnfnd.models.adapt import find_lessons, main, read_clips
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.inputs import NONE, Geometries
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
-from simnfnd.models.training.adapting import Lesson, odds_of, psnr_after_levels
-from tests.models.adapt.scenes import SIDE, Gray, noisy, scene, write
+from simnfnd.models.training.adapting import psnr_after_levels
+from tests.models.adapt.scenes import Gray, noisy, scene, write
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared/data"
@@ -72,24 +69,6 @@ def test_weights_learn_from_frames_without_truth(
     assert facts["start.training"] == {"steps": 0}
     assert facts["validation"]["after"] > facts["validation"]["before"]
     assert str(tmp_path) not in str(facts)
-
-
-def test_recordings_are_learned_from_alike_however_long(tmp_path: Path) -> None:
-    """A long recording of many stretches and a short one of one: half of the steps each."""
-    long, short = tmp_path / "long", tmp_path / "short"
-    stand_still(long, scenes=1, frames=40)
-    for frame in range(6):
-        write(short / f"f{frame}.png", noisy(scene(5), 900 + frame))
-    clips = read_clips([long, short], tmp_path / "out", Geometries(NONE)).clips
-    lessons = find_lessons(clips)
-    assert lessons is not None
-    recordings = [still.recording for still in lessons.learning]
-    assert recordings.count(0) >= 2
-    assert recordings.count(1) == 1
-    assert {still.recording for still in lessons.held} == {0}, "of those with several stretches"
-    odds = odds_of(lessons.learning)
-    assert odds.sum() == pytest.approx(1)
-    assert odds[recordings.index(1)] == pytest.approx(0.5)
 
 
 def test_weights_that_are_no_better_are_not_written(
@@ -158,27 +137,6 @@ def test_stretches_are_found_in_a_shuffled_folder(tmp_path: Path) -> None:
     assert set(closest) >= {0, 1}
 
 
-def test_long_recordings_are_thinned_in_runs() -> None:
-    assert runs(40, 1.0) == list(range(40))
-    assert runs(64, 0.5) == [*range(16), *range(32, 48)]
-    assert runs(40, 0.001) == list(range(16))
-    assert runs(3, 0.1) == [0, 1, 2]
-
-
-def test_crops_show_what_is_known_and_where_it_lies(tmp_path: Path) -> None:
-    stand_still(tmp_path / "in", scenes=1)
-    lessons = find_lessons(clips_of(tmp_path / "in"))
-    assert lessons is not None
-    fan = FanGeometry.polar().with_size(SIDE, SIDE)
-    lessons = replace(lessons, learning=[replace(one, geometry=fan) for one in lessons.learning])
-    lesson = Lesson(lessons, seed=0)
-    batch = lesson.crops(3, ("azimuth_rad", "sector"))
-    assert batch["noisy"].shape == batch["azimuth_rad"].shape == (2, 1, SIDE, SIDE)
-    assert torch.isfinite(batch["clean"]).float().mean() >= 0.25
-    again = lesson.crops(3, ("azimuth_rad", "sector"))
-    assert torch.equal(batch["noisy"], again["noisy"])
-
-
 @pytest.mark.parametrize(
     ("files", "words", "said"),
     [
@@ -234,15 +192,3 @@ def test_sample_recordings_stand_still(tmp_path: Path) -> None:
     lessons = find_lessons(part.clips)
     assert lessons is not None
     assert [len(one.frames) for one in (*lessons.learning, *lessons.held)] == [13, 3]
-
-
-def test_levels_do_not_count() -> None:
-    one = scene(0)
-    assert psnr_after_levels(0.5 * one + 0.1, one) > 60
-    unknown = one.copy()
-    unknown[: SIDE // 2] = np.nan
-    worse = one.copy()
-    worse[: SIDE // 2] = 0
-    assert psnr_after_levels(worse, unknown) > 60
-    blurred = np.asarray(cv2.blur(one, (9, 9)), np.float32)
-    assert psnr_after_levels(blurred, one) < 40

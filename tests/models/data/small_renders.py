@@ -1,4 +1,4 @@
-"""A small dataset of the factory with its renders, and training data that is made of them."""
+"""Settings of training data, and a small dataset of the factory with its renders."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.views import CachedViews
+from simnfnd.factory.settings import build
 from simnfnd.models.data.pairs import PairSource, Source, hold_out, read_table
 from simnfnd.models.data.renders import DeviceSource, RenderSource, open_renders
-from simnfnd.models.settings import RendersData
-from tests.models.data.data_settings import composed
+from simnfnd.models.settings import DATA, ModelsSettings, RendersData
 
 WORDS = (
     *("experiment=simnfnd", "scenes=seabed", "scenes.locations=4", "scenes.frames_per_location=1"),
@@ -59,3 +62,22 @@ def _opened(rendered: tuple[Path, Path], words: tuple[str, ...], changes: dict[s
     _, held = hold_out(table.samples, 0.3, 0)
     shown = PairSource(held, table.sonar)
     return open_renders(data, table, held, shown, str(rendered[0]), seed=5).learning
+
+
+SMALL = (
+    *("model.width=4", "model.encoder=[1]", "model.decoder=[1]", "data.patch=32", "data.batch=4"),
+    *("train.steps=6", "train.check_every=2", "train.warmup=2", "train.ema=0.5"),
+    "data.workers=0",
+)
+
+
+def data_settings(kind: str = "pairs", **changes: Any) -> Any:
+    with initialize_config_module("simnfnd.conf", version_base="1.3"):
+        values: Any = OmegaConf.to_container(compose("models", [f"data={kind}"]).data)
+    return build(DATA[kind], {**values, **changes})
+
+
+def composed(*words: str) -> tuple[ModelsSettings, dict[str, Any]]:
+    with initialize_config_module("simnfnd.conf", version_base="1.3"):
+        values: Any = OmegaConf.to_container(compose("models", list(words)), resolve=True)
+    return build(ModelsSettings, values), values

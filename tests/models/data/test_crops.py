@@ -1,9 +1,8 @@
-"""Pairs on their way to a network: scenes held out, visits, crops, weaker noise."""
+"""Pairs on their way to a network: scenes held out, visits, crops, reuse."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,8 @@ from simnfnd.models.data.pairs import (
     hold_out,
     read_table,
 )
-from tests.models.data.data_settings import data_settings
+from simnfnd.models.settings import RendersData
+from tests.models.data.small_renders import data_settings
 from tests.small_dataset import write_dataset
 
 
@@ -42,27 +42,6 @@ def test_validation_shares_no_scene_with_training(dataset: Path) -> None:
         hold_out(tuple(s for s in one if s.frame == one[0].frame), 0.5, seed=0)
 
 
-def visits(images: int, data: Any, steps: int = 5, intervals: int = 7) -> list[list[Visit]]:
-    """All steps of a training."""
-    sampler = VisitSampler(images, data, steps, seed=1)
-    found = []
-    for interval in range(intervals):
-        sampler.begin(interval, 0)
-        assert len(sampler) == steps
-        found += list(sampler)
-    return found
-
-
-def test_every_image_is_visited_before_any_is_visited_again() -> None:
-    steps = visits(7, data_settings(batch=1))
-    drawn = [visit for step in steps for visit in step]
-    assert [visit.number for visit in drawn] == list(range(35))
-    assert [visit.round for visit in drawn] == [number // 7 for number in range(35)]
-    rounds = [[visit.image for visit in drawn[i : i + 7]] for i in range(0, 35, 7)]
-    assert all(sorted(images) == list(range(7)) for images in rounds)
-    assert len({tuple(images) for images in rounds}) > 1
-
-
 def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None:
     table = read_table(dataset, "train")
     samples = table.samples
@@ -72,44 +51,22 @@ def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None
     assert whole.shadow is not None
     images = whole.noisy, whole.clean, whole.shadow
     windows, mirrored = set(), set()
+    views = np.lib.stride_tricks.sliding_window_view(np.stack(images), (3, 20, 20))[0]
     for number in range(10):
         batch = crops[Visit(number, 3, 0, 20)]
         assert batch["noisy"].shape == (4, 1, 20, 20)
-        for row in range(4):
+        cuts = np.concatenate([batch[name].numpy() for name in ("noisy", "clean", "shadow")], 1)
+        for row in cuts:
             places = [
-                (top, left, flip)
-                for top in range(29)
-                for left in range(29)
-                for flip in (False, True)
-                if all(
-                    np.array_equal(
-                        image[top : top + 20, left : left + 20][:, :: -1 if flip else 1],
-                        batch[name][row, 0].numpy(),
-                    )
-                    for name, image in zip(("noisy", "clean", "shadow"), images, strict=True)
-                )
+                (flip, *place)
+                for flip in (1, -1)
+                for place in np.argwhere((views == row[..., ::flip]).all(axis=(2, 3, 4)))
             ]
-            assert len(places) >= 1, "a crop is no window of the image"
-            windows.add(places[0][:2])
-            mirrored.add(places[0][2])
+            assert places, "a crop is no window of the image"
+            mirrored.add(places[0][0])
+            windows.add(tuple(places[0][1:]))
     assert len(windows) > 20
-    assert mirrored == {False, True}
-
-
-def test_some_visits_show_weaker_noise_down_to_none(dataset: Path) -> None:
-    samples = read_table(dataset, "train").samples
-    source = PairSource(samples, None, weaker=0.5, seed=0)
-    whole = source.sample(0, None)
-    noisy, clean = whole.noisy, whole.clean
-    assert clean is not None
-    factors = []
-    for visit in range(60):
-        seen = source.sample(0, visit).noisy
-        factors.append(float(np.vdot(seen - clean, noisy - clean) / np.sum((noisy - clean) ** 2)))
-        np.testing.assert_allclose(seen, clean + factors[-1] * (noisy - clean), atol=1e-5)
-    assert 0.3 < np.mean(np.array(factors) < 0.999) < 0.7
-    assert min(factors) == pytest.approx(0, abs=1e-6)
-    np.testing.assert_array_equal(source.sample(0, 7).noisy, source.sample(0, 7).noisy)
+    assert mirrored == {1, -1}
 
 
 def test_reading_processes_change_nothing(dataset: Path) -> None:
@@ -128,3 +85,25 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
 
     for one, other in zip(batches(0), batches(1), strict=True):
         assert torch.equal(one, other)
+
+
+def test_the_sampler_goes_on_where_it_was_interrupted() -> None:
+    data = data_settings(kind="renders", batch=4, crops=2, reuse=3)
+    assert isinstance(data, RendersData)
+    whole = VisitSampler(7, data, steps=5, seed=1)
+    steps = []
+    for interval in range(6):
+        whole.begin(interval, 0)
+        steps += list(whole)
+    later = VisitSampler(7, data, steps=5, seed=1)
+    later.begin(4, 0)
+    assert list(later) == steps[20:25]
+    later.begin(4, 2)
+    assert list(later) == steps[22:25]
+    visits = [visit for step in steps for visit in step]
+    assert [visit.number for visit in visits] == list(range(60))
+    shown = {(visit.image, visit.round) for visit in visits}
+    assert len(shown) == 20
+    # Every picture is another image until all were shown.
+    first = [visit for visit in visits if visit.number % 3 == 0][:7]
+    assert sorted(visit.image for visit in first) == list(range(7))

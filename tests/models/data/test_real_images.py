@@ -1,13 +1,15 @@
-"""Real images as training data: their fans, and noise on them."""
+"""Real images and frames of recordings as training data: their fans, and noise on them."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from simnfnd.evaluation.recorded import open_input
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
@@ -16,12 +18,13 @@ from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.fans import read_fans
-from simnfnd.models.data.images import OldDataSource, list_images, with_noise
+from simnfnd.models.data.images import list_images, read_sample, smallest_side, with_noise
 from simnfnd.models.data.pairs import open_data
 from simnfnd.models.recordings.pictures import read_grey
 from simnfnd.models.settings import DATA
 from simnfnd.models.training.train import train
-from tests.models.data.data_settings import SMALL, composed
+from tests.models.data.small_renders import SMALL, composed
+from tests.models.recordings.recording_files import pings, write_array
 from tests.project_files import ROOT
 from tests.small_dataset import fan_images
 
@@ -55,19 +58,6 @@ def test_fan_geometry_is_the_factorys(near: float) -> None:
         np.testing.assert_array_equal(part[name], values[10:40, 20:60])
 
 
-def test_pixels_are_the_inverse_of_maps() -> None:
-    for geometry in (
-        FanGeometry.from_sonar(SonarSettings(), 0.2, 1.0),
-        FanGeometry.polar().with_size(256, 256),
-    ):
-        maps = geometry.maps(0, 0, 256, 256)
-        row, column = geometry.pixels(maps["range_fraction"], maps["azimuth_rad"])
-        inside = maps["sector"] > 0
-        rows, columns = np.mgrid[0:256, 0:256]
-        np.testing.assert_allclose(row[inside], rows[inside], atol=1e-2)
-        np.testing.assert_allclose(column[inside], columns[inside], atol=1e-2)
-
-
 # --- real images
 
 
@@ -83,18 +73,6 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
         lines.append(f"{number}.png,23.5,50.4,0.55,0,49")
     (folder / "fans.csv").write_text("\n".join(lines), encoding="utf-8")
     return folder
-
-
-def test_old_data_without_noise_is_the_image_itself(images: Path) -> None:
-    samples = list_images(images)
-    silent = compose_config(["noise=none"]).noise
-    source = OldDataSource(samples, str(images / "fans.csv"), silent, weaker=0.0, seed=0)
-    sample = source.sample(0, 0)
-    assert sample.clean is not None
-    assert sample.shadow is not None
-    np.testing.assert_allclose(sample.noisy, sample.clean, atol=1e-6)
-    np.testing.assert_allclose(sample.clean, read_grey(samples[0].path), atol=1e-6)
-    assert (sample.clean[sample.shadow > 0] <= 0.02).all()
 
 
 def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
@@ -128,40 +106,22 @@ def test_old_data_trains(images: Path, tmp_path: Path) -> None:
 
 
 def test_unusable_folders_are_one_line(images: Path, tmp_path: Path) -> None:
-    def opened(*words: str) -> None:
-        open_data(composed(*words)[0])
-
-    with pytest.raises(FactoryError, match=r"data\.folder=nowhere: no such folder"):
-        opened("data=olddata", "data.folder=nowhere")
-    with pytest.raises(FactoryError, match="holds no image"):
-        opened("data=olddata", f"data.folder='{tmp_path}'")
-    with pytest.raises(FactoryError, match=r"data\.patch=128 is larger than the images of .*png"):
-        opened("data=olddata", f"data.folder='{images}'")
-    table = tmp_path / "fans.csv"
-    table.write_text("file,apex_x\n0.png,3\n", encoding="utf-8")
-    old = ("data=olddata", f"data.folder='{images}'", "data.patch=16")
-    with pytest.raises(FactoryError, match="not a table of fans"):
-        opened(*old, f"data.geometry='{table}'")
+    old, table = ("data=olddata", f"data.folder='{images}'"), tmp_path / "fans.csv"
     lines = (images / "fans.csv").read_text(encoding="utf-8").splitlines()
-    table.write_text("\n".join(lines[:3]), encoding="utf-8")
-    with pytest.raises(FactoryError, match=r"says nothing about 2\.png and 2 more"):
-        opened(*old, f"data.geometry='{table}'")
-    with pytest.raises(FactoryError, match=r"data\.kind: 'ducks' is none of"):
-        composed("data.kind=ducks")
-    with pytest.raises(FactoryError, match="must be a multiple of crops"):
-        composed("data.batch=6", "data.crops=4")
-    with pytest.raises(FactoryError, match="data=pairs needs the folder"):
-        opened()
-
-
-@pytest.mark.skipif(not MDD.is_dir(), reason="no ../shared/data/mdd")
-def test_fans_of_mdd_hold_its_echoes() -> None:
-    fans = read_fans(MDD / "fan_geometry.csv")
-    for ref in list_images(MDD / "Images")[::12]:
-        image = read_grey(ref.path)
-        sector = fans[ref.frame].maps(0, 0, *image.shape)["sector"] > 0
-        assert (image[~sector] > 0.02).mean() < 0.01
-        assert (image[sector] > 0).mean() > 0.9
+    geometry = (*old, "data.patch=16", f"data.geometry='{table}'")
+    for words, rows, said in (
+        (("data=olddata", "data.folder=nowhere"), [], r"data\.folder=nowhere: no such folder"),
+        (("data=olddata", f"data.folder='{tmp_path}'"), [], "holds no image"),
+        (old, [], r"data\.patch=128 is larger than the images of .*png"),
+        (geometry, ["file,apex_x", "0.png,3"], "not a table of fans"),
+        (geometry, lines[:3], r"says nothing about 2\.png and 2 more"),
+        (("data.kind=ducks",), [], r"data\.kind: 'ducks' is none of"),
+        (("data.batch=6", "data.crops=4"), [], "must be a multiple of crops"),
+        ((), [], "data=pairs needs the folder"),
+    ):
+        table.write_text("\n".join(rows), encoding="utf-8")
+        with pytest.raises(FactoryError, match=said):
+            open_data(composed(*words)[0])
 
 
 def test_every_kind_of_data_has_a_configuration() -> None:
@@ -169,3 +129,33 @@ def test_every_kind_of_data_has_a_configuration() -> None:
         folder = ["data.folder=x"] if kind == "olddata" else []
         settings, _ = composed(f"data={kind}", *folder)
         assert settings.data.kind == kind
+
+
+LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
+
+
+def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
+    shutil.copy(LAMPREY, tmp_path / "dive.avi")
+    cv2.imwrite(str(tmp_path / "one.png"), np.full((300, 500), 90, np.uint8))
+    found = list_images(tmp_path)
+    assert [sample.frame for sample in found] == [*(f"dive.avi#{n}" for n in range(8)), "one.png"]
+    assert found[0].scene == "dive.avi"
+    side, smallest = smallest_side(found)
+    assert (side, smallest.frame) == (300, "one.png")
+    frames = [read_sample(found[number])[0] for number in (7, 0, 8)]
+    assert [frame.shape for frame in frames] == [(774, 400), (774, 400), (300, 500)]
+    assert 0 <= frames[0].min() < frames[0].max() <= 1
+    np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])
+
+
+def test_arrays_are_recordings_for_training_and_for_evaluate_real(tmp_path: Path) -> None:
+    pictures = pings(9, 30, 40)
+    path = write_array(tmp_path / "a.npz", pictures)
+    found = list_images(path)
+    assert [sample.frame for sample in found] == [f"a.npz#{n}" for n in range(9)]
+    picture, _ = read_sample(found[5])
+    np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
+    words = ("data=olddata", f"data.folder='{path}'", "data.patch=16")
+    assert len(open_data(composed(*words)[0]).validation) > 0
+    stretches, _ = open_input(str(path))
+    assert [len(stretch.shots) for stretch in stretches] == [9]

@@ -10,18 +10,28 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.dataset.pair_dataset import in_unit_range
-from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
-from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.crops import Crops, Visit, whole_image
-from simnfnd.models.data.pairs import PairSource, hold_out, open_data, read_table
-from simnfnd.models.data.renders import resized
+from simnfnd.models.data.pairs import PairSource, hold_out, read_table
+from simnfnd.models.data.renders import DeviceSource, resized
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.train import train
-from tests.models.data.data_settings import SMALL, composed
-from tests.models.data.small_renders import renders
+from tests.models.data.small_renders import (
+    SMALL,
+    composed,
+    drawn_devices,
+    rendered_dataset,
+    renders,
+)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A dataset, and a pack of its renders."""
+    return rendered_dataset(tmp_path_factory.mktemp("rendered"))
 
 
 def test_renders_train_on_no_scene_that_tests_or_validates(
@@ -132,36 +142,6 @@ def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) 
     assert source.sample(0, None).noisy.shape == (height, width), "validation is as the dataset is"
 
 
-def test_scales_that_cannot_be(rendered: tuple[Path, Path]) -> None:
-    table = SonarSettings(beams=3, beam_azimuths_deg=(-20.0, 1.0, 20.0))
-    with pytest.raises(FactoryError, match=r"data\.scales: 2 makes 6 beams.*table of beams"):
-        resized(table, 2)
-    assert resized(table, 1) == table
-    with pytest.raises(FactoryError, match=r"data\.scales: 16 makes 16384 beams"):
-        resized(SonarSettings(beams=1024), 16)
-    words = (f"dataset.dir='{rendered[0]}'", f"data.pack='{rendered[1]}'", *SMALL)
-    several = ("data.scales=[1, 0.2]", "data.batch=2", "data.crops=1")
-    settings, _ = composed("data=renders", *words, *several)
-    with pytest.raises(FactoryError, match=r"the images of .* \(8x10\); choose at most 8"):
-        open_data(settings)
-    with pytest.raises(FactoryError, match=r"data\.scales"):
-        composed("data=renders", *words, "data.scales=[]")
-
-
-def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path) -> None:
-    dataset, _ = rendered
-    for place, words in (
-        (dataset.parent / "cache", r"none of the 2 training frames.*data\.pack=FILE"),
-        (dataset / "config.yaml", r"config\.yaml: cannot be read"),
-    ):
-        place.rename(tmp_path / "away")
-        try:
-            with pytest.raises(FactoryError, match=words):
-                renders(rendered, pack=None)
-        finally:
-            (tmp_path / "away").rename(place)
-
-
 def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> None:
     table = read_table(rendered[0], "train")
     source = PairSource(table.samples, table.sonar)
@@ -183,3 +163,30 @@ def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> No
     assert (rising > 0).all(), "a mirrored picture has its bearings from left to right, too"
     whole = whole_image(source.sample(0, None), extras)
     assert whole["sector"].shape == (1, 1, 40, 48)
+
+
+@pytest.fixture(scope="module")
+def source(rendered: tuple[Path, Path]) -> DeviceSource:
+    words = ("devices.quiet_share=0", "devices.height_px={choice: [96, 128, 160]}")
+    drawn = drawn_devices(rendered, patch=48, weaker=0.3)
+    small = compose_config(["experiment=any_sonar", *words])
+    drawn.config = replace(drawn.config, devices=small.devices)
+    return drawn
+
+
+def test_every_visit_is_another_picture_and_the_same_one_again(source: DeviceSource) -> None:
+    samples = [source.sample(0, visit) for visit in range(4)]
+    assert len({one.noisy.shape for one in samples}) > 1
+    again = pickle.loads(pickle.dumps(source)).sample(0, 3)
+    np.testing.assert_array_equal(again.noisy, samples[3].noisy)
+    assert again.geometry == samples[3].geometry
+    for one in samples:
+        assert one.clean is not None
+        assert one.shadow is not None
+        assert one.noisy.shape == one.clean.shape == one.shadow.shape
+        assert min(one.noisy.shape) >= 48
+        assert one.noisy.min() >= 0
+        assert one.noisy.max() <= 1
+        # A shadow is learned where it is black, not where haze lies over it.
+        assert not (one.shadow.astype(bool) & (one.clean > 0.02)).any()
+    assert any((one.noisy != one.clean).any() for one in samples)

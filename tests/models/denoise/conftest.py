@@ -10,8 +10,7 @@ import torch
 from simnfnd.models.denoise import command
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
-from tests.models.denoise.halving import Halving
-from tests.models.denoise.untrained import TINY
+from tests.models.denoise.untrained import TINY, Halving
 
 
 @pytest.fixture(scope="module")

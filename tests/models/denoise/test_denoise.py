@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.models.denoise import shards
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.pictures import denoise_image
+from simnfnd.models.denoise.shards import made_of_points, opened_shard
 from simnfnd.models.denoise.writers import CAPTION_PX
+from tests.factory.export.export_dataset import write
 from tests.models.denoise.untrained import half, through_network, untrained_sonarnet
 from tests.small_dataset import fan_images, write_dataset, write_manifest
 
@@ -103,32 +107,6 @@ def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:
     np.testing.assert_allclose(half[inside], ((gray + whole) / 2)[inside], atol=1e-6)
 
 
-def test_options_that_will_not_do(tmp_path: Path, weights: Path) -> None:
-    assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((16, 16), np.uint8))
-    arguments = [str(tmp_path / "a.png"), "--out", str(tmp_path / "out"), "--weights"]
-    for own, words, said in (
-        (weights, ["--strength", "2"], "must lie between 0 and 1"),
-        (weights, ["--noise", "points"], "leave out --weights"),
-    ):
-        with pytest.raises(FactoryError, match=said):
-            main([*arguments, str(own), *words])
-    assert not (tmp_path / "out" / "a.png").exists()
-
-
-def test_all_tiles_of_a_picture_get_the_same_part_of_their_change(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    denoise = load_denoiser(untrained_sonarnet(tmp_path), "cpu", tile=32, overlap=0)
-    gray = np.full((32, 64), 0.5, np.float32)
-    gray[:, 32:] = 0.75
-    monkeypatch.setattr(
-        denoise.runtime,
-        "run",
-        lambda part, maps: (part / 2, 1.0 if part[0, 0] > 0.6 else 0.5),
-    )
-    np.testing.assert_allclose(denoise(gray), gray * (1 - 0.5 * 0.75), rtol=1e-6)
-
-
 def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=4, test=2, size=32)
     write_manifest(dataset, "train/shard-00000.h5", "test/shard-00000.h5")
@@ -195,16 +173,6 @@ def test_no_result_replaces_another_file(tmp_path: Path) -> None:
     assert find_items([tmp_path / "a"], out) == [Item(first, Path("x.png"))]
 
 
-def test_nothing_to_denoise(tmp_path: Path) -> None:
-    with pytest.raises(FactoryError, match="no such file or folder"):
-        find_items([tmp_path / "nowhere"], tmp_path / "out")
-    with pytest.raises(FactoryError, match="holds no image"):
-        find_items([tmp_path], tmp_path / "out")
-    (tmp_path / "notes.txt").write_text("words", encoding="utf-8")
-    with pytest.raises(FactoryError, match="neither an image nor a shard"):
-        find_items([tmp_path / "notes.txt"], tmp_path / "out")
-
-
 def test_the_weights_that_were_used_are_named_and_unsuited_ones_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -218,3 +186,37 @@ def test_the_weights_that_were_used_are_named_and_unsuited_ones_warned_of(
     said = capsys.readouterr()
     assert "weights: simnfnd (1 file(s))" in said.out
     assert "simnfnd is made for real sonars; simnfnd-paper suits this file" in said.err
+
+
+def test_each_is_looked_at_once_and_those_of_a_dataset_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "data")
+    (item, *_) = find_items([tmp_path / "data"], tmp_path / "out")
+    looked: list[Path] = []
+    monkeypatch.setattr(shards, "check_in_isolation", looked.extend)
+    opened_shard(item).close()
+    assert item.checked
+    assert looked == []
+    alone = Item(item.source, Path("a.h5"))
+    for _ in range(3):
+        opened_shard(alone).close()
+    assert looked == [item.source]
+    os.utime(item.source, (1, 1))
+    opened_shard(alone).close()
+    assert looked == [item.source] * 2, "another file may lie there now"
+
+
+def test_one_that_crashes_the_library_is_skipped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "data")
+    path = next((tmp_path / "data").glob("t*/*.h5"))
+    crash = FactoryError(f"{path}: crashes the HDF5 library; it is damaged")
+
+    def look(paths: list[Path]) -> None:
+        raise crash
+
+    monkeypatch.setattr(shards, "check_in_isolation", look)
+    with pytest.raises(FrameError, match="crashes the HDF5 library"):
+        made_of_points(Item(path, Path("a.h5")))

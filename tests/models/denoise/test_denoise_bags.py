@@ -10,9 +10,8 @@ import pytest
 from simnfnd.models.denoise import command
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.rosbag import IMAGE, SONAR, RosBag, typestore
-from tests.models.denoise.halving import Halving, main
+from tests.models.denoise.untrained import Halving, main
 from tests.models.recordings.bag_files import content, image, sonar, write_bag
-from tests.models.recordings.fan_pictures import fan, preset
 from tests.models.recordings.recording_files import pings
 
 
@@ -37,29 +36,6 @@ def test_bags_become_bags(tmp_path: Path, halving: Halving) -> None:
     assert told is not None
     assert (told.layout, told.range_bins, len(told.beam_azimuths_rad)) == ("polar", 20, 16)
     assert (out / "compare" / "deep" / "b.png").is_file()
-
-
-def test_a_fan_is_found_in_pictures_of_a_topic(
-    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
-) -> None:
-    grey, true = fan(preset("didson_hf", 300, 500), 0.2, False)
-    store = typestore(1)
-    topics = {
-        "/sonar": (IMAGE, [image(store, number, grey) for number in range(2)]),
-        "/camera": (IMAGE, [image(store, 0, np.full((30, 40), 9, np.uint8))]),
-    }
-    path = write_bag(tmp_path / "a.bag", topics)
-    out = ["--out", str(tmp_path / "out")]
-    assert main([str(path), *out, "--topic", "/sonar"]) == 0
-    assert f"geometry: fan found in 1 of 1 pictures searched ({path})" in capsys.readouterr().out
-    assert [told is not None for told in halving.told] == [True, True]
-    assert halving.told[0] is not None
-    assert halving.told[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)
-    found = {
-        (topic, number): message
-        for number, (topic, _, _, message) in enumerate(content(tmp_path / "out/a.bag"))
-    }
-    assert (found["/camera", 2].data == 9).all()
 
 
 def test_bags_that_cannot_be_denoised_are_skipped(

@@ -1,4 +1,4 @@
-"""Videos that `simnfnd denoise` takes and gives back."""
+"""Videos, and pictures whose colours stand for levels of echo, in `simnfnd denoise`."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.errors import FrameError
 from simnfnd.models.denoise.writers import CODECS, FrameFiles
+from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.pictures import VideoFile
-from tests.models.denoise.halving import main
-from tests.models.denoise.untrained import through_network
+from tests.models.adapt.scenes import noisy, scene
+from tests.models.denoise.untrained import main, through_network
 from tests.small_dataset import fan_images
 
 
@@ -63,33 +64,46 @@ def test_frames_survive_in_every_container(
     assert not capfd.readouterr().err, "what OpenCV says of codecs is of no use to anybody"
 
 
-@pytest.mark.parametrize(("shape", "rate_hz"), [((31, 46), 7.5), ((30, 47), 7.5), ((30, 46), None)])
-def test_frames_that_fit_no_container_are_pictures(
-    tmp_path: Path, shape: tuple[int, int], rate_hz: float | None
-) -> None:
-    frame = np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8)
-    with FrameFiles(tmp_path / "a.avi", rate_hz) as files:
-        files.add(frame)
-        files.add(frame)
-    assert sorted(path.name for path in (tmp_path / "a.avi").iterdir()) == [
-        "000000.png",
-        "000001.png",
-    ]
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.avi/000001.png"), -1), frame)
-    (tmp_path / "b.avi").write_bytes(b"mine")
-    with (
-        pytest.raises(FrameError, match=r"b\.avi: is there already"),
-        FrameFiles(tmp_path / "b.avi", None) as files,
-    ):
-        files.add(frame)
+Bytes = npt.NDArray[Any]
 
 
-def test_a_video_that_broke_off_leaves_nothing(tmp_path: Path) -> None:
-    def fails() -> None:
-        with FrameFiles(tmp_path / "a.avi", 10.0) as files:
-            files.add(np.zeros((30, 46), np.uint8))
-            raise KeyboardInterrupt
+def levels_of(number: int) -> Bytes:
+    return np.asarray(np.rint(np.clip(noisy(scene(0), number), 0, 1) * 255), np.uint8)
 
-    with pytest.raises(KeyboardInterrupt):
-        fails()
-    assert list(tmp_path.iterdir()) == []
+
+def jet(levels: npt.NDArray[np.floating] | Bytes) -> Bytes:
+    rounded = np.rint(levels).astype(np.uint8)
+    return np.asarray(cv2.applyColorMap(rounded, cv2.COLORMAP_JET), np.uint8)
+
+
+def away(one: npt.NDArray[Any], other: Bytes) -> float:
+    return float(np.abs(one.astype(int) - other).mean())
+
+
+@pytest.mark.usefixtures("halving")
+def test_a_picture_is_painted_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    levels = levels_of(0)
+    (tmp_path / "in").mkdir()
+    for suffix in ("png", "tif", "bmp"):
+        assert cv2.imwrite(str(tmp_path / "in" / f"a.{suffix}"), jet(levels))
+    words = [str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--weights", "x", "--compare"]
+    assert main(words) == 0
+    for suffix in ("png", "tif", "bmp"):
+        result = cv2.imread(str(tmp_path / "out" / f"a.{suffix}"), cv2.IMREAD_UNCHANGED)
+        assert away(result, jet(levels / 2)) < 2
+    assert "colour maps: jet in 3" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("halving")
+def test_a_video_is_painted_again(tmp_path: Path) -> None:
+    path = tmp_path / "a.avi"
+    code = cv2.VideoWriter.fourcc(*"FFV1")
+    frames = [levels_of(number)[:60, :62] for number in range(3)]
+    writer = cv2.VideoWriter(str(path), code, 5.0, frames[0].shape[::-1])
+    for frame in frames:
+        writer.write(jet(frame))
+    writer.release()
+    assert main([str(path), "--out", str(tmp_path / "out"), "--weights", "x"]) == 0
+    with open_recording(tmp_path / "out" / "a.avi") as denoised:
+        for before, after in zip(frames, denoised, strict=True):
+            assert away(after.samples, jet(before / 2)) < 8, "a codec of video mixes colours"

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 
-from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
 from simnfnd.models.denoise.runtime import OnnxNetwork, TorchNetwork
@@ -119,12 +118,3 @@ def test_a_picture_is_denoised_without_torch(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == ""
     assert (tmp_path / "out" / "picture.png").is_file()
-
-
-def test_what_it_cannot_run_is_refused_in_a_line(tmp_path: Path) -> None:
-    weights, graph = made(MODELS["plane"], tmp_path)
-    other, _ = made({**MODELS["plane"], "widths": [4, 4]}, tmp_path / "other")
-    with pytest.raises(FactoryError, match="do not fit their network"):
-        OnnxNetwork(other, graph, "cpu")
-    with pytest.raises(FactoryError, match="no usable GPU"):
-        OnnxNetwork(weights, graph, "gpu")

@@ -19,7 +19,7 @@ from simnfnd.models.denoise.pictures import check_frames
 from simnfnd.models.denoise.temporal.fusion import Fusion
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, Shot, Tally
-from simnfnd.models.denoise.temporal.strength import Strength, total_variation
+from simnfnd.models.denoise.temporal.strength import Strength
 from simnfnd.models.recordings import open_recording
 
 SIDE, MARGIN, NOISE = 224, 24, 0.05
@@ -95,21 +95,6 @@ def test_frames_are_laid_over_each_other_below_a_pixel(
     difference = np.abs(laid - here)[inside]
     slope = np.hypot(*np.gradient(here))[inside]
     assert difference.mean() < 0.2 * slope.mean()  # a fifth of a pixel
-
-
-def test_a_sonar_that_stands_still_is_not_interpolated() -> None:
-    here = view(scene())
-    found = motion_between(noisy(here, 1), noisy(here, 2))
-    assert found is not None
-    assert not found.affine.any()
-    assert found.flow is None
-    assert laid_over(here, found)[1] is None
-
-
-def test_another_scene_drops_out() -> None:
-    assert motion_between(noisy(view(scene(seed=4)), 1), noisy(view(scene()), 2)) is None
-    small = np.ascontiguousarray(view(scene())[:200])
-    assert motion_between(small, view(scene())) is None
 
 
 def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
@@ -232,15 +217,6 @@ def test_the_recording_chooses_the_strength() -> None:
     assert perfect.measured >= 2
     assert perfect.weights.whole[2:5, 1].min() > 0.8
     assert np.abs(spoiling.weights.whole[2:5, 1]).max() < 0.2
-
-
-def test_total_variation_removes_noise_and_keeps_edges() -> None:
-    truth = np.full((96, 96), 0.2, np.float32)
-    truth[:, 48:] = 0.8
-    picture = noisy(truth, 0)
-    found = total_variation(picture, np.full_like(truth, NOISE))
-    assert error(found, truth) < 0.4 * error(picture, truth)
-    assert found[:, 49].mean() - found[:, 46].mean() > 0.5
 
 
 @pytest.mark.parametrize("frames", [0, 2, -1, 33])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.denoise import command
+from simnfnd.models.denoise.pictures import Gray
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 
@@ -37,3 +41,22 @@ def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.fl
     with torch.inference_mode():
         result = network(torch.from_numpy(image.astype(np.float32))[None, None])
     return np.asarray(np.clip(result[0, 0].numpy(), 0, 1), dtype=np.float64)
+
+
+def main(words: Sequence[str]) -> int:
+    """`simnfnd denoise`, each frame by itself, so that its result is easy to foretell."""
+    return command.main([*words, "--frames", "1"])
+
+
+class Halving:
+    """A denoiser whose result is easy to foretell, and which keeps what it was told."""
+
+    name, digest = "halving", "0"
+
+    def __init__(self) -> None:
+        self.told: list[FanGeometry | None] = []
+
+    def __call__(self, gray: Gray, geometry: FanGeometry | None = None) -> Gray:
+        assert gray.ndim == 2
+        self.told.append(geometry)
+        return gray / 2

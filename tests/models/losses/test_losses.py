@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from simnfnd.factory.errors import FactoryError
 from simnfnd.models.losses import build_loss
 
 NEW = {"kind": "newloss", "shadow": "literal", "weight": 1.0, "threshold": 0.1}
@@ -125,17 +124,3 @@ def test_decibels_count_every_image_alike() -> None:
     # An error ten times smaller pulls harder: 0.01 / 0.0002 against 0.1 / 0.0101.
     ratio = slope[1].mean() / slope[0].mean()
     assert ratio.item() == pytest.approx(50 / 9.901, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("config", "words"),
-    [
-        ({"kind": "l7"}, r"loss\.kind"),
-        ({"kind": "l1", "epsilon": 1}, r"loss\.epsilon: unknown key"),
-        ({**NEW, "shadow": "hard"}, r"loss\.shadow"),
-        ({"kind": "l1", "mask": -1}, r"loss\.mask"),
-    ],
-)
-def test_odd_losses_are_refused(config: dict[str, Any], words: str) -> None:
-    with pytest.raises(FactoryError, match=words):
-        build_loss(config)

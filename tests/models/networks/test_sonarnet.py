@@ -1,4 +1,4 @@
-"""SonarNet: what it is told, its mask and its weight, and the polar grid inside."""
+"""SonarNet: what it is told, its mask, its weight, and the polar grid inside."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from torch import Tensor
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.sonarnet import SonarNet, polar_grid
+from simnfnd.models.networks.sonarnet import (
+    SonarNet,
+    polar_grid,
+)
 from simnfnd.models.removal import DEFAULT, vector
 from tests.models.networks.tiny_networks import stirred, tiny
 
@@ -27,12 +30,6 @@ def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
     maps = {"range_fraction": radius, "azimuth_rad": azimuth, "sector": sector}
     extras = {name: x[None, None] for name, x in maps.items() if name in network.extras}
     return image * extras["sector"], extras
-
-
-def test_geometry_changes_the_picture() -> None:
-    network = stirred(tiny("sonarnet"))
-    image, extras = told(network, 32)
-    assert not torch.allclose(network(image, **extras), network(image))
 
 
 def test_the_mask_gates_the_picture_inside_the_sector() -> None:
@@ -74,8 +71,6 @@ def test_what_to_remove_changes_the_picture() -> None:
     assert torch.equal(network(image, **extras, remove=default), usual)
     speckle = torch.from_numpy(vector(["speckle"]))[None]
     assert not torch.allclose(network(image, **extras, remove=speckle), usual)
-    with pytest.raises(ValueError, match="'hiss' is none of speckle, haze"):
-        vector(["hiss"])
 
 
 def test_geometry_is_forgotten_in_training_alone() -> None:
@@ -128,11 +123,3 @@ def test_the_polar_grid_is_the_factorys() -> None:
     assert far_row == pytest.approx(1.0, abs=0.02)
     bearings = grid.azimuth_rad[0, 0, 0, [0, -1]].tolist()
     assert bearings == pytest.approx([-math.pi / 6, math.pi / 6], abs=0.02)
-
-
-def test_polar_pictures_and_single_pixels_stay_as_they_are() -> None:
-    rows = torch.linspace(0.2, 1, 8)[None, None, :, None].expand(1, 1, 8, 6)
-    columns = torch.linspace(-0.3, 0.3, 6)[None, None, None].expand(1, 1, 8, 6)
-    assert polar_grid(rows, columns, torch.ones(1, 1, 8, 6)) is None
-    one = torch.full((1, 1, 1, 1), 0.5)
-    assert polar_grid(one, one, one) is None

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import scipy.io
 
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FactoryError
 from simnfnd.models.recordings import base, is_recording, kind_of, open_recording
 from simnfnd.models.recordings.arrays import is_table
 from simnfnd.models.recordings.pictures import read_grey, read_picture
-from tests.models.recordings.array_files import write_array
-from tests.models.recordings.recording_files import pings
+from tests.models.recordings.recording_files import pings, write_array
 
 NAMES = ("a.npz", "b.npz", "a.mat", "b.mat")
 
@@ -41,16 +40,6 @@ def test_a_picture_and_several(tmp_path: Path, dtype: str, order: Any) -> None:
         with open_recording(path) as recording:
             np.testing.assert_array_equal([one.samples for one in recording], array.astype(kept))
             np.testing.assert_array_equal(recording[2].samples, array[2].astype(kept))
-
-
-@pytest.mark.parametrize("colours", [1, 3, 4])
-def test_colours_are_red_first(tmp_path: Path, colours: int) -> None:
-    array = np.random.default_rng(3).integers(0, 256, (2, 20, 24, colours), dtype=np.uint8)
-    order = [0] if colours == 1 else [2, 1, 0, 3][:colours]
-    picture = read_picture(saved(tmp_path / "a.npy", array[0]))
-    np.testing.assert_array_equal(picture, array[0][..., order])
-    with open_recording(saved(tmp_path / "b.npy", array)) as recording:
-        np.testing.assert_array_equal(recording[1].samples, array[1][..., order])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -84,21 +73,6 @@ def test_tables_are_no_pictures(tmp_path: Path, array: Any) -> None:
         read_picture(path)
     with pytest.raises(FactoryError, match="holds no picture "):
         open_recording(tmp_path)
-
-
-def test_matlab_classes_that_are_no_pictures(tmp_path: Path) -> None:
-    words = {"name": "lamprey", "cells": np.array([1, "a"], object), "nested": {"a": 1}}
-    scipy.io.savemat(tmp_path / "b.mat", {"mask": np.zeros((40, 50), bool), **words})
-    assert is_table(tmp_path / "b.mat")
-    scipy.io.savemat(tmp_path / "c.mat", {"picture": pings(1, 40, 50)[0], **words})
-    with open_recording(tmp_path / "c.mat") as recording:
-        np.testing.assert_array_equal(recording[0].samples, pings(1, 40, 50)[0])
-    complex_echoes = write_array(tmp_path / "a.mat", pings(5, 30, 40) * 1j)
-    with (
-        open_recording(complex_echoes) as recording,
-        pytest.raises(FrameError, match="their magnitude"),
-    ):
-        recording[0]
 
 
 @pytest.mark.parametrize(

@@ -18,12 +18,12 @@ from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.pictures import read_picture
 from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE, SONAR, typestore
 from simnfnd.models.recordings.sound_metrics import ArisFile
-from tests.models.recordings.array_files import write_array
 from tests.models.recordings.bag_files import compressed, image, sonar, write_bag
 from tests.models.recordings.mutations import MUTATIONS, mutated, use
 from tests.models.recordings.recording_files import (
     pings,
     write_aris,
+    write_array,
     write_black_png,
     write_ddf,
     write_gif,

@@ -200,32 +200,22 @@ def test_another_type_of_the_same_name_is_refused(tmp_path: Path) -> None:
 
 def test_what_a_message_says_must_fit(tmp_path: Path) -> None:
     store, given = typestore(1), pings(1, 12, 8)[0]
-
-    def opened(message: Any, kind: str = SONAR) -> None:
-        path = tmp_path / "a.bag"
-        path.unlink(missing_ok=True)
-        with open_recording(write_bag(path, {"/p": (kind, [message])})) as bag:
+    odd, uneven, few = (sonar(store, 0, given) for _ in range(3))
+    odd.image.dtype = 4
+    uneven.ranges = uneven.ranges**2
+    few.beam_directions = few.beam_directions[::2]
+    bayer, cut = image(store, 0, given, "bayer_rggb8"), compressed(store, 0, given)
+    cut.data = cut.data[8:]
+    for number, (kind, message, words) in enumerate((
+        (SONAR, odd, "message 0 of /p has samples of type 4"),
+        (SONAR, uneven, "ranges that do not ascend evenly"),
+        (SONAR, few, "8 beams and 4 directions"),
+        (IMAGE, bayer, "the encoding 'bayer_rggb8', which cannot be denoised"),
+        (COMPRESSED, cut, "compressed as 'png'; JPEG and PNG can be read"),
+    )):  # fmt: skip
+        path = write_bag(tmp_path / f"{number}.bag", {"/p": (kind, [message])})
+        with pytest.raises(FrameError, match=words), open_recording(path) as bag:
             list(bag)
-
-    message = sonar(store, 0, given)
-    message.image.dtype = 4
-    with pytest.raises(FrameError, match=r"message 0 of /p has samples of type 4"):
-        opened(message)
-    message = sonar(store, 0, given)
-    message.ranges = message.ranges**2
-    with pytest.raises(FrameError, match="ranges that do not ascend evenly"):
-        opened(message)
-    message = sonar(store, 0, given)
-    message.beam_directions = message.beam_directions[::2]
-    with pytest.raises(FrameError, match="8 beams and 4 directions"):
-        opened(message)
-    message = image(store, 0, given, "bayer_rggb8")
-    with pytest.raises(FrameError, match=r"the encoding 'bayer_rggb8', which cannot be denoised"):
-        opened(message, IMAGE)
-    message = compressed(store, 0, given)
-    message.data = message.data[8:]
-    with pytest.raises(FrameError, match=r"compressed as 'png'; JPEG and PNG can be read"):
-        opened(message, COMPRESSED)
 
 
 def test_folders_with_odd_metadata(tmp_path: Path) -> None:

@@ -5,34 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
-
-from simnfnd.factory.settings import build
 from simnfnd.models.settings import ModelsSettings
 from simnfnd.models.training.train import train
+from tests.models.data.small_renders import composed
 
 TINY = {"kind": "nafnet", "width": 8, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]}
 # The recipe of every small training here, as overrides of conf/models.yaml.
 SMALL = (
-    "model.width=8",
-    "model.encoder=[1,1]",
-    "model.decoder=[1,1]",
-    "data.patch=32",
-    "data.batch=4",
-    "train.steps=45",
-    "train.check_every=15",
-    "train.warmup=3",
-    "train.learning_rate=0.006",
-    "train.ema=0.9",
+    *("model.width=8", "model.encoder=[1,1]", "model.decoder=[1,1]", "data.patch=32"),
+    *("data.batch=4", "train.steps=45", "train.check_every=15", "train.warmup=3"),
+    *("train.learning_rate=0.006", "train.ema=0.9"),
 )
 
 
 def config_for(dataset: Path, out: Path, *overrides: str) -> tuple[ModelsSettings, dict[str, Any]]:
-    with initialize_config_module("simnfnd.conf", version_base="1.3"):
-        composed = compose("models", [f"dataset.dir='{dataset}'", f"out='{out}'", *overrides])
-    values: Any = OmegaConf.to_container(composed, resolve=True)
-    return build(ModelsSettings, values), values
+    return composed(f"dataset.dir='{dataset}'", f"out='{out}'", *overrides)
 
 
 def train_small(dataset: Path, out: Path, *overrides: str) -> dict[str, float | int]:

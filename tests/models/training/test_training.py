@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import os
 import signal
@@ -11,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -23,12 +25,14 @@ from simnfnd.models import WEIGHTS_NAME
 from simnfnd.models.data.crops import Crops, Visit
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.training import loop as device
+from simnfnd.models.training import module as quality
 from simnfnd.models.training.loop import Stopped
-from simnfnd.models.training.module import DenoisingModule
-from simnfnd.models.training.train import read_checkpoint
-from tests.models.training.small_training import SMALL, TINY, train_small
+from simnfnd.models.training.module import DenoisingModule, Teacher, completed
+from simnfnd.models.training.train import read_checkpoint, train
+from tests.models.training.small_training import SMALL, TINY, config_for, train_small
 from tests.project_files import ROOT
-from tests.small_dataset import write_dataset
+from tests.small_dataset import fan_images, write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -208,18 +212,6 @@ def test_training_begins_from_given_weights(trained: Path, dataset: Path, tmp_pa
         train_small(dataset, tmp_path / "none", "start=nowhere")
 
 
-def validate_ever_worse(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Every validation is 1 dB below the one before; the list has an entry for each."""
-    calls: list[int] = []
-
-    def worse_and_worse(image: torch.Tensor, clean: torch.Tensor) -> torch.Tensor:
-        calls.append(1)
-        return torch.full((len(image),), 50.0 - len(calls))
-
-    monkeypatch.setattr("simnfnd.models.training.module.psnr_db", worse_and_worse)
-    return calls
-
-
 def test_damaged_checkpoint_is_named(trained: Path, dataset: Path, tmp_path: Path) -> None:
     content = (trained / "checkpoint.ckpt").read_bytes()
     (tmp_path / "checkpoint.ckpt").write_bytes(content[: len(content) // 2])
@@ -258,7 +250,13 @@ def test_wrong_weights_files_are_named(trained: Path, tmp_path: Path) -> None:
 def test_the_best_weights_are_kept_not_the_last(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    validate_ever_worse(monkeypatch)
+    calls: list[int] = []
+
+    def worse_and_worse(image: torch.Tensor, clean: torch.Tensor) -> torch.Tensor:
+        calls.append(1)
+        return torch.full((len(image),), 50.0 - len(calls))
+
+    monkeypatch.setattr("simnfnd.models.training.module.psnr_db", worse_and_worse)
     best = train_small(dataset, tmp_path, "train.steps=6", "train.check_every=2")
     assert best["step"] == 2
     loaded = load_weights(tmp_path / "weights.safetensors")
@@ -275,3 +273,87 @@ def test_the_best_weights_are_kept_not_the_last(
 def _without_seconds(folder: Path) -> list[str]:
     lines = (folder / "metrics.csv").read_text(encoding="utf-8").splitlines()
     return [line.rpartition(",")[0] for line in lines]
+
+
+@pytest.mark.parametrize(("has", "expected"), [(True, "bf16-mixed"), (False, "32-true")])
+def test_the_device_decides_and_the_weights_say_so(
+    has: bool,
+    expected: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    dataset, out = write_dataset(tmp_path / "data", train=4, test=0, size=48), tmp_path / "out"
+    words = (*SMALL, "train.precision=auto", "train.steps=2", "train.check_every=1", "device=cpu")
+    monkeypatch.setattr(device, "has_bf16", lambda device: has)
+    train(*config_for(dataset, out, *words))
+    assert f"train.precision=auto: {expected}\n" in capsys.readouterr().err
+    assert load_weights(out / "weights.safetensors").training["train.precision"] == expected
+
+
+SONARNET = {
+    **{"kind": "sonarnet", "widths": [8, 8], "blocks": [1, 1], "polar": False, "lines": False},
+    **{"mask": True, "forget": 0.0},
+}
+
+
+@pytest.fixture(scope="module")
+def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of a network that darkens what it sees."""
+    torch.manual_seed(3)
+    network = build_network(SONARNET)
+    with torch.no_grad():
+        network.outro.bias[:4] = -0.1  # type: ignore[union-attr, operator]
+    path = tmp_path_factory.mktemp("teacher") / "teacher.safetensors"
+    save_weights(path, network, SONARNET, {})
+    return path
+
+
+def batch_of(size: int = 16) -> dict[str, torch.Tensor]:
+    drawn = torch.Generator().manual_seed(1)
+    noisy = torch.rand(2, 1, size, size, generator=drawn)
+    return {
+        "noisy": noisy,
+        "clean": torch.rand(2, 1, size, size, generator=drawn),
+        "shadow": (noisy < 0.3).float(),
+    }
+
+
+def test_a_student_becomes_like_its_teacher(teacher: Path, dataset: Path, tmp_path: Path) -> None:
+    """Taught alone, it darkens pictures as the teacher does, whatever the clean ones say."""
+    before = copy.deepcopy(load_weights(teacher).network.state_dict())
+    out = tmp_path / "student"
+    words = ["model=sonarnet", "model.widths=[8,8]", "model.blocks=[1,1]", "model.lines=false"]
+    words += [word for word in SMALL if not word.startswith("model.")]
+    words += [f"train.teacher='{teacher}'", "train.teacher_share=1"]
+    train(*config_for(dataset, out, *words))
+    student = load_weights(out / WEIGHTS_NAME)
+    assert student.training["train.teacher"] == sha256_of(teacher)[:16]
+    batch = batch_of(48)
+    with torch.no_grad():
+        want = load_weights(teacher).network.with_heads(batch["noisy"]).image
+        got = student.network.with_heads(batch["noisy"]).image
+    assert (got - want).abs().mean() < 0.5 * (batch["noisy"] - want).abs().mean()
+    for name, values in load_weights(teacher).network.state_dict().items():
+        assert torch.equal(values, before[name]), name
+
+
+def test_quality_agrees_with_the_evaluation() -> None:
+    noisy, clean, _ = fan_images(48, np.random.default_rng(3))
+    batch = [torch.from_numpy(image)[None, None] for image in (noisy, clean)]
+    assert float(quality.psnr_db(*batch)) == pytest.approx(
+        metrics.psnr(clean, noisy, data_range=1), abs=1e-4
+    )
+    assert float(quality.ssim(*batch)) == pytest.approx(
+        metrics.ssim(clean, noisy, data_range=1), abs=1e-6
+    )
+
+
+def test_share_weighs_truth_and_teacher(teacher: Path) -> None:
+    batch = batch_of()
+    network = load_weights(teacher).network
+    with torch.no_grad():
+        image = network.with_heads(batch["noisy"]).image
+    for share in (0.0, 0.25, 1.0):
+        got = completed(batch, batch["noisy"], Teacher(teacher, share))["clean"]
+        torch.testing.assert_close(got, share * image + (1 - share) * batch["clean"])

@@ -80,12 +80,6 @@ def test_unusable_datasets_are_refused(tmp_path: Path) -> None:
         train_small(other, tmp_path / "out")
 
 
-def test_output_that_cannot_be_written(dataset: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    with pytest.raises(FactoryError, match="out: cannot write"):
-        train_small(dataset, tmp_path / "file" / "model")
-
-
 def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
     for arguments, words in (
         ((), "dataset: give the folder"),
@@ -117,3 +111,9 @@ def test_help_names_the_groups_of_a_training_alone() -> None:
     groups = re.findall(r"^(\w+): \w+, ", done.stdout, re.MULTILINE)
     assert groups == ["data", "model", "loss"]
     assert "learning_rate: 0.001" in done.stdout
+
+
+def test_output_that_cannot_be_written(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    with pytest.raises(FactoryError, match="out: cannot write"):
+        train_small(dataset, tmp_path / "file" / "model")
