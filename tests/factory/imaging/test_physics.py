@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,20 +12,17 @@ from hypothesis import strategies as st
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import digest, identity
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.imaging import signal as matrices
 from simnfnd.factory.imaging.scatterers import scatterers
 from simnfnd.factory.imaging.signal import beamform, beamform_power
-from simnfnd.factory.pairs import observe
-from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.sonar import array
+from simnfnd.factory.pairs import make_pair, observe
+from simnfnd.factory.render.base import Mount, Rendered
+from simnfnd.factory.sonar import array, transfer
 from simnfnd.factory.sonar.array import ArraySettings, Taper, WaterSettings
-from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
+from simnfnd.factory.sonar.surface import LitSurface, mount_weight
 from simnfnd.factory.sonar.window import Window
 from tests.constant_field import config, constant_field, observed, ping_of
-from tests.project_files import ROOT
 
-CONF = ROOT / "conf"
-DEVICES = sorted(path.stem for path in (CONF / "sonar").glob("*.yaml"))
 SEA = {100: 0.0336, 375: 0.0898, 720: 0.2086, 750: 0.2223, 900: 0.2994, 1200: 0.4953,
        1800: 1.0547, 2100: 1.4183, 3000: 2.8447}  # fmt: skip
 FRESH = {750: 0.1460, 1200: 0.3737, 1800: 0.8408, 3000: 2.3355}
@@ -99,45 +95,29 @@ def test_beam_mixing_keeps_energy_for_any_beams(beams, hfov_deg, width_deg, wind
 
 
 @pytest.mark.parametrize(
-    "beams", [None, 129, (-20.0, -11.0, -3.0, 5.0, 9.0, 20.0)], ids=["even", "odd", "lopsided"]
-)
-def test_beams_in_halves_are_the_matrix_product(beams):
-    """To 2e-7 of the row's strongest number, and intensities never below zero."""
-    sonar: dict[str, Any] = {"beams": beams} if isinstance(beams, int) else {}
-    if isinstance(beams, tuple):
-        sonar = {"beams": len(beams), "beam_azimuths_deg": beams, "hfov_deg": 45}
-    made = ping_of(observed(config(sonar=sonar)))
-    rng = np.random.default_rng(2)
-    field = rng.standard_normal((1, 2, *made.shape)).astype(np.float32)
+    "words",
+    [
+        [], ["sonar.beams=129"], ["sonar.beams=512"], ["sonar=oculus_m1200d_hf"],
+        ["sonar.beams=6", "sonar.beam_azimuths_deg=[-20,-11,-3,5,9,20]", "sonar.hfov_deg=45"],
+    ],
+    ids=["halves", "odd", "modes", "modes of a device", "lopsided"],
+)  # fmt: skip
+def test_fast_beams_are_the_matrix_product(words):
+    """To 2e-5 of the row's strongest number, and intensities never below zero."""
+    frame, rendered = constant_field(size=(60, 80))
+    made = ping_of(observe(frame, rendered, compose_config(["experiment=physical", *words])))
+    field = np.random.default_rng(3).standard_normal((1, 2, *made.shape)).astype(np.float32)
     power = np.zeros(made.shape, np.float32)
     power[:, -1] = 1  # on one side alone
     mixing = made.mixing.astype(np.float64)
     along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), made.kernel, "same")
-    np.testing.assert_allclose(beamform(field, made), along @ mixing, atol=5e-6)
+    expected = along @ mixing
+    error = np.abs(beamform(field, made) - expected) / np.abs(expected).max(axis=-1, keepdims=True)
+    assert error.max() < 2e-5
     along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), made.kernel**2, "same")
     blurred = beamform_power(power, made)
     assert blurred.min() >= 0
-    np.testing.assert_allclose(blurred, along @ mixing**2, atol=2e-7)
-
-
-@pytest.mark.parametrize("words", [["sonar.beams=512"], ["sonar=oculus_m1200d_hf"]])
-def test_beams_by_way_of_modes_are_the_matrix_product(words):
-    """As many beams as resolve nothing more; to 2e-5 of the row's strongest number."""
-    settings_ = compose_config(["experiment=physical", *words])
-    frame, rendered = constant_field(size=(60, 80))
-    made = ping_of(observe(frame, rendered, settings_))
-    factors = matrices.modes(settings_.sonar)
-    assert factors is not None
-    assert sum(one.shape[0] * one.shape[1] for one in factors) < 0.9 * (made.shape[1] // 2) ** 2 * 2
-    field = np.random.default_rng(3).standard_normal((1, 2, *made.shape)).astype(np.float32)
-    along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), made.kernel, "same")
-    expected = along @ made.mixing.astype(np.float64)
-    error = np.abs(beamform(field, made) - expected) / np.abs(expected).max(axis=-1, keepdims=True)
-    assert error.max() < 2e-5
-
-
-def test_beams_that_resolve_each_other_have_no_modes() -> None:
-    assert matrices.modes(compose_config(["experiment=physical", "sonar=didson_hf"]).sonar) is None
+    np.testing.assert_allclose(blurred, along @ mixing**2, atol=2e-5)
 
 
 def _powers(depths_m: np.ndarray, plate_m: float, frequency_khz: float) -> np.ndarray:
@@ -168,39 +148,12 @@ def _powers(depths_m: np.ndarray, plate_m: float, frequency_khz: float) -> np.nd
 
 @pytest.mark.parametrize("frequency_khz", [100, 900, 3000])
 def test_a_small_target_loses_40_log_r_and_twice_the_absorption(frequency_khz):
-    """The two-way loss of the sonar equation, not counting the area twice."""
-    depths_m = np.array([2.0, 3.0, 5.0, 8.0])
+    """mu * area / r^4 for a plate seen face on: its target strength minus 2 TL, the area once."""
+    depths_m = np.array([2.0, 3.0, 4.0, 8.0])
     level_db = 10 * np.log10(_powers(depths_m, 0.2, frequency_khz))
     absorption = WaterSettings(10, 35, 5, 8).absorption_db_per_m(frequency_khz)
-    expected_db = -40 * np.log10(depths_m) - 2 * absorption * depths_m
-    np.testing.assert_allclose(np.diff(level_db), np.diff(expected_db), atol=0.15)
-
-
-def test_a_target_has_its_cross_section() -> None:
-    """mu * area / r^4 for a plate seen face on: 10 log of it is the target strength minus 2 TL."""
-    (power,) = _powers(np.array([4.0]), 0.2, 100)
-    absorption = WaterSettings(10, 35, 5, 8).absorption_db_per_m(100)
-    golden = 10 ** (-25 / 10) * 0.04 / 4**4 * 10 ** (-2 * absorption * 4 / 10)
-    assert power == pytest.approx(golden, rel=0.02)
-
-
-def test_the_exponent_of_backscatter_is_that_of_the_cosine() -> None:
-    """A wall at an angle: cos^3 instead of cos^2 weakens it by the cosine."""
-    frame, rendered = constant_field()
-    angle = np.deg2rad(50)
-    across = (np.arange(frame.depth_m.shape[1]) - frame.intrinsics.cx) / frame.intrinsics.fx
-    depth = np.broadcast_to(5 / (1 + across * np.tan(angle)), frame.depth_m.shape)
-    frame = replace(frame, depth_m=np.ascontiguousarray(depth, np.float32))
-    level = {}
-    for exponent in (2.0, 3.0):
-        settings_ = config(acoustics={"lambert_exponent": exponent})
-        window = observe(frame, rendered, settings_).window
-        made = scatterers(
-            frame, rendered, window, settings_.sonar, settings_.water, settings_.acoustics
-        )
-        middle = np.abs(made.pixels % frame.depth_m.shape[1] - frame.intrinsics.cx) < 3
-        level[exponent] = made.powers[middle].mean()
-    assert level[3.0] / level[2.0] == pytest.approx(np.cos(angle), rel=0.02)
+    golden_db = -25 + 10 * np.log10(0.04) - 40 * np.log10(depths_m) - 2 * absorption * depths_m
+    np.testing.assert_allclose(level_db, golden_db, atol=0.1)
 
 
 def test_materials_differ_as_the_table_says() -> None:
@@ -256,3 +209,60 @@ def test_mistakes_are_one_line(words, said):
         compose_config(words)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+# --- Levels of the paper's points: decibels of an intensity, and the weight of an offset mount ---
+
+
+def test_decibels_of_an_intensity_are_ten_times_its_logarithm() -> None:
+    curve = TransferSettings(kind="log", dynamic_range_db=40)
+    level = np.array([1.0, 0.1, 0.01, 1e-4, 1e-5])
+    grey = transfer.grey(level, 1.0, curve, "intensity")
+    assert grey == pytest.approx([1, 0.75, 0.5, 0, 0], abs=1e-6)
+    amplitude = transfer.grey(np.sqrt(level), 1.0, curve, "amplitude")
+    assert grey == pytest.approx(amplitude, abs=1e-6)
+    half_way = replace(curve, reference=0.5)
+    assert transfer.full_scale(np.ones(4), half_way, "intensity") == pytest.approx(100)
+    assert transfer.full_scale(np.ones(4), half_way) == pytest.approx(10)
+
+
+def test_points_twenty_decibels_down_are_not_black_at_forty() -> None:
+    """Half of the picture has a hundredth of the echo: half the grey scale of 40 dB."""
+    settings = compose_config(
+        ["sonar.transfer={kind: log, dynamic_range_db: 40, percentile: 99}", "noise=none",
+         "sonar.hfov_deg=24", "sonar.range={auto: false, min_m: 4, max_m: 8}", "resample.rate=1",
+         "sonar.image.layout=polar", "dataset.dtype=float32", "sonar.tvg_db_per_decade=0",
+         "sonar.projection=slant_range", "sonar.beams=64", "sonar.range_bins=64"]
+    )  # fmt: skip
+    frame, rendered = constant_field()
+    radiance = rendered.radiance.copy()
+    radiance[:, : radiance.shape[1] // 2] /= 100
+    observed = observe(frame, Rendered(radiance, rendered.surface), settings)
+    clean = make_pair(observed, 0, settings).clean.astype(np.float64)
+    weak, strong = clean[8:-8, 8:24].mean(), clean[8:-8, 40:56].mean()
+    assert strong - weak == pytest.approx(0.5, abs=0.01)
+
+
+def test_points_of_an_offset_mount_have_the_area_that_a_pixel_sees() -> None:
+    """A wall before both: cos_s / cos_c (r_c / r_s)^2."""
+    frame, _ = constant_field(size=(240, 320))
+    camera = replace(frame.intrinsics, fx=300.0, fy=300.0, cx=160.0, cy=120.0)
+    frame = replace(frame, depth_m=np.full((240, 320), 4, np.float32), intrinsics=camera)
+    mount = Mount(translation_m=(0.5, 0.8, -0.3))
+    u, v = (np.arange(320) - 160) / 300, ((np.arange(240) - 120) / 300)[:, None]
+    ahead, left, up = 4 - 0.5, -4 * u - 0.8, -4 * v + 0.3
+    camera_m2, sonar_m2 = 16 * (1 + u**2 + v**2), ahead**2 + left**2 + up**2
+    cosines = (ahead / np.sqrt(sonar_m2)) / (4 / np.sqrt(camera_m2))
+    golden = cosines * camera_m2 / sonar_m2
+    weight = mount_weight(frame, mount, 2)
+    np.testing.assert_allclose(weight[2:-2, 2:-2], golden[2:-2, 2:-2], rtol=2e-3)
+
+    settings = compose_config(["render=embree", "sonar.tvg_db_per_decade=0"]).sonar
+    sonar = replace(settings, mount=mount, hfov_deg=60.0, vfov_deg=60.0)
+    radiance = np.ones((240, 320), np.float32)
+    window = Window("slant_range", 1.0, 9.0, -0.5, 0.5)
+    surface = LitSurface(frame, Rendered(radiance, radiance > 0), window, sonar)
+    echoes, pixel, _ = surface.insonified
+    np.testing.assert_allclose(echoes.strength, weight.ravel()[pixel], rtol=1e-6)
+    with_camera = replace(surface, sonar=replace(sonar, mount=Mount()))
+    assert (with_camera.insonified.echoes.strength == 1).all()
