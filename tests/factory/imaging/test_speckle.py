@@ -1,4 +1,4 @@
-"""Statistics of the speckle against theory, its grain, and its hold on the world."""
+"""Speckle: statistics against theory, grain, hold on the world, and what targets keep of it."""
 
 from __future__ import annotations
 

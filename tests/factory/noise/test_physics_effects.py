@@ -81,7 +81,7 @@ def test_the_registry_and_the_settings_name_the_same_effects() -> None:
 
 
 def test_receiver_noise_is_rayleigh_and_flat_before_the_gain(of: Ping) -> None:
-    """Its level is Mellen's for every device: imaging/test_presets_physics.py."""
+    """Its level is Mellen's for every device: imaging/test_physics.py."""
     noise = intensity(receiver(silence(of), of, rng(), level_db=7, grain="sample"))
     assert noise[:60].mean() == pytest.approx(noise[-60:].mean(), rel=0.05)
     amplitude = np.sqrt(noise)

@@ -74,7 +74,7 @@ def write_glb(path: Path, parts: dict) -> None:
         corners = solid.triangles.astype("<u4").ravel()
         for values, kind, shape in ((points, 5126, "VEC3"), (corners, 5125, "SCALAR")):
             views.append({"buffer": 0, "byteOffset": len(content), "byteLength": values.nbytes})
-            accessors.append({"bufferView": len(accessors), "componentType": kind,
+            accessors.append({"bufferView": len(views) - 1, "componentType": kind,
                               "count": len(values), "type": shape})  # fmt: skip
             content += values.tobytes()
         solid = {"attributes": {"POSITION": 2 * number}, "indices": 2 * number + 1}

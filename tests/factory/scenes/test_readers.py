@@ -1,4 +1,4 @@
-"""What all readers have in common; CSV lists; FLSea on real frames and on small trees."""
+"""Readers of recordings: CSV lists, FLSea on real frames and small trees, and their files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.scenes import Scenes, open_reader
 from simnfnd.factory.scenes.base import Reader
 from simnfnd.factory.scenes.flsea import BUILT_IN, SCENES
-from simnfnd.factory.scenes.frame_files import read_depth, read_rgb, undistorted, z_from_range
+from simnfnd.factory.scenes.frame_files import read_depth, read_rgb, undistorted
 from simnfnd.factory.scenes.mesh import trajectory
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
@@ -82,7 +82,7 @@ def test_missing_and_empty_roots_get_one_line(tmp_path: Path, kind: str) -> None
 def test_yaml_lists_every_key_with_the_default(kind: str) -> None:
     values = yaml.safe_load((ROOT / f"conf/scenes/{kind}.yaml").read_text())
     given = {key: value for key, value in values.items() if value != "???"}
-    required = {} if kind == "seabed" else {"root": "x"}
+    required: dict[str, object] = {} if kind == "seabed" else {"root": "x"}
     required |= {"intrinsics": PINHOLE} if kind == "csv_list" else {}
     settings: Any = build(Scenes, {"kind": kind, **required}, "scenes")
     assert set(values) == set(settings.__dataclass_fields__)
@@ -384,17 +384,6 @@ def test_colour_is_rgb_whatever_the_file(tmp_path: Path) -> None:
         read_rgb(tmp_path / "deep.png")
     with pytest.raises(FrameError, match="no such file"):
         read_rgb(tmp_path / "absent.png")
-
-
-def test_range_of_a_sphere_becomes_points_at_its_radius() -> None:
-    camera = Intrinsics(60.0, 55.0, 30.2, 18.9)
-    z = z_from_range(np.full((40, 64), 4.0, np.float32), camera)
-    v, u = np.mgrid[:40, :64]
-    points = np.stack([(u - 30.2) / 60 * z, (v - 18.9) / 55 * z, z], axis=-1)
-    np.testing.assert_allclose(np.linalg.norm(points, axis=-1), 4.0, rtol=1e-6)
-    assert z[19, 30] == pytest.approx(4.0, rel=1e-4)  # straight ahead
-    assert z.dtype == np.float32
-    assert (z_from_range(np.zeros((3, 3), np.float32), camera) == 0).all()
 
 
 def test_undistortion_puts_a_plane_where_a_pinhole_sees_it() -> None:
