@@ -32,7 +32,6 @@ from simnfnd.factory.noise.receiver import (
 from simnfnd.factory.noise.registry import EFFECTS, FIELD_EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.noise.speckle import scintillation
 from simnfnd.factory.pairs import ObservedFrame, make_pair
-from simnfnd.factory.sonar.array import directivity_db, thermal_noise_db
 from tests.constant_field import config, observed, ping_of
 
 EVERY: dict[str, dict[str, Any]] = {name: {} for name in FIELD_EFFECTS}
@@ -40,6 +39,11 @@ EVERY: dict[str, dict[str, Any]] = {name: {} for name in FIELD_EFFECTS}
 
 def ping(**keys: Any) -> Ping:
     return ping_of(observed(config(**keys)))
+
+
+@pytest.fixture(scope="module")
+def of() -> Ping:
+    return ping()
 
 
 def drawn(settings: FactoryConfig, made: ObservedFrame, variant: int = 0) -> Draws:
@@ -76,16 +80,9 @@ def test_the_registry_and_the_settings_name_the_same_effects() -> None:
     assert stages == sorted(stages, key=["echo", "beam", "picture"].index)
 
 
-def test_receiver_noise_is_mellens_and_flat_before_the_gain() -> None:
-    of = ping()
+def test_receiver_noise_is_rayleigh_and_flat_before_the_gain(of: Ping) -> None:
+    """Its level is Mellen's for every device: imaging/test_physics.py."""
     noise = intensity(receiver(silence(of), of, rng(), level_db=7, grain="sample"))
-    device, sonar = of.sonar.array, of.sonar
-    golden_db = (
-        thermal_noise_db(sonar.frequency_khz, device.bandwidth_khz)
-        - directivity_db(device, sonar.vfov_deg) - device.source_level_db + 7
-    )  # fmt: skip
-    golden_db += decibels(of.noise_share.mean())
-    assert decibels(noise.mean()) == pytest.approx(golden_db, abs=0.1)
     assert noise[:60].mean() == pytest.approx(noise[-60:].mean(), rel=0.05)
     amplitude = np.sqrt(noise)
     assert (amplitude.mean() / amplitude.std()) ** 2 == pytest.approx(3.66, rel=0.02)
@@ -122,18 +119,6 @@ def test_multipath_comes_when_the_geometry_says(way):
     assert made.power[found[2], beam] == pytest.approx(once**2, rel=0.1)
 
 
-def test_effects_leave_the_frame_as_it_is() -> None:
-    """They change the field that they are given, but what the frame's pairs share stays."""
-    settings = config(noise={name: {} for name in EVERY if name != "speckle"})
-    made = observed(settings)
-    before = ping_of(made).scatterers.power.copy(), ping_of(made).expected.copy()
-    first = make_pair(made, 0, settings)
-    again = make_pair(made, 0, settings)
-    np.testing.assert_array_equal(first.noisy, again.noisy)
-    np.testing.assert_array_equal(ping_of(made).scatterers.power, before[0])
-    np.testing.assert_array_equal(ping_of(made).expected, before[1])
-
-
 def test_speckled_echoes_are_mirrored_with_the_same_strength() -> None:
     of = ping(sonar={"vfov_deg": 60}, water={"depth_m": 1})
     power = np.full(of.shape, 1, np.float32)
@@ -148,27 +133,18 @@ def test_speckled_echoes_are_mirrored_with_the_same_strength() -> None:
     )
 
 
-def test_arcs_are_as_far_below_the_strongest_return_as_configured() -> None:
-    of = ping()
+def test_arcs_leak_along_their_row_and_crosstalk_to_both_sides(of: Ping) -> None:
     field = silence(of)
     field[0, 0, 50, 64] = 2.0
-    arcs = intensity(sidelobe_arcs(field, of, rng(), level_db=-30))
-    away = np.delete(arcs[50], 64)
-    np.testing.assert_allclose(decibels(away / 4), -30, atol=0.01)
+    arcs = intensity(sidelobe_arcs(field.copy(), of, rng(), level_db=-30))
+    np.testing.assert_allclose(decibels(np.delete(arcs[50], 64) / 4), -30, atol=0.01)
     assert arcs[:50].sum() == arcs[51:].sum() == 0
-
-
-def test_crosstalk_leaks_to_both_sides() -> None:
-    of = ping()
-    field = silence(of)
-    field[0, 1, 50, 64] = 1.0
     leaked = intensity(crosstalk(field, of, rng(), level_db=-20, spacing_beams=8))
     assert np.flatnonzero(leaked[50]).tolist() == [56, 64, 72]
-    assert leaked[50, 56] == pytest.approx(0.01, rel=1e-3)
+    assert leaked[50, 56] == pytest.approx(0.04, rel=1e-3)
 
 
-def test_a_wrong_gain_tilts_the_picture_about_its_middle() -> None:
-    of = ping()
+def test_a_wrong_gain_tilts_the_picture_about_its_middle(of: Ping) -> None:
     ones = np.ones((1, 2, *of.shape), np.float32)
     rows = decibels(
         intensity(TVG_ERROR.function(ones, of, rng(), db_per_decade=10, db_per_m=0.5))[:, 0] / 2
@@ -177,8 +153,7 @@ def test_a_wrong_gain_tilts_the_picture_about_its_middle() -> None:
     np.testing.assert_allclose(rows, expected, atol=1e-3)
 
 
-def test_samples_tremble_alike_at_every_level_and_each_for_itself() -> None:
-    of = ping()
+def test_samples_tremble_alike_at_every_level_and_each_for_itself(of: Ping) -> None:
     field = np.ones_like(silence(of, looks=2))
     field[..., of.shape[1] // 2 :] *= 100
     level_db = decibels(intensity(scintillation(field.copy(), of, rng(), sigma_db=3) / field))
@@ -192,24 +167,16 @@ def test_samples_tremble_alike_at_every_level_and_each_for_itself() -> None:
     np.testing.assert_array_equal(still, field)
 
 
-def test_beams_differ_and_some_are_dead() -> None:
-    of = ping()
+def test_beams_differ_some_are_dead_and_the_sides_of_the_sector_are_weak(of: Ping) -> None:
     ones = np.ones((1, 2, *of.shape), np.float32)
-    gain = BEAM_GAIN.function(ones, of, rng(), sigma_db=1.0, dead=3, dead_db=-40)
+    gain = BEAM_GAIN.function(ones.copy(), of, rng(), sigma_db=1.0, dead=3, dead_db=-40)
     column = decibels(intensity(gain)[0] / 2)
     assert (np.isclose(column, -40, atol=1e-3)).sum() == 3
     assert column[column > -20].std() == pytest.approx(1, rel=0.2)
     assert np.ptp(intensity(gain), axis=0).max() == 0
-
-
-def test_the_sides_of_the_sector_are_weak() -> None:
-    of = ping()
-    gain = SECTOR_EDGES.function(np.ones((1, 2, *of.shape), np.float32), of, rng(), level_db=6)
-    column = decibels(intensity(gain)[0] / 2)
+    column = decibels(intensity(SECTOR_EDGES.function(ones, of, rng(), level_db=6))[0] / 2)
     bearing = of.sonar.beam_centres_rad() / (np.deg2rad(of.sonar.hfov_deg) / 2)
     np.testing.assert_allclose(column, -6 * bearing**2, atol=1e-4)
-    assert column[0] == pytest.approx(column[-1], abs=1e-4)
-    assert column.max() == pytest.approx(0, abs=0.01)
 
 
 def test_the_device_is_the_same_in_all_frames_of_a_recording() -> None:
@@ -224,34 +191,31 @@ def test_the_device_is_the_same_in_all_frames_of_a_recording() -> None:
     np.testing.assert_array_equal(made[0][1], made[1][1])
 
 
-def test_spokes_are_bearings() -> None:
-    of = ping()
-    loud = intensity(spokes(silence(of), of, rng(), count=2, level_db=-20, width_beams=1))
-    columns_ = loud.mean(axis=0)
-    assert decibels(columns_.max() / of.full_scale) == pytest.approx(-20, abs=1.5)
-    assert 4 <= (columns_ > 0).sum() <= 20
-
-
-def test_regular_spokes_are_equally_far_apart() -> None:
-    of = ping()
+@pytest.mark.parametrize("spacing", ["random", "regular"])
+def test_spokes_are_bearings(of: Ping, spacing: str) -> None:
+    count, width = (2, 1) if spacing == "random" else (4, 0.3)
     loud = intensity(
-        spokes(silence(of), of, rng(), count=4, level_db=-20, width_beams=0.3, spacing="regular")
+        spokes(
+            silence(of), of, rng(), count=count, level_db=-20, width_beams=width, spacing=spacing
+        )
     ).mean(axis=0)
+    if spacing == "random":
+        assert decibels(loud.max() / of.full_scale) == pytest.approx(-20, abs=1.5)
+        assert 4 <= (loud > 0).sum() <= 20
+        return
     centres = np.sort(np.flatnonzero(loud > loud.max() / 4) + 0.5)
     groups = np.split(centres, np.flatnonzero(np.diff(centres) > 4) + 1)
     steps = np.diff([group.mean() for group in groups])
     np.testing.assert_allclose(steps, of.sonar.beams / 4, atol=1)
 
 
-def test_ring_down_dies_with_range() -> None:
-    of = ping()
+def test_ring_down_dies_with_range(of: Ping) -> None:
     ringing = intensity(ring_down(silence(of), of, rng(), level_db=0, decay_db_per_m=10))
     rows = decibels(ringing.mean(axis=1) / of.full_scale)
     np.testing.assert_allclose(rows[:100], -10 * of.range_m[:100], atol=1.5)
 
 
-def test_comb_lines_are_equally_far_apart() -> None:
-    of = ping()
+def test_comb_lines_are_equally_far_apart(of: Ping) -> None:
     lines = intensity(
         comb_lines(silence(of), of, rng(), level_db=0, spacing_m=0.5, decay_db=2, uneven_db=0)
     )
@@ -261,8 +225,7 @@ def test_comb_lines_are_equally_far_apart() -> None:
     np.testing.assert_allclose(steps, -2, atol=1e-3)
 
 
-def test_saturation_limits_and_leaves_the_rest() -> None:
-    of = ping()
+def test_saturation_limits_and_leaves_the_rest(of: Ping) -> None:
     limit = of.strongest * 10**0.3 * of.gain[:, None]
     field = silence(of)
     field[0, 0] = np.sqrt(np.linspace(0.1, 10, of.shape[1]) * limit)
@@ -272,8 +235,7 @@ def test_saturation_limits_and_leaves_the_rest() -> None:
     np.testing.assert_array_equal(clipped[0, 0][under], field[0, 0][under])
 
 
-@pytest.fixture(scope="module")
-def complete() -> tuple[ObservedFrame, Any]:
+def test_each_layer_is_its_effect_alone():
     """Every effect, each as strong as to show."""
     noise = {
         **EVERY,
@@ -281,8 +243,7 @@ def complete() -> tuple[ObservedFrame, Any]:
         "surface_multipath": {"loss_db": 0}, "bottom_multipath": {"loss_db": 0, "altitude_m": 0.5},
         "tvg_error": {"db_per_decade": 6}, "crosstalk": {"level_db": -10},
         "sidelobe_arcs": {"level_db": -10}, "beam_gain": {"sigma_db": 2},
-        "spokes": {"level_db": -3},
-        "ring_down": {"level_db": 60, "decay_db_per_m": 12},
+        "spokes": {"level_db": -3}, "ring_down": {"level_db": 60, "decay_db_per_m": 12},
         "comb_lines": {"level_db": 10, "spacing_m": 0.4, "decay_db": 1},
         "saturation": {"level_db": -3}, "background": {"enabled": True, "density": 0.1},
     }  # fmt: skip
@@ -290,11 +251,7 @@ def complete() -> tuple[ObservedFrame, Any]:
         noise=noise, water={"depth_m": 0.6}, dataset={"layers": ["effects"], "dtype": "float32"},
         sonar={"vfov_deg": 60, "transfer": {"kind": "log", "reference": 0.7}},
     )  # fmt: skip
-    return observed(settings), settings
-
-
-def test_each_layer_is_its_effect_alone(complete):
-    made, settings = complete
+    made = observed(settings, size=(320, 240))
     pair = make_pair(made, 0, settings)
     names = {*EVERY, "background"}
     assert set(pair.layers) == {f"layers/{name}" for name in names}

@@ -11,13 +11,8 @@ from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.view import View, view_of
 from tests.frames import ground_and_post, plain_render
 
-SMALL_SEABED = {
-    "kind": "seabed",
-    "locations": 1,
-    "frames_per_location": 3,
-    "width": 240,
-    "height": 160,
-}
+SMALL_SEABED = {"kind": "seabed", "locations": 1, "frames_per_location": 3}
+SMALL_SEABED |= {"width": 240, "height": 160}
 
 
 def some_view() -> View:
@@ -26,14 +21,8 @@ def some_view() -> View:
 
 
 def config(folder: Path, **keys: object) -> FactoryConfig:
-    return from_mapping(
-        {
-            "scenes": SMALL_SEABED,
-            "render": {"kind": "analytic"},
-            "cache": {"dir": str(folder)},
-            **keys,
-        }
-    )
+    small = {"scenes": SMALL_SEABED, "render": {"kind": "analytic"}, "cache": {"dir": str(folder)}}
+    return from_mapping(small | keys)
 
 
 def same(one: View, other: View) -> bool:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import importlib
 import json
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
 import h5py
 import numpy as np
 import pytest
@@ -65,19 +68,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def write_glb(path: Path, parts: dict) -> None:
     """With a buffer of its own, y up, each part as a node that is moved up by one."""
     content, views, accessors, meshes, nodes = b"", [], [], [], []
-    for name, solid in parts.items():
+    for number, (name, solid) in enumerate(parts.items()):
         x, y, z = solid.vertices.T
         points = np.stack([x, z - 1, -y], axis=-1).astype("<f4")
-        for values, kind, width in (
-            (points, 5126, "VEC3"), (solid.triangles.astype("<u4").reshape(-1, 1), 5125, "SCALAR"),
-        ):  # fmt: skip
+        corners = solid.triangles.astype("<u4").ravel()
+        for values, kind, shape in ((points, 5126, "VEC3"), (corners, 5125, "SCALAR")):
             views.append({"buffer": 0, "byteOffset": len(content), "byteLength": values.nbytes})
             accessors.append({"bufferView": len(views) - 1, "componentType": kind,
-                              "count": len(values), "type": width})  # fmt: skip
+                              "count": len(values), "type": shape})  # fmt: skip
             content += values.tobytes()
-        last = len(accessors) - 1
-        meshes.append({"primitives": [{"attributes": {"POSITION": last - 1}, "indices": last}]})
-        nodes.append({"name": name, "mesh": len(meshes) - 1, "translation": [0, 1, 0]})
+        solid = {"attributes": {"POSITION": 2 * number}, "indices": 2 * number + 1}
+        meshes.append({"primitives": [solid]})
+        nodes.append({"name": name, "mesh": number, "translation": [0, 1, 0]})
     document = {"asset": {"version": "2.0"}, "buffers": [{"byteLength": len(content)}],
                 "bufferViews": views, "accessors": accessors, "meshes": meshes,
                 "nodes": nodes}  # fmt: skip
@@ -104,7 +106,7 @@ def world(folder: Path, *words: str) -> FactoryConfig:
 
 def frames(config: FactoryConfig) -> list[Any]:
     reader = open_reader(config.scenes)
-    return [reader.load(ref) for ref in reader.discover().frames]
+    return list(map(reader.load, reader.discover().frames))
 
 
 def own(folder: Path, entry: str, *words: str) -> FactoryConfig:
@@ -205,24 +207,19 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
     """COCO's box is that of the projected mesh; names go through to every format."""
     out = tmp_path / "set"
     words = [
-        *("make", "scenes=mesh", f"scenes.file={folder}/world.glb", "scenes.width=484"),
+        *("scenes=mesh", f"scenes.file={folder}/world.glb", "scenes.width=484"),
         *("scenes.height=304", "render=analytic", f"scenes.poses={folder}/poses.txt"),
-        "scenes.classes=[{class: target, parts: 'valve*'}]",
-        *(
-            "experiment=physical",
-            "sonar.image.layout=polar",
-            "sonar.range.max_m=6",
-            "split.test_fraction=0",
-        ),
-        *("dataset.layers=[segmentation]", "dataset.columns=[boxes]", f"dataset.dir={out}"),
-        *("scheduler=serial", "dataset.preview_pairs=0", f"cache.dir={tmp_path}/cache"),
+        *("scenes.classes=[{class: target, parts: 'valve*'}]", "experiment=physical"),
+        *("sonar.image.layout=polar", "sonar.range.max_m=6", "split.test_fraction=0"),
+        *("dataset.layers=[segmentation]", "dataset.columns=[boxes]", "scheduler=serial"),
+        *("dataset.preview_pairs=0", f"cache.dir={tmp_path}/cache"),
     ]
-    assert main(words) == 0
+    assert main(["make", *words, f"dataset.dir={out}"]) == 0
     assert main(["validate", str(out), "--deep"]) == 0
     export(out, "coco", tmp_path / "coco")
     document = json.loads((tmp_path / "coco/annotations/instances_train.json").read_text())
     assert document["categories"][-1] == {"id": 21, "name": "target", "supercategory": "object"}
-    config = compose_config([word for word in words[1:] if not word.startswith("dataset.dir")])
+    config = compose_config(words)
     with h5py.File(out / "train/shard-00000.h5") as shard:
         assert list(shard["segmentation"].attrs["classes"])[21:] == ["target"]
         for number, frame in enumerate(frames(config)):
@@ -231,31 +228,23 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
             assert entry["class"] == "target"
             assert entry["insonified"] > 0.9
             assert entry["shadowed"] < 0.05
-            sonar = config.sonar
-            # The mesh's pixels, projected by hand.
+            # The mesh's pixels, projected by hand, and the bins that they fall into.
             lens, (rows, columns) = frame.intrinsics, np.nonzero(frame.segmentation == 21)
             z = frame.depth_m[rows, columns].astype(float)
             right, down = (columns - lens.cx) / lens.fx * z, (rows - lens.cy) / lens.fy * z
             range_m = np.sqrt(right**2 + down**2 + z**2)
             bearing = np.arcsin(right / range_m)
+            spans = [np.array([one.min(), one.max()]) for one in (range_m, bearing)]
             near, far = row["range_min_m"], row["range_max_m"]
-            # The bins that they fall into.
-            top, bottom = (np.array([range_m.min(), range_m.max()]) - near) / (far - near)
-            beams = np.searchsorted(
-                (sonar.beam_centres_rad()[1:] + sonar.beam_centres_rad()[:-1]) / 2,
-                [bearing.min(), bearing.max()],
-            )
-            bins = np.floor(np.array([top, bottom]) * sonar.range_bins)
+            centres = config.sonar.beam_centres_rad()
+            beams = np.searchsorted((centres[1:] + centres[:-1]) / 2, spans[1])
+            bins = np.floor((spans[0] - near) / (far - near) * config.sonar.range_bins)
+            found = [a["bbox"] for a in document["annotations"] if a["image_id"] == number + 1]
+            ((left, top, width, height),) = found
             theirs = (beams[0], beams[1] + 1, bins[0], bins[1] + 1)
-            (found,) = (
-                one["bbox"] for one in document["annotations"] if one["image_id"] == number + 1
-            )
-            ours = (found[0], found[0] + found[2], found[1], found[1] + found[3])
-            assert overlap(ours, theirs) >= 0.9
-            assert entry["range_m"] == pytest.approx([range_m.min(), range_m.max()], abs=0.02)
-            assert entry["bearing_deg"] == pytest.approx(
-                np.rad2deg([bearing.min(), bearing.max()]), abs=0.3
-            )
+            assert overlap((left, left + width, top, top + height), theirs) >= 0.9
+            assert entry["range_m"] == pytest.approx(spans[0], abs=0.02)
+            assert entry["bearing_deg"] == pytest.approx(np.rad2deg(spans[1]), abs=0.3)
     export(out, "yolo", tmp_path / "yolo")
     assert "20: target" in (tmp_path / "yolo/data.yaml").read_text()
     export(out, "huggingface", tmp_path / "hub")
@@ -274,17 +263,6 @@ def overlap(a: tuple, b: tuple) -> float:
     return float(common / (sum(areas) - common))
 
 
-def echo_level_db(config: FactoryConfig) -> float:
-    """Intensity of all echoes over the source level, without the losses on the way, dB."""
-    (frame, *_) = frames(config)
-    mount = config.sonar.mount
-    rendered = open_renderer(config.render).render(frame, mount)
-    scene: Any = observe(frame, rendered, config).scene
-    range_m = float(np.median(frame.depth_m[frame.valid]))
-    loss_db = 2 * config.water.absorption_db_per_m(config.sonar.frequency_khz) * range_m
-    return float(10 * np.log10(float(scene.ping.scatterers.power.sum())) + loss_db)
-
-
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.0])
 @pytest.mark.parametrize("shape", ["sphere", "plate"])
 def test_target_strengths_are_those_of_theory(tmp_path: Path, shape: str, exponent: float) -> None:
@@ -298,8 +276,6 @@ def test_target_strengths_are_those_of_theory(tmp_path: Path, shape: str, expone
     if shape == "sphere":
         solid = sphere(5).moved(scale=radius, offset=(0, far_m + radius, 0))
         sigma = 2 * np.pi * radius**2 * mu / (exponent + 1)
-        if exponent == 2:
-            assert sigma == pytest.approx(radius**2 / 4)
     else:
         solid, sigma = box((0.5, 0.02, 0.4), (0, far_m + 0.01, 0)), mu * 0.5 * 0.4
     write_mesh(tmp_path / "target.ply", solid)
@@ -319,17 +295,24 @@ def test_target_strengths_are_those_of_theory(tmp_path: Path, shape: str, expone
     )
     range_m = far_m + (radius * 0.25 if shape == "sphere" else 0)
     theory_db = 10 * np.log10(sigma) - 40 * np.log10(range_m)
-    assert echo_level_db(config) == pytest.approx(theory_db, abs=0.5)
+    (frame,) = frames(config)
+    rendered = open_renderer(config.render).render(frame, config.sonar.mount)
+    scene: Any = observe(frame, rendered, config).scene
+    seen_m = float(np.median(frame.depth_m[frame.valid]))
+    loss_db = 2 * config.water.absorption_db_per_m(config.sonar.frequency_khz) * seen_m
+    level_db = 10 * np.log10(scene.ping.scatterers.power.sum()) + loss_db
+    assert level_db == pytest.approx(theory_db, abs=0.5)
 
 
 def test_materials_name_known_classes(folder: Path, tmp_path: Path) -> None:
     listed = tmp_path / "materials.csv"
-    listed.write_text("class,reflectivity_db,lambert_exponent\npump,-3,\n")
-    with pytest.raises(FactoryError, match="no class is called pump"):
-        compose_config([f"acoustics.materials={listed}"])
-    listed.write_text("class,reflectivity_db,lambert_exponent\nTire,loud,2\n")
-    with pytest.raises(FactoryError, match=r"materials.csv:2: expected class,reflectivity_db"):
-        compose_config([f"acoustics.materials={listed}"])
+    for line, said in (
+        ("pump,-3,", "no class is called pump"),
+        ("Tire,loud,2", r"materials.csv:2: expected class,reflectivity_db"),
+    ):
+        listed.write_text(f"class,reflectivity_db,lambert_exponent\n{line}\n")
+        with pytest.raises(FactoryError, match=said):
+            compose_config([f"acoustics.materials={listed}"])
     two = "cube.ply, class: a, reflectivity_db: -3}, {file: b.ply, class: a"
     with pytest.raises(FactoryError, match="a has two materials"):
         own(folder, two)
@@ -351,10 +334,7 @@ def test_equal_bytes_on_one_and_many_workers(folder: Path, tmp_path: Path) -> No
 
 
 BAD = {
-    "in millimetres": (
-        "big.ply",
-        r"600 m long at scale 1, in millimetres\? set .*\.scale to .* 0\.001",
-    ),
+    "in millimetres": ("big.ply", r"600 m long at scale 1, in millimetres\? set .* 0\.001"),
     "tiny": ("small.ply", r"0.0006 m long .* set scenes.own_objects.0.scale"),
     "no faces": ("points.ply", "has no faces"),
     "many faces": ("many.ply", "claims 1,000,000,000 faces, holds 1"),
@@ -375,10 +355,8 @@ def bad(folder: Path) -> Path:
     cube = box((0.6, 0.4, 0.5))
     write_mesh(folder / "big.ply", cube.moved(scale=1000))
     write_mesh(folder / "small.ply", cube.moved(scale=0.001))
-    head = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\n"
-    head += (
-        "property float z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
+    head = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty "
+    head += "float z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n"
     (folder / "points.ply").write_text(head.format(2, 0) + "0 0 0\n1 1 1\n")
     (folder / "many.ply").write_text(head.format(3, 10**9) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
     (folder / "nan.ply").write_text(head.format(3, 1) + "0 0 0\n1 0 0\n0 nan 0\n3 0 1 2\n")
@@ -419,8 +397,6 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
     for part in (right, turned):
         a, b, c = (part.mesh.vertices[part.mesh.triangles[:, k]] for k in range(3))
         assert ((np.cross(b - a, c - a) * a).sum(axis=1) > 0).all()
-    import cv2
-
     picture = np.zeros((8, 8, 3), np.uint8)
     picture[:, 4:] = (0, 0, 255)  # the right half is red
     cv2.imwrite(str(folder / "half.png"), picture)
@@ -437,9 +413,6 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
 
 def test_scripts_of_a_blend_are_never_run(tmp_path: Path) -> None:
     """It is read for its meshes and colours, and photographed by Cycles."""
-    import subprocess
-    import sys
-
     made, ran = tmp_path / "world.blend", tmp_path / "ran"
     script = f"""
 import bpy

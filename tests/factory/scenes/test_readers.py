@@ -1,34 +1,64 @@
-"""What all readers have in common; CSV lists; FLSea on real frames and on small trees."""
+"""Readers of recordings: CSV lists, FLSea on real frames and small trees, and their files."""
 
 from __future__ import annotations
 
-import json
+import functools
+import io
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.scenes import Scenes, open_reader
+from simnfnd.factory.scenes.base import Reader
 from simnfnd.factory.scenes.flsea import BUILT_IN, SCENES
+from simnfnd.factory.scenes.frame_files import read_depth, read_rgb, undistorted
+from simnfnd.factory.scenes.mesh import trajectory
 from simnfnd.factory.settings import build
-from tests.factory.scenes.scene_files import (
-    DEPTH,
-    PINHOLE,
-    RGB,
-    Array,
-    flsea_frame,
-    names,
-    reader,
-    write,
-)
 from tests.project_files import ROOT
+from tests.render_scenes import FLSEA, rays
+
+PINHOLE = [20.0, 20.0, 11.5, 7.5]
+
+Array = npt.NDArray[Any]
+RGB = np.arange(16 * 24 * 3, dtype=np.uint8).reshape(16, 24, 3)
+DEPTH = np.linspace(0.5, 6, 16 * 24, dtype=np.float32).reshape(16, 24)
+
+
+def reader(kind: str, root: Path, **values: object) -> Reader:
+    settings: Any = build(Scenes, {"kind": kind, "root": str(root), **values}, "scenes")
+    return open_reader(settings)
+
+
+def write(path: Path, array: Array) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    options = {"compression": "tiff_lzw"} if path.suffix.startswith(".tif") else {}
+    Image.fromarray(array).save(path, **options)
+    return path
+
+
+def flsea_frame(
+    scene: Path, stamp: str, depth: Array | None = DEPTH, ending: str = "_SeaErra_abs_depth"
+) -> None:
+    write(scene / "imgs" / f"{stamp}.tiff", RGB)
+    if depth is not None:
+        write(scene / "depth" / f"{stamp}{ending}.tif", depth)
+
+
+def names(reader: Reader) -> list[str]:
+    return [ref.name for ref in reader.discover().frames]
 
 
 @pytest.mark.parametrize("kind", ["flsea", "csv_list"])
@@ -48,51 +78,15 @@ def test_missing_and_empty_roots_get_one_line(tmp_path: Path, kind: str) -> None
             build(Scenes, {"kind": kind, "root": unset, **extra}, "scenes")
 
 
-def test_what_cannot_be_read_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("imgs/1.tiff", "depth/1_abs_depth.tif"):
-        write(tmp_path / "canyons/u_canyon" / name, RGB)
-
-    def closed(folder: Any = ".") -> Any:
-        if str(folder).endswith("depth"):
-            raise PermissionError(13, "Permission denied", str(folder))
-        return scan(folder)
-
-    scan = os.scandir
-    monkeypatch.setattr("os.scandir", closed)
-    with pytest.raises(FactoryError, match=r"^scenes\.root: .*/depth cannot be read"):
-        reader("flsea", tmp_path).discover()
-
-
-def test_a_pipe_in_a_list_is_a_bad_frame(tmp_path: Path) -> None:
-    (tmp_path / "frames.csv").write_text("1.png,1.tif\n")
-    os.mkfifo(tmp_path / "1.png")
-    csv_list = reader("csv_list", tmp_path / "frames.csv", intrinsics=PINHOLE)
-    with pytest.raises(FactoryError, match="none of the 1 frames"):
-        csv_list.discover()
-    write(tmp_path / "1.tif", DEPTH)
-    with pytest.raises(FrameError, match=r"1\.png: no regular file"):
-        csv_list.load(csv_list.discover().frames[0])
-
-
-@pytest.mark.parametrize("kind", ["flsea", "csv_list"])
+@pytest.mark.parametrize("kind", ["flsea", "csv_list", "seabed"])
 def test_yaml_lists_every_key_with_the_default(kind: str) -> None:
     values = yaml.safe_load((ROOT / f"conf/scenes/{kind}.yaml").read_text())
     given = {key: value for key, value in values.items() if value != "???"}
-    required = {"root": "x", **({"intrinsics": PINHOLE} if kind == "csv_list" else {})}
+    required: dict[str, object] = {} if kind == "seabed" else {"root": "x"}
+    required |= {"intrinsics": PINHOLE} if kind == "csv_list" else {}
     settings: Any = build(Scenes, {"kind": kind, **required}, "scenes")
     assert set(values) == set(settings.__dataclass_fields__)
     assert build(Scenes, {**given, **required}, "scenes") == settings
-
-
-def test_configuration_alone_loads_no_heavy_library() -> None:
-    code = (
-        "import sys, json, simnfnd.factory.scenes\n"
-        "heavy = {'open3d', 'bpy', 'torch', 'matplotlib'}\n"
-        "print(json.dumps(sorted(heavy & set(sys.modules))))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == []
 
 
 # --- CSV lists -----------------------------------------------------------------------------------
@@ -130,35 +124,29 @@ def test_csv_list_reads_every_depth_kind(tmp_path: Path) -> None:
         strict.load(strict.discover().frames[1])
 
 
-@pytest.mark.parametrize("line", ["only.png", "a,b,c,d", ",b", "a.png,", "a,b,north/south", '"a'])
-def test_csv_list_damaged_lines(tmp_path: Path, line: str) -> None:
-    path = tmp_path / "list.csv"
-    path.write_text(f"rgb,depth\n1.png,1.tif\n{line}\n")
-    with pytest.raises(FactoryError, match=r"list\.csv:3: "):
-        reader("csv_list", path, intrinsics=PINHOLE).discover()
-
-
-def test_csv_list_that_lists_nothing_on_disk_or_is_no_text(tmp_path: Path) -> None:
-    path = tmp_path / "list.csv"
-    path.write_text("x/1.png,x/1.tif\n")
-    with pytest.raises(FactoryError, match="relative to the CSV file"):
-        reader("csv_list", path, intrinsics=PINHOLE).discover()
-    path.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(FactoryError, match="not a text file"):
-        reader("csv_list", path, intrinsics=PINHOLE).discover()
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        *((f"rgb,depth\n1.png,1.tif\n{line}\n".encode(), r"list\.csv:3: ")
+          for line in ("only.png", "a,b,c,d", ",b", "a,b,north/south", '"a')),
+        (b"x/1.png,x/1.tif\n", "relative to the CSV file"),
+        (b"\xff\xfe\x00\x80", "not a text file"),
+    ],
+)  # fmt: skip
+def test_damaged_csv_lists(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "list.csv").write_bytes(content)
+    with pytest.raises(FactoryError, match=said):
+        reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE).discover()
 
 
 @pytest.mark.parametrize(
     "values",
     [
         {},
-        {"intrinsics": [1, 2, 3]},
         {"intrinsics": [0, 2, 3, 4]},
-        {"intrinsics": "???"},
         {"intrinsics": PINHOLE, "distortion": [0.1]},
         {"intrinsics": PINHOLE, "depth_scale": 0},
         {"intrinsics": PINHOLE, "depth_scael": 1},
-        {"intrinsics": PINHOLE, "depth_kind": "disparity"},
     ],
 )
 def test_csv_list_refuses_bad_keys_by_name(tmp_path: Path, values: dict[str, object]) -> None:
@@ -175,31 +163,19 @@ def test_float_millimetres_are_named_and_depth_scale_mends_them(tmp_path: Path) 
     write(tmp_path / "1.png", RGB)
     write(tmp_path / "1.tif", DEPTH * np.float32(1000))
     (tmp_path / "list.csv").write_text("1.png,1.tif\n")
-    listed = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE)
-    (ref,) = listed.discover().frames
-    with pytest.raises(
-        FrameError, match=r"median depth \d,\d+ m: millimetres\? set scenes.depth_sc"
-    ):
-        listed.load(ref)
-    mended = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE, depth_scale=1000)
-    np.testing.assert_allclose(mended.load(ref).depth_m, DEPTH, rtol=1e-5)
-    twice = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE, depth_scale=1e6)
+
+    def loaded(**keys: object) -> Array:
+        keys |= {"kind": "csv_list", "file": str(tmp_path / "list.csv"), "intrinsics": PINHOLE}
+        listed: Reader = open_reader(build(Scenes, keys))
+        return listed.load(listed.discover().frames[0]).depth_m
+
+    with pytest.raises(FrameError, match=r"depth \d,\d+ m: millimetres\? set scenes.depth_sc"):
+        loaded()
+    np.testing.assert_allclose(loaded(depth_scale=1000), DEPTH, rtol=1e-5)
     with pytest.raises(FrameError, match="divided twice"):
-        twice.load(ref)
-
-
-def test_the_list_of_frames_is_a_file(tmp_path: Path) -> None:
-    write(tmp_path / "1.png", RGB)
-    write(tmp_path / "1.tif", DEPTH)
-    path = tmp_path / "list.csv"
-    path.write_text("1.png,1.tif\n")
-    named: Any = build(Scenes, {"kind": "csv_list", "file": str(path), "intrinsics": PINHOLE})
-    assert len(open_reader(named).discover().frames) == 1
+        loaded(depth_scale=1e6)
     with pytest.raises(FactoryError, match=r"scenes.file=frames.csv"):
         build(Scenes, {"kind": "csv_list", "intrinsics": PINHOLE})
-
-
-FLSEA = ROOT / "../shared/data/flsea-vi"
 
 
 def test_flsea_finds_every_layout(tmp_path: Path) -> None:
@@ -228,19 +204,16 @@ def test_flsea_finds_every_layout(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.depth_m, DEPTH)
 
 
-@pytest.mark.parametrize("inner", ["", "u_canyon"])
-@pytest.mark.parametrize("start", ["", "canyons", "canyons/u_canyon", "canyons/u_canyon/."])
-def test_flsea_root_may_be_any_level(tmp_path: Path, start: str, inner: str) -> None:
-    flsea_frame(tmp_path / "canyons/u_canyon" / inner, "1")
-    for root in {start, start + "/" + inner if start.endswith("u_canyon") else start}:
-        flsea = reader("flsea", tmp_path / root)
-        found = flsea.discover()
-        assert [ref.name for ref in found.frames] == ["canyons/u_canyon/1"]
-        # The built-in calibration is for 968x608, the image has 24x16 pixels.
-        camera, known = flsea.load(found.frames[0]).intrinsics, BUILT_IN["canyons"]
-        assert camera.fx == pytest.approx(known.fx * 24 / 968)
-        assert camera.fy == pytest.approx(known.fy * 16 / 608)
-        assert camera.distortion == known.distortion
+@pytest.mark.parametrize("start", ["", "canyons", "canyons/u_canyon", "canyons/u_canyon/u_canyon"])
+def test_flsea_root_may_be_any_level(tmp_path: Path, start: str) -> None:
+    flsea_frame(tmp_path / "canyons/u_canyon/u_canyon", "1")
+    flsea = reader("flsea", tmp_path / start)
+    found = flsea.discover()
+    assert [ref.name for ref in found.frames] == ["canyons/u_canyon/1"]
+    # The built-in calibration is for 968x608, the image has 24x16 pixels.
+    camera, known = flsea.load(found.frames[0]).intrinsics, BUILT_IN["canyons"]
+    assert (camera.fx, camera.fy) == pytest.approx((known.fx * 24 / 968, known.fy * 16 / 608))
+    assert camera.distortion == known.distortion
 
 
 def test_flsea_undistorts_where_the_lens_is_known(tmp_path: Path) -> None:
@@ -267,30 +240,27 @@ def test_flsea_selects_scenes_by_name(tmp_path: Path) -> None:
     assert len(SCENES) == 12
 
 
-def damaged_depth(kind: str) -> Array:
-    depth = DEPTH.copy()
-    depth[3, 4:7] = {"nan": np.nan, "negative": -1, "infinite": np.inf}.get(kind, 0)
-    return {"all invalid": np.zeros_like(depth), "mismatch": depth[:-1]}.get(kind, depth)
-
-
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
-        ("nan", "3 NaN, 0 infinite, 0 negative"),
-        ("infinite", "0 NaN, 3 infinite, 0 negative"),
-        ("negative", "0 NaN, 0 infinite, 3 negative"),
+        (np.nan, "3 NaN, 0 infinite, 0 negative"),
+        (np.inf, "0 NaN, 3 infinite, 0 negative"),
+        (-1, "0 NaN, 0 infinite, 3 negative"),
         ("all invalid", "0 valid pixels"),
         ("mismatch", "depth is 24x15 but colour is 24x16"),
     ],
 )
-def test_a_bad_frame_is_told_with_its_file(tmp_path: Path, kind: str, message: str) -> None:
-    flsea_frame(tmp_path / "canyons/u_canyon", "1", depth=damaged_depth(kind))
+def test_a_bad_frame_is_told_with_its_file(tmp_path: Path, kind: float | str, message: str) -> None:
+    depth = np.zeros_like(DEPTH) if kind == "all invalid" else DEPTH.copy()
+    if not isinstance(kind, str):
+        depth[3, 4:7] = kind
+    flsea_frame(tmp_path / "canyons/u_canyon", "1", depth=depth[: 15 if kind == "mismatch" else 16])
     flsea = reader("flsea", tmp_path, undistort=True)
     with pytest.raises(FrameError, match=message) as caught:
         flsea.load(flsea.discover().frames[0])
     assert "1_SeaErra_abs_depth.tif" in str(caught.value)
     assert "\n" not in str(caught.value)
-    if kind in ("nan", "infinite", "negative"):
+    if not isinstance(kind, str):
         masked = reader("flsea", tmp_path, bad_depth="mask")
         frame = masked.load(masked.discover().frames[0])
         assert (~frame.valid).sum() == 3
@@ -301,11 +271,7 @@ def test_range_depth_keeps_every_distance(tmp_path: Path) -> None:
     flsea_frame(tmp_path / "red_sea/sub_pier", "1", depth=np.full_like(DEPTH, 5.0))
     flsea = reader("flsea", tmp_path, depth_kind="range")
     frame = flsea.load(flsea.discover().frames[0])
-    camera, (v, u) = frame.intrinsics, np.mgrid[:16, :24]
-    rays = np.stack(
-        [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1
-    )
-    distances = np.linalg.norm(rays * frame.depth_m[..., None], axis=-1)
+    distances = np.linalg.norm(rays(16, 24, frame.intrinsics) * frame.depth_m[..., None], axis=-1)
     np.testing.assert_allclose(distances, 5.0, rtol=1e-6)
     assert np.ptp(frame.depth_m) > 0.1
 
@@ -315,12 +281,8 @@ def test_range_depth_keeps_every_distance(tmp_path: Path) -> None:
 def test_real_flsea_frames(undistort: bool) -> None:
     flsea = reader("flsea", FLSEA, undistort=undistort)
     found = flsea.discover()
-    scenes = [(ref.location, ref.scene) for ref in found.frames]
-    assert scenes == [
-        *[("canyons", "u_canyon")] * 3,
-        ("red_sea", "coral_table_loop"),
-        *[("red_sea", "sub_pier")] * 2,
-    ]
+    assert len(found.frames) == 6
+    assert {ref.location for ref in found.frames} == {"canyons", "red_sea"}
     for ref in found.frames:
         frame = flsea.load(ref)
         assert frame.rgb.shape == (608, 968, 3)
@@ -330,3 +292,146 @@ def test_real_flsea_frames(undistort: bool) -> None:
         assert frame.depth_m.max() < 25
         expected = BUILT_IN[ref.location].distortion
         assert frame.intrinsics.distortion == (() if undistort else expected)
+
+
+# --- Images, depth maps, calibration and trajectories as files: golden values and damage ---
+
+
+def encoded(array: Array, kind: str, **options: object) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(array).save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+@functools.cache
+def samples() -> dict[str, tuple[bytes, Array]]:
+    rng = np.random.default_rng(7)
+    depth = rng.uniform(0.5, 9, (24, 30)).astype(np.float32)
+    rgb = rng.integers(0, 256, (24, 30, 3), dtype=np.uint8)
+    millimetres = np.round(depth * 1000).astype(np.uint16)
+    return {
+        "depth-lzw.tif": (encoded(depth, "TIFF", compression="tiff_lzw"), depth),
+        "depth-raw.tif": (encoded(depth, "TIFF"), depth),
+        "depth-16.png": (encoded(millimetres, "PNG"), millimetres / np.float32(1000)),
+        "rgb-lzw.tiff": (encoded(rgb, "TIFF", compression="tiff_lzw"), rgb),
+        "rgb.png": (encoded(rgb, "PNG"), rgb),
+    }
+
+
+def read_file(path: Path) -> Array:
+    return read_depth(path, None) if path.name.startswith("depth") else read_rgb(path)
+
+
+@pytest.mark.parametrize("name", sorted(samples()))
+def test_what_was_written_is_read(name: str, tmp_path: Path) -> None:
+    data, expected = samples()[name]
+    (tmp_path / name).write_bytes(data)
+    found = read_file(tmp_path / name)
+    assert found.dtype == (np.float32 if name.startswith("depth") else np.uint8)
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+
+
+@settings(max_examples=20)
+@given(st.sampled_from(sorted(samples())), st.floats(0, 1, exclude_max=True))
+def test_a_truncated_file_is_refused_and_never_half_read(
+    tmp_path_factory: pytest.TempPathFactory, name: str, fraction: float
+) -> None:
+    data, expected = samples()[name]
+    path = tmp_path_factory.mktemp("cut") / name
+    path.write_bytes(data[: int(len(data) * fraction)])
+    try:
+        found = read_file(path)
+    except FrameError as error:
+        found, fault = None, str(error)
+    if found is None:
+        assert fault.startswith(str(path))
+        assert "\n" not in fault
+    else:  # only bytes after the last pixel were missing
+        np.testing.assert_allclose(found, expected, rtol=1e-7)
+
+
+def test_a_damaged_tiff_writes_nothing_to_stderr(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(samples()["depth-lzw.tif"][0])
+    data[200:260] = b"\xff" * 60
+    (tmp_path / "depth.tif").write_bytes(data)
+    with pytest.raises(FrameError, match="truncated or damaged"):
+        read_depth(tmp_path / "depth.tif", 1000.0)
+    assert capfd.readouterr().err == ""
+    os.write(2, b"still here\n")
+    assert capfd.readouterr().err == "still here\n"
+
+
+def test_depth_units_follow_the_type(tmp_path: Path) -> None:
+    for shape, kind in (((4, 5, 3), np.float32), ((4, 5), np.uint8), ((4, 5), np.complex64)):
+        np.save(tmp_path / "none.npy", np.zeros(shape, kind))
+        with pytest.raises(FrameError, match=r"one channel|holds no distances"):
+            read_depth(tmp_path / "none.npy", 1000.0)
+    np.save(tmp_path / "whole.npy", np.array([[2500, 0]], np.int32))
+    np.save(tmp_path / "double.npy", np.array([[2.5, 1e300]]))
+    np.testing.assert_array_equal(read_depth(tmp_path / "whole.npy", None), [[2.5, 0]])
+    np.testing.assert_array_equal(read_depth(tmp_path / "double.npy", None), [[2.5, np.inf]])
+    np.testing.assert_array_equal(read_depth(tmp_path / "double.npy", 5.0), [[0.5, np.inf]])
+
+
+def test_colour_is_rgb_whatever_the_file(tmp_path: Path) -> None:
+    grey = np.arange(20, dtype=np.uint8).reshape(4, 5)
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    np.testing.assert_array_equal(read_rgb(tmp_path / "grey.png"), np.dstack([grey] * 3))
+    Image.fromarray(grey.astype(np.uint16) * 256).save(tmp_path / "deep.png")
+    with pytest.raises(FrameError, match="8-bit"):
+        read_rgb(tmp_path / "deep.png")
+    with pytest.raises(FrameError, match="no such file"):
+        read_rgb(tmp_path / "absent.png")
+
+
+def test_undistortion_puts_a_plane_where_a_pinhole_sees_it() -> None:
+    camera = Intrinsics(120.0, 125.0, 78.0, 61.0, (-0.3, 0.12, 0.004, -0.006))
+    normal, distance = np.array([0.5, -0.3, 0.8]), 3.0
+
+    def plane_depth(x: Array, y: Array) -> Array:
+        return np.asarray(distance / (normal[0] * x + normal[1] * y + normal[2]), np.float32)
+
+    v, u = np.mgrid[:120, :160].astype(np.float64)
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    seen = cv2.undistortPoints(
+        np.stack([u, v], axis=-1).reshape(-1, 1, 2), matrix, np.array(camera.distortion)
+    ).reshape(120, 160, 2)
+    raw = plane_depth(seen[..., 0], seen[..., 1])
+    ideal = plane_depth((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+    ramp = np.rint(raw * 20).astype(np.uint8)
+
+    rgb, depth_m = undistorted(np.dstack([ramp] * 3), raw, camera)
+    inside = depth_m > 0
+    assert inside.mean() > 0.8
+    # The nearest of the raw pixels is at most half a pixel away in u and in v, and a raw pixel of
+    # this lens covers at most 1.5 ideal ones.
+    slope_v, slope_u = map(np.abs, np.gradient(ideal))
+    error = np.abs(depth_m - ideal)
+    assert (error <= 0.75 * (slope_u + slope_v))[inside].all()
+    assert not (np.abs(raw - ideal) <= 0.75 * (slope_u + slope_v)).all()  # the lens did matter
+    assert np.isin(depth_m, np.append(raw, 0)).all()  # nearest: no depth was made up
+    np.testing.assert_allclose(rgb[20:-20, 20:-20, 0], ideal[20:-20, 20:-20] * 20, atol=1.5)
+
+
+def test_tum_poses_against_scipy(tmp_path: Path) -> None:
+    turns = np.random.default_rng(3).normal(size=(5, 4))
+    lines = [f"{i / 10} {i} 2 3 {' '.join(map(repr, q.tolist()))}" for i, q in enumerate(turns)]
+    path = tmp_path / "groundtruth.txt"
+    path.write_text("\n".join(["# time tx ty tz qx qy qz qw", *lines]))
+    times, poses = trajectory(path)
+    np.testing.assert_allclose(times, np.arange(5) / 10)
+    expected = Rotation.from_quat(turns).as_matrix()
+    np.testing.assert_allclose(np.array(poses)[:, :3, :3], expected, atol=1e-12)
+    np.testing.assert_array_equal(np.array(poses)[:, :3, 3], [[i, 2, 3] for i in range(5)])
+
+
+@pytest.mark.parametrize(
+    "line", ["1 2 3", "1 2 3 4 0 0 0 0", "1 2 3 4 0 0 0 x", "nan 2 3 4 0 0 0 1"]
+)
+def test_a_damaged_trajectory_names_file_and_line(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "groundtruth.txt"
+    path.write_text(f"0 0 0 0 0 0 0 1\n{line}\n")
+    with pytest.raises(FactoryError, match=r"groundtruth\.txt:2: expected"):
+        trajectory(path)

@@ -37,12 +37,7 @@ def test_the_sector_of_a_fan_is_the_one_that_the_factory_fills(near: float) -> N
 
 
 def test_a_record_limits_the_data_to_what_the_camera_saw() -> None:
-    record = {
-        "range_min_m": 1.0,
-        "range_max_m": 4.0,
-        "azimuth_min_deg": -10.0,
-        "azimuth_max_deg": 90.0,
-    }
+    record = {"range_min_m": 1, "range_max_m": 4, "azimuth_min_deg": -10, "azimuth_max_deg": 90}
     geometry = FanGeometry.from_record(sonar(POLAR), record)
     assert (geometry.near_fraction, geometry.range_span_m) == (0.25, 3.0)
     assert geometry.data_fraction == (0.25, 1.0)
@@ -57,13 +52,9 @@ def test_a_record_limits_the_data_to_what_the_camera_saw() -> None:
 
 
 @given(
-    st.integers(0, 3),
-    st.floats(-20, 60),
-    st.floats(40, 90),
-    st.floats(0.6, 1.6),
-    st.integers(30, 50),
-    st.integers(30, 50),
-)
+    st.integers(0, 3), st.floats(-20, 60), st.floats(40, 90), st.floats(0.6, 1.6),
+    st.integers(30, 50), st.integers(30, 50),
+)  # fmt: skip
 def test_turned_fans(
     turns: int, apex_x: float, apex_y: float, scale: float, rows: int, columns: int
 ) -> None:
