@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.sonar.geometry import FanGeometry
+from ..networks import averaged
 from ..recordings.views import presentation_of
-from ..removal import averaged
 from .pictures import Gray
 from .runtime import open_runtime
 

@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
+from ..networks import DEFAULT, vector
 from ..networks.weights import read_header, read_weights
 from ..pretrained import graphs
-from ..removal import DEFAULT, vector
 
 Gray = npt.NDArray[np.float32]
 Maps = Mapping[str, Gray]
