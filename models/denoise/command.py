@@ -7,9 +7,8 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 from ...factory.cli import Parser
 from ...factory.errors import FactoryError, FrameError
@@ -18,14 +17,8 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
-from ..recordings import open_recording
-from .denoiser import (
-    OVERLAP,
-    TILE,
-    Denoiser,
-    load_denoiser,
-)
-from .files import Job, denoise_bag, denoise_files, denoise_recording, open_bag
+from .denoiser import Denoiser
+from .files import Job, denoise_files, denoise_recording, opened
 from .inputs import FIND, Finished, Geometries, Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .temporal.stream import FRAMES
@@ -90,13 +83,8 @@ def main(arguments: Sequence[str]) -> int:
         default=[],
         help="of bags: whose pictures to denoise (may be repeated; default: those of sonars)",
     )
-    parser.add_argument(
-        "--tile", type=int, default=TILE, help=f"largest side in one go, pixels ({TILE})"
-    )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
     chosen = parser.parse_args(list(arguments))
-    if chosen.tile < 2 * OVERLAP:
-        raise FactoryError(f"--tile {chosen.tile}: must be {2 * OVERLAP} or more")
     if not 0 <= chosen.strength <= 1:
         raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
     out = Path(chosen.out).expanduser()
@@ -111,13 +99,9 @@ def main(arguments: Sequence[str]) -> int:
         chosen.weights = POINTS
     check_frames(chosen.frames)
     check_writable(out, "--out")
-    how: dict[str, Any] = {
-        "device": chosen.device,
-        "tile": chosen.tile,
-        "strength": chosen.strength,
-    }
-    denoise = load_denoiser(chosen.weights, **how)
-    points = cache(lambda: load_denoiser(POINTS, **how)) if chosen.weights is None else None
+    load = cache(partial(Denoiser, device=chosen.device, strength=chosen.strength))
+    denoise = load(chosen.weights)
+    points = partial(load, POINTS) if chosen.weights is None else None
     denoising = Denoising(
         denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
     )
@@ -184,7 +168,7 @@ class _Work:
 
             denoise_shard(item, self.job, denoise)
             return ""
-        return (denoise_bag if item.kind == "bag" else denoise_recording)(item, self.job)
+        return denoise_recording(item, self.job)
 
 
 def _unsuited(item: Item, denoise: Denoiser, of_points: bool) -> str:
@@ -247,9 +231,7 @@ def _pictures(item: Item, topics: Sequence[str]) -> int:
 
             with opened_shard(item) as shard:
                 return len(shard["noisy"])
-        if item.kind == "bag":
-            return len(open_bag(item, topics))
-        with open_recording(item.source) as recording:
+        with opened(item, topics) as recording:
             return len(recording)
     except FactoryError:
         return 0

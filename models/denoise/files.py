@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +17,10 @@ from ..recordings import Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
 from ..recordings.pictures import VideoFile, in_unit_range, read_picture
-from ..recordings.sound_metrics import ArisFile
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .inputs import Item
 from .pictures import Denoising, Picture, Place, Seen
-from .writers import COMPARED, FrameFiles, write_compared, write_image
-
-if TYPE_CHECKING:
-    from ..recordings.rosbag import RosBag
+from .writers import COMPARED, write_compared, write_frames, write_image
 
 Find = Callable[[Item, Picture], FanGeometry | None]
 """Where range and bearing are in a picture of an item; None where that is not known."""
@@ -95,36 +91,44 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
 
 
 def denoise_recording(item: Item, job: Job) -> str:
-    """Denoise a video, a stack, arrays, or a sonar's own recording, ping by ping.
+    """Denoise a video, a stack, arrays, a bag, or a sonar's own recording, ping by ping.
 
-    Pictures become what `FrameFiles` says.  An ARIS recording becomes one, with the same headers;
-    others a folder of its name with a fan (NNNNNN.png) and the samples (NNNNNN_polar.png, near
-    range first) of each ping.
-    Returns a warning, mostly empty.  FrameError when it cannot be read.
+    Pictures become what `write_frames` says.  An ARIS recording and a bag become one, with the same
+    headers, stamps and other topics; other recordings a folder of their name with a fan
+    (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.  Frames of
+    several topics of a bag are denoised one by one.
+    Returns a warning, mostly empty.  FrameError when it cannot be read, or a folder of a bag's name
+    is there already.
     """
     shown: list[tuple[Picture, Picture]] = []
     path = job.out / item.relative
-    with _opened(item) as recording:
-        frames = _shown(_frames(item, recording, job), job, shown)
-        warning = ""  # how many frames a video says to have is often wrong
+    if item.kind == "bag" and path.is_dir():
+        raise FrameError(f"{path}: is there already; remove it, or give another --out")
+    with opened(item, job.topics) as recording:
+        topics: tuple[str, ...] = getattr(recording, "topics", ())
+        frames = _shown(_frames(item, recording, job, alone=len(topics) > 1), job, shown)
+        rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
         if item.kind == "video":
             rate_hz = recording.rate_hz if isinstance(recording, VideoFile) else None
-            with FrameFiles(path, rate_hz, recording) as files:
-                for _, picture in frames:
-                    files.add(picture)
+            write_frames(path, (picture for _, picture in frames), rate_hz, recording)
+        elif rewrite is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            rewrite((samples for _, samples in frames), path)
         else:
-            _write_pings(recording, frames, path)
-            warning = recording.warning
+            _write_pings(frames, path)
+        # How many frames a video says to have is often wrong.
+        warning = "" if item.kind == "video" else recording.warning
+        if len(topics) > 1 and job.denoising.frames > 1 and not warning:
+            warning = (
+                f"{item.source}: frames of several topics were denoised one by one; choose of "
+                f"{', '.join(topics)} with --topic to denoise them in time"
+            )
     if shown:
         write_compared(job.out / item.compared, shown)
     return warning
 
 
-def _write_pings(recording: Recording, frames: Iterator[tuple[Frame, Picture]], path: Path) -> None:
-    if isinstance(recording, ArisFile):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        recording.rewrite((samples for _, samples in frames), path)
-        return
+def _write_pings(frames: Iterator[tuple[Frame, Picture]], path: Path) -> None:
     for frame, samples in frames:
         full = FULL_SCALE[str(samples.dtype)]
         fan = _view(frame, samples)
@@ -133,39 +137,16 @@ def _write_pings(recording: Recording, frames: Iterator[tuple[Frame, Picture]], 
         write_image(path / f"{frame.number:06d}_polar.png", samples)
 
 
-def open_bag(item: Item, topics: Sequence[str]) -> RosBag:
-    """The bag of an item.  Raises FrameError when it cannot be read or has no such topics."""
-    from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
-
+def opened(item: Item, topics: Sequence[str] = ()) -> Recording:
+    """The recording of an item.  Raises FrameError when it cannot be read or has no such topics."""
     try:
-        return RosBag(item.source, topics)
+        if item.kind == "bag":
+            from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
+
+            return RosBag(item.source, topics)
+        return open_recording(item.source)
     except FactoryError as error:
         raise FrameError(str(error)) from error
-
-
-def denoise_bag(item: Item, job: Job) -> str:
-    """Denoise a bag into `out`: same topics and stamps, other topics copied.
-
-    Frames of several topics are denoised one by one.  Returns a warning, mostly empty.
-    Raises FrameError when the bag cannot be read, or a folder of its name is there already.
-    """
-    shown: list[tuple[Picture, Picture]] = []
-    path = job.out / item.relative
-    if path.is_dir():
-        raise FrameError(f"{path}: is there already; remove it, or give another --out")
-    with open_bag(item, job.topics) as bag:
-        several = len(bag.topics) > 1
-        frames = _shown(_frames(item, bag, job, alone=several), job, shown)
-        bag.rewrite((samples for _, samples in frames), path)
-        warning = bag.warning
-        if several and job.denoising.frames > 1 and not warning:
-            warning = (
-                f"{item.source}: frames of several topics were denoised one by one; choose of "
-                f"{', '.join(bag.topics)} with --topic to denoise them in time"
-            )
-    if shown:
-        write_compared(job.out / item.compared, shown)
-    return warning
 
 
 def _frames(
@@ -228,14 +209,7 @@ def _view(frame: Frame, samples: Picture) -> npt.NDArray[Any]:
 
 def _write_picture(item: Item, denoised: Picture, out: Path) -> None:
     if item.source.suffix.lower() == ARRAY_SUFFIX:
-        with ArrayFile(item.source) as array, FrameFiles(out / item.relative, None, array) as files:
-            files.add(denoised)
+        with ArrayFile(item.source) as array:
+            write_frames(out / item.relative, [denoised], None, array)
     else:
         write_image(out / item.relative, denoised)
-
-
-def _opened(item: Item) -> Recording:
-    try:
-        return open_recording(item.source)
-    except FactoryError as error:
-        raise FrameError(str(error)) from error

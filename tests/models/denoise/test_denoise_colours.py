@@ -31,7 +31,7 @@ class Darker:
 
 @pytest.fixture(autouse=True)
 def darker(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: Darker())
+    monkeypatch.setattr(command, "Denoiser", lambda *given, **named: Darker())
 
 
 def levels_of(number: int) -> Bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FrameError
-from simnfnd.models.denoise.writers import CODECS, FrameFiles
+from simnfnd.models.denoise.writers import CODECS, write_frames
 from simnfnd.models.recordings.pictures import VideoFile
 from tests.models.denoise.halving import main
 from tests.models.denoise.untrained import through_network
@@ -53,9 +54,7 @@ def test_frames_survive_in_every_container(
     tmp_path: Path, name: str, colours: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:
     frames = np.random.default_rng(3).integers(0, 256, (4, 30, 46, *colours), dtype=np.uint8)
-    with FrameFiles(tmp_path / name, 7.5) as files:
-        for frame in frames:
-            files.add(frame)
+    write_frames(tmp_path / name, frames, 7.5)
     with VideoFile(tmp_path / name) as recording:
         assert recording.rate_hz == pytest.approx(7.5)
         np.testing.assert_array_equal([frame.samples for frame in recording], frames)
@@ -68,28 +67,22 @@ def test_frames_that_fit_no_container_are_pictures(
     tmp_path: Path, shape: tuple[int, int], rate_hz: float | None
 ) -> None:
     frame = np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8)
-    with FrameFiles(tmp_path / "a.avi", rate_hz) as files:
-        files.add(frame)
-        files.add(frame)
+    write_frames(tmp_path / "a.avi", [frame, frame], rate_hz)
     assert sorted(path.name for path in (tmp_path / "a.avi").iterdir()) == [
         "000000.png",
         "000001.png",
     ]
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.avi/000001.png"), -1), frame)
     (tmp_path / "b.avi").write_bytes(b"mine")
-    with (
-        pytest.raises(FrameError, match=r"b\.avi: is there already"),
-        FrameFiles(tmp_path / "b.avi", None) as files,
-    ):
-        files.add(frame)
+    with pytest.raises(FrameError, match=r"b\.avi: is there already"):
+        write_frames(tmp_path / "b.avi", [frame], None)
 
 
 def test_a_video_that_broke_off_leaves_nothing(tmp_path: Path) -> None:
-    def fails() -> None:
-        with FrameFiles(tmp_path / "a.avi", 10.0) as files:
-            files.add(np.zeros((30, 46), np.uint8))
-            raise KeyboardInterrupt
+    def stopped() -> Iterator[np.ndarray]:
+        yield np.zeros((30, 46), np.uint8)
+        raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fails()
+        write_frames(tmp_path / "a.avi", stopped(), 10.0)
     assert list(tmp_path.iterdir()) == []

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.models.denoise.denoiser import Denoiser, Maps, by_scales, correlation, load_denoiser
+from simnfnd.models.denoise.denoiser import Denoiser, Maps, by_scales, correlation
 from simnfnd.models.denoise.pictures import Gray as Grey
 
 
@@ -81,7 +81,7 @@ def test_outside_the_sector_nothing_changes() -> None:
 
 def test_weights_that_ship_denoise_enlarged_pictures() -> None:
     """Twice as wide grain leaves hardly more noise than grain of a pixel."""
-    once = load_denoiser("simnfnd", "cpu")
+    once = Denoiser("simnfnd", "cpu")
     assert once.runtime.wide_grain == 0.56
     side = 200
     wide, truth = larger(grain(side), 2), larger(ground(side), 2)
