@@ -20,6 +20,7 @@ from ..recordings.pictures import VideoFile, in_unit_range, read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .inputs import Item
 from .pictures import Denoising, Picture, Place, Seen
+from .temporal.stream import Shot
 from .writers import COMPARED, write_compared, write_frames, write_image
 
 Find = Callable[[Item, Picture], FanGeometry | None]
@@ -61,7 +62,7 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
     # A sequence that was begun goes on from a few frames before.
     first = max(0, left[0] - 2 * job.denoising.frames)
 
-    def read() -> Iterator[Seen[Item]]:
+    def read() -> Iterator[Shot[Seen[Item]]]:
         for item in items[first:]:
             try:
                 picture = read_picture(item.source)
@@ -154,7 +155,7 @@ def _frames(
 ) -> Iterator[tuple[Seen[Frame], Picture]]:
     """Each frame and what became of it.  FrameError names a frame that cannot be denoised."""
 
-    def read() -> Iterator[Seen[Frame]]:
+    def read() -> Iterator[Shot[Seen[Frame]]]:
         heading = None
         for frame in recording:
             shift, heading = _turned(frame, heading)

@@ -167,20 +167,14 @@ def write_image(path: Path, image: npt.NDArray[Any]) -> None:
 
 
 def write_compared(path: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
-    """Noisy, denoised (and clean) side by side, one row a sample."""
-    write_image(path, sheet(rows))
-
-
-def sheet(rows: Sequence[Sequence[npt.NDArray[Any]]]) -> npt.NDArray[np.uint8]:
     """Noisy, denoised (and clean) side by side, one row a sample, named on top.
 
     rows: pictures (H, W) or (H, W, C) of one size; uint8, uint16 or float in 0..1.
-    Returns (CAPTION_PX + rows * H, W', ...) uint8.
     """
     lines = [_side_by_side([_shown(image) for image in images]) for images in rows]
     first = _shown(rows[0][0])
     names = [_name(text, first) for text in _NAMES[: len(rows[0])]]
-    return np.concatenate([_side_by_side(names), *lines], axis=0)
+    write_image(path, np.concatenate([_side_by_side(names), *lines], axis=0))
 
 
 def _side_by_side(panels: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:
