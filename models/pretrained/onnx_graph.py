@@ -19,7 +19,6 @@ from torch import Tensor, nn
 
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, write_atomically
-from ...factory.imaging.effect import ARTEFACTS
 from ...factory.sonar.geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
 from ..networks import DEFAULT, vector
@@ -46,13 +45,6 @@ _WORDS = {
     "range_fraction": "(N, 1, H, W) slant range of each pixel over the largest range",
     "azimuth_rad": "(N, 1, H, W) bearing of each pixel in radians, positive to the right",
     "sector": "(N, 1, H, W) 1 where the sonar measured, 0 elsewhere",
-    "remove": f"(1, 6) 1 for each to remove of {', '.join(ARTEFACTS)}",
-    "frames": "(1, 1, H, W) log2 of the number of frames averaged, 0 for one",
-    "maps": "(1, 3, H, W) 2 range_fraction - 1, azimuth_rad, 1 - sector; 0, 0, -1 if unknown",
-    "beams": "(1, cells) beam of each cell at half the padded size; columns if unknown",
-    "arcs": "(1, cells) arc of each cell at half the padded size; rows if unknown",
-    "change": "(1, 1, H, W) what to add to the picture",
-    "shadow_logits": "(1, 1, H, W) positive where the network sees shadow",
     "denoised": "(N, 1, H, W) the picture denoised, 0 to 1",
     "weight": "(N) the part of its change that the picture was given, 0 to 1",
 }
@@ -266,7 +258,7 @@ def _described(graph: Graph, content: bytes, about: Mapping[str, object], bare: 
 
     model = onnx.load_model_from_string(content)
     for value in (*model.graph.input, *model.graph.output):
-        value.doc_string = _WORDS[value.name]
+        value.doc_string = _WORDS.get(value.name, "")
     # What was traced before in this process has a part in the names of nodes and values.
     kept = {one.name for one in (*model.graph.input, *model.graph.output, *model.graph.initializer)}
     numbers: dict[str, str] = {name: name for name in ("", *kept)}
