@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,6 @@ class Job:
     finished: frozenset[Path] = frozenset()
     tick: Callable[[], object] = field(default=lambda: None)
 
-    def place(self, item: Item) -> Place:
-        """Where range and bearing are in pictures of an item."""
-        return lambda picture: self.geometry_of(item, picture)
-
 
 def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, FrameError | None]]:
     """Denoise picture files that follow each other in time, or one.
@@ -68,7 +65,7 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
                 picture = read_picture(item.source)
                 if picture.dtype == np.float32:
                     in_unit_range(picture, str(item.source))
-                yield job.denoising.seen(item, picture, job.place(item))
+                yield job.denoising.seen(item, picture, partial(job.geometry_of, item))
             except (FactoryError, ValueError) as error:
                 text = str(error)
                 named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
@@ -159,7 +156,7 @@ def _frames(
         heading = None
         for frame in recording:
             shift, heading = _turned(frame, heading)
-            place = job.place(item)
+            place: Place = partial(job.geometry_of, item)
             if frame.beams is not None:
                 place = _polar(frame.beams)
             try:
