@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
+from simnfnd.models.denoise.denoiser import Denoiser
 
 dependencies = ["numpy", "cv2", "scipy", "onnxruntime", "safetensors"]
 
@@ -13,4 +13,4 @@ def denoiser(weights: str | None = None, device: str = "auto") -> Denoiser:
     weights: the name of weights that ship, a file, or a repository of the Hugging Face Hub; None:
     `simnfnd`.  device: auto, cpu or gpu.
     """
-    return load_denoiser(weights, device)
+    return Denoiser(weights, device)

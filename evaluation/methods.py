@@ -151,9 +151,9 @@ def network(weights: str, device: str) -> Denoiser:
 
     Raises FactoryError for a file that holds no weights of a network.
     """
-    from ..models.denoise.denoiser import load_denoiser
+    from ..models.denoise.denoiser import Denoiser
 
-    return load_denoiser(weights, device)
+    return Denoiser(weights, device)
 
 
 def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:

@@ -12,7 +12,7 @@ denoised, only the last waits.  Needs a sourced ROS 2 and `pip install 'simnfnd[
 import argparse
 
 from simnfnd import FactoryError
-from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.pictures import denoise_image
 from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.recordings.rosbag import IMAGE, SONAR, frame_of, with_samples
@@ -25,7 +25,7 @@ class Worker:
     def __init__(self, kind, weights=None):
         """kind: type of the messages, as bags call it."""
         self.kind = kind
-        self.denoise = load_denoiser(weights)
+        self.denoise = Denoiser(weights)
         self.count = 0
         self.fans = {}
 

@@ -158,9 +158,9 @@ def _renderer(settings: RenderSettings) -> Renderer:
 @lru_cache(maxsize=2)
 def _denoiser(path: Path, changed_ns: int, device: str, strength: float) -> Denoiser:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from .models.denoise.denoiser import load_denoiser
+    from .models.denoise.denoiser import Denoiser
 
-    return load_denoiser(path, device, strength=strength)
+    return Denoiser(path, device, strength=strength)
 
 
 @dataclass(frozen=True, eq=False)

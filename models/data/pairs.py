@@ -42,7 +42,7 @@ class Sample:
 
     noisy, clean: (H, W) float32 in 0..1; clean None where it is unknown.
     shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
-    frames: (H, W) float32, how many frames were averaged in `noisy` (`removal.averaged`), or None
+    frames: (H, W) float32, how many frames were averaged in `noisy` (`networks.averaged`), or None
         for one.
     taught: part of the target that a teacher's picture is, 0 to 1; None: that of the training.
     """

@@ -32,7 +32,7 @@ from ...factory.sonar.fan import rasterised
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.settings import SonarSettings
 from ...factory.sonar_randomization import draw as devices
-from ..removal import DEFAULT
+from ..networks import DEFAULT
 from ..settings import MixedData, RendersData
 from .images import digest_of, list_images
 from .pairs import Data, PairTable, Sample, SampleRef, Source, spread, weakened
@@ -125,7 +125,7 @@ class DeviceSource:
     """Pairs of drawn devices; a `Source`.
 
     Device, formation, display, size and rasterisation of the picture are drawn at each visit.  The
-    target is the same picture without the artefacts of `removal.DEFAULT`, under the same random
+    target is the same picture without the artefacts of `networks.DEFAULT`, under the same random
     streams.
     """
 

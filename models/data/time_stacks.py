@@ -17,10 +17,10 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry
+from ..networks import averaged
 from ..recordings.fan_finder import find_geometry
 from ..recordings.static import find_groups, shifted
 from ..recordings.views import presentation_of
-from ..removal import averaged
 from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source
 

@@ -6,10 +6,8 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 from ...factory.cli import Parser
 from ...factory.errors import FactoryError, FrameError
@@ -18,17 +16,13 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
-from ..recordings import open_recording
-from .denoiser import (
-    OVERLAP,
-    TILE,
-    Denoiser,
-    load_denoiser,
-)
-from .files import Job, denoise_bag, denoise_files, denoise_recording, open_bag
+from .denoiser import Denoiser
+from .files import Job, denoise_files, denoise_recording, opened
 from .inputs import FIND, Finished, Geometries, Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .temporal.stream import FRAMES
+
+Points = Callable[[], Denoiser] | None
 
 _WHICH = f"""\
 weights that ship:
@@ -90,13 +84,8 @@ def main(arguments: Sequence[str]) -> int:
         default=[],
         help="of bags: whose pictures to denoise (may be repeated; default: those of sonars)",
     )
-    parser.add_argument(
-        "--tile", type=int, default=TILE, help=f"largest side in one go, pixels ({TILE})"
-    )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
     chosen = parser.parse_args(list(arguments))
-    if chosen.tile < 2 * OVERLAP:
-        raise FactoryError(f"--tile {chosen.tile}: must be {2 * OVERLAP} or more")
     if not 0 <= chosen.strength <= 1:
         raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
     out = Path(chosen.out).expanduser()
@@ -111,80 +100,50 @@ def main(arguments: Sequence[str]) -> int:
         chosen.weights = POINTS
     check_frames(chosen.frames)
     check_writable(out, "--out")
-    how: dict[str, Any] = {
-        "device": chosen.device,
-        "tile": chosen.tile,
-        "strength": chosen.strength,
-    }
-    denoise = load_denoiser(chosen.weights, **how)
-    points = cache(lambda: load_denoiser(POINTS, **how)) if chosen.weights is None else None
+    load = cache(partial(Denoiser, device=chosen.device, strength=chosen.strength))
+    denoise = load(chosen.weights)
+    points = partial(load, POINTS) if chosen.weights is None else None
     denoising = Denoising(
         denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
     )
     job = Job(out, denoising, geometries.of, chosen.compare, chosen.topic)
-    work = _Work(job, denoise, points)
-    failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
+    finished = Finished(out, denoise.digest, list(arguments))
+    failed, used = _all(items, job, denoise, points, finished)
     for line in (*geometries.summary(), *denoising.summary()):
         print(line)
-    used = ", ".join(f"{name} ({count} file(s))" for name, count in work.used.items())
-    print(f"weights: {used or denoise.name}")
-    print(f"denoised: {work.done} file(s) in {out}")
+    names = ", ".join(f"{name} ({count} file(s))" for name, count in used.items())
+    print(f"weights: {names or denoise.name}")
+    print(f"denoised: {used.total()} file(s) in {out}")
     return 1 if failed else 0
 
 
-@dataclass
-class _Work:
-    """What `denoise` does to files.
+def _denoised(
+    items: Sequence[Item], job: Job, denoise: Denoiser, points: Points
+) -> Iterator[tuple[Item, str, FrameError | str]]:
+    """Denoise pictures that follow each other, or one other file.
 
-    denoise: for shards.  points: what denoises shards of points instead; None: the same.
-    used: name of weights -> how many files they denoised.
+    points: what denoises shards of points instead; None: the same.
+    Gives each with the name of its weights, and a warning, mostly empty, or what is wrong with it.
     """
-
-    job: Job
-    denoise: Denoiser
-    points: Callable[[], Denoiser] | None
-    used: Counter[str] = field(default_factory=Counter)
-
-    @property
-    def done(self) -> int:
-        """How many files were denoised."""
-        return self.used.total()
-
-    def on(self, items: Sequence[Item]) -> Iterator[tuple[Item, FrameError | str]]:
-        """Denoise pictures that follow each other, or one other file.
-
-        Gives each that is done with a warning, mostly empty, or with what is wrong with it.
-        """
-        if items[0].kind == "image":
-            for item, error in denoise_files(items, self.job):
-                self.used[self.denoise.name] += error is None
-                yield item, error or ""
-            return
-        (item,) = items
-        try:
-            of_points = self._is_of_points(item)
-            denoise = self.points() if of_points and self.points is not None else self.denoise
-            warnings = [self._on_other(item, denoise), _unsuited(item, denoise, of_points)]
-            self.used[denoise.name] += 1
-            yield item, "; ".join(filter(None, warnings))
-        except FrameError as error:
-            yield item, error
-
-    def _is_of_points(self, item: Item) -> bool:
-        """Whether it is a shard of the paper's points."""
-        if item.kind != "shard":
-            return False
-        from .shards import made_of_points  # loads h5py, for datasets alone
-
-        return made_of_points(item)
-
-    def _on_other(self, item: Item, denoise: Denoiser) -> str:
+    if items[0].kind == "image":
+        for item, error in denoise_files(items, job):
+            yield item, denoise.name, error or ""
+        return
+    (item,) = items
+    of_points, warning = False, ""
+    try:
         if item.kind == "shard":
-            from .shards import denoise_shard  # loads h5py, for datasets alone
+            from .shards import denoise_shard, made_of_points  # loads h5py, for datasets alone
 
-            denoise_shard(item, self.job, denoise)
-            return ""
-        return (denoise_bag if item.kind == "bag" else denoise_recording)(item, self.job)
+            of_points = made_of_points(item)
+            denoise = points() if of_points and points is not None else denoise
+            denoise_shard(item, job, denoise)
+        else:
+            warning = denoise_recording(item, job)
+        warnings = filter(None, [warning, _unsuited(item, denoise, of_points)])
+        yield item, denoise.name, "; ".join(warnings)
+    except FrameError as error:
+        yield item, denoise.name, error
 
 
 def _unsuited(item: Item, denoise: Denoiser, of_points: bool) -> str:
@@ -196,11 +155,16 @@ def _unsuited(item: Item, denoise: Denoiser, of_points: bool) -> str:
     return f"{item.source}: {denoise.name} is made for {made_for}; {other} suits this file"
 
 
-def _all(work: _Work, items: Sequence[Item], finished: Finished) -> int:
-    """Denoise all files under a progress bar; returns how many could not be."""
+def _all(
+    items: Sequence[Item], job: Job, denoise: Denoiser, points: Points, finished: Finished
+) -> tuple[int, Counter[str]]:
+    """Denoise all files under a progress bar.
+
+    Returns how many could not be, and the names of weights with how many files they denoised.
+    """
+    used: Counter[str] = Counter()
     failures: list[str] = []
     warnings: list[str] = []
-    job = work.job
     job.finished = finished.of(items)
     if job.finished:
         print(f"already denoised: {len(job.finished)} file(s), of a run that was stopped")
@@ -211,18 +175,19 @@ def _all(work: _Work, items: Sequence[Item], finished: Finished) -> int:
             for some in sequences(items):
                 if some[0].kind != "image" and some[0].relative in job.finished:
                     continue
-                for item, said in work.on(some):
+                for item, name, said in _denoised(some, job, denoise, points):
                     if isinstance(said, FrameError):
                         failures.append(str(said))
                         bar.set_postfix(failed=len(failures))
                     else:
                         finished.add(item)
+                        used[name] += 1
                         warnings += filter(None, [said])
     except KeyboardInterrupt:
         finished.save()
         print(
-            f"denoised: {work.done} file(s) in {job.out} before it was stopped; the same command "
-            "goes on with the others",
+            f"denoised: {used.total()} file(s) in {job.out} before it was stopped; the same "
+            "command goes on with the others",
             file=sys.stderr,
         )
         raise
@@ -234,7 +199,7 @@ def _all(work: _Work, items: Sequence[Item], finished: Finished) -> int:
         print(f"skipped: {line}", file=sys.stderr)
     for line in warnings:
         print(f"warning: {line}", file=sys.stderr)
-    return len(failures)
+    return len(failures), used
 
 
 def _pictures(item: Item, topics: Sequence[str]) -> int:
@@ -247,9 +212,7 @@ def _pictures(item: Item, topics: Sequence[str]) -> int:
 
             with opened_shard(item) as shard:
                 return len(shard["noisy"])
-        if item.kind == "bag":
-            return len(open_bag(item, topics))
-        with open_recording(item.source) as recording:
+        with opened(item, topics) as recording:
             return len(recording)
     except FactoryError:
         return 0

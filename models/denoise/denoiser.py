@@ -18,15 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.sonar.geometry import FanGeometry
+from ..networks import averaged
+from ..pretrained import find_weights
 from ..recordings.views import presentation_of
-from ..removal import averaged
 from .pictures import Gray
 from .runtime import open_runtime
 
 Maps = Mapping[str, Gray]
 Work = Callable[[Gray, Maps], Gray]
 
-TILE, OVERLAP = 1024, 96
 _SEVERAL = 1.5
 """From so many frames on average on, grain is the scene's: the picture is not halved first."""
 _LIT, _LIT_SHARE = 0.1, 0.01
@@ -44,22 +44,21 @@ class Denoiser:
     tile, overlap: see `tiled`.
     """
 
-    def __init__(
-        self,
-        weights: Path,
-        device: str,
-        tile: int,
-        overlap: int,
-        strength: float = 1.0,
-    ) -> None:
-        """strength: part of the change that a picture gets, 0 to 1.
+    tile, overlap = 1024, 96
 
-        Raises FactoryError for a file that holds no weights and a GPU that is not there.
+    def __init__(
+        self, weights: str | Path | None = None, device: str = "auto", *, strength: float = 1.0
+    ) -> None:
+        """weights: a file, or a name, as `pretrained.find_weights` takes it.
+
+        strength: part of the change that a picture gets, 0 to 1.
+        Raises FactoryError for weights that are not there and a GPU that is not.
         """
-        self.runtime = open_runtime(weights, device)
-        self.name = weights.name if weights.stem == "weights" else weights.stem
-        self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
-        self.tile, self.overlap, self.strength = tile, overlap, np.float32(strength)
+        path = find_weights(weights)
+        self.runtime = open_runtime(path, device)
+        self.name = path.name if path.stem == "weights" else path.stem
+        self.digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        self.strength = np.float32(strength)
 
     @property
     def knows_frames(self) -> bool:
@@ -131,25 +130,6 @@ def _surroundings(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
         return None
     outside = maps["sector"] <= 0
     return outside if outside.any() and (gray[outside] > _LIT).mean() > _LIT_SHARE else None
-
-
-def load_denoiser(
-    weights: str | Path | None = None,
-    device: str = "auto",
-    *,
-    tile: int = TILE,
-    overlap: int = OVERLAP,
-    strength: float = 1.0,
-) -> Denoiser:
-    """A function that denoises one gray image.
-
-    weights: a file that training wrote, the name of weights that ship, or None for the default of
-    these.  strength: see `Denoiser`.
-    Raises FactoryError when there are none, and as `Denoiser` does.
-    """
-    from ..pretrained import find_weights
-
-    return Denoiser(find_weights(weights), device, tile, overlap, strength)
 
 
 def by_scales(grey: Gray, maps: Maps, denoise: Work, widest: float) -> Gray:

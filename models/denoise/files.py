@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,14 +18,11 @@ from ..recordings import Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
 from ..recordings.pictures import VideoFile, in_unit_range, read_picture
-from ..recordings.sound_metrics import ArisFile
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .inputs import Item
 from .pictures import Denoising, Picture, Place, Seen
-from .writers import COMPARED, FrameFiles, write_compared, write_image
-
-if TYPE_CHECKING:
-    from ..recordings.rosbag import RosBag
+from .temporal.stream import Shot
+from .writers import COMPARED, write_compared, write_frames, write_image
 
 Find = Callable[[Item, Picture], FanGeometry | None]
 """Where range and bearing are in a picture of an item; None where that is not known."""
@@ -48,10 +46,6 @@ class Job:
     finished: frozenset[Path] = frozenset()
     tick: Callable[[], object] = field(default=lambda: None)
 
-    def place(self, item: Item) -> Place:
-        """Where range and bearing are in pictures of an item."""
-        return lambda picture: self.geometry_of(item, picture)
-
 
 def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, FrameError | None]]:
     """Denoise picture files that follow each other in time, or one.
@@ -65,13 +59,13 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
     # A sequence that was begun goes on from a few frames before.
     first = max(0, left[0] - 2 * job.denoising.frames)
 
-    def read() -> Iterator[Seen[Item]]:
+    def read() -> Iterator[Shot[Seen[Item]]]:
         for item in items[first:]:
             try:
                 picture = read_picture(item.source)
                 if picture.dtype == np.float32:
                     in_unit_range(picture, str(item.source))
-                yield job.denoising.seen(item, picture, job.place(item))
+                yield job.denoising.seen(item, picture, partial(job.geometry_of, item))
             except (FactoryError, ValueError) as error:
                 text = str(error)
                 named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
@@ -95,36 +89,44 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
 
 
 def denoise_recording(item: Item, job: Job) -> str:
-    """Denoise a video, a stack, arrays, or a sonar's own recording, ping by ping.
+    """Denoise a video, a stack, arrays, a bag, or a sonar's own recording, ping by ping.
 
-    Pictures become what `FrameFiles` says.  An ARIS recording becomes one, with the same headers;
-    others a folder of its name with a fan (NNNNNN.png) and the samples (NNNNNN_polar.png, near
-    range first) of each ping.
-    Returns a warning, mostly empty.  FrameError when it cannot be read.
+    Pictures become what `write_frames` says.  An ARIS recording and a bag become one, with the same
+    headers, stamps and other topics; other recordings a folder of their name with a fan
+    (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.  Frames of
+    several topics of a bag are denoised one by one.
+    Returns a warning, mostly empty.  FrameError when it cannot be read, or a folder of a bag's name
+    is there already.
     """
     shown: list[tuple[Picture, Picture]] = []
     path = job.out / item.relative
-    with _opened(item) as recording:
-        frames = _shown(_frames(item, recording, job), job, shown)
-        warning = ""  # how many frames a video says to have is often wrong
+    if item.kind == "bag" and path.is_dir():
+        raise FrameError(f"{path}: is there already; remove it, or give another --out")
+    with opened(item, job.topics) as recording:
+        topics: tuple[str, ...] = getattr(recording, "topics", ())
+        frames = _shown(_frames(item, recording, job, alone=len(topics) > 1), job, shown)
+        rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
         if item.kind == "video":
             rate_hz = recording.rate_hz if isinstance(recording, VideoFile) else None
-            with FrameFiles(path, rate_hz, recording) as files:
-                for _, picture in frames:
-                    files.add(picture)
+            write_frames(path, (picture for _, picture in frames), rate_hz, recording)
+        elif rewrite is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            rewrite((samples for _, samples in frames), path)
         else:
-            _write_pings(recording, frames, path)
-            warning = recording.warning
+            _write_pings(frames, path)
+        # How many frames a video says to have is often wrong.
+        warning = "" if item.kind == "video" else recording.warning
+        if len(topics) > 1 and job.denoising.frames > 1 and not warning:
+            warning = (
+                f"{item.source}: frames of several topics were denoised one by one; choose of "
+                f"{', '.join(topics)} with --topic to denoise them in time"
+            )
     if shown:
         write_compared(job.out / item.compared, shown)
     return warning
 
 
-def _write_pings(recording: Recording, frames: Iterator[tuple[Frame, Picture]], path: Path) -> None:
-    if isinstance(recording, ArisFile):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        recording.rewrite((samples for _, samples in frames), path)
-        return
+def _write_pings(frames: Iterator[tuple[Frame, Picture]], path: Path) -> None:
     for frame, samples in frames:
         full = FULL_SCALE[str(samples.dtype)]
         fan = _view(frame, samples)
@@ -133,39 +135,16 @@ def _write_pings(recording: Recording, frames: Iterator[tuple[Frame, Picture]], 
         write_image(path / f"{frame.number:06d}_polar.png", samples)
 
 
-def open_bag(item: Item, topics: Sequence[str]) -> RosBag:
-    """The bag of an item.  Raises FrameError when it cannot be read or has no such topics."""
-    from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
-
+def opened(item: Item, topics: Sequence[str] = ()) -> Recording:
+    """The recording of an item.  Raises FrameError when it cannot be read or has no such topics."""
     try:
-        return RosBag(item.source, topics)
+        if item.kind == "bag":
+            from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
+
+            return RosBag(item.source, topics)
+        return open_recording(item.source)
     except FactoryError as error:
         raise FrameError(str(error)) from error
-
-
-def denoise_bag(item: Item, job: Job) -> str:
-    """Denoise a bag into `out`: same topics and stamps, other topics copied.
-
-    Frames of several topics are denoised one by one.  Returns a warning, mostly empty.
-    Raises FrameError when the bag cannot be read, or a folder of its name is there already.
-    """
-    shown: list[tuple[Picture, Picture]] = []
-    path = job.out / item.relative
-    if path.is_dir():
-        raise FrameError(f"{path}: is there already; remove it, or give another --out")
-    with open_bag(item, job.topics) as bag:
-        several = len(bag.topics) > 1
-        frames = _shown(_frames(item, bag, job, alone=several), job, shown)
-        bag.rewrite((samples for _, samples in frames), path)
-        warning = bag.warning
-        if several and job.denoising.frames > 1 and not warning:
-            warning = (
-                f"{item.source}: frames of several topics were denoised one by one; choose of "
-                f"{', '.join(bag.topics)} with --topic to denoise them in time"
-            )
-    if shown:
-        write_compared(job.out / item.compared, shown)
-    return warning
 
 
 def _frames(
@@ -173,11 +152,11 @@ def _frames(
 ) -> Iterator[tuple[Seen[Frame], Picture]]:
     """Each frame and what became of it.  FrameError names a frame that cannot be denoised."""
 
-    def read() -> Iterator[Seen[Frame]]:
+    def read() -> Iterator[Shot[Seen[Frame]]]:
         heading = None
         for frame in recording:
             shift, heading = _turned(frame, heading)
-            place = job.place(item)
+            place: Place = partial(job.geometry_of, item)
             if frame.beams is not None:
                 place = _polar(frame.beams)
             try:
@@ -228,14 +207,7 @@ def _view(frame: Frame, samples: Picture) -> npt.NDArray[Any]:
 
 def _write_picture(item: Item, denoised: Picture, out: Path) -> None:
     if item.source.suffix.lower() == ARRAY_SUFFIX:
-        with ArrayFile(item.source) as array, FrameFiles(out / item.relative, None, array) as files:
-            files.add(denoised)
+        with ArrayFile(item.source) as array:
+            write_frames(out / item.relative, [denoised], None, array)
     else:
         write_image(out / item.relative, denoised)
-
-
-def _opened(item: Item) -> Recording:
-    try:
-        return open_recording(item.source)
-    except FactoryError as error:
-        raise FrameError(str(error)) from error

@@ -40,7 +40,7 @@ SUFFIXES = (
 FIND, POLAR, NONE = "find", "polar", "none"
 NAME = ".denoise-stopped.json"
 """In the output folder, of a run that was stopped."""
-_NUMBER = re.compile(r"\d+")
+_LAST_NUMBER = re.compile(r"(|.*\D)(\d+)(\D*)", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -101,24 +101,13 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
 
     A sequence is the pictures of a folder whose names differ in their last number alone.
     """
-    found: dict[tuple[str, ...], list[tuple[int, Item]]] = {}
+    found: dict[tuple[str, ...], list[tuple[int, Path, Item]]] = {}
     for item in items:
-        key, number = _place_in_time(item)
-        found.setdefault(key, []).append((number, item))
-    return [
-        [item for _, item in sorted(some, key=lambda one: (one[0], one[1].source))]
-        for some in found.values()
-    ]
-
-
-def _place_in_time(item: Item) -> tuple[tuple[str, ...], int]:
-    """The sequence of a file, and its number there; see `sequences`."""
-    name = item.source.name
-    numbers = list(_NUMBER.finditer(name)) if item.kind == "image" else []
-    if not numbers:
-        return (str(item.source),), 0
-    last = numbers[-1]
-    return (str(item.source.parent), name[: last.start()], name[last.end() :]), int(last[0])
+        last = _LAST_NUMBER.fullmatch(item.source.name) if item.kind == "image" else None
+        key = (str(item.source.parent), last[1], last[3]) if last else (str(item.source),)
+        number = int(last[2]) if last else 0
+        found.setdefault(key, []).append((number, item.source, item))
+    return [[item for *_, item in sorted(some, key=lambda one: one[:2])] for some in found.values()]
 
 
 def _check_outputs(items: Sequence[Item], out: Path, *, compare: bool) -> None:
@@ -187,18 +176,17 @@ def items_below(folder: Path, out: Path) -> list[Item]:
         and file.parent not in bags
         and not is_table(file)
     ]
-    found = [file for file in sorted([*bags, *files]) if not _is_below(file, out)]
-    return [Item(file, _output_of(file.relative_to(folder))) for file in found]
+    return [
+        Item(file, _output_of(file.relative_to(folder)))
+        for file in sorted([*bags, *files])
+        if not file.resolve().is_relative_to(out.resolve())
+    ]
 
 
 def _output_of(relative: Path) -> Path:
     """The name of what is made of a file: arrays of all formats become .npy files."""
     arrays = relative.suffix.lower() in ARRAY_SUFFIXES
     return relative.with_suffix(ARRAY_SUFFIX) if arrays else relative
-
-
-def _is_below(file: Path, folder: Path) -> bool:
-    return file.resolve().is_relative_to(folder.resolve())
 
 
 class Geometries:

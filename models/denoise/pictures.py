@@ -38,16 +38,12 @@ Key = TypeVar("Key")
 class Seen(Generic[Key]):
     """A picture as the network gets it.
 
-    key: of the caller.  original: as it is stored.  plain: the levels that its colours stand for,
-    else the original.  shift_px: see `Shot`.
+    key: of the caller.  original: as it is stored.  painted: what its colours stand for.
     """
 
     key: Key
     original: Picture
-    plain: Picture
     painted: Painted | None
-    place: Place
-    shift_px: tuple[float, float] | None = None
 
     def finished(self, levels: Gray) -> Picture:
         """Denoised levels, (H, W) or (H, W, C) in 0..1, as a picture of the original's kind."""
@@ -84,7 +80,7 @@ class Denoising:
         picture: Picture,
         place: Place,
         shift_px: tuple[float, float] | None = None,
-    ) -> Seen[Key]:
+    ) -> Shot[Seen[Key]]:
         """A picture, its colours read.
 
         picture: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
@@ -96,10 +92,11 @@ class Denoising:
             self._last_map = painted.palette
             self.maps[painted.palette.name] += 1
         plain = picture if painted is None else painted.levels
-        return Seen(key, picture, plain, painted, place, shift_px)
+        seen = Seen(key, picture, painted)
+        return Shot(seen, levels_of(plain), partial(place, plain), shift_px)
 
     def sequence(
-        self, pictures: Iterable[Seen[Key]], *, alone: bool = False
+        self, pictures: Iterable[Shot[Seen[Key]]], *, alone: bool = False
     ) -> Iterator[tuple[Seen[Key], Picture]]:
         """Each picture of a sequence and what became of it, in order."""
         stream: InTime[Seen[Key]] = InTime(
@@ -110,8 +107,7 @@ class Denoising:
             tally=self.tally,
             at_once=1 if alone else usable_cores(),
         )
-        for seen in pictures:
-            shot = Shot(seen, levels_of(seen.plain), partial(seen.place, seen.plain), seen.shift_px)
+        for shot in pictures:
             for done, levels in stream.push(shot):
                 yield done, done.finished(levels)
         for done, levels in stream.finish():

@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
+from ..networks import DEFAULT, vector
 from ..networks.weights import read_header, read_weights
 from ..pretrained import graphs
-from ..removal import DEFAULT, vector
 
 Gray = npt.NDArray[np.float32]
 Maps = Mapping[str, Gray]
@@ -37,8 +37,12 @@ def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
     device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
     not there, and packages that are not installed.
     """
-    graph = _graph_of(weights)
-    return TorchNetwork(weights, device) if graph is None else OnnxNetwork(weights, graph, device)
+    wished = json.dumps(structure(read_header(weights)["model"]), sort_keys=True).encode()
+    for graph in graphs():
+        # The words are at the end of the file, and few.
+        if wished in graph.read_bytes():
+            return OnnxNetwork(weights, graph, device)
+    return TorchNetwork(weights, device)
 
 
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
@@ -132,17 +136,6 @@ class OnnxNetwork:
         if _known(maps) and "sector" in maps:
             image = np.where(maps["sector"] > 0, image, gray)
         return np.asarray(image, np.float32), float(weight[0])
-
-
-def _graph_of(weights: Path) -> Path | None:
-    """The graph that ships for the network of a weights file; None where there is none."""
-    model = read_header(weights)["model"]
-    wished = json.dumps(structure(model), sort_keys=True)
-    for graph in graphs():
-        # The words are at the end of the file, and few.
-        if wished.encode() in graph.read_bytes():
-            return graph
-    return None
 
 
 def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import glob
+import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,8 +17,10 @@ from PIL import Image, TiffImagePlugin
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
 from ...factory.quiet import quiet_stderr
-from ..recordings.arrays import ArrayFile, NpyWriter
+from ..recordings.arrays import ArrayFile, Header, NpyWriter
 from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording, swapped
+
+Frames = Iterator[npt.NDArray[Any]]
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
@@ -41,136 +43,115 @@ _QUALITY = {
 }
 
 
-class FrameFiles:
-    """Takes the frames of a video in order; use it in a `with` statement.
+def write_frames(
+    path: Path,
+    pictures: Iterable[npt.NDArray[Any]],
+    rate_hz: float | None,
+    source: Recording | None = None,
+) -> None:
+    """Write frames in order, (H, W) or (H, W, 3) uint8; of TIFF and arrays also uint16 or float32.
 
     They become a video at `path` when its container has a codec without loss (any other would add
     artefacts of its own), the frame rate is known and both sides are even, as the writer cuts odd
     ones; pages of a TIFF file where `path` is one; a .npy file where `source` is an array;
     NNNNNN.png in a folder of that name otherwise.  Files appear when they are whole.
+    rate_hz: frames a second; None: unknown.  source: whose frames they are.
+    Raises FrameError when another file has the place of a folder.
     """
-
-    def __init__(self, path: Path, rate_hz: float | None, source: Recording | None = None) -> None:
-        """rate_hz: frames a second; None: unknown.  source: whose frames they are."""
-        self.path = path
-        self.rate_hz = rate_hz
-        self.count = 0
-        self._writer: cv2.VideoWriter | None = None
-        self._source = source
-        self._stack: StackWriter | NpyWriter | None = None
-        self._partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-
-    def add(self, picture: npt.NDArray[Any]) -> None:
-        """The next frame, (H, W) or (H, W, 3) uint8; of TIFF and arrays also uint16 or float32.
-
-        Raises FrameError when another file has the place of a folder.
-        """
-        if isinstance(self._source, ArrayFile):
-            picture = picture.astype(self._source.header.dtype)
-        if not self.count:
-            self._open(picture)
-        if self._stack is not None:
-            with explain_os_errors(self.path, "--out"):
-                self._stack.add(picture)
-        elif self._writer is not None:
-            grey = picture.ndim == 2
-            self._writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if grey else picture)
+    frames = iter(pictures)
+    first = next(frames, None)
+    if first is None:
+        return
+    frames = itertools.chain([first], frames)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _remove_stale(path)
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        if path.suffix.lower() in TIFF_SUFFIXES:
+            _write_pages(partial, frames, path)
+        elif isinstance(source, ArrayFile):
+            _write_array(partial, frames, path, source.header)
+        elif (video := _video(partial, first.shape, rate_hz)) is not None and not path.is_dir():
+            _write_video(partial, frames, path, video)
         else:
-            done, content = cv2.imencode(".png", picture)
-            assert done
-            write_atomically(self.path / f"{self.count:06d}.png", content.tobytes(), key="--out")
-        self.count += 1
-
-    def _remove_stale(self) -> None:
-        """What runs that were killed left of this very file."""
-        for path in self.path.parent.glob(
-            f".{glob.escape(self.path.stem)}.*.tmp{self.path.suffix}"
-        ):
-            number = path.name.removesuffix(f".tmp{self.path.suffix}").rpartition(".")[2]
-            if number.isdecimal() and not Path("/proc", number).exists():
-                path.unlink(missing_ok=True)
-
-    def _open(self, picture: npt.NDArray[Any]) -> None:
-        height, width = picture.shape[:2]
-        code = CODECS.get(self.path.suffix.lower())
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._remove_stale()
-        if self.path.suffix.lower() in TIFF_SUFFIXES:
-            self._stack = StackWriter(self._partial)
+            _write_pictures(path, frames)
             return
-        if isinstance(self._source, ArrayFile):
-            with explain_os_errors(self.path, "--out"):
-                self._stack = NpyWriter(self._partial, self._source.header)
-            return
-        if code and self.rate_hz and not (height % 2 or width % 2) and not self.path.is_dir():
-            fourcc = cv2.VideoWriter.fourcc(*code)
-            # OpenCV tells everybody that MP4 has another name for PNG.
-            with quiet_stderr():
-                writer = cv2.VideoWriter(str(self._partial), fourcc, self.rate_hz, (width, height))
-            if writer.isOpened():
-                self._writer = writer
-                return
-            writer.release()
-            self._partial.unlink(missing_ok=True)
-        if self.path.is_file():
-            raise FrameError(f"{self.path}: is there already; remove it, or give another --out")
-        self.path.mkdir(exist_ok=True)
-
-    def _finish(self) -> None:
-        assert self._writer is not None
-        self._writer.release()
-        # The writer does not say when the disk is full.
-        capture = cv2.VideoCapture(str(self._partial))
-        held = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        capture.release()
-        if held != self.count:
-            raise FrameError(
-                f"{self.path}: holds {max(held, 0)} of {self.count} frames; is the disk full?"
-            )
-        self._appear()
-
-    def _appear(self) -> None:
-        with explain_os_errors(self.path, "--out"):
-            os.replace(self._partial, self.path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            if self._stack is not None:
-                with explain_os_errors(self.path, "--out"):
-                    self._stack.close()
-                if kind is None:
-                    self._appear()
-            elif self._writer is not None and kind is None:
-                self._finish()
-        finally:
-            if self._writer is not None:
-                self._writer.release()
-            self._partial.unlink(missing_ok=True)
+        with explain_os_errors(path, "--out"):
+            os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
-class StackWriter:
-    """Takes pages in order, each compressed without loss; close it."""
+def _remove_stale(path: Path) -> None:
+    """What runs that were killed left of this very file."""
+    for stale in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
+        number = stale.name.removesuffix(f".tmp{path.suffix}").rpartition(".")[2]
+        if number.isdecimal() and not Path("/proc", number).exists():
+            stale.unlink(missing_ok=True)
 
-    def __init__(self, path: Path) -> None:
-        self._writer = TiffImagePlugin.AppendingTiffWriter(str(path), new=True)
 
-    def add(self, picture: npt.NDArray[Any]) -> None:
-        """The next page, (H, W) uint8, uint16 or float32 or (H, W, 3) uint8 BGR."""
-        page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
-        page.save(self._writer, format="TIFF", compression="tiff_adobe_deflate")
-        self._writer.newFrame()
+def _write_pages(partial: Path, frames: Frames, path: Path) -> None:
+    """Pages of a TIFF file, each compressed without loss."""
+    with explain_os_errors(path, "--out"):
+        writer = TiffImagePlugin.AppendingTiffWriter(str(partial), new=True)
+    try:
+        for picture in frames:
+            page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
+            with explain_os_errors(path, "--out"):
+                page.save(writer, format="TIFF", compression="tiff_adobe_deflate")
+                writer.newFrame()
+    finally:
+        with explain_os_errors(path, "--out"):
+            writer.close()
 
-    def close(self) -> None:
-        """Write the end of the file."""
-        self._writer.close()
+
+def _write_array(partial: Path, frames: Frames, path: Path, header: Header) -> None:
+    with explain_os_errors(path, "--out"):
+        writer = NpyWriter(partial, header)
+    try:
+        for picture in frames:
+            with explain_os_errors(path, "--out"):
+                writer.add(picture.astype(header.dtype))
+    finally:
+        with explain_os_errors(path, "--out"):
+            writer.close()
+
+
+def _video(partial: Path, shape: tuple[int, ...], rate_hz: float | None) -> cv2.VideoWriter | None:
+    """A writer without loss; None where the container, the rate or the size do not allow it."""
+    code = CODECS.get(partial.suffix.lower())
+    if not code or not rate_hz or shape[0] % 2 or shape[1] % 2:
+        return None
+    # OpenCV tells everybody that MP4 has another name for PNG.
+    with quiet_stderr():
+        fourcc = cv2.VideoWriter.fourcc(*code)
+        writer = cv2.VideoWriter(str(partial), fourcc, rate_hz, (shape[1], shape[0]))
+    return writer if writer.isOpened() else None
+
+
+def _write_video(partial: Path, frames: Frames, path: Path, writer: cv2.VideoWriter) -> None:
+    count = 0
+    try:
+        for picture in frames:
+            grey = picture.ndim == 2
+            writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if grey else picture)
+            count += 1
+    finally:
+        writer.release()
+    # The writer does not say when the disk is full.
+    capture = cv2.VideoCapture(str(partial))
+    held = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    capture.release()
+    if held != count:
+        raise FrameError(f"{path}: holds {max(held, 0)} of {count} frames; is the disk full?")
+
+
+def _write_pictures(path: Path, frames: Frames) -> None:
+    if path.is_file():
+        raise FrameError(f"{path}: is there already; remove it, or give another --out")
+    path.mkdir(exist_ok=True)
+    for number, picture in enumerate(frames):
+        write_image(path / f"{number:06d}.png", picture)
 
 
 def write_image(path: Path, image: npt.NDArray[Any]) -> None:
@@ -182,24 +163,18 @@ def write_image(path: Path, image: npt.NDArray[Any]) -> None:
         done = False
     if not done:
         raise FrameError(f"{path}: {image.dtype} pixels do not fit this file format")
-    write_atomically(path, content.tobytes())
+    write_atomically(path, content.tobytes(), key="--out")
 
 
 def write_compared(path: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
-    """Noisy, denoised (and clean) side by side, one row a sample."""
-    write_image(path, sheet(rows))
-
-
-def sheet(rows: Sequence[Sequence[npt.NDArray[Any]]]) -> npt.NDArray[np.uint8]:
     """Noisy, denoised (and clean) side by side, one row a sample, named on top.
 
     rows: pictures (H, W) or (H, W, C) of one size; uint8, uint16 or float in 0..1.
-    Returns (CAPTION_PX + rows * H, W', ...) uint8.
     """
     lines = [_side_by_side([_shown(image) for image in images]) for images in rows]
     first = _shown(rows[0][0])
     names = [_name(text, first) for text in _NAMES[: len(rows[0])]]
-    return np.concatenate([_side_by_side(names), *lines], axis=0)
+    write_image(path, np.concatenate([_side_by_side(names), *lines], axis=0))
 
 
 def _side_by_side(panels: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:

@@ -9,7 +9,7 @@ A network is one file beside this one with a settings class and a torch module, 
   `with_heads` that may be left out where it is unknown: `range_fraction` (N, 1, H, W),
   slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
   (N, 1, H, W), 1 inside the insonified sector and 0 outside; `remove` (N, 6), 1 for each artefact
-  to remove (`models.removal`).  Batches hold them under these names.
+  to remove (`vector`).  Batches hold them under these names.
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each picture.
@@ -20,11 +20,15 @@ A network is one file beside this one with a settings class and a torch module, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
+
 from ...factory.errors import FactoryError
+from ...factory.imaging.effect import ARTEFACTS
 
 if TYPE_CHECKING:
     from .network import Network
@@ -37,6 +41,14 @@ NETWORKS = {
 """kind -> module here and its network, beside which lie `<network>Settings`; torch is imported only
 when one is built."""
 
+DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
+"""Of `ARTEFACTS`, what networks remove: the ground and the brightness of a picture stay."""
+_MOST_FRAMES = 16.0
+"""More frames are too few to tell from this many by the noise that is left."""
+_INDEPENDENT = 0.36
+"""Power of the number of frames that says how many of independent noise they are worth: the noise
+of frames that follow each other is correlated.  Seven frames of two DIDSON recordings and of five
+of the MDD groups came out best as two independent ones."""
 
 _GONE: dict[str, object] = {"channels": 1, "mirror": False}
 """Keys of weights of earlier versions, with the value that is left."""
@@ -58,3 +70,14 @@ def build_network(config: Mapping[str, Any]) -> Network:
     settings: Any = build(getattr(module, f"{name}Settings"), config, "model")
     network: Network = getattr(module, name)(settings)
     return network
+
+
+def vector(removed: Collection[str]) -> npt.NDArray[np.float32]:
+    """(6,) float32 by the order of `ARTEFACTS`: 1 to remove one, 0 to keep it."""
+    return np.array([name in removed for name in ARTEFACTS], np.float32)
+
+
+def averaged(frames: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """log2 of how many independent frames are worth so many that were averaged, 1 or more."""
+    counted = np.clip(np.asarray(frames, np.float32), 1, _MOST_FRAMES)
+    return np.asarray(_INDEPENDENT * np.log2(counted), np.float32)

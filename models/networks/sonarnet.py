@@ -34,7 +34,7 @@ from torch.nn import functional
 
 from ...factory.imaging.effect import ARTEFACTS
 from ...factory.settings import STRICT
-from ..removal import DEFAULT, vector
+from . import DEFAULT, vector
 from .network import Network, NetworkOutput, Step, down_and_up, padded
 
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
@@ -133,7 +133,7 @@ class SonarNet(Network):
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
         `sector` everything is insonified.  remove: (N, 6), 1 for each artefact to remove (see
         `imaging.effect.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
-        frames were averaged, as of `removal.averaged`; without it 0, a single frame.
+        frames were averaged, as of `networks.averaged`; without it 0, a single frame.
         """
         remove, frames = extras.get("remove"), extras.get("frames")
         if remove is None:

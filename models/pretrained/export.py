@@ -102,6 +102,7 @@ def main(arguments: Sequence[str]) -> int:
     else:
         trained = load_weights(weights)
         about = {
+            "simnfnd": __version__,
             "model": json.dumps(dict(trained.model), sort_keys=True),
             "weights_sha256": sha256_of(weights),
         }

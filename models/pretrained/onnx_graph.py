@@ -11,22 +11,20 @@ import json
 import warnings
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ...factory import __version__
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, write_atomically
-from ...factory.imaging.effect import ARTEFACTS
 from ...factory.sonar.geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
+from ..networks import DEFAULT, vector
 from ..networks.network import Network, padded
 from ..networks.sonarnet import MapLines, SonarNet
 from ..networks.weights import load_weights
-from ..removal import DEFAULT, vector
 
 OPSET = 18
 """ONNX operators: GridSample and sums by ScatterElements came with 16, LayerNormalization with 17.
@@ -34,7 +32,6 @@ OPSET = 18
 Newer runtimes read older opsets.
 """
 Layout = Literal["none", "fan", "polar"]
-LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 Inputs = dict[str, Tensor]
 Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
 
@@ -48,13 +45,6 @@ _WORDS = {
     "range_fraction": "(N, 1, H, W) slant range of each pixel over the largest range",
     "azimuth_rad": "(N, 1, H, W) bearing of each pixel in radians, positive to the right",
     "sector": "(N, 1, H, W) 1 where the sonar measured, 0 elsewhere",
-    "remove": f"(1, 6) 1 for each to remove of {', '.join(ARTEFACTS)}",
-    "frames": "(1, 1, H, W) log2 of the number of frames averaged, 0 for one",
-    "maps": "(1, 3, H, W) 2 range_fraction - 1, azimuth_rad, 1 - sector; 0, 0, -1 if unknown",
-    "beams": "(1, cells) beam of each cell at half the padded size; columns if unknown",
-    "arcs": "(1, cells) arc of each cell at half the padded size; rows if unknown",
-    "change": "(1, 1, H, W) what to add to the picture",
-    "shadow_logits": "(1, 1, H, W) positive where the network sees shadow",
     "denoised": "(N, 1, H, W) the picture denoised, 0 to 1",
     "weight": "(N) the part of its change that the picture was given, 0 to 1",
 }
@@ -153,9 +143,7 @@ class RuntimeGraph(Graph):
         inside = padded(1 - maps[:, 2:], self.sonarnet.core_stride)[..., ::2, ::2] > 0
         shape = inside.shape[-2], inside.shape[-1]
         lines = MapLines(given["beams"], given["arcs"], inside.to(noisy.dtype).flatten(2), shape)
-        remove = given.get("remove")
-        if remove is None:
-            remove = torch.from_numpy(vector(DEFAULT))[None]
+        remove = given.get("remove", torch.from_numpy(vector(DEFAULT))[None])
         planes = torch.split(maps, 1, dim=1)
         return self.sonarnet.core(remove, given.get("frames"), lines, noisy, *planes)
 
@@ -226,8 +214,6 @@ def compared(graph: Graph, run: Run) -> float:
     worst = 0.0
     for seed, size in enumerate(_COMPARED):
         inputs = graph.example(*size, seed=seed)
-        if seed and "remove" in inputs:
-            inputs["remove"] = torch.from_numpy(vector(("haze", "gains")))[None]
         wished = [values.numpy() for values in graph(*inputs.values())]
         for name, *pair in zip(graph.outputs, run(inputs), wished, strict=True):
             if name == "shadow_logits":  # as it shows in a picture
@@ -272,13 +258,17 @@ def _described(graph: Graph, content: bytes, about: Mapping[str, object], bare: 
 
     model = onnx.load_model_from_string(content)
     for value in (*model.graph.input, *model.graph.output):
-        value.doc_string = _WORDS[value.name]
+        value.doc_string = _WORDS.get(value.name, "")
+    # What was traced before in this process has a part in the names of nodes and values.
+    kept = {one.name for one in (*model.graph.input, *model.graph.output, *model.graph.initializer)}
+    numbers: dict[str, str] = {name: name for name in ("", *kept)}
     for node in model.graph.node:
-        node.doc_string = ""
-    model.doc_string = (
-        f"A denoiser for forward-looking sonar pictures, made by SimNFND {__version__}."
-    )
-    facts = {"simnfnd": __version__, "geometry": graph.layout, "opset": OPSET, **about}
+        node.name = node.doc_string = ""
+        for names in (node.input, node.output):
+            names[:] = [numbers.setdefault(name, f"v{len(numbers)}") for name in names]
+    del model.graph.value_info[:]
+    model.doc_string = "A denoiser for forward-looking sonar pictures, made by SimNFND."
+    facts = {"geometry": graph.layout, "opset": OPSET, **about}
     onnx.helper.set_model_props(model, {key: str(value) for key, value in sorted(facts.items())})
     onnx.checker.check_model(model, full_check=True)
     if bare:

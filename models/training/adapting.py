@@ -18,8 +18,8 @@ from ..adapt import Lessons, Still
 from ..data.crops import concatenate, crop, whole_image
 from ..data.pairs import Batch, Image, Sample, spread
 from ..losses import Loss
+from ..networks import averaged
 from ..networks.network import Network, known_extras
-from ..removal import averaged
 from ..settings import TrainSettings
 from .loop import Loop
 from .module import DenoisingModule, Row, denoised

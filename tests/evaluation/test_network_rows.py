@@ -54,10 +54,10 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
     ]
     found = measured(dataset, methods, tmp_path / "out")
     psnr_db = found.wide()["psnr"]
-    from simnfnd.models.denoise.denoiser import load_denoiser
+    from simnfnd.models.denoise.denoiser import Denoiser
 
     pair = picture(items_of(dataset, "test")[1].place)
-    expected = psnr(pair.clean, load_denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
+    expected = psnr(pair.clean, Denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
     assert psnr_db["small"][1] == pytest.approx(expected, abs=1e-6)
     assert psnr_db["small"][1] != psnr_db["other"][1]
     assert (found.wide()[SECONDS]["small"] > 0).all()

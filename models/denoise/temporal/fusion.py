@@ -67,12 +67,14 @@ class Fusion:
         if not laid:
             return Fused(own, one, one)
         smalls, masks = self._windows(grey, [grey_of(other) for other in laid], shown)
-        if self._is_measured():
-            which = self._which(len(laid))
+        # The neighbour that noise is measured with; None: not now.
+        now = self._seen < _LEARNED or self._seen % _AGAIN == 0
+        which = self._seen % len(laid) if now else None
+        if which is not None:
             apart = (grey_of(laid[which]) - grey) * np.float32(np.sqrt(0.5))
             where = shown[which]
             self.noise.add(apart, grey if where is None else grey * where)
-        weights, agrees = self._weights(smalls, masks)
+        weights, agrees = self._weights(smalls, masks, which)
         self._seen += 1
         down, right = factors(grey.shape)
         size = smalls[0].shape[1] * right, smalls[0].shape[0] * down
@@ -104,19 +106,12 @@ class Fusion:
         found = cv2.resize(agrees.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         return np.asarray(found if shown is None else found & (shown > 0))
 
-    def _is_measured(self) -> bool:
-        return self._seen < _LEARNED or self._seen % _AGAIN == 0
-
-    def _which(self, others: int) -> int:
-        """The neighbour that noise is measured with."""
-        return self._seen % others
-
     def _windows(
         self, grey: Grey, others: Sequence[Grey], shown: Sequence[Grey | None]
     ) -> tuple[list[Grey], list[Grey | None]]:
         """Of each frame the means over the small window, and where a neighbour shows its scene."""
         smalls = [blurred(reduced(grey), _SMALL)]
-        masks: list[Grey | None] = [None]
+        masks: list[Grey | None] = []
         for other, where in zip(others, shown, strict=True):
             small = blurred(reduced(other), _SMALL)
             mask = None
@@ -127,23 +122,24 @@ class Fusion:
             masks.append(mask)
         return smalls, masks
 
-    def _weights(self, smalls: list[Grey], masks: list[Grey | None]) -> tuple[list[Grey], Grey]:
+    def _weights(
+        self, smalls: list[Grey], masks: list[Grey | None], which: int | None
+    ) -> tuple[list[Grey], Grey]:
         own, middle = smalls[0], median(smalls)
-        measured, which = self._is_measured(), 1 + self._which(len(smalls) - 1)
-        seen = masks[which]
         near = [small - middle for small in smalls]
         apart = [small - own for small in smalls[1:]]
-        at_middle = middle if seen is None else np.where(seen > 0, middle, np.float32(0))
-        if measured:
-            self._to_median.add(near[which], at_middle)
-            self._to_frame.add(apart[which - 1], at_middle)
+        if which is not None:
+            seen = masks[which]
+            at_middle = middle if seen is None else np.where(seen > 0, middle, np.float32(0))
+            self._to_median.add(near[which + 1], at_middle)
+            self._to_frame.add(apart[which], at_middle)
         near_sigma, apart_sigma = self._to_median.at(middle), self._to_frame.at(own)
         near = [one / near_sigma for one in near]
         apart = [one / apart_sigma for one in apart]
         wide_near, wide_apart = [_wide(one) for one in near], [_wide(one) for one in apart]
-        if measured:
-            self._wide_to_median.add(wide_near[which], at_middle)
-            self._wide_to_frame.add(wide_apart[which - 1], at_middle)
+        if which is not None:
+            self._wide_to_median.add(wide_near[which + 1], at_middle)
+            self._wide_to_frame.add(wide_apart[which], at_middle)
         near_sigma = self._wide_to_median.at(middle)
         apart_sigma = self._wide_to_frame.at(own)
         agree = [

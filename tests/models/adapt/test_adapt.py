@@ -10,7 +10,7 @@ import torch
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.adapt import find_lessons, main, read_clips
-from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.inputs import NONE, Geometries
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
@@ -62,7 +62,7 @@ def test_weights_learn_from_frames_without_truth(
     assert "PSNR after levels: noisy" in said
     assert outs[0].read_bytes() == outs[1].read_bytes(), "the same steps and seed, other weights"
     fresh = noisy(truth[1], 999)  # of the scene that nothing was learned from
-    denoised = load_denoiser(outs[0], "cpu")(fresh)
+    denoised = Denoiser(outs[0], "cpu")(fresh)
     assert psnr_after_levels(denoised, truth[1]) > psnr_after_levels(fresh, truth[1]) + 0.5
     facts = load_weights(outs[0]).training
     assert (facts["adapted.frames"], facts["steps"], facts["seed"]) == (6, 24, 0)

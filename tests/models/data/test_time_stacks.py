@@ -8,7 +8,7 @@ import torch
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Sample
 from simnfnd.models.data.time_stacks import MixedSource, Stack, standing, with_loud_beam
-from simnfnd.models.removal import averaged
+from simnfnd.models.networks import averaged
 from simnfnd.models.training.module import completed
 
 SHAPE = (64, 80)

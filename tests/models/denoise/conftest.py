@@ -25,5 +25,5 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
     made = Halving()
-    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: made)
+    monkeypatch.setattr(command, "Denoiser", lambda *given, **named: made)
     return made

@@ -17,7 +17,7 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.denoise import shards
 from simnfnd.models.denoise.command import main
-from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.pictures import denoise_image
 from simnfnd.models.denoise.shards import made_of_points, opened_shard
@@ -50,7 +50,7 @@ def test_weights_do_not_see_a_bright_page_around_a_fan(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     grey = np.where(inside, rng.rayleigh(0.2, inside.shape).clip(0, 1), 0).astype(np.float32)
     page = np.where(inside, grey, np.float32(0.9))
-    denoise = load_denoiser(untrained_sonarnet(tmp_path), "cpu")
+    denoise = Denoiser(untrained_sonarnet(tmp_path), "cpu")
     on_black, on_page = denoise(grey, geometry), denoise(page, geometry)
     np.testing.assert_array_equal(on_page[inside], on_black[inside])
     np.testing.assert_array_equal(on_page[~inside], page[~inside])
@@ -98,9 +98,7 @@ def test_images_keep_name_size_and_dtype(
 def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:
     weights = untrained_sonarnet(tmp_path)
     gray = fan_images(40, np.random.default_rng(0))[0].astype(np.float32)
-    whole, half, none = (
-        load_denoiser(weights, "cpu", strength=part)(gray) for part in (1.0, 0.5, 0.0)
-    )
+    whole, half, none = (Denoiser(weights, "cpu", strength=part)(gray) for part in (1.0, 0.5, 0.0))
     np.testing.assert_array_equal(none, gray)
     assert np.abs(whole - gray).max() > 0.01
     inside = (whole > 0) & (whole < 1)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.models.denoise.writers import CODECS, FrameFiles
+from simnfnd.models.denoise.writers import CODECS, write_frames
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.pictures import VideoFile
 from tests.models.adapt.scenes import noisy, scene
@@ -54,9 +54,7 @@ def test_frames_survive_in_every_container(
     tmp_path: Path, name: str, colours: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:
     frames = np.random.default_rng(3).integers(0, 256, (4, 30, 46, *colours), dtype=np.uint8)
-    with FrameFiles(tmp_path / name, 7.5) as files:
-        for frame in frames:
-            files.add(frame)
+    write_frames(tmp_path / name, frames, 7.5)
     with VideoFile(tmp_path / name) as recording:
         assert recording.rate_hz == pytest.approx(7.5)
         np.testing.assert_array_equal([frame.samples for frame in recording], frames)

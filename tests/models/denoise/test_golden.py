@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pytest
 
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.pretrained import shipped
 from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.training.adapting import psnr_after_levels
@@ -74,7 +74,7 @@ def psnr(picture: Grey, reference: Grey) -> float:
 
 def figures(name: str) -> dict[str, float]:
     """What a file gains, dB: on single frames, on means of seven, on procedural pictures."""
-    denoise = load_denoiser(name, "cpu")
+    denoise = Denoiser(name, "cpu")
     seen, geometry = frames()
     single: list[float] = []
     several: list[float] = []

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
+from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.runtime import OnnxNetwork, TorchNetwork
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
@@ -55,7 +55,7 @@ def made(model: dict[str, Any], folder: Path) -> tuple[Path, Path]:
 
 def in_onnx(both: tuple[Path, Path]) -> Denoiser:
     """A denoiser in onnxruntime, whose graph does not ship."""
-    denoise = Denoiser(both[0], "cpu", 256, 32)
+    denoise = Denoiser(both[0], "cpu")
     assert isinstance(denoise.runtime, TorchNetwork)
     denoise.runtime = OnnxNetwork(*both, "cpu")
     return denoise
@@ -79,7 +79,7 @@ def test_onnxruntime_gets_what_torch_gets(
     told: float | np.ndarray | None = None if isinstance(frames, str) else frames
     if frames == "map":
         told = np.random.default_rng(0).uniform(1, 7, picture.shape).astype(np.float32)
-    of_torch, of_onnx = Denoiser(both[0], "cpu", 256, 32), in_onnx(both)
+    of_torch, of_onnx = Denoiser(both[0], "cpu"), in_onnx(both)
     wished = of_torch(picture, known, frames=told)
     assert np.abs(wished - picture).max() > 0.01
     np.testing.assert_allclose(of_onnx(picture, known, frames=told), wished, atol=within(of_onnx))
@@ -90,16 +90,15 @@ def test_onnxruntime_gets_what_torch_gets(
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_weights_that_ship_run_in_onnxruntime_as_in_torch(name: str, tmp_path: Path) -> None:
     """And the graph that ships is the one that the command makes."""
-    denoise, of_torch = load_denoiser(name, "cpu"), load_denoiser(name, "cpu")
+    denoise, of_torch = Denoiser(name, "cpu"), Denoiser(name, "cpu")
     assert isinstance(denoise.runtime, OnnxNetwork)
     again = tmp_path / "again.onnx"
     assert export([name, "--to", "runtime", "--out", str(again)]) == 0
+    assert again.read_bytes() == find_weights(name).with_suffix(".onnx").read_bytes()
     drawn, geometry = fan(preset("aris_explorer_3000", 150, 211), 0.3, holes=False)
     picture = drawn.astype(np.float32) / 255
     of_torch.runtime = TorchNetwork(find_weights(name), "cpu")
     wished = of_torch(picture, geometry)
-    np.testing.assert_allclose(denoise(picture, geometry), wished, atol=within(denoise))
-    denoise.runtime = OnnxNetwork(find_weights(name), again, "cpu")
     np.testing.assert_allclose(denoise(picture, geometry), wished, atol=within(denoise))
 
 

@@ -36,7 +36,7 @@ class Stopping:
 
 def use(monkeypatch: pytest.MonkeyPatch, at: int | None, number: int = signal.SIGINT) -> Stopping:
     made = Stopping(at, number)
-    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: made)
+    monkeypatch.setattr(command, "Denoiser", lambda *given, **named: made)
     return made
 
 

@@ -11,9 +11,7 @@ import numpy.typing as npt
 import pytest
 from scipy import ndimage
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models.denoise.command import main
-from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser, tiled
+from simnfnd.models.denoise.denoiser import Denoiser, tiled
 from simnfnd.models.denoise.pictures import Gray as Grey
 from tests.small_dataset import fan_images
 
@@ -38,13 +36,13 @@ def test_tiles_leave_no_seam() -> None:
 
 def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:
     noisy, _, _ = fan_images(96, np.random.default_rng(2))
-    whole = load_denoiser(weights, "cpu")(noisy)
-    parts = load_denoiser(weights, "cpu", tile=64, overlap=24)(noisy)
+    denoise = Denoiser(weights, "cpu")
+    whole = denoise(noisy)
+    denoise.tile, denoise.overlap = 64, 24
+    parts = denoise(noisy)
     # NAFNet's attention is a mean over the tile, so a little differs.
     assert np.abs(whole - parts).max() < 0.05
     assert parts.dtype == np.float32
-    with pytest.raises(FactoryError, match="--tile 64: must be 192 or more"):
-        main(["x.png", "--out", "o", "--tile", "64"])
 
 
 def grain(side: int, seed: int = 0) -> Grey:
@@ -69,7 +67,7 @@ def larger(grey: Grey, times: float) -> Grey:
 
 def test_weights_that_ship_denoise_enlarged_pictures() -> None:
     """Twice as wide grain leaves hardly more noise than grain of a pixel."""
-    once = load_denoiser("simnfnd", "cpu")
+    once = Denoiser("simnfnd", "cpu")
     assert once.runtime.wide_grain == 0.56
     side = 200
     wide, truth = larger(grain(side), 2), larger(ground(side), 2)

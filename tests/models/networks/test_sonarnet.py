@@ -11,12 +11,12 @@ from torch import Tensor
 
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
+from simnfnd.models.networks import DEFAULT, vector
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.sonarnet import (
     SonarNet,
     polar_grid,
 )
-from simnfnd.models.removal import DEFAULT, vector
 from tests.models.networks.tiny_networks import stirred, tiny
 
 
