@@ -156,26 +156,6 @@ def network(weights: str, device: str) -> Denoiser:
     return load_denoiser(weights, device)
 
 
-def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
-    """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md.
-
-    Nothing without torch, which counts them.
-    """
-    if not networks or find_spec("torch") is None:
-        return {}
-    from ..models.networks.network import count_macs
-    from ..models.networks.weights import load_weights
-
-    found = {}
-    for method in networks:
-        loaded = load_weights(method.weights or "").network
-        found[method.label] = {
-            "gmac": count_macs(loaded, 256) / 1e9,
-            "parameters": float(sum(weights.numel() for weights in loaded.parameters())),
-        }
-    return found
-
-
 @lru_cache(maxsize=64)
 def weights_digest(path: str) -> str:
     """Changes with the weights."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,8 @@ from .runner import Subject
 from .settings import PicturesFolder
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ..factory.sonar.geometry import FanGeometry
 
 ROW = -1
@@ -115,8 +117,8 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     return found[:limit]
 
 
-def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
-    """Column of /meta -> (N,) what it says of each item: numbers (NaN where absent) or text."""
+def drawn_of(items: Sequence[Item]) -> pd.DataFrame:
+    """(items x columns of /meta) what was drawn: numbers, NaN where absent, or text."""
     import pandas as pd
 
     tables: dict[str, pd.DataFrame] = {}
@@ -126,9 +128,8 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
     every = pd.concat(tables).reindex([item.place for item in items]) if tables else pd.DataFrame()
     text = every.select_dtypes(object)
     every[text.columns] = text.apply(lambda column: column.str.decode("utf-8")).fillna("")
-    return {
-        str(name): column.to_numpy(str if name in text else float) for name, column in every.items()
-    }
+    numbers = dict.fromkeys((name for name in every if name not in text), float)
+    return every.astype(numbers).reset_index(drop=True)
 
 
 def config_hash_of(item: Item) -> str:

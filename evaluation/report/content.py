@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import pandas as pd
 
 from ..methods import Method
 from ..metrics.fidelity import PSNR_CAP_DB
@@ -24,12 +22,8 @@ from .tables import (
     interval,
     percent,
     plain,
-    written,
     written_p,
 )
-
-if TYPE_CHECKING:
-    from ..pairs import Item
 
 SCHEMA = "simnfnd-report/1"
 _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")
@@ -62,11 +56,10 @@ def content_of(
     items: Sequence[Item],
     settings: EvaluationSettings,
     tuned: Mapping[str, Any],
-    costs: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Any]:
     """The rows with their intervals and tests, best PSNR first, and the paper's tables.
 
-    tuned: baseline -> entry of the tuned file.  costs: label -> gmac and parameters of networks.
+    tuned: baseline -> entry of the tuned file.
     """
     figures = measured.wide()
     groups = [item.group for item in items]
@@ -96,8 +89,6 @@ def content_of(
                 "levels": None if method.levels is None else vars(method.levels),
                 "ablation": method.ablation,
                 "milliseconds": plain(1000 * seconds),
-                "gmac": costs.get(label, {}).get("gmac"),
-                "weights": costs.get(label, {}).get("parameters"),
                 "lost": lost,
                 "metrics": {
                     name: _as_dict(estimate(figures[name][label].to_numpy(), groups, **options))
@@ -206,7 +197,7 @@ def best_forms(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 
 def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
-    """Labels for pictures and curves: noisy, then of each method its best form, best first."""
+    """Labels for pictures: noisy, then of each method its best form, best first."""
     alive = [row for row in rows if row["lost"] is None]
     best = [row["label"] for row in best_forms(alive) if row["kind"] != "noisy"]
     return ["noisy", *best[:most]]
@@ -224,58 +215,6 @@ def _adjust(rows: Sequence[dict[str, Any]], key: str) -> None:
         values = [np.nan if one["p"] is None else one["p"] for one in family]
         for one, adjusted in zip(family, holm(values), strict=True):
             one["p_holm"] = plain(adjusted)
-
-
-_MOST_PLACES = 12
-_BINS, _PAIRS_A_BIN = 5, 8
-
-
-def breakdown_of(
-    psnr: pd.DataFrame,
-    items: Sequence[Item],
-    drawn: Mapping[str, npt.NDArray[Any]],
-    labels: Sequence[str],
-) -> list[pd.DataFrame]:
-    """A table a factor that varies, as text: the rows' mean PSNR in dB in each of its bins.
-
-    psnr: of each pair (rows) by each method (columns).  drawn: columns of /meta.  labels: methods
-    to break down, in their order.  A number is cut into up to five bins of equally many pairs; an
-    effect that is off in a pair has a bin `off`.
-    """
-    place = "location" if len({item.location for item in items}) > 1 else "scene"
-    factors: dict[str, Any] = {place: [getattr(item, place) for item in items]}
-    factors["PSNR of the noisy image, dB"] = psnr["noisy"]
-    factors |= {
-        name: column
-        for name, column in drawn.items()
-        if name.startswith("noise.") or name == "resample.rate"
-    }
-    found = []
-    for factor, column in factors.items():
-        bins = _bins(pd.Series(column))
-        if bins.nunique() < 2:
-            continue
-        means = psnr[list(labels)].groupby(bins, observed=True).mean()
-        pairs = bins.value_counts()
-        table = means.map(lambda value: written(value, 2)).T
-        table.columns = [f"{name} ({pairs[name]})" for name in means.index]
-        found.append(table.rename_axis(factor).reset_index())
-    return found
-
-
-def _bins(values: pd.Series[Any]) -> pd.Series[Any]:
-    """The bin of each value, in order; none for the rarest of many words."""
-    if not pd.api.types.is_numeric_dtype(values):
-        most = values.value_counts().index[:_MOST_PLACES]
-        return values.where(values.isin(most)).replace("", "off")
-    if values.nunique() <= _BINS:
-        names = dict.fromkeys(f"{one:.3g}" for one in sorted(values.dropna().unique()))
-        cut = pd.Categorical(values.map("{:.3g}".format, na_action="ignore"), list(names))
-    else:
-        count = int(np.clip(values.count() // _PAIRS_A_BIN, 2, _BINS))
-        cut = pd.qcut(values, count, duplicates="drop").array
-        cut = cut.rename_categories(lambda one: f"{one.left:.3g} .. {one.right:.3g}")
-    return pd.Series(cut.set_categories(["off", *cut.categories]), values.index).fillna("off")
 
 
 def table_2(rows: Sequence[Content]) -> list[dict[str, Any]]:

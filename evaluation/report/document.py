@@ -28,13 +28,12 @@ if TYPE_CHECKING:
 class Section:
     """A part of a report.  Names in `text` stand between backticks.
 
-    tables: of text.  chart: what the page alone shows.  folded: the page opens it on a click.
+    tables: of text.  folded: the page opens it on a click.
     """
 
     title: str
     tables: Sequence[pd.DataFrame] = ()
     text: Sequence[str] = ()
-    chart: Markup = field(default_factory=Markup)
     folded: bool = False
 
 
@@ -65,11 +64,10 @@ def write_report(
 
     facts: the JSON.  Raises FactoryError when the folder cannot be written to.
     """
-    shown = [one for one in sections if one.tables or any(one.text) or one.chart]
+    shown = [one for one in sections if one.tables or any(one.text)]
     parts = [f"# {title}", about]
     for one in shown:
-        if one.tables or any(one.text):
-            parts += [f"## {one.title}", *map(as_markdown, one.tables), *filter(None, one.text)]
+        parts += [f"## {one.title}", *map(as_markdown, one.tables), *filter(None, one.text)]
     page = _environment().get_template("report.html")
     html = page.render(
         title=title, about=about, sections=shown, examples=_data(examples), file=_own_file
