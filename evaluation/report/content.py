@@ -10,7 +10,6 @@ import numpy as np
 
 from ..methods import Method
 from ..metrics.fidelity import PSNR_CAP_DB
-from ..metrics.measure import SHADOW
 from ..metrics.statistics import Estimate, estimate, holm, paired
 from ..pairs import Item
 from ..runner import SECONDS, Measured
@@ -106,14 +105,14 @@ def content_of(
                 line["against_best"] = compared(line["label"], best)
         _adjust(found, "against_best")
     found.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
-    third = table_3(found)
+    third = paper_table(TABLE_3, found)
     facts = _facts(settings, items, int((figures["psnr"]["noisy"] >= PSNR_CAP_DB).sum()))
     return {
         "schema": SCHEMA,
         "facts": facts,
         "rows": found,
         "best_classical": {"row": best, "chosen_on": chosen_on},
-        "table_2": table_2(found),
+        "table_2": paper_table(TABLE_2, found),
         # Weights of Table 3 are seldom given; without any there is nothing to say of it.
         "table_3": third if any(line["ours"] for line in third) else [],
     }
@@ -161,17 +160,11 @@ def verdict(content: Mapping[str, Any]) -> str:
 def _facts(settings: EvaluationSettings, items: Sequence[Item], identical: int) -> dict[str, Any]:
     """What was measured, and how."""
     rules = [
-        "Intervals: 95 % bootstrap that draws whole frames. Wilcoxon: signed ranks of the frames' "
-        "mean differences, Holm's correction over the rows. Wins: share of pairs where the row "
-        "is better.",
-        f"PSNR: mean of the dB values of the images; identical pairs ({identical} here) count as "
-        f"{PSNR_CAP_DB:g} dB. SSIM: Gaussian window, sigma 1.5. GMSD: 2x2 mean first, c = 170 on "
-        "0..255; `as printed` in the paper: without the 2x2 mean. A pixel is shadow at or below "
-        f"{SHADOW:g} of full scale. ENL rewards blur and a ratio mean of 1 is "
-        "best: neither ranks methods alone.",
-        "`+ levels`: one gain and offset for all images; they and the parameters of `tuned` come "
-        "from validation pairs. ms: median CPU time of one image (of networks on a GPU: elapsed "
-        "time); other processes can still slow it down through shared caches.",
+        "Intervals: 95 % bootstrap that draws whole frames. p: Wilcoxon signed ranks of the mean "
+        f"differences of frames, Holm's correction over the rows. Identical pairs ({identical} "
+        f"here) count as {PSNR_CAP_DB:g} dB. ENL and ratio mean rank no methods. `+ levels`: one "
+        "gain and offset for all images; they and the parameters of `tuned` come from validation "
+        "pairs. ms: median CPU time of an image (of networks on a GPU: elapsed time).",
     ]
     return {
         "dataset": settings.name,
@@ -217,46 +210,27 @@ def _adjust(rows: Sequence[dict[str, Any]], key: str) -> None:
             one["p_holm"] = plain(adjusted)
 
 
-def table_2(rows: Sequence[Content]) -> list[dict[str, Any]]:
-    """The rows of Table 2: the baselines as their library has them, and the ablation's network.
+def paper_table(
+    table: Mapping[str, tuple[str, tuple[float, float, float]]], rows: Sequence[Content]
+) -> list[dict[str, Any]]:
+    """The rows of a table of the paper beside ours.
 
-    Without that network the best of the given networks stands in its row.
+    Baselines as their library has them, networks by `ablation`; for OURS in Table 2 else the best
+    of the given networks.  rows: the best first, those that are lost last.
     """
-    ours = _ablation(rows, OURS) or _best_network(rows)
-    found = []
-    for name, (title, paper) in TABLE_2.items():
-        row = ours if name == OURS else _baseline(rows, name)
-        found.append(_line(title, paper, row))
+    found: list[dict[str, Any]] = []
+    for name, (title, paper) in table.items():
+        named = (row for row in rows if row["name"] == name and not row["form"])
+        same = [row for row in named if row["kind"] in ("noisy", "baseline")]
+        same += [row for row in rows if row["ablation"] == name]
+        if name == OURS and table is TABLE_2:
+            same += [row for row in rows if row["kind"] == "network" and row["lost"] is None]
+        line: dict[str, Any] = {
+            "title": title,
+            "paper": dict(zip(TABLE_METRICS, paper, strict=True)),
+        }
+        line |= {"ours": None, "row": same[0]["label"] if same else None}
+        if same and same[0]["lost"] is None:
+            line["ours"] = {name: same[0]["metrics"][name]["mean"] for name in TABLE_METRICS}
+        found.append(line)
     return found
-
-
-def table_3(rows: Sequence[Content]) -> list[dict[str, Any]]:
-    """The rows of Table 3."""
-    return [_line(title, paper, _ablation(rows, name)) for name, (title, paper) in TABLE_3.items()]
-
-
-def _line(title: str, paper: tuple[float, float, float], row: Content | None) -> dict[str, Any]:
-    ours = None
-    if row is not None and row["lost"] is None:
-        ours = {metric: row["metrics"][metric]["mean"] for metric in TABLE_METRICS}
-    return {
-        "title": title,
-        "paper": dict(zip(TABLE_METRICS, paper, strict=True)),
-        "ours": ours,
-        "row": None if row is None else row["label"],
-    }
-
-
-def _baseline(rows: Sequence[Content], name: str) -> Content | None:
-    kinds = ("noisy", "baseline")
-    found = [row for row in rows if row["name"] == name and row["kind"] in kinds]
-    return next((row for row in found if not row["form"]), None)
-
-
-def _ablation(rows: Sequence[Content], name: str) -> Content | None:
-    return next((row for row in rows if row["ablation"] == name), None)
-
-
-def _best_network(rows: Sequence[Content]) -> Content | None:
-    networks = [row for row in rows if row["kind"] == "network" and row["lost"] is None]
-    return max(networks, key=lambda row: float(row["metrics"]["psnr"]["mean"]), default=None)

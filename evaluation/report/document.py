@@ -73,9 +73,8 @@ def write_report(
         title=title, about=about, sections=shown, examples=_data(examples), file=_own_file
     )
     markdown = "\n\n".join(parts) + "\n"
-    write_files(
-        out, {f"{name}.json": as_json(facts), f"{name}.md": markdown, f"{name}.html": html.lstrip()}
-    )
+    data = json.dumps(facts, indent=1, allow_nan=False) + "\n"
+    write_files(out, {f"{name}.json": data, f"{name}.md": markdown, f"{name}.html": html.lstrip()})
 
 
 def write_files(out: Path, files: Mapping[str, str]) -> None:
@@ -84,11 +83,6 @@ def write_files(out: Path, files: Mapping[str, str]) -> None:
         out.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         write_atomically(out / name, content.encode(), key="out")
-
-
-def as_json(content: Mapping[str, Any]) -> str:
-    """JSON as reports write it."""
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def as_data_uri(image: npt.NDArray[np.float32]) -> str:
