@@ -7,6 +7,7 @@ import hashlib
 import json
 import shlex
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -213,7 +214,11 @@ class Simulation:
         spread = evenly(there, frames)
         self._kept = _Kept({ref: views.view(ref) for ref in spread})
         maker = PairMaker(self.config, self._kept)
-        self.refs = [ref for ref in spread if _usable(maker, ref)]
+        self.refs: list[FrameRef] = []
+        for ref in spread:
+            with suppress(FrameError):  # the factory leaves out frames that make no picture
+                maker.pairs(ref, (0,))
+                self.refs.append(ref)
         if not self.refs:
             raise FactoryError("recipe: the sonar sees nothing in any of its frames; see sonar.*")
 
@@ -243,15 +248,6 @@ class Simulation:
             polar = to_polar(in_unit_range(pair.noisy), geometry, self.grid)
             rows.append(features_of(polar, geometry.range_span_m))
         return pd.DataFrame(rows)
-
-
-def _usable(maker: PairMaker, ref: FrameRef) -> bool:
-    """Whether the frame makes a picture: the factory leaves out those that do not."""
-    try:
-        maker.pairs(ref, (0,))
-    except FrameError:
-        return False
-    return True
 
 
 class _Kept:

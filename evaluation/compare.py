@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
-from .metrics.statistics import holm, paired
+from .metrics.statistics import Paired, holm, paired
 from .report.build import RESULTS_NAME
 from .report.tables import (
     METRIC_NAMES,
@@ -55,29 +54,35 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
             f"{a} and {b}: reports on different pairs, none in common; give two on one dataset"
         )
     groups = ["/".join(key[1:]) for key in common]
-    metrics = {name: m for name, m in METRIC_NAMES.items() if name in one and name in other}
-    found: dict[str, dict[str, Any]] = {}
-    for name, metric in metrics.items():
-        first, second = (row.loc[common, name].to_numpy(float) for row in (one, other))
-        result = paired(first, second, groups, better=metric.better, resamples=2000, seed=0)
-        item = result.difference
-        values = {"difference": item.mean, "low": item.low, "high": item.high, "p": result.p}
-        known = {key: plain(value) for key, value in values.items()}
-        found[name] = {**known, "wins": plain(result.wins), "count": item.count}
-    judged = [name for name in found if metrics[name].better]
-    every = [found[name]["p"] for name in judged]
-    adjusted = holm([np.nan if p is None else p for p in every])
-    for name, line in found.items():
-        line["p_holm"] = plain(adjusted[judged.index(name)]) if name in judged else None
-        line["verdict"] = _judged(line, metrics[name].better)
+    found: dict[str, Paired] = {}
+    for name, metric in METRIC_NAMES.items():
+        if name in one and name in other:
+            first, second = (row.loc[common, name].to_numpy(float) for row in (one, other))
+            found[name] = paired(
+                first, second, groups, better=metric.better, resamples=2000, seed=0
+            )
+    judged = [name for name in found if METRIC_NAMES[name].better]
+    adjusted = dict(zip(judged, holm([found[name].p for name in judged]), strict=True))
     return {
         "a": {"folder": a.name, "row": name_a},
         "b": {"folder": b.name, "row": name_b},
         "pairs": len(common),
         "frames": len(set(groups)),
         "left_out": len(one.index.symmetric_difference(other.index)),
-        "metrics": found,
+        "metrics": {n: _line(n, result, adjusted.get(n)) for n, result in found.items()},
     }
+
+
+def _line(name: str, result: Paired, p_holm: float | None) -> dict[str, Any]:
+    """A metric; better only where the interval excludes zero and Holm's p is below 0.05."""
+    item, better = result.difference, METRIC_NAMES[name].better
+    verdict = "no difference shown"
+    if not better or not item.count:
+        verdict = "not ranked" if item.count else "no figures"
+    elif p_holm is not None and p_holm < _ALPHA and item.low * item.high > 0:
+        verdict = "better" if item.mean * better > 0 else "worse"
+    wins = {"wins": plain(result.wins), "p_holm": p_holm, "verdict": verdict}
+    return {"difference": item.mean, "low": item.low, "high": item.high, **wins}
 
 
 def text_of(result: dict[str, Any]) -> str:
@@ -94,16 +99,6 @@ def text_of(result: dict[str, Any]) -> str:
     head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
     about = f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}"
     return "\n\n".join([about, as_markdown(as_table(head, rows), "lrcrrl")])
-
-
-def _judged(line: dict[str, Any], better: int) -> str:
-    """Better only where the interval excludes zero and Holm's p is below 0.05."""
-    if not better or not line["count"]:
-        return "not ranked" if line["count"] else "no figures"
-    p = line["p_holm"]
-    if p is not None and p < _ALPHA and line["low"] * line["high"] > 0:
-        return "better" if line["difference"] * better > 0 else "worse"
-    return "no difference shown"
 
 
 def read_results(folder: Path) -> pd.DataFrame:

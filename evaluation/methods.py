@@ -136,11 +136,8 @@ def networks_at(
     for text, row, key in given:
         path = _weights(Path(text).expanduser(), key)
         name = path.parent.name if path.name == WEIGHTS_NAME else path.stem
-        taken = {method.name for method in found.values()}
-        if path in found:
-            name = found[path].name
-        elif name in taken:
-            name = next(f"{name}-{n}" for n in range(2, 1000) if f"{name}-{n}" not in taken)
+        if any(method.name == name for other, method in found.items() if other != path):
+            name = str(path)
         found[path] = Method(name, "", {}, weights=str(path), ablation=row)
     return list(found.values())
 
@@ -154,26 +151,6 @@ def network(weights: str, device: str) -> Denoiser:
     from ..models.denoise.denoiser import Denoiser
 
     return Denoiser(weights, device)
-
-
-def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
-    """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md.
-
-    Nothing without torch, which counts them.
-    """
-    if not networks or find_spec("torch") is None:
-        return {}
-    from ..models.networks.network import count_macs
-    from ..models.networks.weights import load_weights
-
-    found = {}
-    for method in networks:
-        loaded = load_weights(method.weights or "").network
-        found[method.label] = {
-            "gmac": count_macs(loaded, 256) / 1e9,
-            "parameters": float(sum(weights.numel() for weights in loaded.parameters())),
-        }
-    return found
 
 
 @lru_cache(maxsize=64)
@@ -199,14 +176,7 @@ def _weights(path: Path, key: str) -> Path:
     from ..models.pretrained import find_weights, shipped
 
     if path.is_dir() and str(path) not in shipped():  # a folder may have the name of weights
-        inside = sorted(path.glob("*.safetensors"))
-        best = path / WEIGHTS_NAME
-        if best not in inside and len(inside) != 1:
-            raise FactoryError(
-                f"{key}: {path} holds {len(inside)} weights files and no {WEIGHTS_NAME}; name a "
-                "file"
-            )
-        path = best if best in inside else inside[0]
+        path /= WEIGHTS_NAME
     try:
         return find_weights(path).resolve()
     except FactoryError as error:

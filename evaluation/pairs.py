@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from ..factory.dataset.manifest import load_manifest
 from ..factory.dataset.reader import ImageStack, Split, open_shard, reading, value_range
@@ -19,8 +18,6 @@ from ..factory.dataset.schema import CORE
 from ..factory.dataset.source import open_source
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
-from ..models.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
-from ..models.recordings.arrays import is_table
 from ..models.recordings.pictures import in_unit_range, read_picture
 from .filters import REGISTRY
 from .methods import Method
@@ -30,20 +27,19 @@ from .runner import Subject
 from .settings import PicturesFolder
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ..factory.sonar.geometry import FanGeometry
 
-ROW = -1
-"""Stands in a `Place` for: an image file, no shard."""
-
 Place = tuple[str, int]
-"""Shard file and row, or a noisy image file and ROW."""
+"""Shard file and row."""
 
 
 @dataclass(frozen=True)
 class Item(Subject):
     """One pair: where it is, what it shows, and what is measured of it.
 
-    split, number: as `simnfnd export --to png` names it; of image files '' and their order.
+    split, number: as `simnfnd export --to png` names it.
     key: changes with the content of the pair.
     """
 
@@ -91,15 +87,8 @@ class Item(Subject):
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     """Every pair of a split (the first `limit`), in the dataset's order.
 
-    root: a dataset, or a folder with noisy/ and clean/ images.
-    Raises FactoryError when it is neither.
+    Raises FactoryError when `root` is no dataset.
     """
-    if is_folder_of_pairs(root):
-        files = enumerate(noisy_files(root))
-        return [
-            Item(f.name, (str(f), ROW), "", n, key, "", root.name, f.stem, 0)
-            for n, (f, key) in files
-        ][:limit]
     source, manifest = open_source(root, split), load_manifest(root)
     digests, counts = {}, dict.fromkeys(source.splits, 0)
     for _, path, _ in source.shards:
@@ -115,26 +104,23 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     return found[:limit]
 
 
-def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
-    """Column of /meta -> (N,) what it says of each item: numbers (NaN where absent) or text."""
+def drawn_of(items: Sequence[Item]) -> pd.DataFrame:
+    """(items x columns of /meta) what was drawn: numbers, NaN where absent, or text."""
     import pandas as pd
 
     tables: dict[str, pd.DataFrame] = {}
-    for path in dict.fromkeys(item.place[0] for item in items if item.place[1] != ROW):
+    for path in dict.fromkeys(item.place[0] for item in items):
         with open_shard(Path(path)) as file:
             tables[path] = pd.DataFrame(file["meta"][:])
-    every = pd.concat(tables).reindex([item.place for item in items]) if tables else pd.DataFrame()
+    every = pd.concat(tables).reindex([item.place for item in items])
     text = every.select_dtypes(object)
     every[text.columns] = text.apply(lambda column: column.str.decode("utf-8")).fillna("")
-    return {
-        str(name): column.to_numpy(str if name in text else float) for name, column in every.items()
-    }
+    numbers = dict.fromkeys((name for name in every if name not in text), float)
+    return every.astype(numbers).reset_index(drop=True)
 
 
 def config_hash_of(item: Item) -> str:
-    """Of the dataset that an item is of; '' for a folder of image files."""
-    if item.place[1] == ROW:
-        return ""
+    """Of the dataset that an item is of."""
     with open_shard(Path(item.place[0])) as file:
         return str(file.attrs["config_hash"])
 
@@ -143,11 +129,6 @@ def config_hash_of(item: Item) -> str:
 def picture(place: Place) -> Picture:
     """Read one pair.  FactoryError when it is damaged or has NaN."""
     path, row = place
-    if row == ROW:
-        noisy, clean, mask = read_pair(Path(path))
-        shadow = np.zeros(clean.shape, bool) if mask is None else mask
-        sector = sector_of(noisy, clean, shadow)
-        return Picture(noisy, clean, shadow, sector, has_shadow=mask is not None)
     with reading(Path(path)) as file:
         scale = np.float32(value_range(file))
         stored, truth, shadow = (ImageStack(file[key])[row] for key in CORE)
@@ -164,8 +145,6 @@ def geometry_of(place: Place) -> FanGeometry | None:
     from ..factory.sonar.geometry import FanGeometry, recorded_sonar
 
     path, row = place
-    if row == ROW:
-        return None
     with open_shard(Path(path)) as file:
         try:
             sonar = recorded_sonar(json.loads(file.attrs["config"]))
@@ -185,68 +164,11 @@ def names_of(item: Item) -> list[str]:
 
     As `simnfnd export --to png` and `simnfnd denoise` name it.
     """
-    if item.place[1] == ROW:
-        stem = Path(item.place[0]).stem
-        return [stem, f"noisy/{stem}"]
     number = f"{item.number:06d}"
     return [f"{item.split}/noisy/{number}", f"{item.split}/{number}", f"noisy/{number}", number]
 
 
 _GIVEN = (".png", ".npy")
-
-
-def is_folder_of_pairs(root: Path) -> bool:
-    """Whether there are both folders."""
-    return (root / "noisy").is_dir() and (root / "clean").is_dir()
-
-
-def noisy_files(root: Path) -> list[tuple[Path, str]]:
-    """The noisy files in the order of their names, with a key of each pair's content.
-
-    Raises FactoryError for an image without its partner, and when there is none at all.
-    """
-    noisy, clean = ({one.name for one in images_in(root / part)} for part in ("noisy", "clean"))
-    for part, lonely, other in (
-        ("noisy", noisy - clean, "clean"),
-        ("clean", clean - noisy, "noisy"),
-    ):
-        if lonely:
-            raise FactoryError(
-                f"{root / part / min(lonely)}: no partner in {other}/ ({len(lonely)} such files)"
-            )
-    if not noisy:
-        raise FactoryError(f"dataset={root}: noisy/ and clean/ hold no images {PICTURE_SUFFIXES}")
-    found = []
-    for name in sorted(noisy):
-        files = [root / part / name for part in ("noisy", "clean", "shadow")]
-        digests = [sha256_of(file)[:16] for file in files if file.is_file()]
-        found.append((files[0], "-".join(digests)))
-    return found
-
-
-def images_in(folder: Path) -> list[Path]:
-    """The image files of a folder, by name."""
-    return sorted(
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in PICTURE_SUFFIXES and path.is_file() and not is_table(path)
-    )
-
-
-def read_pair(noisy: Path) -> tuple[Gray, Gray, npt.NDArray[np.bool_] | None]:
-    """(noisy, clean, shadow or None), (H, W) in 0..1.  FactoryError names a file that is unfit."""
-    root = noisy.parents[1]
-    clean, mask = root / "clean" / noisy.name, root / "shadow" / noisy.name
-    images = read_gray(noisy), read_gray(clean)
-    if images[0].shape != images[1].shape:
-        sizes = [f"{image.shape[1]}x{image.shape[0]}" for image in images]
-        raise FactoryError(f"{noisy}: {sizes[0]}, but its clean image is {sizes[1]} pixels")
-    if not mask.is_file():
-        return *images, None
-    shadow = read_gray(mask) > 0
-    if shadow.shape != images[0].shape:
-        raise FactoryError(f"{mask}: another size than the image that it belongs to")
-    return *images, shadow
 
 
 def given_file(folder: Path, names: Sequence[str]) -> Path | None:
@@ -256,23 +178,15 @@ def given_file(folder: Path, names: Sequence[str]) -> Path | None:
 
 
 def given_picture(folder: Path, names: Sequence[str]) -> Gray:
-    """(H, W) float32 in 0..1 of that file.  Raises FactoryError."""
+    """(H, W) float32 in 0..1 of that file.  FactoryError when it is none, or in colour."""
     path = given_file(folder, names)
     if path is None:
         raise FactoryError(f"{folder}: no picture {names[0]}.png or .npy")
-    return read_gray(path)
-
-
-def read_gray(path: Path) -> Gray:
-    """(H, W) float32 in 0..1 of an image file.  FactoryError when it is none, or in colour."""
-    if kind_of(path) in SEQUENCES:
-        raise FactoryError(f"{path}: holds several pages; give each pair files of its own")
     image = read_picture(path)
     if image.ndim == 3:
-        colours = image[..., :3]
-        if colours.shape[2] == 3 and not (colours == colours[..., :1]).all():
+        if (image[..., :3] != image[..., :1]).any():
             raise FactoryError(f"{path}: in colour; sonar images are gray, convert it first")
-        image = colours[..., 0]
+        image = image[..., 0]
     return in_unit_range(image, str(path))
 
 

@@ -41,24 +41,12 @@ class Plan:
     steps: int
 
     @property
-    def variants(self) -> int:
-        """Noisy images of a frame."""
-        return 2 if self.quick else 1
-
-    @property
-    def patch(self) -> int:
-        """Pixels a side of a crop."""
-        return 64 if self.quick else 128
-
-    @property
     def about(self) -> str:
         """One sentence for the tables."""
         where = "procedural places" if self.scenes is None else self.scenes.name
-        text = (
-            f"{self.frames * self.variants} pairs of {self.frames} frames at most ({where}), "
-            f"{self.steps} steps a training, without OldData"
-        )
-        text = text.removesuffix(", without OldData") if self.real else text
+        pairs = f"{self.frames * (1 + self.quick)} pairs of {self.frames} frames at most ({where})"
+        text = f"{pairs}, {self.steps} steps a training"
+        text += "" if self.real else ", without OldData"
         return f"Quick mode, no reproduction: {text}." if self.quick else f"{text}."
 
 
@@ -102,7 +90,7 @@ def run(words: Sequence[str]) -> int:
 def steps_of(plan: Plan) -> Iterator[list[str]]:
     """The commands, in their order."""
     dataset = f"dataset.dir={quoted(str(plan.out / 'dataset'))}"
-    make = ["make", "experiment=simnfnd", f"frames.variants={plan.variants}", dataset]
+    make = ["make", "experiment=simnfnd", f"frames.variants={1 + plan.quick}", dataset]
     if plan.scenes is None:
         # Four frames of each place; a quarter of the places tests.
         places = max(plan.frames // 4, 4)
@@ -115,10 +103,10 @@ def steps_of(plan: Plan) -> Iterator[list[str]]:
     if plan.real is not None:
         trainings["olddata_l1"] = [*_olddata(plan.real), "loss=l1"]
     for name, words in trainings.items():
-        check = min(plan.steps, 200)
+        check, patch = min(plan.steps, 200), 64 if plan.quick else 128
         yield [
             "train", *words, f"name={name}", f"out={quoted(str(plan.out / name))}",
-            f"train.steps={plan.steps}", f"train.check_every={check}", f"data.patch={plan.patch}",
+            f"train.steps={plan.steps}", f"train.check_every={check}", f"data.patch={patch}",
         ]  # fmt: skip
     weights = [f"ablation.{name}={quoted(str(plan.out / name))}" for name in trainings]
     report = f"out={quoted(str(plan.out / 'report'))}"

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,10 +52,7 @@ def evaluate(settings: RealismSettings) -> None:
     rule = (
         "Kolmogorov-Smirnov distances of the images' features, 0 to 1. `real` is that of two "
         "halves of the real images, which a perfect simulation would reach. Overall: geometric "
-        "mean of the earth mover's distances over those of the halves, each at least 1. All sets "
-        "have one size "
-        f"({min(counts.values()) // 2}); means of {RESAMPLES} draws. Measured on polar images "
-        f"({grid.range_bins} range bins, {grid.beams} beams), on the grey values as they are shown."
+        "mean of the earth mover's distances over those of the halves, each at least 1."
     )
     about = ", ".join(f"{count} images of {name}" for name, count in counts.items())
     pictures = {name: one.at_most(_EXAMPLES).sources for name, one in collections.items()}
@@ -87,7 +84,7 @@ def evaluate(settings: RealismSettings) -> None:
 
 
 def _simulations(settings: RealismSettings) -> dict[str, Collection]:
-    """Name -> pictures; two folders of one name get a number."""
+    """Name -> pictures; the second folder of a name goes by its path."""
     found: dict[str, Collection] = {}
     for folder in settings.sim:
         path = Path(folder).expanduser()
@@ -95,9 +92,7 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
             opened = real_pictures(path)
         else:
             opened = open_dataset(path, "all")
-        name, number = opened.name, 2
-        while name in found or name == REAL:
-            name, number = f"{opened.name} {number}", number + 1
+        name = opened.name if opened.name not in (REAL, *found) else folder
         found[name] = opened.at_most(settings.limit)
     return found
 
@@ -178,17 +173,16 @@ _LEAST = 0.25
 
 @dataclass(frozen=True)
 class Source:
-    """A picture that can be read when its turn comes.
-
-    read: gives (H, W) float32 grey values in 0..1; raises FactoryError.
-    """
+    """A picture that can be read when its turn comes: of a dataset, or a shot."""
 
     geometry: FanGeometry
-    read: Callable[[], Gray]
+    place: Place | Shot
 
     def polar(self, grid: Grid) -> Gray:
-        """(range_bins, beams) float32 in 0..1."""
-        return to_polar(self.read(), self.geometry, grid)
+        """(range_bins, beams) float32 in 0..1.  Raises FactoryError."""
+        place = self.place
+        image = place.read()[0] if isinstance(place, Shot) else picture(place).noisy
+        return to_polar(image, self.geometry, grid)
 
 
 @dataclass(frozen=True)
@@ -237,12 +231,8 @@ def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[
 def real_pictures(folder: str | Path) -> Collection:
     """See `open_real`."""
     shots, notes = open_real(folder)
-    sources = [Source(one.known, partial(_of_shot, one)) for one in shots if one.known]
+    sources = [Source(one.known, one) for one in shots if one.known]
     return Collection(Path(folder).expanduser().resolve().name, tuple(sources), notes)
-
-
-def _of_shot(shot: Shot) -> Gray:
-    return shot.read()[0]
 
 
 def open_dataset(folder: str | Path, split: Split) -> Collection:
@@ -258,7 +248,7 @@ def open_dataset(folder: str | Path, split: Split) -> Collection:
             )
         first, last = geometry.data_fraction
         if last - first >= _LEAST:
-            sources.append(Source(geometry, partial(_noisy, item.place)))
+            sources.append(Source(geometry, item.place))
     narrow = f"the camera saw less than {_LEAST:.0%} of the sector"
     if not sources:
         raise FactoryError(f"sim={root}: {narrow} in every picture; use a narrower sonar.hfov_deg")
@@ -266,7 +256,3 @@ def open_dataset(folder: str | Path, split: Split) -> Collection:
     if left := len(items) - len(sources):
         notes.append(f"{left} left out: {narrow}")
     return Collection(root.resolve().name, tuple(sources), tuple(notes))
-
-
-def _noisy(place: Place) -> Gray:
-    return picture(place).noisy

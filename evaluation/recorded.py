@@ -188,12 +188,17 @@ def outline(picture: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
 
 
 def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
+    lines, number = dict[str, FanGeometry](), 1
     try:
         with table.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FactoryError(f"{table}: cannot be read ({error})") from error
-    lines = dict(_line(row, f"{table}: line {number}") for number, row in enumerate(rows, start=2))
+            for row in csv.DictReader(file):
+                number += 1
+                name, geometry = _line(row)
+                lines[name] = geometry
+    except (OSError, csv.Error, ValueError, TypeError, KeyError) as error:
+        raise FactoryError(
+            f"{table}: line {number}: {error}; docs/realism.md has the columns"
+        ) from error
     if absent := sorted(set(lines) - {"*"} - {path.name for path in paths}):
         raise FactoryError(f"{table}: {absent[0]} is listed but there is no such picture")
     if "*" not in lines and (more := [path.name for path in paths if path.name not in lines]):
@@ -201,25 +206,19 @@ def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
     return tuple(Shot(path, 0, path.name, lines.get(path.name) or lines["*"]) for path in paths)
 
 
-def _line(row: Mapping[str, str | None], where: str) -> tuple[str, FanGeometry]:
-    """The picture's name and geometry in a line of geometry.csv.  Raises FactoryError."""
+def _line(row: Mapping[str, str | None]) -> tuple[str, FanGeometry]:
+    """The picture's name and geometry in a line of geometry.csv; ValueError says what is wrong."""
     known = {key: text.strip() for key, text in row.items() if key and text and text.strip()}
     name, layout = known.pop("file", None), known.pop("layout", "")
-    if name is None:
-        raise FactoryError(f"{where}: no column 'file', or nothing in it")
-    if layout not in ("fan", "polar"):
-        raise FactoryError(f"{where}: layout must be fan or polar, got {layout!r}")
-    try:
-        values = {key: float(text) for key, text in known.items()}
-        for low, high in (("range_min_m", "range_max_m"), ("near_px", "far_px")):
-            if not 0 <= values.get(low, 0) < values.get(high, math.inf):
-                raise ValueError(f"needs 0 <= {low} < {high}")
-        if not 0 < (sector_deg := values.pop("hfov_deg")) <= 180 or values.get("x_scale", 1) <= 0:
-            raise ValueError("needs 0 < hfov_deg <= 180 and x_scale > 0")
-        geometry: FanGeometry = getattr(FanGeometry, layout)(math.radians(sector_deg), **values)
-    except (ValueError, TypeError, KeyError) as error:
-        raise FactoryError(f"{where}: {error}; docs/realism.md has the columns") from error
-    return name, geometry
+    if name is None or layout not in ("fan", "polar"):
+        raise ValueError("no column 'file', or layout is neither fan nor polar")
+    values = {key: float(text) for key, text in known.items()}
+    for low, high in (("range_min_m", "range_max_m"), ("near_px", "far_px")):
+        if not 0 <= values.get(low, 0) < values.get(high, math.inf):
+            raise ValueError(f"needs 0 <= {low} < {high}")
+    if not 0 < (sector_deg := values.pop("hfov_deg")) <= 180 or values.get("x_scale", 1) <= 0:
+        raise ValueError("needs 0 < hfov_deg <= 180 and x_scale > 0")
+    return name, getattr(FanGeometry, layout)(math.radians(sector_deg), **values)
 
 
 def _below(root: Path) -> list[Stretch]:

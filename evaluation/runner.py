@@ -21,12 +21,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ..factory.errors import FactoryError
 from ..factory.files import explain_os_errors
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
-from .filters import REGISTRY
+from .filters import REGISTRY, checked
 from .methods import Method, network, reason
 from .metrics.measure import Figures, Gray
 
@@ -37,13 +34,6 @@ if TYPE_CHECKING:
 
 SECONDS = "cpu_s"
 """Column of the seconds of a method on a picture: of the CPU, elapsed ones where a GPU works."""
-
-_TRIES = 2
-"""A method whose worker died is tried once more, alone; then it has lost its row."""
-
-
-class MethodFailed(Exception):
-    """A method gave no picture: it loses its row, for the reason that this says."""
 
 
 class Subject:
@@ -73,14 +63,14 @@ class Subject:
 class Task:
     """Some methods on some pictures, by their numbers; the unit that travels to a worker.
 
-    keep: numbers of the pictures whose denoised images come back.
+    keep: numbers of the pictures whose denoised images come back.  again: a worker died with it.
     """
 
     methods: tuple[Method, ...]
     subjects: Mapping[int, Subject]
     device: str
     keep: frozenset[int] = frozenset()
-    tries: int = 0
+    again: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,14 +191,12 @@ def _known(store: FigureStore, key: str, some: Mapping[int, Subject]) -> dict[in
 
 
 def _again(task: Task) -> list[Task]:
-    """What to try again after a worker died with this task: nothing where it was tried enough."""
-    groups: dict[str, list[Method]] = {}
-    for method in task.methods:
-        groups.setdefault(method.output, []).append(method)
-    if len(groups) > 1:
-        # Which method was it?  Each alone.
-        return [replace(task, methods=tuple(group), tries=1) for group in groups.values()]
-    return [replace(task, tries=task.tries + 1)] if task.tries + 1 < _TRIES else []
+    """What to try once more after a worker died with this task: each method alone."""
+    if task.again:
+        return []
+    outputs = dict.fromkeys(method.output for method in task.methods)
+    apart = [tuple(m for m in task.methods if m.output == output) for output in outputs]
+    return [replace(task, methods=methods, again=True) for methods in apart]
 
 
 def measure_task(task: Task) -> list[Result]:
@@ -237,48 +225,38 @@ def measure_task(task: Task) -> list[Result]:
 
 
 def _applied(method: Method, task: Task) -> dict[int, tuple[Gray, float]] | str:
-    """The method's picture of each subject, and its seconds; or why it failed."""
-    try:
-        return {n: denoised(method, one, task.device) for n, one in task.subjects.items()}
-    except MethodFailed as error:
-        return str(error)
+    """The method's picture of each subject without levels, (H, W) in 0..1, and its seconds.
 
-
-def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray, float]:
-    """The method's picture without levels, (H, W) in 0..1, and its seconds (NaN: unknown).
-
-    Raises MethodFailed, and FactoryError for a damaged subject.
+    Seconds are NaN where another program took them.  Or why the method failed.  Raises FactoryError
+    for a damaged subject.
     """
-    if method.given:
+    found = {}
+    for number, subject in task.subjects.items():
+        seen = None if method.given else subject.seen()
         try:
-            return subject.given(method), math.nan
-        except FactoryError as error:
-            raise MethodFailed(str(error)) from error
-    image = subject.seen()
-    geometry = subject.geometry() if method.weights is not None else None
-    try:
-        return _timed(method, image, geometry, device)
-    except Exception as error:  # a method that crashes loses its row, not the report
-        raise MethodFailed(reason(error)) from error
+            if seen is None:
+                found[number] = subject.given(method), math.nan
+            else:
+                found[number] = _timed(method, subject, seen, task.device)
+        except Exception as error:  # a method that crashes loses its row, not the report
+            return reason(error)
+    return found
 
 
-def _timed(
-    method: Method, image: Gray, geometry: FanGeometry | None, device: str
-) -> tuple[Gray, float]:
+def _timed(method: Method, subject: Subject, image: Gray, device: str) -> tuple[Gray, float]:
     clock = time.process_time  # what other processes take does not count
     if method.weights is None:
         start = clock()
         result = REGISTRY[method.name](image, method.parameters)
         return result, clock() - start
     loaded = network(method.weights, device)  # before the clock runs
+    geometry = subject.geometry() if loaded.runtime.extras else None
     if loaded.runtime.on_gpu:
         clock = time.perf_counter  # a processor that waits for a GPU seems idle
     start = clock()
-    result = loaded(image, geometry if loaded.runtime.extras else None)
+    result = loaded(image, geometry)
     seconds = clock() - start
-    if result.shape != image.shape or not np.isfinite(result).all():
-        raise ValueError(f"gave {result.shape} or NaN for a picture of {image.shape}")
-    return np.clip(result, 0, 1).astype(np.float32), seconds
+    return checked(method.name, result, image), seconds
 
 
 STORE_NAME = "measured.jsonl"

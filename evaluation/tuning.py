@@ -1,10 +1,11 @@
 """The best parameters of filters on pictures with references, and the file that keeps them.
 
-`simnfnd evaluate tune` tries every point of a filter's grid on validation pairs: those scenes of
-the train split that training, too, holds out.  The test split is never read.
+A line search changes one parameter after the other along its grid, then by half a step.
 
-`simnfnd evaluate real` tunes on frames with references by a line search, which sees the middle of
-each frame, half as high and half as wide; its best points are compared on whole frames.
+`simnfnd evaluate tune` works on validation pairs: those scenes of the train split that training,
+too, holds out.  The test split is never read.  `simnfnd evaluate real` works on frames with
+references, on the middle of each, half as high and half as wide; the best points are compared on
+whole frames.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -36,7 +36,7 @@ from .settings import EvaluationSettings
 
 SCHEMA = "simnfnd-tuned/1"
 
-_SLOW_S, _SLOWER = 0.25, 4  # CPU seconds a picture from which one frame of four has to do
+_SLOW, _SLOWER = ("bm3d",), 4  # of these one frame of four has to do
 _BEST = 2  # points that are compared on whole frames
 _LEAST_SIDE = 96  # pixels of the middle of a frame
 
@@ -64,7 +64,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Point:
-    """One point of a grid, measured: mean PSNR in dB, plain and with the levels fitted to it."""
+    """Parameters, measured: mean PSNR in dB, plain and with the levels fitted to it."""
 
     parameters: Parameters
     psnr: float
@@ -93,7 +93,7 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
         points = len(REGISTRY[task.baseline].points()) + 1
         return settings.image_timeout_s * len(items) * points
 
-    for task, found in run_tasks(on_grid, tasks, pool, limit_s):
+    for task, found in run_tasks(on_pairs, tasks, pool, limit_s):
         if isinstance(found, str):
             lost[task.baseline] = found
         else:
@@ -115,43 +115,35 @@ def run_tasks(
             yield task, found.reason if isinstance(found, TaskLost) else found
 
 
-def on_grid(task: Task) -> dict[str, Any] | str:
-    """All points: the default, the best, and the best after levels, as in the file; or why not.
+def on_pairs(task: Task) -> dict[str, Any] | str:
+    """The default, the best, and the best after levels, as in the file; or why not."""
+    baseline, known = REGISTRY[task.baseline], dict[tuple[float, ...], Point]()
 
-    Of equal points the first, the default, wins.
-    """
-    baseline = REGISTRY[task.baseline]
-    default, grid = dict(baseline.default), baseline.points()
+    def measured(point: Parameters) -> Point:
+        key = tuple(point.values())
+        if key not in known:
+            known[key] = _measured(baseline, point, task.samples)
+        return known[key]
+
     try:
-        first, *others = [_measured(baseline, one, task.samples) for one in
-                          [default, *(point for point in grid if point != default)]]  # fmt: skip
+        plain, *_ = line_search(baseline, lambda point: measured(point).psnr)
+        fitted, *_ = line_search(baseline, lambda point: measured(point).psnr_levels)
+        best = {"default": dict(baseline.default), "tuned": plain, "tuned_levels": fitted}
+        return {name: asdict(measured(point)) for name, point in best.items()}
     except Exception as error:  # a method's own defect must not take the others along
         return reason(error)
-    inside = [first, *others] if default in grid else others
-    best = {"default": first, "tuned": max(inside, key=lambda one: one.psnr),
-            "tuned_levels": max(inside, key=lambda one: one.psnr_levels)}  # fmt: skip
-    return {name: asdict(point) for name, point in best.items()}
 
 
-def on_line(task: Task) -> Parameters | str:
-    """The best parameters of the line search, after one gain and offset a picture; or why not."""
+def on_frames(task: Task) -> Parameters | str:
+    """The best parameters after one gain and offset a picture; or why not."""
     baseline = REGISTRY[task.baseline]
     try:
-        frames = task.samples
+        frames = task.samples[:: _SLOWER if baseline.name in _SLOW else 1]
         middles = tuple(_middle(frame) for frame in frames)
-        for _ in range(2):  # the first one loads and compiles
-            start = time.process_time()
-            _score(baseline, dict(baseline.default), frames[:1])
-        if time.process_time() - start > _SLOW_S:
-            frames, middles = frames[::_SLOWER], middles[::_SLOWER]
         points = line_search(baseline, lambda point: _score(baseline, point, middles))
         return max(points[:_BEST], key=lambda point: _score(baseline, point, frames))
     except Exception as error:  # as above
         return reason(error)
-
-
-def _made(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> list[Gray]:
-    return [baseline(one.noisy, point) for one in samples]
 
 
 def _mean_psnr(images: Sequence[Gray], samples: Sequence[Sample]) -> float:
@@ -162,14 +154,14 @@ def _mean_psnr(images: Sequence[Gray], samples: Sequence[Sample]) -> float:
 
 
 def _measured(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> Point:
-    images = _made(baseline, point, samples)
+    images = [baseline(one.noisy, point) for one in samples]
     levels = fit_levels((i, s.reference) for i, s in zip(images, samples, strict=True))
     corrected = [levels(image) for image in images]
     return Point(point, _mean_psnr(images, samples), _mean_psnr(corrected, samples), levels)
 
 
 def _score(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> float:
-    images = _made(baseline, point, samples)
+    images = [baseline(one.noisy, point) for one in samples]
     fitted = [
         fit_levels([(image[one.where], one.reference[one.where])])(image)
         for image, one in zip(images, samples, strict=True)
@@ -263,23 +255,19 @@ _LEAST = 1e-3  # of the score; less is no gain
 
 
 def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> list[Parameters]:
-    """The points of a filter's grid that were tried, one parameter after the other; best first.
-
-    The last steps halve the ratio between neighbours of the grid.
-    measured: the score of a point, high is good.
-    """
-    points: dict[tuple[float, ...], Parameters] = {}
-    known: dict[tuple[float, ...], float] = {}
+    """The points that were tried, the best first.  measured: the score of one, high is good."""
+    known: dict[tuple[float, ...], tuple[float, Parameters]] = {}
 
     def value(point: Parameters) -> float:
-        key = tuple(point[name] for name in sorted(point))
+        key = tuple(point.values())
         if key not in known:
-            known[key], points[key] = measured(point), point
-        return known[key]
+            known[key] = measured(point), point
+        return known[key][0]
 
     best = dict(baseline.default)
+    value(best)
     for turn in range(_ROUNDS):
-        before = dict(best)
+        before = best
         for name, axis in baseline.grid.items():
             best = _along(best, name, axis, value)
         if best == before or (turn == 0 and len(baseline.grid) == 1):
@@ -287,8 +275,8 @@ def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> 
     for name, axis in baseline.grid.items():
         best = _finer(best, name, axis, value)
     # Of equal ones the first, which is nearer to the default.
-    first = tuple(best[name] for name in sorted(best))
-    return [points[key] for key in sorted(points, key=lambda key: (key != first, -known[key]))]
+    tried = sorted(known.values(), key=lambda one: (one[1] != best, -one[0]))
+    return [point for _, point in tried]
 
 
 def _along(

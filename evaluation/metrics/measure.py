@@ -31,16 +31,12 @@ _DARK = 0.01  # of full scale: below, a ratio says nothing
 
 @dataclass(frozen=True)
 class Picture:
-    """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool.
-
-    has_shadow: whether the true shadow is known; without it `shadow` is all false.
-    """
+    """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool."""
 
     noisy: Gray
     clean: Gray
     shadow: Mask
     sector: Mask
-    has_shadow: bool = True
 
 
 def sector_of(noisy: npt.NDArray[Any], clean: npt.NDArray[Any], shadow: Mask) -> Mask:
@@ -100,7 +96,7 @@ class Scene:
         squared = np.square(reference.image - values)
         similarity, gradients = reference.ssim_map(values), reference.gms_map(values)
         large = min(values.shape) >= metrics.MS_SSIM_SMALLEST
-        found: Figures = {
+        return {
             "psnr": metrics.decibels(float(squared.mean()), 1.0),
             "ssim": metrics.mean_ssim(similarity),
             "gmsd": metrics.deviation(gradients),
@@ -121,9 +117,6 @@ class Scene:
             ),
             "ratio_mean": mean_ratio(pair.noisy, values),
         }
-        if not pair.has_shadow:
-            found |= dict.fromkeys(("shadow_iou", "shadow_residual", "false_light_rate"), math.nan)
-        return found
 
     @cached_property
     def _zones(self) -> Zones:

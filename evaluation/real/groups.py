@@ -52,11 +52,6 @@ class Group:
     still: float
 
     @property
-    def static(self) -> StaticGroup:
-        """The group by places instead of shots."""
-        return StaticGroup(tuple(range(len(self.shots))), self.shifts_px)
-
-    @property
     def largest_px(self) -> float:
         """How far a frame lies from the first, at most."""
         return float(np.hypot(*self.shifts_px.T).max())
@@ -74,13 +69,8 @@ class Judged:
     geometry: FanGeometry | None
 
 
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """What was found in a stretch.  shots: those that can be read.  notes: for the report."""
-
-    groups: list[Group]
-    shots: list[Shot]
-    notes: list[str]
+Searched = tuple[list[Group], list[Shot], list[str]]
+"""Of a stretch: static groups, shots that can be read, and notes for the report."""
 
 
 def search(task: tuple[int, Stretch, int | None]) -> Searched:
@@ -122,7 +112,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
             found.append(group)
     if len(found) > 1:
         found = [replace(one, name=f"{one.name} ({n})") for n, one in enumerate(found, start=1)]
-    return Searched(found, shots, notes)
+    return found, shots, notes
 
 
 @dataclass(frozen=True)
@@ -163,9 +153,10 @@ def parts_of(groups: Sequence[Group]) -> list[Part]:
 def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Judged]:
     """The frames at these places of a group, each with the mean of the others as its reference."""
     frames = [shot.read()[0] for shot in group.shots]
+    static = StaticGroup(tuple(range(len(frames))), group.shifts_px)
     for place in places:
         others = [one for one in nearest(len(frames), place, MOST_OTHERS + 1) if one != place]
-        laid = laid_over(frames, group.static, place, others)
+        laid = laid_over(frames, static, place, others)
         reference = np.asarray(np.mean(laid, axis=0, dtype=np.float64), np.float32)
         shot = group.shots[place]
         yield Judged(number, shot, frames[place], reference, group.where, group.geometry)

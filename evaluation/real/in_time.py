@@ -83,11 +83,8 @@ class Judged:
 def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
     """The three kinds of one recording.
 
-    frames: (N, H, W) float32 in 0..1, of a scene that stands still.
-    Raises ValueError for fewer than `LEAST_FRAMES`.
+    frames: (N, H, W) float32 in 0..1, of a scene that stands still; `LEAST_FRAMES` at least.
     """
-    if len(frames) < LEAST_FRAMES:
-        raise ValueError(f"{len(frames)} frames; at least {LEAST_FRAMES} are judged in time")
     references, masks = _references(frames)
     static = Judged("static", frames, references, masks)
     yield static
@@ -98,6 +95,7 @@ def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
 def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callable[[int], Gray]]:
     """Row -> what it makes of a frame.  weight: of the total variation."""
     fused, denoised = (_in_time(judged.frames, one) for one in (None, network))
+    tv = REGISTRY["tv"]
 
     def mean(number: int) -> Gray:
         window = judged.frames[max(0, number - AWAY) : number + AWAY + 1]
@@ -108,12 +106,13 @@ def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callab
         "fused": lambda number: fused[number],
         "fused and denoised": lambda number: denoised[number],
         "mean of 7": mean,
-        "mean of 7, tuned TV": lambda number: variation_of(mean(number), weight),
+        "mean of 7, tuned TV": lambda number: tv(mean(number), {"weight": weight}),
     }
 
 
 def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
     """The weight of total variation that is best for means of 7 of other recordings."""
+    tv = REGISTRY["tv"]
     means = [
         (one, number, one.frames[number - AWAY : number + AWAY + 1].mean(axis=0))
         for one in others
@@ -121,15 +120,10 @@ def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
     ]
 
     def gain(weight: float) -> float:
-        found = [one.score(number, variation_of(mean, weight)) for one, number, mean in means]
+        found = [one.score(number, tv(mean, {"weight": weight})) for one, number, mean in means]
         return float(np.mean([each["psnr_db"] for each in found]))
 
     return max(WEIGHTS, key=gain)
-
-
-def variation_of(picture: Gray, weight: float) -> Gray:
-    """With less total variation."""
-    return REGISTRY["tv"](picture, {"weight": weight})
 
 
 def _in_time(frames: Gray, network: Network | None) -> list[Gray]:

@@ -28,7 +28,6 @@ from ..metrics.measure import (
     enl,
     fit_levels,
     homogeneous_zones,
-    mean_ratio,
 )
 from ..metrics.statistics import estimate, evenly
 from ..recorded import Shot, Stretch
@@ -124,12 +123,13 @@ def _found(
         for (number, stretch, _), one in pool.run(search, waiting, lambda _: _SEARCH_S):
             bar.update()
             if isinstance(one, TaskLost):
-                one = Searched([], [], [f"{stretch.name}: lost ({one.reason})"])
+                one = [], [], [f"{stretch.name}: lost ({one.reason})"]
             searched[number] = one
-    found = [one for _, one in sorted(searched.items())]
-    groups = [group for one in found for group in one.groups]
-    notes = [note for one in found for note in one.notes]
-    shots = [shot for one in found for shot in one.shots]
+    groups, shots, notes = list[Group](), list[Shot](), list[str]()
+    for _, (found, seen, said) in sorted(searched.items()):
+        groups += found
+        shots += seen
+        notes += said
     if not groups:
         notes.append(
             f"no static group was found ({LEAST} frames at least of a scene that stands still), "
@@ -157,15 +157,12 @@ def _tuned(
                 for one in judged(number, group, places)
                 if one.reference is not None
             )
-    tasks = [
-        tuning.Task(name, tuple(own), fold)
-        for name in filters
-        for fold, own in sorted(samples.items())
-    ]
+    folds = sorted(samples.items())
+    tasks = [tuning.Task(name, tuple(own), fold) for name in filters for fold, own in folds]
     points: dict[str, dict[int, Parameters]] = {name: {} for name in filters}
     lost: dict[str, str] = {}
     longest_s = settings.image_timeout_s * max(map(len, samples.values()))
-    for task, found in tuning.run_tasks(tuning.on_line, tasks, pool, lambda _: longest_s):
+    for task, found in tuning.run_tasks(tuning.on_frames, tasks, pool, lambda _: longest_s):
         if isinstance(found, str):
             lost.setdefault(f"{task.baseline} {TUNED}", f"tuning: {found}")
             points.pop(task.baseline, None)
@@ -284,11 +281,10 @@ def _about(groups: Sequence[Group], parts: Sequence[Part]) -> list[str]:
     frames = sum(len(group.shots) for group in groups)
     text = [f"{len(groups)} static groups of {frames} frames in all"]
     if len(groups) == 1:
-        first, second = len(groups[0].shots) - len(parts[0].judged), len(parts[0].judged)
+        second = len(parts[0].judged)
         text = [
-            f"one static group of {frames} frames: filters are tuned on frames of its first half "
-            f"({first}) and all rows judged on its second half ({second}), so there are no "
-            "intervals"
+            f"one static group: filters are tuned on frames of its first half ({frames - second}) "
+            f"and all rows judged on its second half ({second}), so there are no intervals"
         ]
     still = min(group.still for group in groups)
     if still < 1:
@@ -345,13 +341,10 @@ def scene_of(noisy: Gray, sector: Mask, name: str) -> Scene:
 
 def figures_of(image: Gray, shared: Scene) -> Figures:
     """The figures without a truth of (H, W) in 0..1; NaN where one does not exist."""
-    dark, bright = (float(np.mean(image[part])) for part in (shared.dark, shared.bright))
     return {
         "enl": enl(image, shared.zones),
         "cnr": contrast_to_noise(image, shared.bright, shared.dark),
-        "shadow_level": dark / bright if bright > 0 else float("nan"),
         "edges_kept": edge_preservation(shared.noisy, image, data_range=1.0, mask=shared.sector),
-        "ratio_mean": mean_ratio(shared.noisy, image),
     }
 
 

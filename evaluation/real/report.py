@@ -17,7 +17,7 @@ from ..runner import SECONDS
 from ..settings import RealSettings
 from .groups import MOST, MOST_OTHERS
 from .in_time import wide
-from .judge import MARGINS, TUNED, Outcome, Row, judge
+from .judge import MARGINS, Outcome, Row, judge
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,9 +30,7 @@ COLUMNS = {
     "margin_ssim": Metric("ahead of it, SSIM", 3, 1),
     "enl": Metric("ENL", 2, 0),
     "cnr": Metric("CNR dark ground", 3, 1),
-    "shadow_level": Metric("dark / bright", 3, -1),
     "edges_kept": Metric("edges kept", 3, 0),
-    "ratio_mean": Metric("ratio mean", 3, 0),
     SECONDS: Metric("CPU s a picture", 3, -1),
 }
 _SIGNED = {"gain_db", *MARGINS.values()}
@@ -40,24 +38,18 @@ _WITH_INTERVAL = {"psnr_db", "ssim", *MARGINS.values()}
 
 TRUTH = (
     f"The truth of a frame is the mean of the other frames of its group (of the {MOST_OTHERS} "
-    "nearest in time), registered below a pixel; speckle that stands still stays in it, so a "
-    "perfect despeckler is capped. PSNR and SSIM: inside the sector, without its rim and what "
-    "moves, after one gain and offset a picture. Gain: against the picture as it is.",
-    "Means are over groups; brackets hold 95 % bootstrap intervals that draw groups. Filters are "
-    "tuned for this PSNR on every other group and judged on the others, and the other way round. "
-    "The best filter has the best mean here, of PSNR and of SSIM each. CPU s: the median.",
+    "nearest in time). PSNR and SSIM: inside the sector, without its rim and what moves, after one "
+    "gain and offset a picture; means over groups, with 95 % bootstrap intervals that draw groups. "
+    "Filters are tuned on every other group and judged on the others. CPU s: the median."
 )
 IN_TIME = (
     "A method may use the three frames before and after each; the reference is the mean of frames "
     "further away. static: the frames as they are; moving: a window that travels by whole pixels; "
     "ghost: over them a bright speckled object, judged where it is. Means over recordings."
 )
-RULES = (
-    "None of the figures without a truth alone says that one method is better than another: blur "
-    "raises ENL and CNR, and doing nothing keeps all edges. Zones and grounds are chosen on the "
-    "picture as it is: even zones, the tenth of all 16x16 blocks with the least std / mean; dark "
-    "ground, the darkest tenth of the sector by its 15-pixel median; bright ground, its brighter "
-    "half. Edges kept and ratio mean are against the picture as it is: 1 means unchanged.",
+RULE = (
+    "None of the figures without a truth ranks methods alone: blur raises ENL and CNR, and doing "
+    "nothing keeps all edges."
 )
 
 
@@ -79,12 +71,10 @@ def write(out: Path, name: str, notes: Sequence[str], outcome: Outcome) -> str:
     FactoryError when the folder cannot be written to.
     """
     about = "; ".join([f"{len(outcome.files)} pictures judged", *notes]) + "."
-    rules = (*TRUTH, *RULES) if outcome.groups else RULES
+    rules = (TRUTH, RULE) if outcome.groups else (RULE,)
     table, verdict = table_of(outcome.rows), _verdict(outcome)
     title = "Figures" if outcome.groups else "Figures without a truth"
     sections = [Section(title, [table], [verdict])]
-    if outcome.groups:
-        sections.append(Section("PSNR by group, dB", [_by_group(outcome)]))
     if not outcome.in_time.empty:
         sections.append(Section("In time", [wide(outcome.in_time)], [IN_TIME]))
     facts = {
@@ -150,32 +140,9 @@ def _cell(row: Mapping[str, Any], name: str) -> str:
 
 
 def _verdict(outcome: Outcome) -> str:
-    """How far each network is ahead of the best filter, in words."""
-    if not outcome.best:
-        return ""
-    psnr_best, ssim_best = (outcome.best[name] for name in MARGINS)
-    which = f"`{psnr_best}`"
-    if ssim_best != psnr_best:
-        which = f"`{psnr_best}` in PSNR and `{ssim_best}` in SSIM"
-    found = [f"The best filter is {which}."]
-    for row in outcome.rows:
-        if row["network"] and row["lost"] is None:
-            psnr, ssim = (_cell(row, name) for name in MARGINS.values())
-            found.append(f"`{row['label']}` is {psnr} dB and {ssim} SSIM from it.")
-    return " ".join(found)
-
-
-def _by_group(outcome: Outcome) -> pd.DataFrame:
-    """The table of PSNR by group."""
-    alive = [row for row in outcome.rows if row["by_group"]]
-    lines = [
-        [
-            f"{group.name} ({len(group.shots)} frames)",
-            *(written(row["by_group"]["psnr_db"][number], 2) for row in alive),
-        ]
-        for number, group in enumerate(outcome.groups)
-    ]
-    return as_table(["group", *(row["label"].removesuffix(f" {TUNED}") for row in alive)], lines)
+    """Which filters are the best."""
+    best = dict.fromkeys(f"`{label}`" for label in outcome.best.values())
+    return f"The best filter (PSNR, SSIM): {', '.join(best)}." if best else ""
 
 
 def _examples(outcome: Outcome) -> list[Example]:

@@ -2,42 +2,31 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from markupsafe import Markup
 
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, write_atomically
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskPool
 from .. import tuning
-from ..methods import (
-    NOISY,
-    Method,
-    baselines_of,
-    costs_of,
-    methods_of,
-    networks_of,
-)
+from ..methods import NOISY, Method, baselines_of, methods_of, networks_of
 from ..pairs import Item, config_hash_of, drawn_of, given_methods, items_of, names_of, picture
 from ..runner import SECONDS, FigureStore, Measured, Subject, run
 from ..settings import EvaluationSettings
 from . import tables
-from .content import best_forms, breakdown_of, content_of, shown_rows, verdict
+from .content import best_forms, content_of, shown_rows, verdict
 from .document import Example, Section, write_report
 from .tables import Content
 
 PAGE_NAME, REPORT_NAME, RESULTS_NAME = "report.html", "report.json", "results.csv"
 
 _CHUNK = 4  # pairs in a task
-_SHOWN = 10  # methods beside noisy and clean in the viewer and the breakdown
+_SHOWN = 10  # methods beside noisy and clean in the viewer
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:
@@ -63,15 +52,11 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
         named = [NOISY, *methods_of(baselines, tuned), *networks, *given]
         methods = list({method.label: method for method in named}.values())
         measured = measure(settings, items, methods, pool, store)
-        costs = costs_of([method for method in methods if method.weights])
-        content = content_of(methods, measured, items, settings, tuned, costs)
+        content = content_of(methods, measured, items, settings, tuned)
         content["facts"]["image"] = "x".join(map(str, picture(items[0].place).clean.shape))
         content["facts"]["config_hash"] = config_hash_of(items[0])
         labels = shown_rows(content["rows"], _SHOWN)
-        drawn = drawn_of(items)
-        write_results(out / RESULTS_NAME, measured, items, drawn)
-        found = breakdown_of(measured.wide()["psnr"], items, drawn, labels)
-        content["breakdown"] = [one.to_dict(orient="split", index=False) for one in found]
+        write_results(out / RESULTS_NAME, measured, items)
         shown = [method for label in labels for method in methods if method.label == label]
         examples = _examples(settings, items, measured, shown, pool)
     facts = content["facts"]
@@ -117,9 +102,7 @@ def measure(
         )
 
 
-def write_results(
-    path: Path, measured: Measured, items: Sequence[Item], drawn: Mapping[str, npt.NDArray[Any]]
-) -> None:
+def write_results(path: Path, measured: Measured, items: Sequence[Item]) -> None:
     """results.csv: a line for each row of the report and pair, with what was drawn for it."""
     import pandas as pd
 
@@ -128,7 +111,8 @@ def write_results(
         [(i.shard, i.place[1], i.key, i.location, i.scene, i.frame, i.variant) for i in items],
         columns=["shard", "index", "pair", *own],
     )
-    more = pd.DataFrame({name: values for name, values in drawn.items() if name not in pairs})
+    more = drawn_of(items)
+    more = more[[name for name in more if name not in pairs]]
     table = measured.table().drop(columns=SECONDS)
     figures = list(table)[2:]
     whole = table.join(pairs, on="picture").join(more, on="picture")
@@ -146,44 +130,15 @@ def sections_of(content: Content) -> list[Section]:
     found = [Section("Leaderboard", [tables.leaderboard(best)], said)]
     if more:
         found.append(Section(f"All {len(rows)} forms", [tables.leaderboard(rows)], folded=True))
-    found.append(Section("Quality against cost", chart=_cost(content)))
     for number in (2, 3):
         if lines := content[f"table_{number}"]:
             title = f"The paper's Table {number}"
             found.append(Section(title, [tables.beside_paper(lines)]))
-    places = [tables.as_table(one["columns"], one["data"]) for one in content["breakdown"]]
     return [
         *found,
-        Section("Mean PSNR in dB by place, noise and resampling (number of pairs)", places),
         Section("More metrics", [tables.more_metrics(rows)]),
         Section("How it was measured", text=facts["rules"]),
     ]
-
-
-def _cost(content: Content) -> Markup:
-    """PSNR against time of the best form of each method; empty where one point shows no trade."""
-    import matplotlib
-    from matplotlib.figure import Figure  # a second to import; a Figure needs no display
-
-    rows = {row["label"]: row for row in content["rows"]}
-    timed = [rows[one] for one in shown_rows(content["rows"], 9)[1:] if rows[one]["milliseconds"]]
-    if len(timed) < 2:
-        return Markup("")
-    figure = Figure(figsize=(7.1, 3.4), layout="constrained")
-    axis = figure.subplots()
-    for row in timed:
-        psnr, gmac = row["metrics"]["psnr"], row["gmac"]
-        sides = [[max(psnr["mean"] - psnr["low"], 0)], [max(psnr["high"] - psnr["mean"], 0)]]
-        label = f"{row['label']} ({gmac:.2f} GMAC)" if gmac else row["label"]
-        axis.errorbar(row["milliseconds"], psnr["mean"], yerr=sides, fmt="o", label=label)
-    axis.set(xlabel="CPU milliseconds an image", ylabel="PSNR, dB", xscale="log")
-    figure.legend(loc="outside right upper", fontsize=8)
-    title, buffer = "PSNR against CPU milliseconds an image", io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": title}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    drawn = base64.b64encode(buffer.getvalue()).decode("ascii")
-    shown = Markup('<img class="chart" alt="{}" src="data:image/svg+xml;base64,{}">')
-    return shown.format(title, drawn)
 
 
 def _examples(

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import pandas as pd
 
 from ..methods import Method
 from ..metrics.fidelity import PSNR_CAP_DB
-from ..metrics.measure import SHADOW
 from ..metrics.statistics import Estimate, estimate, holm, paired
 from ..pairs import Item
 from ..runner import SECONDS, Measured
@@ -24,12 +21,8 @@ from .tables import (
     interval,
     percent,
     plain,
-    written,
     written_p,
 )
-
-if TYPE_CHECKING:
-    from ..pairs import Item
 
 SCHEMA = "simnfnd-report/1"
 _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")
@@ -62,11 +55,10 @@ def content_of(
     items: Sequence[Item],
     settings: EvaluationSettings,
     tuned: Mapping[str, Any],
-    costs: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Any]:
     """The rows with their intervals and tests, best PSNR first, and the paper's tables.
 
-    tuned: baseline -> entry of the tuned file.  costs: label -> gmac and parameters of networks.
+    tuned: baseline -> entry of the tuned file.
     """
     figures = measured.wide()
     groups = [item.group for item in items]
@@ -96,8 +88,6 @@ def content_of(
                 "levels": None if method.levels is None else vars(method.levels),
                 "ablation": method.ablation,
                 "milliseconds": plain(1000 * seconds),
-                "gmac": costs.get(label, {}).get("gmac"),
-                "weights": costs.get(label, {}).get("parameters"),
                 "lost": lost,
                 "metrics": {
                     name: _as_dict(estimate(figures[name][label].to_numpy(), groups, **options))
@@ -115,14 +105,14 @@ def content_of(
                 line["against_best"] = compared(line["label"], best)
         _adjust(found, "against_best")
     found.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
-    third = table_3(found)
+    third = paper_table(TABLE_3, found)
     facts = _facts(settings, items, int((figures["psnr"]["noisy"] >= PSNR_CAP_DB).sum()))
     return {
         "schema": SCHEMA,
         "facts": facts,
         "rows": found,
         "best_classical": {"row": best, "chosen_on": chosen_on},
-        "table_2": table_2(found),
+        "table_2": paper_table(TABLE_2, found),
         # Weights of Table 3 are seldom given; without any there is nothing to say of it.
         "table_3": third if any(line["ours"] for line in third) else [],
     }
@@ -170,17 +160,11 @@ def verdict(content: Mapping[str, Any]) -> str:
 def _facts(settings: EvaluationSettings, items: Sequence[Item], identical: int) -> dict[str, Any]:
     """What was measured, and how."""
     rules = [
-        "Intervals: 95 % bootstrap that draws whole frames. Wilcoxon: signed ranks of the frames' "
-        "mean differences, Holm's correction over the rows. Wins: share of pairs where the row "
-        "is better.",
-        f"PSNR: mean of the dB values of the images; identical pairs ({identical} here) count as "
-        f"{PSNR_CAP_DB:g} dB. SSIM: Gaussian window, sigma 1.5. GMSD: 2x2 mean first, c = 170 on "
-        "0..255; `as printed` in the paper: without the 2x2 mean. A pixel is shadow at or below "
-        f"{SHADOW:g} of full scale. ENL rewards blur and a ratio mean of 1 is "
-        "best: neither ranks methods alone.",
-        "`+ levels`: one gain and offset for all images; they and the parameters of `tuned` come "
-        "from validation pairs. ms: median CPU time of one image (of networks on a GPU: elapsed "
-        "time); other processes can still slow it down through shared caches.",
+        "Intervals: 95 % bootstrap that draws whole frames. p: Wilcoxon signed ranks of the mean "
+        f"differences of frames, Holm's correction over the rows. Identical pairs ({identical} "
+        f"here) count as {PSNR_CAP_DB:g} dB. ENL and ratio mean rank no methods. `+ levels`: one "
+        "gain and offset for all images; they and the parameters of `tuned` come from validation "
+        "pairs. ms: median CPU time of an image (of networks on a GPU: elapsed time).",
     ]
     return {
         "dataset": settings.name,
@@ -206,7 +190,7 @@ def best_forms(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 
 def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
-    """Labels for pictures and curves: noisy, then of each method its best form, best first."""
+    """Labels for pictures: noisy, then of each method its best form, best first."""
     alive = [row for row in rows if row["lost"] is None]
     best = [row["label"] for row in best_forms(alive) if row["kind"] != "noisy"]
     return ["noisy", *best[:most]]
@@ -226,98 +210,27 @@ def _adjust(rows: Sequence[dict[str, Any]], key: str) -> None:
             one["p_holm"] = plain(adjusted)
 
 
-_MOST_PLACES = 12
-_BINS, _PAIRS_A_BIN = 5, 8
+def paper_table(
+    table: Mapping[str, tuple[str, tuple[float, float, float]]], rows: Sequence[Content]
+) -> list[dict[str, Any]]:
+    """The rows of a table of the paper beside ours.
 
-
-def breakdown_of(
-    psnr: pd.DataFrame,
-    items: Sequence[Item],
-    drawn: Mapping[str, npt.NDArray[Any]],
-    labels: Sequence[str],
-) -> list[pd.DataFrame]:
-    """A table a factor that varies, as text: the rows' mean PSNR in dB in each of its bins.
-
-    psnr: of each pair (rows) by each method (columns).  drawn: columns of /meta.  labels: methods
-    to break down, in their order.  A number is cut into up to five bins of equally many pairs; an
-    effect that is off in a pair has a bin `off`.
+    Baselines as their library has them, networks by `ablation`; for OURS in Table 2 else the best
+    of the given networks.  rows: the best first, those that are lost last.
     """
-    place = "location" if len({item.location for item in items}) > 1 else "scene"
-    factors: dict[str, Any] = {place: [getattr(item, place) for item in items]}
-    factors["PSNR of the noisy image, dB"] = psnr["noisy"]
-    factors |= {
-        name: column
-        for name, column in drawn.items()
-        if name.startswith("noise.") or name == "resample.rate"
-    }
-    found = []
-    for factor, column in factors.items():
-        bins = _bins(pd.Series(column))
-        if bins.nunique() < 2:
-            continue
-        means = psnr[list(labels)].groupby(bins, observed=True).mean()
-        pairs = bins.value_counts()
-        table = means.map(lambda value: written(value, 2)).T
-        table.columns = [f"{name} ({pairs[name]})" for name in means.index]
-        found.append(table.rename_axis(factor).reset_index())
+    found: list[dict[str, Any]] = []
+    for name, (title, paper) in table.items():
+        named = (row for row in rows if row["name"] == name and not row["form"])
+        same = [row for row in named if row["kind"] in ("noisy", "baseline")]
+        same += [row for row in rows if row["ablation"] == name]
+        if name == OURS and table is TABLE_2:
+            same += [row for row in rows if row["kind"] == "network" and row["lost"] is None]
+        line: dict[str, Any] = {
+            "title": title,
+            "paper": dict(zip(TABLE_METRICS, paper, strict=True)),
+        }
+        line |= {"ours": None, "row": same[0]["label"] if same else None}
+        if same and same[0]["lost"] is None:
+            line["ours"] = {name: same[0]["metrics"][name]["mean"] for name in TABLE_METRICS}
+        found.append(line)
     return found
-
-
-def _bins(values: pd.Series[Any]) -> pd.Series[Any]:
-    """The bin of each value, in order; none for the rarest of many words."""
-    if not pd.api.types.is_numeric_dtype(values):
-        most = values.value_counts().index[:_MOST_PLACES]
-        return values.where(values.isin(most)).replace("", "off")
-    if values.nunique() <= _BINS:
-        names = dict.fromkeys(f"{one:.3g}" for one in sorted(values.dropna().unique()))
-        cut = pd.Categorical(values.map("{:.3g}".format, na_action="ignore"), list(names))
-    else:
-        count = int(np.clip(values.count() // _PAIRS_A_BIN, 2, _BINS))
-        cut = pd.qcut(values, count, duplicates="drop").array
-        cut = cut.rename_categories(lambda one: f"{one.left:.3g} .. {one.right:.3g}")
-    return pd.Series(cut.set_categories(["off", *cut.categories]), values.index).fillna("off")
-
-
-def table_2(rows: Sequence[Content]) -> list[dict[str, Any]]:
-    """The rows of Table 2: the baselines as their library has them, and the ablation's network.
-
-    Without that network the best of the given networks stands in its row.
-    """
-    ours = _ablation(rows, OURS) or _best_network(rows)
-    found = []
-    for name, (title, paper) in TABLE_2.items():
-        row = ours if name == OURS else _baseline(rows, name)
-        found.append(_line(title, paper, row))
-    return found
-
-
-def table_3(rows: Sequence[Content]) -> list[dict[str, Any]]:
-    """The rows of Table 3."""
-    return [_line(title, paper, _ablation(rows, name)) for name, (title, paper) in TABLE_3.items()]
-
-
-def _line(title: str, paper: tuple[float, float, float], row: Content | None) -> dict[str, Any]:
-    ours = None
-    if row is not None and row["lost"] is None:
-        ours = {metric: row["metrics"][metric]["mean"] for metric in TABLE_METRICS}
-    return {
-        "title": title,
-        "paper": dict(zip(TABLE_METRICS, paper, strict=True)),
-        "ours": ours,
-        "row": None if row is None else row["label"],
-    }
-
-
-def _baseline(rows: Sequence[Content], name: str) -> Content | None:
-    kinds = ("noisy", "baseline")
-    found = [row for row in rows if row["name"] == name and row["kind"] in kinds]
-    return next((row for row in found if not row["form"]), None)
-
-
-def _ablation(rows: Sequence[Content], name: str) -> Content | None:
-    return next((row for row in rows if row["ablation"] == name), None)
-
-
-def _best_network(rows: Sequence[Content]) -> Content | None:
-    networks = [row for row in rows if row["kind"] == "network" and row["lost"] is None]
-    return max(networks, key=lambda row: float(row["metrics"]["psnr"]["mean"]), default=None)

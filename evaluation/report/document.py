@@ -28,13 +28,12 @@ if TYPE_CHECKING:
 class Section:
     """A part of a report.  Names in `text` stand between backticks.
 
-    tables: of text.  chart: what the page alone shows.  folded: the page opens it on a click.
+    tables: of text.  folded: the page opens it on a click.
     """
 
     title: str
     tables: Sequence[pd.DataFrame] = ()
     text: Sequence[str] = ()
-    chart: Markup = field(default_factory=Markup)
     folded: bool = False
 
 
@@ -65,19 +64,17 @@ def write_report(
 
     facts: the JSON.  Raises FactoryError when the folder cannot be written to.
     """
-    shown = [one for one in sections if one.tables or any(one.text) or one.chart]
+    shown = [one for one in sections if one.tables or any(one.text)]
     parts = [f"# {title}", about]
     for one in shown:
-        if one.tables or any(one.text):
-            parts += [f"## {one.title}", *map(as_markdown, one.tables), *filter(None, one.text)]
+        parts += [f"## {one.title}", *map(as_markdown, one.tables), *filter(None, one.text)]
     page = _environment().get_template("report.html")
     html = page.render(
         title=title, about=about, sections=shown, examples=_data(examples), file=_own_file
     )
     markdown = "\n\n".join(parts) + "\n"
-    write_files(
-        out, {f"{name}.json": as_json(facts), f"{name}.md": markdown, f"{name}.html": html.lstrip()}
-    )
+    data = json.dumps(facts, indent=1, allow_nan=False) + "\n"
+    write_files(out, {f"{name}.json": data, f"{name}.md": markdown, f"{name}.html": html.lstrip()})
 
 
 def write_files(out: Path, files: Mapping[str, str]) -> None:
@@ -86,11 +83,6 @@ def write_files(out: Path, files: Mapping[str, str]) -> None:
         out.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         write_atomically(out / name, content.encode(), key="out")
-
-
-def as_json(content: Mapping[str, Any]) -> str:
-    """JSON as reports write it."""
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def as_data_uri(image: npt.NDArray[np.float32]) -> str:

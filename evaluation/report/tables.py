@@ -96,7 +96,7 @@ def leaderboard(rows: Sequence[Content]) -> pd.DataFrame:
     """PSNR with its interval, the paired gain and its test, other metrics, the cost."""
     names = [name for name in _SHORT if has(rows, name)]
     head = ["method", "PSNR, dB", "95 % interval", "against noisy, dB", "p (Holm)", "wins"]
-    head += [METRIC_NAMES[name].label for name in names] + ["ms", "GMAC"]
+    head += [METRIC_NAMES[name].label for name in names] + ["ms"]
     lines: list[list[str]] = []
     for row in rows:
         title = f"{row['label']}{shown(row['parameters'])}"
@@ -109,8 +109,7 @@ def leaderboard(rows: Sequence[Content]) -> pd.DataFrame:
             both = f"{written(gain['mean'], 2, True)} ({interval(gain, 2, True)})"
             cells[3:] = [both, written_p(gain["p_holm"]), percent(gain["wins"])]
         cells += [written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names]
-        cells += [written(row["milliseconds"], 1), written(row["gmac"], 2) if row["gmac"] else ""]
-        lines.append(cells)
+        lines.append([*cells, written(row["milliseconds"], 1)])
     return as_table(head, lines)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simnfnd.evaluation import runner
-from simnfnd.evaluation.methods import costs_of, networks_of
+from simnfnd.evaluation.methods import networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
 from simnfnd.evaluation.runner import SECONDS, Task, measure_task
@@ -61,10 +61,6 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
     assert psnr_db["small"][1] == pytest.approx(expected, abs=1e-6)
     assert psnr_db["small"][1] != psnr_db["other"][1]
     assert (found.wide()[SECONDS]["small"] > 0).all()
-    costs = costs_of(methods)
-    assert costs["small"] == costs["other"]
-    assert 0 < costs["small"]["gmac"] < 1
-    assert costs["small"]["parameters"] > 100
 
 
 def test_networks_are_told_where_range_is(tmp_path: Path) -> None:
@@ -87,7 +83,10 @@ def test_networks_are_told_where_range_is(tmp_path: Path) -> None:
 
 def test_paths_without_weights_are_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    for path, words in (("empty", "holds 0 weights files"), ("none", "models: weights=.*no such")):
+    for path, words in (
+        ("empty", "empty/weights.*: no such"),
+        ("none", "models: weights=.*no such"),
+    ):
         with pytest.raises(FactoryError, match=words):
             networks_of(settings_for(tmp_path / "data", models=[str(tmp_path / path)]))
     (tmp_path / "bad.safetensors").write_bytes(b"no weights")

@@ -53,7 +53,7 @@ def test_validation_is_what_training_holds_out(dataset: Path) -> None:
     assert len(few) == 3
 
 
-def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> None:
+def test_tuning_finds_the_best_of_the_grid_or_better(dataset: Path, tmp_path: Path) -> None:
     file = tmp_path / "deep" / "tuned.json"
     lines = tune(dataset, file, "gaussian", "identity")
     content = json.loads(file.read_text(encoding="utf-8"))
@@ -71,9 +71,10 @@ def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> Non
         plain[key] = np.mean([psnr(c, i, data_range=1.0) for i, c in pairs])
         corrected[key] = np.mean([psnr(c, levels(i), data_range=1.0) for i, c in pairs])
     entry = content["baselines"]["gaussian"]
-    assert entry["tuned"]["psnr"] == pytest.approx(max(plain.values()))
-    assert entry["tuned"]["parameters"]["sigma_px"] == max(plain, key=lambda key: plain[key])
-    assert entry["tuned_levels"]["psnr_levels"] == pytest.approx(max(corrected.values()))
+    best = max(plain, key=lambda key: plain[key])
+    assert max(plain.values()) - 1e-9 < entry["tuned"]["psnr"] < max(plain.values()) + 0.5
+    assert entry["tuned"]["parameters"]["sigma_px"] == pytest.approx(best, rel=0.25)
+    assert entry["tuned_levels"]["psnr_levels"] > max(corrected.values()) - 1e-9
     assert entry["default"]["psnr"] == pytest.approx(plain[1.0])
     assert corrected[1.0] > plain[1.0] + 1, "the haze of the test images is an offset"
     assert any(line.startswith("gaussian: ") and "tuned (sigma_px=" in line for line in lines)
@@ -86,13 +87,13 @@ def test_tuned_results_are_kept_until_something_changes(
     tune(dataset, file, "median")
     before = file.read_bytes()
     ran: list[str] = []
-    honest = tuning.on_grid
+    honest = tuning.on_pairs
 
     def counted(task: Any) -> Any:
         ran.append(task.baseline)
         return honest(task)
 
-    monkeypatch.setattr(tuning, "on_grid", counted)
+    monkeypatch.setattr(tuning, "on_pairs", counted)
     again = tune(dataset, file, "median")
     assert not ran
     assert again[0].startswith("median: ")

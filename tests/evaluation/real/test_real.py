@@ -72,19 +72,15 @@ def test_figures_say_what_was_done(tmp_path: Path) -> None:
     shared = scene(stretch.shots[0])
     same = figures_of(shared.noisy, shared)
     assert same["edges_kept"] == pytest.approx(1)
-    assert same["ratio_mean"] == pytest.approx(1)
     blurred = cv2.GaussianBlur(shared.noisy, (0, 0), 2)
     smooth = figures_of(np.asarray(blurred, np.float32), shared)
     assert smooth["enl"] > 3 * same["enl"]
     assert smooth["edges_kept"] < 0.5
     half = figures_of(shared.noisy / 2, shared)
-    assert half["ratio_mean"] == pytest.approx(2, rel=1e-3)
-    for name in ("enl", "cnr", "shadow_level", "edges_kept"):
+    for name in ("enl", "cnr", "edges_kept"):
         assert half[name] == pytest.approx(same[name], rel=1e-4), name
-    lifted = figures_of(shared.noisy * 0.8 + 0.2, shared)
-    assert lifted["shadow_level"] > 2 * same["shadow_level"]
     black = figures_of(np.zeros_like(shared.noisy), shared)
-    assert all(math.isnan(black[name]) for name in ("shadow_level", "edges_kept", "ratio_mean"))
+    assert math.isnan(black["edges_kept"])
 
 
 def test_the_report_of_a_folder_without_static_groups(

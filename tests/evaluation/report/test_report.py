@@ -1,4 +1,4 @@
-"""What the figures say together: tests, the paper's tables, breakdowns, comparisons."""
+"""What the figures say together: tests, the paper's tables, comparisons."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.metrics import statistics
 from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.content import best_classical, breakdown_of, content_of
+from simnfnd.evaluation.report.content import best_classical, content_of
 from simnfnd.evaluation.runner import SECONDS, Measured
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
@@ -102,43 +102,17 @@ def test_networks_are_held_against_the_best_tuned_baseline(tmp_path: Path) -> No
         "nlm": {"default": {"psnr_levels": 17.0}, "tuned_levels": {"psnr_levels": 17.0}},
     }
     settings = settings_for(tmp_path / "data")
-    costs = {"net": {"gmac": 1.5}}
-    content = content_of(methods, measured, items(12), settings, tuned, costs)
+    content = content_of(methods, measured, items(12), settings, tuned)
     assert content["best_classical"] == {"row": "median + levels", "chosen_on": "validation pairs"}
     assert [row["label"] for row in content["rows"]] == [
         "net", "nlm + levels", "median + levels", "noisy", "broken",
     ]  # fmt: skip
     net = content["rows"][0]
-    assert net["gmac"] == 1.5
     assert net["against_best"]["psnr"]["mean"] == pytest.approx(2 + np.sin(np.arange(12)).mean())
     assert net["against_noisy"]["psnr"]["p_holm"] < 0.01
     assert net["against_noisy"]["gmsd"]["wins"] == 1, "low is good"
     json.dumps(content, allow_nan=False)
     assert best_classical(content["rows"], {}) == ("nlm + levels", "these very pairs")
-
-
-def test_breakdowns_find_where_a_method_is_good() -> None:
-    """A method that gains one dB where the effect is strong, and none where it is off."""
-    count = 48
-    level = np.where(np.arange(count) % 4 == 0, np.nan, np.linspace(0.1, 0.9, count))
-    base = np.full(count, 17.0)
-    psnr = measured_of(noisy=base, median=base + np.nan_to_num(level)).wide()["psnr"]
-    drawn = {
-        "noise.background.density": level,
-        "noise.mode": np.where(np.arange(count) % 2, "radial", ""),
-        "noise.fixed": np.full(count, 2.0),
-        "full_scale": np.linspace(0, 1, count),
-    }
-    tables = breakdown_of(psnr, items(count), drawn, ["noisy", "median"])
-    found = {table.columns[0]: table.set_index(table.columns[0]) for table in tables}
-    assert set(found) == {"scene", "noise.background.density", "noise.mode"}, "what varies"
-    density = found["noise.background.density"]
-    assert next(iter(density)) == "off (12)"
-    assert [str(name).rpartition("(")[2] for name in list(density)[1:]] == ["9)"] * 4
-    low, *_, high = (float(text) for text in density.T["median"].tolist()[1:])
-    assert density.loc["median", "off (12)"] == "17.00"
-    assert 17.1 < low < high < 17.9
-    assert list(found["noise.mode"].columns) == ["off (24)", "radial (24)"]
 
 
 @pytest.fixture(scope="module")
