@@ -64,15 +64,8 @@ def whole(root: Path, **changes: Any) -> Path:
     manifest = Manifest(PROVENANCE.config_hash, PROVENANCE.generator, dict(PROVENANCE.config))
     for relative, scene in SHARDS.items():
         pairs = [with_layers(source.pairs(ref, (0,))[0]) for ref in refs(4, scene)]
-        info = write_shard(
-            root,
-            relative,
-            pairs,
-            source.axes(),
-            source.columns(),
-            PROVENANCE,
-            DatasetSettings(**changes),
-        )
+        how = source.axes(), source.columns(), PROVENANCE, DatasetSettings(**changes)
+        info = write_shard(root, relative, pairs, *how)
         assert info is not None
         manifest = manifest.with_shard(info)
     save_manifest(root, manifest)

@@ -25,11 +25,12 @@ def write(
     root: Path,
     pairs: Any = None,
     relative: str = "train/shard-00000.h5",
+    provenance: Provenance = PROVENANCE,
     **changes: Any,
 ) -> ShardInfo | None:
     pairs = some_pairs() if pairs is None else pairs
     settings = DatasetSettings(**changes)
-    return write_shard(root, relative, pairs, SOURCE.axes(), SOURCE.columns(), PROVENANCE, settings)
+    return write_shard(root, relative, pairs, SOURCE.axes(), SOURCE.columns(), provenance, settings)
 
 
 def dataset(root: Path) -> Manifest:

@@ -19,16 +19,12 @@ import psutil
 import pytest
 
 from simnfnd.factory.dataset import PairDataset, reader
-from simnfnd.factory.dataset.settings import DatasetSettings
-from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
-from tests.fake_source import FakeConfig, FakeSource, refs
+from tests.factory.dataset.some_shards import SOURCE, some_pairs, write
 
-SOURCE = FakeSource(FakeConfig())
-PAIRS = [
-    with_layers(SOURCE.pairs(ref, (0,))[0]) for name in ("alpha", "beta") for ref in refs(4, name)
-]
+SHARD = "train/shard-00000.h5"
+PAIRS = [with_layers(pair) for scene in ("alpha", "beta") for pair in some_pairs(4, scene)]
 
 
 @pytest.fixture(scope="module")
@@ -135,15 +131,8 @@ def test_a_dataset_of_many_shards_keeps_few_open(
 ) -> None:
     monkeypatch.setattr(reader, "_MOST_FILES", 4)
     for number in range(7):
-        write_shard(
-            tmp_path,
-            f"train/shard-{number:05d}.h5",
-            [replace(PAIRS[0], noisy=np.full((24, 20), number, np.uint8), layers={})],
-            SOURCE.axes(),
-            SOURCE.columns(),
-            PROVENANCE,
-            DatasetSettings(),
-        )
+        pair = replace(PAIRS[0], noisy=np.full((24, 20), number, np.uint8), layers={})
+        write(tmp_path, [pair], f"train/shard-{number:05d}.h5")
     with opened(tmp_path) as pairs:
         for _ in range(2):
             assert [int(sample["noisy"][0, 0]) for sample in pairs] == list(range(len(pairs)))
@@ -199,6 +188,7 @@ def test_a_torch_loader_with_workers_reads_every_sample_once(sound: Path) -> Non
     [
         (lambda root: (root / "train/shard-00001.h5").unlink(), "shard-00001.h5: listed .* absent"),
         (lambda root: (root / "manifest.json").write_text("{"), "manifest.json: damaged"),
+        (lambda root: (root / SHARD).write_bytes(b"x"), r"00000\.h5: 1 bytes, the manifest says"),
         (lambda root: shutil.rmtree(root), "no such folder"),
     ],
 )
@@ -221,32 +211,11 @@ def test_an_unknown_or_absent_layer_is_named(folder: Path) -> None:
 
 @pytest.mark.parametrize("trusted", [False, True])
 def test_another_schema_names_file_and_cure(folder: Path, trusted: bool) -> None:
-    path = folder / "train/shard-00000.h5"
-    with h5py.File(path, "r+") as file:
+    with h5py.File(folder / SHARD, "r+") as file:
         file.attrs["schema"] = "simnfnd/2"
     admit(folder)
     with pytest.raises(FactoryError, match=r"shard-00000\.h5: schema 'simnfnd/2'.*matching"):
         PairDataset(folder, trusted=trusted)[0]
-
-
-def test_a_damaged_chunk_names_file_sample_and_cure(folder: Path) -> None:
-    path = folder / "train/shard-00001.h5"
-    with h5py.File(path) as file:
-        chunk = file["clean"].id.get_chunk_info(2)
-    content = bytearray(path.read_bytes())
-    content[chunk.byte_offset + chunk.size // 2] ^= 4
-    path.write_bytes(content)
-    with PairDataset(folder) as pairs:
-        pairs[5]
-        with pytest.raises(FactoryError, match=r"00001\.h5: /clean sample 2 is damaged.*run the"):
-            pairs[6]
-
-
-def test_a_shard_of_another_size_than_the_manifest_says_is_refused(folder: Path) -> None:
-    path = folder / "train/shard-00000.h5"
-    path.write_bytes(path.read_bytes() + b"x")
-    with pytest.raises(FactoryError, match=r"00000\.h5: \d+ bytes, the manifest says"):
-        opened(folder)
 
 
 # --- index.h5

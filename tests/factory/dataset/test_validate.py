@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,11 +11,11 @@ import h5py
 import numpy as np
 import pytest
 
+from simnfnd.command import main
 from simnfnd.factory.dataset.manifest import load_manifest, save_manifest
-from simnfnd.factory.dataset.schema import config_hash
-from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.schema import Pair, config_hash
 from simnfnd.factory.dataset.validate import Report, validate
-from simnfnd.factory.dataset.writer import write_index, write_shard
+from simnfnd.factory.dataset.writer import write_index
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.hostile import (
@@ -31,10 +29,8 @@ from tests.factory.dataset.hostile import (
     whole,
     with_layers,
 )
-from tests.fake_source import FakeConfig, FakeSource, refs
-from tests.project_files import ROOT
+from tests.factory.dataset.some_shards import some_pairs, write
 
-SOURCE = FakeSource(FakeConfig())
 # benchmarks/bench_trust.py goes through hundreds of them.
 MUTATIONS = 16
 
@@ -56,20 +52,19 @@ def reader() -> IsolatedProcess:
     return IsolatedProcess()
 
 
-def add(folder: Path, relative: str, scene: str, first: int = 0, **changes: Any) -> None:
+def add(folder: Path, relative: str, pairs: list[Pair]) -> None:
     """One more shard, in manifest and index."""
-    pairs = [
-        replace(with_layers(SOURCE.pairs(ref, (0,))[0]), **changes)
-        for ref in refs(first + 2, scene)[first:]
-    ]
-    info = write_shard(
-        folder, relative, pairs, SOURCE.axes(), SOURCE.columns(), PROVENANCE, DatasetSettings()
-    )
+    info = write(folder, pairs, relative, PROVENANCE)
     manifest = load_manifest(folder)
     assert info is not None
     assert manifest is not None
     save_manifest(folder, manifest.with_shard(info))
     write_index(folder, manifest.with_shard(info))
+
+
+def layered(scene: str, first: int = 0, **changes: Any) -> list[Pair]:
+    """Two pairs with layers."""
+    return [replace(with_layers(pair), **changes) for pair in some_pairs(first + 2, scene)[first:]]
 
 
 def errors(report: Report) -> str:
@@ -86,31 +81,34 @@ def test_a_sound_dataset_is_valid(sound: Path, deep: bool) -> None:
     assert (report.samples, report.shards) == (12, 3)
 
 
-def test_the_command_says_it_with_its_exit_code(folder: Path) -> None:
-    def run(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "simnfnd.factory", "validate", *words]
-        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+def test_the_command_says_it_with_its_exit_code(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(*words: str) -> tuple[int, str]:
+        code = main(["validate", *words])
+        said = capsys.readouterr()
+        return code, said.out + said.err
 
-    done = run(str(folder), "--deep")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1].startswith(f"valid: {folder}: 12 samples in 3 shards")
+    code, said = run(str(folder), "--deep")
+    assert code == 0
+    assert said.splitlines()[-1].startswith(f"valid: {folder}: 12 samples in 3 shards")
     (folder / "train/shard-00001.h5").write_bytes(b"no")
-    done = run(str(folder))
-    assert done.returncode == 1
-    assert "error: train/shard-00001.h5: 2 bytes instead of" in done.stdout
-    assert "invalid: " in done.stdout.splitlines()[-1]
-    done = run(str(folder / "train"))
-    assert done.returncode == 2
-    assert "manifest.json" in done.stderr
+    code, said = run(str(folder))
+    assert code == 1
+    assert "error: train/shard-00001.h5: 2 bytes instead of" in said
+    assert "invalid: " in said.splitlines()[-1]
+    code, said = run(str(folder / "train"))
+    assert code == 2
+    assert "manifest.json" in said
 
 
 def test_leaks_and_samples_twice_are_found(folder: Path) -> None:
-    clean = np.asarray(SOURCE.pairs(refs(1, "alpha")[0], (0,))[0].clean)
-    add(folder, "test/shard-00001.h5", "delta", clean=clean)
+    clean = some_pairs(1)[0].clean
+    add(folder, "test/shard-00001.h5", layered("delta", clean=clean))
     assert errors(validate(folder)) == ""
     assert "1 clean picture(s) are in train and in test" in errors(validate(folder, True))
-    add(folder, "test/shard-00001.h5", "alpha", first=10)
-    add(folder, "train/shard-00002.h5", "beta", first=2)
+    add(folder, "test/shard-00001.h5", layered("alpha", 10))
+    add(folder, "train/shard-00002.h5", layered("beta", 2))
     text = errors(validate(folder, True))
     assert "1 scene(s) both train and test: reef/alpha" in text
     assert "sample 0 is reef/beta/0002 variant 0 again, as train/shard-00001.h5 sample 2" in text
@@ -152,21 +150,8 @@ def test_what_is_not_as_the_manifest_says_is_found(folder: Path) -> None:
 
 
 def test_a_shard_of_another_form_is_found(folder: Path) -> None:
-    info = write_shard(
-        folder,
-        "train/shard-00002.h5",
-        SOURCE.pairs(refs(1, "delta")[0], (0,)),
-        SOURCE.axes(),
-        SOURCE.columns(),
-        PROVENANCE,
-        DatasetSettings(),
-    )
-    manifest = load_manifest(folder)
-    assert info is not None
-    assert manifest is not None
-    save_manifest(folder, manifest.with_shard(info))
-    text = errors(validate(folder, False))
-    assert "train/shard-00002.h5: has another form than" in text
+    add(folder, "train/shard-00002.h5", some_pairs(1, "delta"))
+    assert "train/shard-00002.h5: has another form than" in errors(validate(folder, False))
 
 
 # --- hostile files
