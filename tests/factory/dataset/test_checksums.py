@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,8 +11,6 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.reader import ImageStack
-from simnfnd.factory.dataset.writer import fletcher32
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.flips import any_bit, flip, given_out, outcome
@@ -29,11 +24,6 @@ SHARD = "train/shard-00000.h5"
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Plain chunks: no filter tells of a flipped bit."""
     return whole(tmp_path_factory.mktemp("sound") / "dataset", compression="none")
-
-
-@pytest.fixture
-def folder(sound: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(sound, tmp_path / "dataset"))
 
 
 def _text(words: bytes) -> Callable[[h5py.File, bytes], int]:
@@ -99,8 +89,6 @@ def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
     assert set(said) == {"same", "refused"}
 
 
-# --- chunks
-
 STACKS = ("noisy", "clean", "shadow", "range", "layers/background")
 
 
@@ -150,25 +138,6 @@ def test_a_filter_that_a_chunk_skips_is_refused(tmp_path: Path) -> None:
             stack.id.write_direct_chunk((1, 0, 0), bytes(chunk) + b"\0", filter_mask=1)
         with pytest.raises(FactoryError, match=rf"a\.h5: /{name} sample 1 skips its filters"):
             PairDataset(tmp_path, layers=STACKS, trusted=True)[0]
-
-
-@pytest.mark.parametrize("checksum", [False, True])
-@pytest.mark.parametrize("size", [0, 479])
-def test_a_chunk_that_is_too_short_is_no_picture(tmp_path: Path, size: int, checksum: bool) -> None:
-    """HDF5 shows what its memory held before where a chunk gives too few bytes."""
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        stack = file.create_dataset(
-            "x", (2, 24, 20), "u1", chunks=(1, 24, 20), compression="gzip", fletcher32=checksum
-        )
-        for row, content in enumerate((bytes(480), bytes(size))):
-            chunk = zlib.compress(content)
-            ending = struct.pack("<I", fletcher32(chunk)) if checksum else b""
-            stack.id.write_direct_chunk((row, 0, 0), chunk + ending)
-        sums = np.full(2, zlib.crc32(bytes(480)), np.uint32)
-        images = ImageStack(stack, sums)
-        assert not images[0].any()
-        with pytest.raises(FactoryError, match="bytes of a picture"):
-            images[1]
 
 
 def test_a_table_in_chunks_is_refused(tmp_path: Path) -> None:

@@ -27,21 +27,8 @@ SHARD = "train/shard-00000.h5"
 PAIRS = [with_layers(pair) for scene in ("alpha", "beta") for pair in some_pairs(4, scene)]
 
 
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return whole(tmp_path_factory.mktemp("sound") / "dataset")
-
-
-@pytest.fixture
-def folder(sound: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(sound, tmp_path / "dataset"))
-
-
 def opened(folder: Path, **keywords: Any) -> PairDataset:
     return PairDataset(folder, trusted=True, **keywords)
-
-
-# --- reading
 
 
 def test_every_sample_is_what_was_written(sound: Path) -> None:
@@ -66,6 +53,10 @@ def test_several_samples_at_once_are_stacked(sound: Path, item: Any) -> None:
     with opened(sound) as pairs:
         np.testing.assert_array_equal(pairs[item]["noisy"], noisy[item])
         assert pairs[item]["clean"].dtype == np.uint8
+        np.testing.assert_array_equal(pairs[-8]["noisy"], pairs[np.int64(0)]["noisy"])
+        for number in (8, -9):
+            with pytest.raises(IndexError):
+                pairs[number]
 
 
 @pytest.mark.parametrize("scaled", [False, True])
@@ -79,16 +70,6 @@ def test_values_are_in_the_range_that_is_stated(tmp_path: Path, dtype: str, scal
         np.testing.assert_allclose(clean / high, np.asarray(PAIRS[0].clean, float) / 255, atol=1e-6)
 
 
-def test_numbers_beyond_the_end_are_index_errors(sound: Path) -> None:
-    with opened(sound) as pairs:
-        for number in (8, -9):
-            with pytest.raises(IndexError):
-                pairs[number]
-        with pytest.raises(TypeError):
-            pairs[True]
-        np.testing.assert_array_equal(pairs[-8]["noisy"], pairs[np.int64(0)]["noisy"])
-
-
 def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
     pairs = opened(sound / "index.h5", split="all")
     table = pairs.meta()
@@ -98,9 +79,6 @@ def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
     np.testing.assert_array_equal(rows.values, SOURCE.axes()[0].values)
     assert pairs.shape == (24, 20)
     assert pairs.config_hash == PROVENANCE.config_hash
-
-
-# --- processes, threads, open files
 
 
 def open_files(folder: Path) -> list[str]:
@@ -180,9 +158,6 @@ def test_a_torch_loader_with_workers_reads_every_sample_once(sound: Path) -> Non
     assert {image.tobytes() for image in seen} == stored
 
 
-# --- what is refused
-
-
 @pytest.mark.parametrize(
     ("harm", "words"),
     [
@@ -216,9 +191,6 @@ def test_another_schema_names_file_and_cure(folder: Path, trusted: bool) -> None
     admit(folder)
     with pytest.raises(FactoryError, match=r"shard-00000\.h5: schema 'simnfnd/2'.*matching"):
         PairDataset(folder, trusted=trusted)[0]
-
-
-# --- index.h5
 
 
 def test_h5py_alone_reads_the_index_of_a_moved_dataset(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +13,14 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset.manifest import damage
+from simnfnd.factory.dataset.schema import OPTIONAL_LAYERS, ROOT_ATTRIBUTES, layers
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.labels import CLASSES
+from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.sample_table.record import columns, requested
+from tests.factory.dataset.hostile import whole
 from tests.factory.dataset.some_shards import PROVENANCE, SOURCE, some_pairs, write
+from tests.project.page_steps import run, steps
 from tests.project_files import ROOT
 
 
@@ -93,11 +97,35 @@ def test_what_does_not_fit_is_refused(
     assert not list(tmp_path.rglob("*.h5"))
 
 
-def test_slow_or_missing_libraries_are_not_imported_for_the_shards() -> None:
-    code = "import sys, simnfnd.factory.scheduler.run; print(*sorted(sys.modules))"
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
-    )
-    loaded = set(result.stdout.split())
-    assert loaded.isdisjoint({"bpy", "open3d", "torch", "matplotlib", "cv2"})
-    assert len(loaded) > 50
+PAGE = (ROOT / "docs" / "dataset.md").read_text(encoding="utf-8")
+PYTHON = [step for step in steps(ROOT / "docs" / "dataset.md") if step.kind == "python"]
+
+
+def test_every_layer_column_and_attribute_is_documented() -> None:
+    """By its name, and with its type, unit and meaning in the same line of a table."""
+    lines = [line for line in PAGE.splitlines() if line.startswith("| ")]
+    asked = requested(("pose", "intrinsics", "calibration", "boxes"))
+    expected = [
+        *((f"/{one.name}", one.units, one.description) for one in layers("uint8")),
+        *((f"/{one.name}", one.dtype, one.units, one.description) for one in OPTIONAL_LAYERS),
+        *((one.name, one.dtype, one.units) for one in columns(NoiseSettings())),
+        *((one.name, one.dtype, one.units, one.description) for one in asked),
+        *ROOT_ATTRIBUTES.items(),
+    ]
+    for name, *words in expected:
+        found = [line for line in lines if line.startswith(f"| `{name}` |")]
+        assert any(all(word in line for word in words) for line in found), (name, words)
+    assert ", ".join(f"{number} {name}" for number, name in enumerate(CLASSES)) in PAGE
+
+
+def test_the_python_of_the_documentation_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole(tmp_path / "outputs" / "demo")
+    assert len(PYTHON) == 3
+    for block in PYTHON:
+        run(block, tmp_path)
+        printed = capsys.readouterr().out
+        if "blake2b" in block.text:
+            computed, stated = printed.split()
+            assert computed == stated

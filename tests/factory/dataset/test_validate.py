@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
+import os
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,18 +37,6 @@ MUTATIONS = 16
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return whole(tmp_path_factory.mktemp("sound") / "dataset")
-
-
-@pytest.fixture
-def folder(sound: Path, tmp_path: Path) -> Path:
-    for name in ("secret.h5", "secret.raw"):
-        shutil.copy(sound.parent / name, tmp_path / name)
-    return Path(shutil.copytree(sound, tmp_path / "dataset"))
-
-
-@pytest.fixture(scope="module")
 def reader() -> IsolatedProcess:
     return IsolatedProcess()
 
@@ -71,16 +60,6 @@ def errors(report: Report) -> str:
     return "\n".join(str(finding) for finding in report.errors)
 
 
-# --- validation
-
-
-@pytest.mark.parametrize("deep", [False, True])
-def test_a_sound_dataset_is_valid(sound: Path, deep: bool) -> None:
-    report = validate(sound, deep)
-    assert report.errors == ()
-    assert (report.samples, report.shards) == (12, 3)
-
-
 def test_the_command_says_it_with_its_exit_code(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -89,9 +68,10 @@ def test_the_command_says_it_with_its_exit_code(
         said = capsys.readouterr()
         return code, said.out + said.err
 
-    code, said = run(str(folder), "--deep")
-    assert code == 0
-    assert said.splitlines()[-1].startswith(f"valid: {folder}: 12 samples in 3 shards")
+    for deep in ([], ["--deep"]):
+        code, said = run(str(folder), *deep)
+        assert code == 0
+        assert said.splitlines()[-1].startswith(f"valid: {folder}: 12 samples in 3 shards")
     (folder / "train/shard-00001.h5").write_bytes(b"no")
     code, said = run(str(folder))
     assert code == 1
@@ -115,26 +95,25 @@ def test_leaks_and_samples_twice_are_found(folder: Path) -> None:
     assert "sample 1 has the same noisy picture as train/shard-00001.h5 sample 3" in text
 
 
-@pytest.mark.parametrize(
-    ("layer", "value", "words"),
-    [
-        ("noisy", np.nan, "sample 1: /noisy has values outside 0..1, or NaN"),
-        ("clean", 1.5, "/clean has values outside 0..1"),
-        ("elevation", 2.0, "/elevation has values outside -1.5708..1.5708"),
-        ("range", -1.0, "/range has values outside 0..inf"),
-        ("segmentation", 200, "/segmentation has class 200; the schema knows 21"),
-    ],
+IMPOSSIBLE = (
+    ("noisy", np.nan, "sample 1: /noisy has values outside 0..1, or NaN"),
+    ("clean", 1.5, "/clean has values outside 0..1"),
+    ("elevation", 2.0, "/elevation has values outside -1.5708..1.5708"),
+    ("range", -1.0, "/range has values outside 0..inf"),
+    ("segmentation", 200, "/segmentation has class 200; the schema knows 21"),
 )
-def test_values_that_cannot_be_are_found(
-    tmp_path: Path, layer: str, value: float, words: str
-) -> None:
+
+
+def test_values_that_cannot_be_are_found(tmp_path: Path) -> None:
     root = whole(tmp_path / "dataset", dtype="float32")
     with h5py.File(root / "train/shard-00001.h5", "r+") as file:
-        file[layer][1, 3, 4] = value
+        for layer, value, _ in IMPOSSIBLE:
+            file[layer][1, 3, 4] = value
         reseal(file)
     admit(root)
     assert errors(validate(root, False)) == ""
-    assert words in errors(validate(root, True))
+    found = errors(validate(root, True))
+    assert not [words for _, _, words in IMPOSSIBLE if words not in found]
 
 
 def test_what_is_not_as_the_manifest_says_is_found(folder: Path) -> None:
@@ -154,9 +133,6 @@ def test_a_shard_of_another_form_is_found(folder: Path) -> None:
     assert "train/shard-00002.h5: has another form than" in errors(validate(folder, False))
 
 
-# --- hostile files
-
-
 @pytest.mark.parametrize("kind", sorted(OBJECTS))
 def test_no_object_that_the_schema_has_not_is_read(
     folder: Path, reader: IsolatedProcess, kind: str
@@ -173,13 +149,11 @@ def test_no_object_that_the_schema_has_not_is_read(
 
 
 def test_mutated_datasets_get_a_clear_answer(
-    sound: Path, tmp_path: Path, reader: IsolatedProcess
+    sound: Path, folder: Path, reader: IsolatedProcess
 ) -> None:
-    shutil.copy(sound.parent / "secret.h5", tmp_path)
-    shutil.copy(sound.parent / "secret.raw", tmp_path)
     answers = set()
     for number in range(MUTATIONS):
-        root = copy(sound, tmp_path / "mutated")
+        root = copy(sound, folder)
         outcome = mutate(root, number)
         read, found = check(root, reader)
         answers.add((read == "read", found == "valid"))
@@ -189,9 +163,6 @@ def test_mutated_datasets_get_a_clear_answer(
 
 
 def test_what_happens_in_the_isolated_process_is_reported(reader: IsolatedProcess) -> None:
-    import os
-    import time
-
     with pytest.raises(FactoryError, match="crashes the library"):
         reader.call(os.abort, limit_s=5.0)
     with pytest.raises(FactoryError, match=r"not read within 0\.5 s"):
