@@ -350,7 +350,6 @@ def _files(root: Path, rng: Rng) -> str:
 
 def copy(root: Path, target: Path) -> Path:
     """A fresh copy of a sound dataset."""
-    if target.exists():
-        shutil.rmtree(target)
+    shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(root, target)
     return target
