@@ -81,7 +81,7 @@ def test_a_damaged_attribute_is_one_line_of_every_reader(folder: Path, kind: str
     with pytest.raises(FactoryError, match=rf"{SHARD}.*{words}") as caught:
         open_trusted(folder)
     assert "\n" not in str(caught.value)
-    for verb in READERS if kind in ("split above", "config cut off") else ():
+    for verb in READERS if kind in ("split above", "config cut off") else {}:
         with pytest.raises(FactoryError, match=SHARD):
             READERS[verb](folder)
     assert sorted(folder.parent.rglob("*")) == before
