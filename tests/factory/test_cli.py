@@ -1,8 +1,12 @@
 """The command line: what it makes, what it says, and how it ends."""
 
+from __future__ import annotations
+
 import json
 import signal
 import sys
+from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import h5py
@@ -10,13 +14,28 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
+from simnfnd.factory.cli.compose import readable
+from simnfnd.factory.config import from_mapping
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.selection import choose_frames, split_frames, split_warnings
 from tests.factory.cli_frames import FAST, ground, write_frame
+from tests.project_files import ROOT
 
 
-def run(monkeypatch, *words: str) -> int:
+@pytest.fixture(autouse=True)
+def words_of_hydra(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+
+
+def run(*words: str) -> int:
     """Exit code of `simnfnd make WORDS`, in this process."""
-    monkeypatch.setattr(sys, "argv", ["simnfnd"])  # Hydra's words are put there
     return main(words, default="make")
+
+
+def samples(folder: Path) -> dict[str, int]:
+    """Of each split."""
+    totals = json.loads((folder / "manifest.json").read_text())["totals"]
+    return {split: counts["samples"] for split, counts in totals.items() if counts["samples"]}
 
 
 @pytest.fixture
@@ -32,36 +51,31 @@ def words_for(root, out="out", *more: str) -> list[str]:
     return ["scenes=flsea", f"scenes.root={root}", f"dataset.dir={out}", *FAST, *more]
 
 
-def test_a_partial_download_makes_what_there_is(monkeypatch, tmp_path, flsea, capfd):
+def test_a_partial_download_makes_what_there_is(tmp_path, flsea, capfd):
     out = tmp_path / "out"
-    code = run(monkeypatch, "experiment=simnfnd", *words_for(flsea, out)[1:])
+    code = run("experiment=simnfnd", *words_for(flsea, out)[1:])
     printed = capfd.readouterr().out
     assert code == 0
     assert printed.strip().splitlines()[-1] == f"dataset: {out}"
     assert "flatiron" in printed  # absent scenes are told
-    manifest = json.loads((out / "manifest.json").read_text())
-    assert {shard["split"]: shard["samples"] for shard in manifest["shards"]} == {
-        "test": 3,
-        "train": 1,
-    }
+    assert samples(out) == {"test": 3, "train": 1}
     with h5py.File(out / "test/shard-00000.h5") as shard:
         assert shard["noisy"].shape == (3, 256, 256)
         assert set(shard["meta"]["scene"]) == {b"u_canyon"}
 
 
-def test_a_bad_frame_among_good_ones_is_skipped_and_named(monkeypatch, tmp_path, flsea, capfd):
+def test_a_bad_frame_among_good_ones_is_skipped_and_named(tmp_path, flsea, capfd):
     bad = ground()
     bad[3, 4] = np.nan
     write_frame(flsea, "16233045486672034", bad)
     out = tmp_path / "out"
-    assert run(monkeypatch, *words_for(flsea, out)) == 1
+    assert run(*words_for(flsea, out)) == 1
     failures = [json.loads(line) for line in (out / "failed.jsonl").read_text().splitlines()]
     assert len(failures) == 1
     assert "16233045486672034" in failures[0]["frame"]
     assert "1 NaN" in failures[0]["reason"]
     assert "frames.only=" in failures[0]["command"]
-    manifest = json.loads((out / "manifest.json").read_text())
-    assert sum(shard["samples"] for shard in manifest["shards"]) == 4
+    assert sum(samples(out).values()) == 4
     last = capfd.readouterr().out.strip().splitlines()[-1]
     assert last.startswith("failed: 1 of 5 frames, all because: depth has 1 NaN")
     assert last.endswith(f"`simnfnd status {out} --failed` lists them")
@@ -69,21 +83,19 @@ def test_a_bad_frame_among_good_ones_is_skipped_and_named(monkeypatch, tmp_path,
     assert "4 of 5 pairs" in capfd.readouterr().out
 
 
-def test_pictures_that_show_next_to_nothing_name_the_likeliest_keys(
-    monkeypatch, tmp_path, flsea, capfd
-):
+def test_pictures_that_show_next_to_nothing_name_the_likeliest_keys(tmp_path, flsea, capfd):
     words = ["scenes=flsea", f"scenes.root={flsea}", f"dataset.dir={tmp_path / 'out'}", *FAST]
-    run(monkeypatch, *words, "sonar.range={auto: false, min_m: 0, max_m: 3000}")
+    run(*words, "sonar.range={auto: false, min_m: 0, max_m: 3000}")
     (told,) = (line for line in capfd.readouterr().err.splitlines() if "sonar.hfov_deg" in line)
     assert "% of the pictures is lit; check" in told
 
 
-def test_when_every_frame_is_bad_the_run_ends_with_2(monkeypatch, tmp_path, capfd):
+def test_when_every_frame_is_bad_the_run_ends_with_2(tmp_path, capfd):
     root = tmp_path / "flsea"
     write_frame(root, "16233044541765633", ground())
     depth = root / "canyons/u_canyon/depth/16233044541765633_SeaErra_abs_depth.tif"
     cv2.imwrite(str(depth), ground() * 0)
-    assert run(monkeypatch, *words_for(root, tmp_path / "o")) == 2
+    assert run(*words_for(root, tmp_path / "o")) == 2
     error = capfd.readouterr().err
     assert "valid" in error
     assert "Traceback" not in error
@@ -104,10 +116,10 @@ def test_when_every_frame_is_bad_the_run_ends_with_2(monkeypatch, tmp_path, capf
         (["seed=="], "seed: "),
     ],
 )
-def test_bad_input_is_one_clear_line_and_exit_code_2(monkeypatch, tmp_path, words, said, capfd):
+def test_bad_input_is_one_clear_line_and_exit_code_2(tmp_path, words, said, capfd):
     (tmp_path / "empty").mkdir()
     words = [word.replace("{empty}", str(tmp_path / "empty")) for word in words]
-    code = run(monkeypatch, *words, f"dataset.dir={tmp_path / 'out'}")
+    code = run(*words, f"dataset.dir={tmp_path / 'out'}")
     error = capfd.readouterr().err
     assert code == 2, error
     assert said in error
@@ -116,8 +128,7 @@ def test_bad_input_is_one_clear_line_and_exit_code_2(monkeypatch, tmp_path, word
     assert not (tmp_path / "out").exists()
 
 
-def test_a_traceback_is_shown_with_debug_only(monkeypatch, tmp_path):
-    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+def test_a_traceback_is_shown_with_debug_only(tmp_path):
     with pytest.raises(Exception, match=r"resample\.rate"):
         main(["make", "resample.rate=0", "debug=true"])
 
@@ -125,7 +136,6 @@ def test_a_traceback_is_shown_with_debug_only(monkeypatch, tmp_path):
 def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_path, flsea, capfd):
     monkeypatch.chdir(tmp_path)
     code = run(
-        monkeypatch,
         "-m",
         "noise.background.density=0.1,0.5",
         "resample.rate=0.1,0.3",
@@ -156,9 +166,7 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
 
 def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, flsea):
     monkeypatch.chdir(tmp_path)
-    code = run(
-        monkeypatch, "-m", "resample.rate=0,0.5", "scenes=flsea", f"scenes.root={flsea}", *FAST
-    )
+    code = run("-m", "resample.rate=0,0.5", "scenes=flsea", f"scenes.root={flsea}", *FAST)
     assert code == 2
     assert len(list(tmp_path.glob("outputs/*/manifest.json"))) == 1
     table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()[2:]
@@ -181,7 +189,7 @@ def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(generate, "run", interrupted)
     words = ["seed=1,2,3,4", "scenes=flsea", f"scenes.root={flsea}", *FAST]
-    assert run(monkeypatch, "-m", *words) == 130
+    assert run("-m", *words) == 130
     table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()[2:]
     states = ["made", "interrupted", "not begun", "not begun"]
     assert [state in line for state, line in zip(states, table, strict=True)] == [True] * 4
@@ -189,24 +197,167 @@ def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, 
     assert capfd.readouterr().err.count("interrupted") == 1
 
 
-def test_the_same_seed_gives_the_same_bytes_for_any_number_of_workers(monkeypatch, tmp_path, flsea):
+def test_the_same_seed_gives_the_same_bytes_for_any_number_of_workers(tmp_path, flsea):
     for workers in ("1", "3"):
         more = ["scheduler.backend=local", f"scheduler.workers={workers}", "scheduler.shard_size=1"]
-        assert run(monkeypatch, *words_for(flsea, tmp_path / workers), *more) == 0
+        assert run(*words_for(flsea, tmp_path / workers), *more) == 0
     shards = sorted(path.relative_to(tmp_path / "1") for path in (tmp_path / "1").glob("*/*.h5"))
     assert len(shards) == 4
     for shard in shards:
         assert (tmp_path / "1" / shard).read_bytes() == (tmp_path / "3" / shard).read_bytes()
 
 
-def test_stride_limit_variants_and_only(monkeypatch, tmp_path, flsea):
+def test_stride_limit_variants_and_only(tmp_path, flsea):
     out = tmp_path / "out"
     words = words_for(flsea, out, "frames.limit=2", "frames.variants=3")
-    assert run(monkeypatch, *words) == 0
-    manifest = json.loads((out / "manifest.json").read_text())
-    assert sum(shard["samples"] for shard in manifest["shards"]) == (2 + 1) * 3
+    assert run(*words) == 0
+    assert sum(samples(out).values()) == (2 + 1) * 3
     one = tmp_path / "one"
     name = "canyons/u_canyon/16233044541765601"
-    assert run(monkeypatch, *words_for(flsea, one), f"frames.only=[{name}]") == 0
+    assert run(*words_for(flsea, one), f"frames.only=[{name}]") == 0
     with h5py.File(next(one.glob("*/*.h5"))) as shard:
         assert shard["meta"]["frame"].tolist() == [b"16233044541765601"]
+
+
+def said(capfd, *words: str) -> str:
+    """The one line that a command of bad words ends with."""
+    assert main(words) == 2
+    error: str = capfd.readouterr().err
+    assert error.count("\n") == 1, error
+    assert "struct" not in error
+    assert "hydra" not in error
+    return error
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        ("make noise.background.densty=0.1", "did you mean noise.background.density?"),
+        ("make noise.backgroud.density={uniform:[0,1]}", "noise.background"),
+        ("make frame.limit=3", "frames.limit"),
+        ("make limit=3", "frames.limit"),
+        ("make nose=simnfnd", "did you mean noise"),
+        ("make noise=simnfn", "did you mean noise=simnfnd?"),
+        ("make sonar=didson", "sonar=didson_hf"),
+        ("make sonar=mars", "there are aris_1200, "),
+        ("make scenes.depth_scale=2", "the chosen `scenes` has no such key"),
+        ("make +frames.limt=3", "frames.limit"),
+        ("make seed=1,2", "-m"),
+        ("plan noise.background.densty=1", "noise.background.density"),
+        ("train dataset=x train.stps=3", "did you mean train.steps?"),
+        ("evaluate dataset=x basline=[all]", "did you mean baselines?"),
+        ("evaluate real x modls=[a]", "did you mean models?"),
+    ],
+)
+def test_a_typo_is_answered_with_what_is_nearest(capfd, words, answer):
+    assert answer in said(capfd, *words.split())
+
+
+@pytest.mark.parametrize(
+    "path", ["~/dives", "größe/müll", "my dives (2)", "a=b", "it's", "a#b", "q\\'s"]
+)
+def test_paths_need_no_quotes(path, monkeypatch):
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    monkeypatch.setenv("HOME", str(ROOT))
+    read = OverridesParser.create().parse_override
+    wanted = path.replace("~", str(ROOT))
+    assert read(readable([f"scenes.root={path}"])[0]).value() == wanted
+
+
+def test_a_dataset_is_made_in_a_folder_of_any_name(monkeypatch, tmp_path, capfd):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    write_frame(tmp_path / "Müll (neu)", "1", ground())
+    words = ["scenes=flsea", "scenes.root=~/Müll (neu)", "dataset.dir=~/größe 1", *FAST]
+    assert main(["make", *words, "scheduler.backend=serial"]) == 0, capfd.readouterr().err
+    assert sum(samples(tmp_path / "größe 1").values()) == 1
+
+
+def test_without_slurm_its_launcher_says_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
+    words = ["-m", "hydra/launcher=submitit_slurm", "noise.background.density=0.1,0.4"]
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert main(["make", *words, f"hydra.sweep.dir={tmp_path / 'sweep'}"]) == 2
+    said = capfd.readouterr().err.strip().splitlines()
+    assert said[-1].startswith("error: hydra/launcher=submitit_slurm: no srun here; ")
+    assert not any("Traceback" in line for line in said)
+
+
+@pytest.mark.slow
+def test_submitit_runs_the_points_of_a_sweep(tmp_path: Path) -> None:
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
+    words = [
+        *("make", "-m", "hydra/launcher=submitit_local", "render=analytic", "scheduler=serial"),
+        *("dataset.preview_pairs=0", "scenes.locations=2", "scenes.frames_per_location=1"),
+        *("scenes.width=240", "scenes.height=160", "noise.background.density=0.1,0.4"),
+        *(f"hydra.sweep.dir={tmp_path / 'sweep'}", f"cache.dir={tmp_path / 'cache'}"),
+        f"dataset.dir={tmp_path}/set-${{hydra:job.num}}",
+    ]
+    assert main(words) == 0
+    manifests = sorted(tmp_path.glob("set-*/manifest.json"))
+    assert len(manifests) == 2
+    assert [samples(path.parent) for path in manifests] == [{"train": 1}] * 2
+    table = (tmp_path / "sweep" / "sweep.csv").read_text().splitlines()
+    assert len(table) == 3
+
+
+def settings(**groups):
+    return from_mapping({"scenes": {"kind": "flsea", "root": "x"}, **groups})
+
+
+def found(**scenes: int) -> tuple[FrameRef, ...]:
+    return tuple(
+        FrameRef("sea", scene, f"{n:04d}") for scene, count in scenes.items() for n in range(count)
+    )
+
+
+def warnings(found_, /, **groups) -> tuple[str, ...]:
+    config = settings(**groups)
+    return split_warnings(split_frames(choose_frames(found_, config), config), config)
+
+
+def test_total_counts_all_scenes_and_limit_each():
+    frames = found(a=40, b=40, c=40)
+    assert len(choose_frames(frames, settings(frames={"limit": 5}))) == 15
+    chosen = choose_frames(frames, settings(frames={"total": 6}))
+    assert len(chosen) == 6
+    assert [ref.scene for ref in chosen] == ["a", "a", "b", "b", "c", "c"]
+    assert len(choose_frames(frames, settings(frames={"total": 6, "limit": 1}))) == 3
+
+
+def test_a_larger_total_keeps_the_frames_of_a_smaller_one():
+    frames = found(a=13, b=70, c=5)
+    chosen = [set(choose_frames(frames, settings(frames={"total": n}))) for n in range(1, 90)]
+    assert all(few <= more for few, more in pairwise(chosen))
+    assert [len(one) for one in chosen] == [*range(1, 89), 88]
+
+
+def test_a_split_that_stays_empty_is_told_with_one_that_works():
+    few = found(flatiron=3, pier=2, reef=2)
+    (lost, empty) = warnings(few, split={"test": ["u_canyon", "coral_*"]})
+    assert "u_canyon, coral_*" in lost
+    offered = empty.partition("split.test=[] ")[2].partition("split.test=[")[2].rstrip("]")
+    assert empty.startswith("the test split is empty")
+    assert warnings(few, split={"test": offered.split(",")}) == ()
+    assert warnings(few, split={"test": []}) == ()
+    (lost,) = warnings(few, split={"test": ["pier", "u_canyon"]})
+    assert lost == "split.test: u_canyon: no scene of that name here"
+    (empty,) = warnings(few, split={"test": ["*"]})
+    assert empty.startswith("the train split is empty")
+    (empty,) = warnings(found(pool=9))
+    assert "one scene, pool" in empty
+
+
+def test_an_empty_split_is_told_first_and_last(tmp_path, capfd):
+    for scene in ("canyons/flatiron", "red_sea/sub_pier"):
+        write_frame(tmp_path / "flsea", "1623304454176560", ground(), scene)
+    words = ["experiment=simnfnd", f"scenes.root={tmp_path / 'flsea'}", *FAST]
+    assert main(["make", f"dataset.dir={tmp_path / 'o'}", *words]) == 0
+    lines = capfd.readouterr().err.splitlines()
+    told = [number for number, line in enumerate(lines) if "the test split is empty" in line]
+    assert len(told) == 2
+    assert told[1] == len(lines) - 1
+    assert main(["plan", *words]) == 0
+    assert "the test split is empty" in capfd.readouterr().err

@@ -2,19 +2,26 @@
 
 import re
 
+import numpy as np
 import pytest
 import yaml
 from hydra import compose, initialize_config_module
+from hypothesis import given
+from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter
 
 from simnfnd.factory.config import digest, from_mapping, identity, plain
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.distribution import as_override, parse
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.scheduler.settings import SchedulerSettings
 from simnfnd.factory.sonar.settings import SonarSettings
 from tests.project_files import ROOT
 
 CONF = ROOT / "conf"
+PACK = {"kind": "pack", "root": "x"}
 
 
 def composed(*overrides: str):
@@ -77,7 +84,12 @@ def test_defaults_in_python_and_in_yaml_are_the_same(monkeypatch):
 
 @pytest.mark.parametrize(
     ("settings", "file"),
-    [(SonarSettings, "sonar/camera_matched.yaml"), (NoiseSettings, "noise/simnfnd.yaml")],
+    [
+        (SonarSettings, "sonar/camera_matched.yaml"),
+        (NoiseSettings, "noise/simnfnd.yaml"),
+        (DatasetSettings, "dataset/default.yaml"),
+        (SchedulerSettings, "scheduler/local.yaml"),
+    ],
 )
 def test_the_default_files_list_every_key(settings, file):
     def keys(values, prefix=""):
@@ -115,15 +127,17 @@ def test_plain_form_makes_the_same_configuration():
     ("values", "said"),
     [
         ({"noise": {"background": {"density": -1}}}, "noise.background.density: must lie in [0"),
-        ({"noise": {"backgroud": {}}}, "noise.backgroud: unknown key"),
         ({"resample": {"rate": 0}}, "resample.rate: must lie in"),
-        ({"resample": {"rate": 1.5}}, "resample.rate: must lie in"),
         ({"frames": {"variants": 0}}, "frames.variants"),
         ({"seed": -1}, "seed: "),
         ({"scenes": {"kind": "mars"}}, "scenes: "),
         ({"scheduler": {"workers": -1}}, "scheduler.workers: "),
         ({"scenes": {"kind": "seabed", "locations": 0}}, "scenes.locations: "),
         ({"scenes": {"kind": "flsea"}}, "scenes.root: "),
+        ({"dataset": {"compression": "bzip2"}}, "dataset.compression: "),
+        ({"dataset": {"name": "../evil"}}, "dataset"),
+        ({"scenes": PACK, "dataset": {"layers": ["rgb"]}}, "dataset.layers: rgb is of the camera"),
+        ({"dataset": {"dirr": "x"}}, "dataset.dirr: unknown key"),
         ({"noise": {"speckle": {"looks": 0}}}, "noise.speckle.looks: "),
     ],
 )
@@ -132,3 +146,49 @@ def test_mistakes_are_one_line_that_names_the_key(values, said):
         from_mapping({"scenes": {"kind": "seabed"}, **values})
     assert all(part.startswith(said) for part in str(caught.value).split("; "))
     assert "\n" not in str(caught.value)
+
+
+@given(low=st.floats(0, 5), width=st.floats(0, 5), seed=st.integers(0, 99))
+def test_uniform_and_choice_stay_in_what_is_given(low, width, seed):
+    rng = np.random.default_rng(seed)
+    assert low <= parse({"uniform": [low, low + width]}).draw(rng) <= low + width
+    assert {parse({"choice": [1, 2, 4]}).draw(rng) for _ in range(100)} == {1, 2, 4}
+
+
+def test_normal_is_clipped_to_the_parameters_limits():
+    rng = np.random.default_rng(0)
+    values = [parse({"normal": [0.1, 1.0]}, 0, 1).draw(rng) for _ in range(500)]
+    assert min(values) == 0
+    assert max(values) == 1
+    unlimited = [parse({"normal": [3.0, 2.0]}).draw(rng) for _ in range(4000)]
+    assert np.mean(unlimited) == pytest.approx(3, abs=0.15)
+    assert np.std(unlimited) == pytest.approx(2, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (-0.1, "must lie in [0, 1]"),
+        (float("nan"), "finite"),
+        ("much", "must be a number"),
+        (True, "must be a number"),
+        ({"uniform": [0.5, 0.1]}, "low 0.5 > high 0.1"),
+        ({"uniform": [0.5, 1.5]}, "must lie in"),
+        ({"uniform": 3}, "takes a list"),
+        ({"choice": []}, "at least one"),
+        ({"normal": [0.5, -1]}, "std >= 0"),
+        ({"uniform": [0, 1], "normal": [0, 1]}, "both given"),
+    ],
+)
+def test_bad_values_are_refused_with_a_reason(value, said):
+    with pytest.raises(ValueError, match=said.replace("[", r"\[").replace("]", r"\]")):
+        parse(value, 0, 1)
+
+
+def test_an_override_replaces_the_form_that_was_configured():
+    word = as_override("noise.background.density={normal: [0.1, 0.02]}")
+    assert word == "++noise.background.density={uniform:null,choice:null,normal: [0.1, 0.02]}"
+    swept = as_override("resample.rate={uniform:[0.1,0.2]},{choice:[1]}")
+    assert swept.count("null") == 4
+    for other in ("seed=3", "noise.background.density=0.1,0.5", "-m", "scenes.root=/a{b}"):
+        assert as_override(other) == other

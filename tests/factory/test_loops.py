@@ -59,9 +59,6 @@ def frame_and_render() -> tuple[Frame, Rendered]:
     return frame, replace(rendered, radiance=radiance)
 
 
-# --- pixels to echoes -------------------------------------------------------------------------
-
-
 def plain_surface(
     frame: Frame, rendered: Rendered, device: SonarSettings
 ) -> tuple[Echoes, npt.NDArray[np.intp]]:
@@ -109,9 +106,6 @@ def test_insonified_surface_as_in_double_precision(name: str) -> None:
     filled = np.zeros(hit.size, np.bool_)
     filled[polar.bin_index(found, at, device)] = True
     np.testing.assert_array_equal(hit.ravel(), filled)
-
-
-# --- pictures ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("how", ["sum", "mean", "max"])
@@ -188,9 +182,6 @@ def test_fan_is_bilinear_and_nearest_as_scipy_interpolates() -> None:
     assert not mask[~table.inside].any()
 
 
-# --- numbers ----------------------------------------------------------------------------------
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     values=arrays(np.float32, st.integers(1, 60), elements=st.floats(0, 2.0**100, width=32)),
@@ -214,9 +205,6 @@ def test_streams_are_those_of_numpys_seed_sequence(seed: int, names: list[str | 
     np.testing.assert_array_equal(seeds.stream(seed, *names).integers(2**62, size=3), expected)
 
 
-# --- compiled once ----------------------------------------------------------------------------
-
-
 def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
     """A module that `loops` forgets would be compiled by every worker at once."""
     from simnfnd.factory.compiled import LOOPS
@@ -234,7 +222,8 @@ def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
 
 def test_loops_work_where_nothing_can_be_kept(tmp_path: Path) -> None:
     """Neither the package nor the user's cache can be written: compiled in memory, same result."""
-    code = """
+    script = tmp_path / "script.py"
+    script.write_text("""
 import numba.core.caching as caching
 caching.CacheImpl._locator_classes = []
 from simnfnd.factory.compiled import compiled
@@ -244,18 +233,9 @@ def twice(number):
     return 2 * number
 
 assert twice(21) == 42
-"""
-    script = tmp_path / "script.py"
-    script.write_text(code)
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+""")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, str(script)], cwd=ROOT, env=environment, check=True)
 
 
 @pytest.mark.parametrize("side", [3, 5, 7, 61])

@@ -27,7 +27,7 @@ from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
 from simnfnd.factory.render.views import Cache
 from simnfnd.factory.scheduler.lock import owner_of
-from simnfnd.factory.small_files import parse_json, parse_yaml, read_regular
+from simnfnd.factory.small_files import read_regular
 from tests.factory.dataset.hostile import whole
 from tests.factory.render.small_views import some_view
 
@@ -63,9 +63,6 @@ def refused(action: Callable[[], Any], words: str = "") -> str:
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 600
     return str(caught.value)
-
-
-# --- kinds of files
 
 
 def test_a_pipe_in_a_dataset_holds_nobody_up(tmp_path: Path) -> None:
@@ -108,9 +105,6 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
     assert read_regular(tmp_path / "long", 101) == bytes(101)
 
 
-# --- YAML and JSON
-
-
 LAUGHS = b"a: &a [x, x]\n" + b"".join(
     b"%c: &%c [*%c, *%c]\n" % (n + 1, n + 1, n, n) for n in range(97, 117)
 )
@@ -128,20 +122,15 @@ LAUGHS = b"a: &a [x, x]\n" + b"".join(
     ],
 )
 def test_yaml_that_would_do_harm_is_refused(content: bytes, words: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=words):
-        parse_yaml(content)
-    folder = tmp_path
-    (folder / "config.yaml").write_bytes(content)
-    refused(lambda: dataset_settings(folder), r"config\.yaml: ")
+    (tmp_path / "config.yaml").write_bytes(content)
+    refused(lambda: dataset_settings(tmp_path), rf"config\.yaml: .*{words}")
 
 
 def test_json_that_would_do_harm_is_refused(tmp_path: Path) -> None:
-    for content in (b"[" * 100_000, b"9" * 5000):
-        with pytest.raises(ValueError, match=r"nested|integer string"):
-            parse_json(content)
     folder = whole(tmp_path / "dataset")
-    (folder / "manifest.json").write_bytes(b'{"schema":' + b"[" * 10_000)
-    refused(lambda: load_manifest(folder), r"manifest\.json: damaged \(nested")
+    for harm, words in ((b"[" * 100_000, "nested"), (b"9" * 5000, ".*integer string")):
+        (folder / "manifest.json").write_bytes(b'{"schema":' + harm)
+        refused(lambda: load_manifest(folder), rf"manifest\.json: damaged \({words}")
     (folder / "failed.jsonl").write_bytes(b'{"frame": ' + b"[" * 10_000 + b"\n")
     refused(lambda: status.main([str(folder)]), r"failed\.jsonl:1: damaged")
     (folder / "failed.jsonl").write_bytes(b"\xff\n")
@@ -149,9 +138,6 @@ def test_json_that_would_do_harm_is_refused(tmp_path: Path) -> None:
     (folder / "failed.jsonl").unlink()
     (folder / "failed.jsonl").mkdir()
     refused(lambda: status.main([str(folder)]), r"failed\.jsonl: cannot be read")
-
-
-# --- renders and packs
 
 
 def head_of(content: bytes) -> dict[str, Any]:

@@ -12,6 +12,11 @@ from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.writer import write_shard
 from tests.fake_source import FakeConfig, FakeSource, refs
 
+SHARDS = {
+    "train/shard-00000.h5": "alpha",
+    "train/shard-00001.h5": "beta",
+    "test/shard-00000.h5": "gamma",
+}
 SOURCE = FakeSource(FakeConfig())
 CONFIG = {"seed": 7, "sonar": {"hfov_deg": 30.0}, "noise": {"density": {"uniform": [0.1, 0.5]}}}
 PROVENANCE = Provenance(CONFIG, config_hash(CONFIG), "simnfnd 0.1.0")
@@ -25,23 +30,29 @@ def write(
     root: Path,
     pairs: Any = None,
     relative: str = "train/shard-00000.h5",
+    provenance: Provenance = PROVENANCE,
     **changes: Any,
 ) -> ShardInfo | None:
     pairs = some_pairs() if pairs is None else pairs
-    settings = DatasetSettings(**changes)
-    return write_shard(root, relative, pairs, SOURCE.axes(), SOURCE.columns(), PROVENANCE, settings)
+    how = SOURCE.axes(), SOURCE.columns(), provenance, DatasetSettings(**changes)
+    return write_shard(root, relative, pairs, *how)
 
 
-def dataset(root: Path) -> Manifest:
-    """Two scenes that train, one that tests, in three shards, with a manifest."""
-    manifest = open_folder(root, {"whole": True}, PROVENANCE)
-    for relative, scene in (
-        ("train/shard-00000.h5", "alpha"),
-        ("train/shard-00001.h5", "beta"),
-        ("test/shard-00000.h5", "gamma"),
-    ):
-        info = write(root, some_pairs(4, scene), relative)
+def write_all(
+    root: Path, shards: dict[str, list[Pair]], provenance: Provenance, **changes: Any
+) -> Manifest:
+    """Shards by their path below the folder, and the manifest that lists them."""
+    manifest = Manifest(provenance.config_hash, provenance.generator, dict(provenance.config))
+    for relative, pairs in shards.items():
+        info = write(root, pairs, relative, provenance, **changes)
         assert info is not None
         manifest = manifest.with_shard(info)
     save_manifest(root, manifest)
     return manifest
+
+
+def dataset(root: Path) -> Manifest:
+    """Two scenes that train, one that tests, in three shards, with a manifest."""
+    open_folder(root, {"whole": True}, PROVENANCE)
+    shards = {relative: some_pairs(4, scene) for relative, scene in SHARDS.items()}
+    return write_all(root, shards, PROVENANCE)

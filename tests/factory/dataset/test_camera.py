@@ -14,7 +14,7 @@ from PIL import Image
 from simnfnd.command import main
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FrameError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.views import ViewMaker
@@ -126,8 +126,3 @@ def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
     # Of a dataset of that one alone it is the size.
     alone = config(tmp_path, scenes, dataset={"layers": LAYERS}, frames={"only": [small.name]})
     assert pair_maker(alone).pairs(small, (0,))[0].layers["rgb"].shape == (40, 60, 3)
-
-
-def test_a_pack_has_no_frames(tmp_path: Path) -> None:
-    with pytest.raises(FactoryError, match=r"dataset\.layers: rgb is of the camera, and a pack"):
-        config(tmp_path, {"kind": "pack", "root": "x"}, dataset={"layers": ["rgb"]})

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
-import resource
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,23 @@ import numpy as np
 import psutil
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.card import write_card
 from simnfnd.factory.dataset.folder import open_folder
-from simnfnd.factory.dataset.manifest import Failure
+from simnfnd.factory.dataset.manifest import (
+    Failure,
+    Manifest,
+    ShardInfo,
+    ShardOutcome,
+    damage,
+    forget_outcomes,
+    load_failures,
+    load_manifest,
+    save_manifest,
+    save_outcome,
+)
 from simnfnd.factory.dataset.preview import preview
 from simnfnd.factory.dataset.schema import config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
@@ -32,28 +44,9 @@ from simnfnd.factory.files import (
     whole_folder,
     write_atomically,
 )
-from tests.factory.dataset.some_shards import PROVENANCE, dataset, write
+from tests.factory.dataset.some_shards import PROVENANCE, dataset
 from tests.factory.scheduler.run_files import wait_for
 from tests.fake_source import refs
-
-# --- files and disks --------------------------------------------------------------------------
-
-
-@pytest.fixture
-def small_files() -> Iterator[None]:
-    """No file may exceed 2000 bytes: to the writer the same as a disk that fills up."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
-@pytest.mark.usefixtures("small_files")
-def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path) -> None:
-    with pytest.raises(FactoryError, match="no room to write") as caught:
-        write(tmp_path)
-    assert "\n" not in str(caught.value)
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
 def test_a_failed_write_leaves_the_old_file(
@@ -75,8 +68,8 @@ def test_a_failed_write_leaves_the_old_file(
 def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Path) -> None:
     token = 16 * "0"
     here, elsewhere = f"here-{space()}", "here-ffffffff"
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
+    dead = subprocess.Popen([sys.executable, "-c", ""])  # that nobody has collected
+    wait_for(lambda: psutil.Process(dead.pid).status() == psutil.STATUS_ZOMBIE)
     names = {
         f".shard-00000.h5.{here}-{dead.pid}-{token}.tmp": False,
         f".shard-00001.h5.{here}-{os.getpid()}-{token}.tmp": True,
@@ -90,18 +83,9 @@ def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Pat
     days_ago = time.time() - 3 * 86_400
     os.utime(tmp_path / f".shard-00003.h5.{elsewhere}-1-{token}.tmp", (days_ago, days_ago))
     assert remove_stale_temporaries(tmp_path) == 2
+    dead.wait()
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {name for name, stays in names.items() if stays}
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no zombies there")
-def test_a_dead_process_that_nobody_has_collected_is_dead(tmp_path: Path) -> None:
-    with subprocess.Popen([sys.executable, "-c", "print()"], stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        process.stdout.read()
-        wait_for(lambda: psutil.Process(process.pid).status() == psutil.STATUS_ZOMBIE)
-        (tmp_path / f".shard-00000.h5.{space()}-{process.pid}-{16 * '0'}.tmp").touch()
-        assert remove_stale_temporaries(tmp_path) == 1
 
 
 @pytest.mark.parametrize("folder", ["file/below", "/proc/nowhere"])
@@ -119,9 +103,6 @@ def test_a_folder_is_whole_or_absent(tmp_path: Path) -> None:
                 raise ValueError
         assert (tmp_path / "out").exists() is not fails
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
-
-
-# --- failures, folder -------------------------------------------------------------------------
 
 
 def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:
@@ -162,9 +143,6 @@ def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(FactoryError, match="is a file"):
         open_folder(tmp_path / "thesis.tex", {}, PROVENANCE)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-# --- card and preview -------------------------------------------------------------------------
 
 
 def test_the_card_says_what_is_there_and_its_code_runs(
@@ -218,3 +196,116 @@ def test_the_contact_sheet_shows_the_pixels_of_the_shards(tmp_path: Path) -> Non
     amber = (image[..., 0] > image[..., 2] + 60).mean()
     assert 0.005 < blue < 0.2
     assert 0.05 < amber < 0.6
+
+
+HASH = config_hash({"seed": 1})
+START = Manifest(HASH, "simnfnd 0", {"seed": 1})
+
+
+def info(number: int, **changes: object) -> ShardInfo:
+    path = f"train/shard-{number:05d}.h5"
+    return replace(ShardInfo(path, "train", 4, 1000, "0" * 64, "plan"), **changes)  # type: ignore[arg-type]
+
+
+def begun(folder: Path) -> None:
+    """A manifest of shards 0 to 2."""
+    save_manifest(folder, replace(START, shards={info(n).path: info(n) for n in range(3)}))
+
+
+def settle(folder: Path, number: int, shard: ShardInfo | None, hash_: str = HASH) -> Path:
+    """The file of the result beside a shard."""
+    path = info(number).path
+    save_outcome(folder, ShardOutcome(path, hash_, shard, [FAILURE] if shard is None else []))
+    return (folder / path).with_suffix(".json")
+
+
+FAILURE = {"frame": "a/1", "shard": info(0).path, "kind": "frame", "reason": "NaN", "command": "x"}
+
+
+def shards(folder: Path) -> dict[str, ShardInfo]:
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    return dict(manifest.shards)
+
+
+def test_what_lies_beside_shards_counts_at_once_and_goes_once_it_is_put_together(
+    tmp_path: Path,
+) -> None:
+    begun(tmp_path)
+    settle(tmp_path, 3, info(3, failed=("reef/alpha/1",)))
+    settle(tmp_path, 1, info(1, samples=7))
+    settle(tmp_path, 0, None)
+    settle(tmp_path, 9, info(9), "of another run")
+    found = shards(tmp_path)
+    assert sorted(found) == [info(n).path for n in (1, 2, 3)]
+    assert found[info(1).path].samples == 7
+    assert found[info(3).path].failed == ("reef/alpha/1",)
+    assert load_failures(tmp_path) == [FAILURE]
+    save_manifest(tmp_path, replace(START, shards=found))
+    forget_outcomes(tmp_path)
+    assert shards(tmp_path) == found
+    assert not list(tmp_path.glob("*/*"))
+
+
+@settings(max_examples=20)
+@given(cut=st.floats(0, 1), junk=st.binary(max_size=6))
+def test_a_result_that_is_damaged_costs_its_shard_alone(
+    tmp_path_factory: pytest.TempPathFactory, cut: float, junk: bytes
+) -> None:
+    folder = tmp_path_factory.mktemp("spoilt")
+    begun(folder)
+    settle(folder, 3, info(3))
+    path = settle(folder, 4, info(4))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(cut * (len(whole) - 1))] + junk)
+    assert sorted(shards(folder)) == [info(n).path for n in range(4)]
+
+
+@pytest.mark.parametrize("path", ["../secret.h5", "/etc/passwd", "test/shard-00003.h5"])
+def test_nothing_elsewhere_can_be_settled(tmp_path: Path, path: str) -> None:
+    begun(tmp_path)
+    file = settle(tmp_path, 3, info(3))
+    file.write_bytes(file.read_bytes().replace(info(3).path.encode(), path.encode()))
+    assert len(shards(tmp_path)) == 3
+    file.unlink()
+    os.mkfifo(file)
+    assert len(shards(tmp_path)) == 3, "a pipe stops nobody"
+
+
+def test_manifest_reads_back_and_its_bytes_do_not_depend_on_order(tmp_path: Path) -> None:
+    manifest = dataset(tmp_path)
+    text = (tmp_path / "manifest.json").read_bytes()
+    assert load_manifest(tmp_path) == manifest
+    backwards = replace(manifest, shards=dict(reversed(list(manifest.shards.items()))))
+    save_manifest(tmp_path, backwards)
+    assert (tmp_path / "manifest.json").read_bytes() == text
+    document = json.loads(text)
+    assert document["totals"]["train"] == {
+        "samples": 8,
+        "shards": 2,
+        "bytes": sum((tmp_path / f"train/shard-0000{k}.h5").stat().st_size for k in (0, 1)),
+    }
+    for shard in document["shards"]:
+        assert damage(tmp_path, ShardInfo(**{**shard, "failed": ()})) is None
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["../secret.h5", "/etc/passwd", "train/../../x.h5", "test/shard-00000.h5", "train/x.txt"],
+)
+def test_a_manifest_that_names_files_elsewhere_is_refused(tmp_path: Path, path: str) -> None:
+    dataset(tmp_path)
+    document = json.loads((tmp_path / "manifest.json").read_text())
+    train = next(shard for shard in document["shards"] if shard["split"] == "train")
+    train["path"] = path
+    (tmp_path / "manifest.json").write_text(json.dumps(document))
+    with pytest.raises(FactoryError, match=r"manifest\.json: damaged"):
+        load_manifest(tmp_path)
+
+
+def test_a_config_that_does_not_give_its_hash_is_refused(tmp_path: Path) -> None:
+    dataset(tmp_path)
+    path = tmp_path / "manifest.json"
+    path.write_text(path.read_text().replace("30.0", "31.0"))
+    with pytest.raises(FactoryError, match=r"manifest\.json: damaged \(its config does not give"):
+        load_manifest(tmp_path)

@@ -19,33 +19,16 @@ import psutil
 import pytest
 
 from simnfnd.factory.dataset import PairDataset, reader
-from simnfnd.factory.dataset.settings import DatasetSettings
-from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
-from tests.fake_source import FakeConfig, FakeSource, refs
+from tests.factory.dataset.some_shards import SOURCE, some_pairs, write
 
-SOURCE = FakeSource(FakeConfig())
-PAIRS = [
-    with_layers(SOURCE.pairs(ref, (0,))[0]) for name in ("alpha", "beta") for ref in refs(4, name)
-]
-
-
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return whole(tmp_path_factory.mktemp("sound") / "dataset")
-
-
-@pytest.fixture
-def folder(sound: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(sound, tmp_path / "dataset"))
+SHARD = "train/shard-00000.h5"
+PAIRS = [with_layers(pair) for scene in ("alpha", "beta") for pair in some_pairs(4, scene)]
 
 
 def opened(folder: Path, **keywords: Any) -> PairDataset:
     return PairDataset(folder, trusted=True, **keywords)
-
-
-# --- reading
 
 
 def test_every_sample_is_what_was_written(sound: Path) -> None:
@@ -70,6 +53,10 @@ def test_several_samples_at_once_are_stacked(sound: Path, item: Any) -> None:
     with opened(sound) as pairs:
         np.testing.assert_array_equal(pairs[item]["noisy"], noisy[item])
         assert pairs[item]["clean"].dtype == np.uint8
+        np.testing.assert_array_equal(pairs[-8]["noisy"], pairs[np.int64(0)]["noisy"])
+        for number in (8, -9):
+            with pytest.raises(IndexError):
+                pairs[number]
 
 
 @pytest.mark.parametrize("scaled", [False, True])
@@ -83,16 +70,6 @@ def test_values_are_in_the_range_that_is_stated(tmp_path: Path, dtype: str, scal
         np.testing.assert_allclose(clean / high, np.asarray(PAIRS[0].clean, float) / 255, atol=1e-6)
 
 
-def test_numbers_beyond_the_end_are_index_errors(sound: Path) -> None:
-    with opened(sound) as pairs:
-        for number in (8, -9):
-            with pytest.raises(IndexError):
-                pairs[number]
-        with pytest.raises(TypeError):
-            pairs[True]
-        np.testing.assert_array_equal(pairs[-8]["noisy"], pairs[np.int64(0)]["noisy"])
-
-
 def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
     pairs = opened(sound / "index.h5", split="all")
     table = pairs.meta()
@@ -102,9 +79,6 @@ def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
     np.testing.assert_array_equal(rows.values, SOURCE.axes()[0].values)
     assert pairs.shape == (24, 20)
     assert pairs.config_hash == PROVENANCE.config_hash
-
-
-# --- processes, threads, open files
 
 
 def open_files(folder: Path) -> list[str]:
@@ -135,15 +109,8 @@ def test_a_dataset_of_many_shards_keeps_few_open(
 ) -> None:
     monkeypatch.setattr(reader, "_MOST_FILES", 4)
     for number in range(7):
-        write_shard(
-            tmp_path,
-            f"train/shard-{number:05d}.h5",
-            [replace(PAIRS[0], noisy=np.full((24, 20), number, np.uint8), layers={})],
-            SOURCE.axes(),
-            SOURCE.columns(),
-            PROVENANCE,
-            DatasetSettings(),
-        )
+        pair = replace(PAIRS[0], noisy=np.full((24, 20), number, np.uint8), layers={})
+        write(tmp_path, [pair], f"train/shard-{number:05d}.h5")
     with opened(tmp_path) as pairs:
         for _ in range(2):
             assert [int(sample["noisy"][0, 0]) for sample in pairs] == list(range(len(pairs)))
@@ -191,14 +158,12 @@ def test_a_torch_loader_with_workers_reads_every_sample_once(sound: Path) -> Non
     assert {image.tobytes() for image in seen} == stored
 
 
-# --- what is refused
-
-
 @pytest.mark.parametrize(
     ("harm", "words"),
     [
         (lambda root: (root / "train/shard-00001.h5").unlink(), "shard-00001.h5: listed .* absent"),
         (lambda root: (root / "manifest.json").write_text("{"), "manifest.json: damaged"),
+        (lambda root: (root / SHARD).write_bytes(b"x"), r"00000\.h5: 1 bytes, the manifest says"),
         (lambda root: shutil.rmtree(root), "no such folder"),
     ],
 )
@@ -221,35 +186,11 @@ def test_an_unknown_or_absent_layer_is_named(folder: Path) -> None:
 
 @pytest.mark.parametrize("trusted", [False, True])
 def test_another_schema_names_file_and_cure(folder: Path, trusted: bool) -> None:
-    path = folder / "train/shard-00000.h5"
-    with h5py.File(path, "r+") as file:
+    with h5py.File(folder / SHARD, "r+") as file:
         file.attrs["schema"] = "simnfnd/2"
     admit(folder)
     with pytest.raises(FactoryError, match=r"shard-00000\.h5: schema 'simnfnd/2'.*matching"):
         PairDataset(folder, trusted=trusted)[0]
-
-
-def test_a_damaged_chunk_names_file_sample_and_cure(folder: Path) -> None:
-    path = folder / "train/shard-00001.h5"
-    with h5py.File(path) as file:
-        chunk = file["clean"].id.get_chunk_info(2)
-    content = bytearray(path.read_bytes())
-    content[chunk.byte_offset + chunk.size // 2] ^= 4
-    path.write_bytes(content)
-    with PairDataset(folder) as pairs:
-        pairs[5]
-        with pytest.raises(FactoryError, match=r"00001\.h5: /clean sample 2 is damaged.*run the"):
-            pairs[6]
-
-
-def test_a_shard_of_another_size_than_the_manifest_says_is_refused(folder: Path) -> None:
-    path = folder / "train/shard-00000.h5"
-    path.write_bytes(path.read_bytes() + b"x")
-    with pytest.raises(FactoryError, match=r"00000\.h5: \d+ bytes, the manifest says"):
-        opened(folder)
-
-
-# --- index.h5
 
 
 def test_h5py_alone_reads_the_index_of_a_moved_dataset(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -49,26 +48,11 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("sound") / "dataset")
 
 
-@pytest.fixture
-def folder(sound: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(sound, tmp_path / "dataset"))
-
-
 def change(folder: Path, action: Callable[[h5py.File], Any]) -> None:
     """Change a shard on purpose, with a manifest that agrees."""
     with h5py.File(folder / SHARD, "r+") as file:
         action(file)
     admit(folder)
-
-
-def resealed(action: Callable[[h5py.File], Any]) -> Callable[[h5py.File], None]:
-    """The same by who knows of the checksums."""
-
-    def both(file: h5py.File) -> None:
-        action(file)
-        reseal(file)
-
-    return both
 
 
 def set_attribute(name: str, value: Any) -> Callable[[h5py.File], None]:
@@ -90,36 +74,32 @@ ATTRIBUTES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
 
 
 @pytest.mark.parametrize("kind", sorted(ATTRIBUTES))
-def test_a_damaged_attribute_is_one_line(folder: Path, kind: str) -> None:
+def test_a_damaged_attribute_is_one_line_of_every_reader(folder: Path, kind: str) -> None:
     action, words = ATTRIBUTES[kind]
     change(folder, action)
-    with pytest.raises(FactoryError) as caught:
-        open_trusted(folder)
-    text = str(caught.value)
-    assert words in text
-    assert SHARD in text
-    assert "\n" not in text
-
-
-@pytest.mark.parametrize("verb", sorted(READERS))
-@pytest.mark.parametrize("kind", ["split above", "config cut off"])
-def test_every_reader_refuses_them(folder: Path, kind: str, verb: str) -> None:
-    change(folder, ATTRIBUTES[kind][0])
     before = sorted(folder.parent.rglob("*"))
-    with pytest.raises(FactoryError, match=SHARD):
-        READERS[verb](folder)
+    with pytest.raises(FactoryError, match=rf"{SHARD}.*{words}") as caught:
+        open_trusted(folder)
+    assert "\n" not in str(caught.value)
+    for verb in READERS if kind in ("split above", "config cut off") else {}:
+        with pytest.raises(FactoryError, match=SHARD):
+            READERS[verb](folder)
     assert sorted(folder.parent.rglob("*")) == before
 
 
 def test_a_shard_of_the_other_split_is_refused(folder: Path) -> None:
-    change(folder, resealed(set_attribute("split", "test")))
+
+    def to_test(file: h5py.File) -> None:
+        file.attrs["split"] = "test"
+        reseal(file)
+
+    change(folder, to_test)
     for verb in ("read", "export", "inspect"):
         with pytest.raises(FactoryError, match=rf"{SHARD}: its attribute split is 'test', but it"):
             READERS[verb](folder)
 
 
-@pytest.mark.parametrize("verb", sorted(READERS))
-def test_numbers_in_place_of_references_kill_nobody(folder: Path, verb: str) -> None:
+def test_numbers_in_place_of_references_kill_nobody(folder: Path) -> None:
     """They end in a crash inside HDF5 when they are followed."""
 
     def number(file: h5py.File) -> None:
@@ -127,12 +107,12 @@ def test_numbers_in_place_of_references_kill_nobody(folder: Path, verb: str) -> 
         file["noisy"].attrs["DIMENSION_LIST"] = np.arange(3)
 
     change(folder, number)
-    READERS[verb](folder)
+    for read_it in READERS.values():
+        read_it(folder)
 
 
-@pytest.mark.parametrize("verb", ["read", "export"])
 def test_files_are_opened_in_another_process_first(
-    folder: Path, verb: str, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A table of texts that HDF5 walks for ever would hang this one."""
     monkeypatch.setattr("simnfnd.factory.dataset.reader._LIMIT_S", 2.0)
@@ -143,7 +123,7 @@ def test_files_are_opened_in_another_process_first(
     path.write_bytes(content)
     admit(folder)
     with pytest.raises(FactoryError, match=rf"{SHARD}: (not read within 2 s|damaged)"):
-        READERS[verb](folder)
+        read(folder)
 
 
 @pytest.mark.parametrize("name", ["a\nlicense: mit", "x" * 500, 7, ["a"]])

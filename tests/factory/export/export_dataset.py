@@ -34,12 +34,8 @@ COLUMNS = (
 )
 
 
-def axes(layout: str) -> tuple[Axis, Axis]:
-    rows, columns = (np.arange(size) + 0.5 for size in SHAPE)
-    if layout == "polar":
-        azimuth = Axis("azimuth", "deg", columns * 3 - 24)
-        return Axis("range", "1", rows / SHAPE[0]), azimuth
-    return Axis("ahead", "px", rows), Axis("right", "px", columns - SHAPE[1] / 2)
+ROWS, COLUMNS_PX = (np.arange(size) + 0.5 for size in SHAPE)
+AXES = Axis("ahead", "px", ROWS), Axis("right", "px", COLUMNS_PX - SHAPE[1] / 2)
 
 
 def pair(rng: np.random.Generator, names: tuple[str, str, str], dtype: str, labels: bool) -> Pair:
@@ -73,7 +69,6 @@ def pair(rng: np.random.Generator, names: tuple[str, str, str], dtype: str, labe
 def write(
     root: Path,
     *,
-    layout: str = "fan",
     dtype: str = "uint8",
     labels: bool = False,
     seed: int = 3,
@@ -96,7 +91,7 @@ def write(
                 for k in range(count)
             ]
             path = f"{split}/shard-{number:05d}.h5"
-            info = write_shard(root, path, pairs, axes(layout), COLUMNS, provenance, settings)
+            info = write_shard(root, path, pairs, AXES, COLUMNS, provenance, settings)
             assert info is not None
             manifest = manifest.with_shard(info)
     save_manifest(root, manifest)

@@ -1,11 +1,22 @@
-"""What a run leaves on disk, and waiting for it."""
+"""Runs in two stages, what a run leaves on disk, and waiting for it."""
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+from simnfnd.factory.dataset.manifest import load_failures
+from tests.fake_source import FakeConfig, FakePreparer, GentleSource
+from tests.run_fake import make
+
+
+def staged(directory: Path, config: FakeConfig = FakeConfig(), **changes: Any):  # noqa: B008
+    """`make` with frames that are prepared by other workers, in a folder beside the dataset."""
+    config = replace(config, prepared=config.prepared or str(directory.parent / "prepared"))
+    return make(directory, config, source=GentleSource, preparer=FakePreparer, **changes)
 
 
 def shard_bytes(directory: Path) -> dict[str, bytes]:
@@ -16,8 +27,7 @@ def shard_bytes(directory: Path) -> dict[str, bytes]:
 
 def failures(directory: Path) -> dict[str, dict[str, str]]:
     """Frame name -> its line of failed.jsonl."""
-    lines = (directory / "failed.jsonl").read_text().splitlines()
-    return {item["frame"]: item for item in map(json.loads, lines)}
+    return {item["frame"]: item for item in load_failures(directory)}
 
 
 def litter(directory: Path) -> list[str]:

@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+import json
+import multiprocessing
 import os
+import re
 import resource
+import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from simnfnd.factory.dataset.manifest import load_manifest
+from simnfnd.factory import progress
+from simnfnd.factory.dataset.folder import open_folder
+from simnfnd.factory.dataset.manifest import load_failures, load_manifest
+from simnfnd.factory.dataset.schema import Provenance, config_hash
 from simnfnd.factory.errors import FactoryError
-from tests.factory.scheduler.run_files import failures, litter, shard_bytes
-from tests.fake_source import BrokenSource, FakeConfig, LethalSource, refs
+from simnfnd.factory.scheduler.settings import ShardSlice
+from tests.factory.dataset.flips import flip
+from tests.factory.scheduler.run_files import failures, litter, shard_bytes, staged
+from tests.fake_source import (
+    BrokenSource,
+    FakeConfig,
+    GentleSource,
+    LethalSource,
+    prepared_file,
+    refs,
+)
 from tests.run_fake import make
 from tests.worker_processes import workers_of
 
@@ -75,15 +92,6 @@ def test_a_shard_without_any_good_frame_has_no_file(tmp_path: Path) -> None:
     assert len(report.failures) == 4
 
 
-def test_a_frame_that_hangs_is_given_up(tmp_path: Path) -> None:
-    config = FakeConfig(hangs=("reef/alpha/0002",))
-    report = make(tmp_path / "dataset", config, frame_timeout_s=1.0, retries=0)
-    (failure,) = report.failures
-    assert (failure.kind, failure.ref.name) == ("timeout", "reef/alpha/0002")
-    assert "scheduler.frame_timeout_s=1" in failure.reason
-    assert report.samples == 30
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -102,24 +110,15 @@ def test_what_no_frame_can_survive_ends_the_run_in_one_line(
     assert not workers_of(os.getpid())
 
 
-def truncate(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-100])
-
-
-def flip_a_bit(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 4
-    path.write_bytes(content)
-
-
 def test_damaged_shards_are_made_again_and_the_rest_kept(
     tmp_path: Path, undisturbed: dict[str, bytes], capfd: pytest.CaptureFixture[str]
 ) -> None:
     directory = tmp_path / "dataset"
     make(directory)
     capfd.readouterr()
-    truncate(directory / "train/shard-00000.h5")
-    flip_a_bit(directory / "train/shard-00001.h5")
+    first = directory / "train/shard-00000.h5"
+    first.write_bytes(first.read_bytes()[:-100])
+    flip(directory / "train/shard-00001.h5", 3000, 2)
     (directory / "test/shard-00000.h5").unlink()
     kept = (directory / "train/shard-00002.h5").stat().st_mtime_ns
     report = make(directory)
@@ -150,3 +149,172 @@ def test_a_full_disk_is_said_in_one_line_and_cured_by_running_again(
     assert litter(directory) == []
     assert make(directory).samples == 32
     assert shard_bytes(directory) == undisturbed
+
+
+SERIAL = {"backend": "serial"}
+
+
+def status(directory: Path) -> dict[str, object]:
+    told: dict[str, object] = json.loads((directory / "status.json").read_text())
+    return told
+
+
+@pytest.mark.parametrize("backend", ["serial", "local"])
+def test_frames_that_are_prepared_by_others_give_the_same_bytes(
+    tmp_path: Path, undisturbed: dict[str, bytes], backend: str
+) -> None:
+    directory = tmp_path / "dataset"
+    report = staged(directory, scheduler={"backend": backend, "render_workers": 1}, workers=3)
+    assert (report.samples, report.failures) == (32, ())
+    assert shard_bytes(directory) == undisturbed
+    assert litter(directory) == []
+    told = status(directory)
+    assert told["state"] == "finished"
+    assert told["frames"] == {"total": 16, "rendered": 16, "from_cache": 0, "failed": 0}
+    assert told["workers"] == {"render": 1, "noise": 2}
+    if backend != "serial":
+        makers = {file.read_text() for file in (tmp_path / "prepared").iterdir()}
+        assert len(makers) == 1, "somebody else than the render worker prepared a frame"
+
+
+@pytest.mark.parametrize("backend", ["local", "dask"])
+def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
+    tmp_path: Path, undisturbed: dict[str, bytes], backend: str
+) -> None:
+    directory = tmp_path / "dataset"
+    config = FakeConfig(
+        bad=("reef/alpha/0000",),
+        buggy=("reef/alpha/0001",),
+        kills=("reef/alpha/0006",),
+        hangs=("reef/alpha/0010",),
+        killed_once=("reef/beta/0003",),
+        marks=str(tmp_path),
+    )
+    report = staged(directory, config, scheduler={"backend": backend}, frame_timeout_s=1.0)
+    told = failures(directory)
+    assert {name: item["kind"] for name, item in told.items()} == {
+        "reef/alpha/0000": "frame",
+        "reef/alpha/0001": "error",
+        "reef/alpha/0006": "crash",
+        "reef/alpha/0010": "timeout",
+    }
+    assert told["reef/alpha/0010"]["shard"] == "train/shard-00002.h5"
+    assert "in each of 2 tries" in told["reef/alpha/0006"]["reason"]
+    assert "FakePreparer" not in told["reef/alpha/0001"]["reason"]
+    assert report.samples == 32 - 4 * 2
+    made = shard_bytes(directory)
+    assert made["test/shard-00000.h5"] == undisturbed["test/shard-00000.h5"], "killed once"
+    assert "took longer than scheduler.frame_timeout_s=1" in told["reef/alpha/0010"]["reason"]
+
+    # Running again tries what failed, touches nothing else, and takes in what is cured.
+    before = {path: (directory / path).stat().st_mtime_ns for path in made}
+    again = staged(directory, replace(config, hangs=(), kills=()), frame_timeout_s=1.0)
+    assert {f.ref.name for f in again.failures} == {"reef/alpha/0000", "reef/alpha/0001"}
+    assert again.kept == 2
+    after = {path: (directory / path).stat().st_mtime_ns for path in shard_bytes(directory)}
+    changed = [path for path in before if before[path] != after[path]]
+    assert changed == ["train/shard-00001.h5", "train/shard-00002.h5"]
+    assert all(shard_bytes(directory)[path] == undisturbed[path] for path in changed)
+
+
+def test_a_prepared_frame_that_vanishes_is_prepared_again(
+    tmp_path: Path, undisturbed: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ref = refs(12)[5]
+    lost: list[int] = []
+
+    def forgetful(self: GentleSource, asked: object, variants: object, pairs=GentleSource.pairs):
+        if asked == ref and not lost:
+            lost.append(1)
+            prepared_file(self.config, ref).unlink()
+        return pairs(self, asked, variants)
+
+    monkeypatch.setattr(GentleSource, "pairs", forgetful)
+    staged(tmp_path / "dataset", scheduler=SERIAL)
+    assert lost
+    assert shard_bytes(tmp_path / "dataset") == undisturbed
+    assert prepared_file(FakeConfig(prepared=str(tmp_path / "prepared")), ref).exists()
+
+
+def test_frames_that_never_stay_end_the_run_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(GentleSource, "ready", lambda self, ref: False)
+    with pytest.raises(FactoryError, match=r"not in the cache.*cache\.max_bytes.*vanishes"):
+        staged(tmp_path / "dataset", scheduler=SERIAL)
+    assert status(tmp_path / "dataset")["state"] == "broken"
+
+
+PROVENANCE = Provenance({"seed": 0}, config_hash({"seed": 0}), "simnfnd test")
+SLICES, FOLDERS = 3, 10
+
+
+def test_slices_make_every_shard_once_and_the_whole_takes_them_up(tmp_path: Path) -> None:
+    staged(tmp_path / "other" / "expected", scheduler=SERIAL)
+    directory = tmp_path / "dataset"
+    config = FakeConfig(bad=("reef/alpha/0000",))
+    for index in (1, 0):
+        staged(directory, config, scheduler=SERIAL, shard=ShardSlice(index, 2))
+        assert not (directory / "README.md").exists()
+    manifest = load_manifest(directory)
+    assert manifest is not None
+    assert manifest.samples() == 30
+    assert [item["frame"] for item in load_failures(directory)] == ["reef/alpha/0000"]
+    report = staged(directory, scheduler=SERIAL)
+    assert (report.kept, report.samples) == (3, 32)
+    assert (directory / "README.md").exists()
+    assert not list(directory.rglob("*-of-*"))
+    assert not list(directory.glob("*/*.json")), "the results beside the shards have gone"
+    assert load_failures(directory) == []
+    assert shard_bytes(directory) == shard_bytes(tmp_path / "other" / "expected")
+
+
+def open_many(directory: Path, together: threading.Barrier) -> None:
+    for number in range(FOLDERS):
+        together.wait(60)
+        open_folder(directory / str(number), {"seed": 0}, PROVENANCE)
+
+
+def test_slices_that_begin_at_once_are_all_let_in(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    together = context.Barrier(SLICES)
+    processes = [
+        context.Process(target=open_many, args=(tmp_path, together)) for _ in range(SLICES)
+    ]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(90)
+    assert [process.exitcode for process in processes] == [0] * SLICES
+    for number in range(FOLDERS):
+        names = {path.name for path in (tmp_path / str(number)).iterdir()}
+        assert names == {"config.yaml", "manifest.json"}
+
+
+COUNTS = re.compile(r"frames (\d+)/16.*, pairs (\d+)/32; \d+:\d\d gone(?:, \d+:\d\d left)?")
+
+
+def test_a_run_counts_frames_and_pairs_from_the_first_one_on(tmp_path, capfd):
+    staged(tmp_path / "dataset", FakeConfig(delay_s=0.01), scheduler={"backend": "serial"})
+    lines = capfd.readouterr().err.splitlines()
+    assert lines[0] == "starting 2 workers (2 of them for renders) for 32 pairs"
+    counted = [COUNTS.fullmatch(line) for line in lines if line.startswith("frames")]
+    assert counted[0] is not None
+    assert counted[0].groups() == ("1", "0")
+    assert "left" in counted[0].group()
+    assert counted[-1] is not None
+    assert counted[-1].groups() == ("16", "32")
+    assert lines[-1] == "writing index, card"
+
+
+def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):
+    with progress.progress_bar(total=5000, unit="step", desc="training") as bar:
+        for step in range(5000):
+            bar.set_postfix(loss=f"{step / 3:.3g}")
+            bar.update()
+    text = capfd.readouterr().err
+    assert "\r" not in text
+    lines = text.splitlines()
+    assert len(lines) <= 3
+    assert lines[0].startswith("training: 1 of 5000 steps in 0:00, ")
+    assert lines[-1] == "training: 5000 of 5000 steps in 0:00; loss 1.67e+03"

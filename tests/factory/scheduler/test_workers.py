@@ -1,10 +1,14 @@
-"""Workers that stand still, and a template that is stopped or killed: time alone is lost."""
+"""Worker processes: pools, tasks that die or stand still, and the template they are forked from."""
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
+from collections import deque
+from collections.abc import Iterator
 from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
@@ -12,12 +16,14 @@ from typing import Any
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import template
+from simnfnd.factory.scheduler.workers import local, template, workers_of
 from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
-from simnfnd.factory.scheduler.workers.local import LocalBackend
-from tests.factory.scheduler.run_files import wait_for
+from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
+from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.fake_source import FakeConfig
+from tests.project_files import ROOT
 from tests.run_fake import make
+from tests.worker_processes import workers_of as processes_of
 
 FORKED = WorkerSettings((Pool("all", 2),), preload=("simnfnd.factory.scheduler.worker",))
 
@@ -47,22 +53,186 @@ def test_a_stopped_worker_costs_the_limit_and_some_seconds(tmp_path: Path) -> No
 def test_workers_outlive_their_template_and_not_the_backend(number: int) -> None:
     template.kill()
     backend = LocalBackend(FORKED)
-    pids = []
+    workers = []
     try:
         futures = [backend.submit(nap, 0.0, 60.0, "all") for _ in range(2)]
-        pids = [future.result(60) for future in futures]
+        workers = [psutil.Process(future.result(60)) for future in futures]
         again = [backend.submit(nap, 0.7, 60.0, "all") for _ in range(2)]
         os.kill(template_pid(), number)
-        assert {future.result(60) for future in again} == set(pids), "one was taken for dead"
+        pids = {worker.pid for worker in workers}
+        assert {future.result(60) for future in again} == pids, "one was taken for dead"
         backend.submit(nap, 60.0, 90.0, "all")
     finally:
         backend.stop()
         template.kill()
-    wait_for(lambda: not any(map(_alive, pids)), 10)
+    _, alive = psutil.wait_procs(workers, timeout=10)
+    assert not alive
 
 
-def _alive(pid: int) -> bool:
+HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
+
+
+def task(name: str) -> tuple[str, int]:
+    """(name, process number), unless the name says to die or sleep."""
+    if name == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name == "sleep":
+        time.sleep(60)
+    return name, os.getpid()
+
+
+def children() -> list[psutil.Process]:
+    return processes_of(os.getpid())
+
+
+def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
+    names = ["a", "die", "b", "sleep", "c"]
+    with TaskPool(2) as pool:
+        found = dict(pool.run(task, deque(names), lambda name: 1.0 if name == "sleep" else 60.0))
+    assert set(found) == set(names)
+    for name in "abc":
+        outcome = found[name]
+        assert not isinstance(outcome, TaskLost)
+        assert outcome[0] == name
+        assert outcome[1] != os.getpid()
+    died, slept = found["die"], found["sleep"]
+    assert isinstance(died, TaskLost)
+    assert "SIGKILL" in died.reason
+    assert slept == TaskLost("took longer than 1 s")
+    assert not children()
+
+
+def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(local, "_BEGIN_S", 2.0)
+    workers = LocalBackend(WorkerSettings((LIGHT,)))
     try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
+        assert workers.submit(task, "a", 60.0, "light").result(60)[0] == "a"
+        (process,) = children()
+        process.suspend()
+        # Larger than the buffer between the two: sending it waits for the stopped process.
+        with pytest.raises(WorkerDied, match="stood still before it had begun"):
+            workers.submit(len, bytes(1 << 24), 60.0, "light").result(30)
+        assert workers.submit(len, bytes(1 << 24), 60.0, "light").result(60) == 1 << 24
+        (other,) = children()
+        assert other.pid != process.pid
+    finally:
+        workers.stop()
+    assert not children()
+
+
+def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
+    workers = LocalBackend(WorkerSettings((LIGHT,)))
+    try:
+        _, pid = workers.submit(task, "a", 60.0, "light").result(60)
+        os.kill(pid, signal.SIGKILL)
+        died = "no"
+        try:
+            _, pid = workers.submit(task, "b", 60.0, "light").result(60)
+        except WorkerDied as error:  # found out only when it is asked
+            died = str(error)
+        assert died == "no" or "SIGKILL" in died
+        with pytest.raises(TypeError, match="cannot pickle"):
+            workers.submit(open, os.devnull, 60.0, "light").result(60)
+        assert workers.submit(task, "c", 60.0, "light").result(60)[0] == "c"
+    finally:
+        workers.stop()
+
+
+def test_a_pool_that_takes_others_tasks_prefers_its_own() -> None:
+    with workers_of(WorkerSettings((HEAVY, LIGHT))) as workers:
+        first = workers.submit(task, "a", 60.0, "heavy")
+        assert not workers.free("heavy")
+        assert workers.free("light")
+        second = workers.submit(task, "b", 60.0, "light")
+        (_, heavy), (_, light) = first.result(60), second.result(60)
+        assert heavy != light
+        assert workers.submit(task, "c", 60.0, "heavy").result(60) == ("c", heavy)
+
+
+POOL = Pool("light", 1)
+# A module of the standard library that nothing here imports.
+LOADED = "wave"
+
+
+def seen(name: str) -> tuple[int, int, bool, str | None, str]:
+    """(process, parent, whether LOADED is, an environment variable, the folder)."""
+    folder = os.getcwd()
+    return os.getpid(), os.getppid(), LOADED in sys.modules, os.environ.get(name), folder
+
+
+@pytest.fixture
+def none_before() -> Iterator[None]:
+    """Nor after a test."""
+    template.kill()
+    yield
+    template.kill()
+    assert not children()
+
+
+def asked() -> tuple[int, int, bool, str]:
+    """(process, parent, whether LOADED is, OMP_NUM_THREADS) of a worker."""
+    backend = LocalBackend(WorkerSettings((POOL,), preload=(LOADED,)))
+    try:
+        found = backend.submit(seen, "OMP_NUM_THREADS", 60.0, POOL.name).result(60)
+    finally:
+        backend.stop()
+    assert found[3] is not None
+    return found[0], found[1], found[2], found[3]
+
+
+@pytest.mark.usefixtures("none_before")
+def test_what_was_loaded_is_there_and_nothing_is_forked_from_this_process() -> None:
+    _, parent, loaded, threads = asked()
+    assert (loaded, threads) == (True, "1")
+    assert parent != os.getpid()
+    assert asked()[1] == parent
+
+
+@pytest.mark.usefixtures("none_before")
+def test_environment_and_folder_are_those_of_now(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: object
+) -> None:
+    monkeypatch.setenv("SIMNFND_TEST_GONE", "1")
+    template.start((LOADED,))
+    monkeypatch.delenv("SIMNFND_TEST_GONE")
+    monkeypatch.setenv("SIMNFND_TEST_NEW", "2")
+    monkeypatch.chdir(str(tmp_path))
+    backend = LocalBackend(WorkerSettings((POOL,), preload=(LOADED,)))
+    try:
+        for name, value in (("SIMNFND_TEST_GONE", None), ("SIMNFND_TEST_NEW", "2")):
+            *_, loaded, told, folder = backend.submit(seen, name, 60.0, POOL.name).result(60)
+            assert (loaded, told, folder) == (True, value, str(tmp_path))
+    finally:
+        backend.stop()
+
+
+@pytest.mark.usefixtures("none_before")
+def test_one_that_stands_still_is_killed_and_the_worker_comes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(local, "_PROCESS_S", 2.0)
+    template.start((LOADED,))
+    psutil.Process(template_pid()).suspend()
+    begun = time.monotonic()
+    assert asked()[:2] != (0, 0)
+    assert 2.0 <= time.monotonic() - begun < 30.0
+
+
+@pytest.mark.usefixtures("none_before")
+def test_it_goes_with_the_process_that_started_it() -> None:
+    code = (
+        "import sys, time; from simnfnd.factory.scheduler.workers import template;"
+        f"template.start(({LOADED!r},)); print('up', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=ROOT) as run:
+        assert run.stdout is not None
+        assert run.stdout.readline() == b"up\n"
+        below = psutil.Process(run.pid).children(recursive=True)
+        assert below
+        run.kill()
+        # It ends with the pipe's end, too: nobody who reads from the command waits for it.
+        run.stdout.read()
+    _, alive = psutil.wait_procs(below, timeout=20)
+    assert not alive

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import pickle
 import shutil
@@ -10,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,8 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from simnfnd.factory.dataset import PairDataset
+from simnfnd.command import main
+from simnfnd.factory.dataset import PairDataset, pair_dataset
 from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler import run
@@ -27,9 +28,10 @@ from simnfnd.factory.scheduler.settings import ShardSlice
 from simnfnd.factory.storage.copies import folder_of, local_folder, url_of
 from simnfnd.factory.storage.publish import StoreLock, publishing
 from simnfnd.factory.storage.store import Store
-from simnfnd.verbs import VERBS
 from tests import run_fake
 from tests.cloud_storage import contents, manifest_of, s3_server, shards_of
+from tests.factory.dataset.some_shards import PROVENANCE, some_pairs, write_all
+from tests.factory.scheduler.run_files import shard_bytes
 from tests.fake_source import FakeConfig, FakePreparer, GentleSource
 from tests.project_files import ROOT
 
@@ -56,11 +58,6 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def local_shards(folder: Path) -> dict[str, bytes]:
-    found = {path.relative_to(folder).as_posix(): path for path in folder.glob("t*/*.h5")}
-    return {name: path.read_bytes() for name, path in found.items()}
-
-
 @pytest.fixture(params=["s3", "memory"])
 def url(request: pytest.FixtureRequest, bucket: str, tmp_path: Path) -> str:
     name = f"data-{tmp_path.name}"
@@ -72,7 +69,7 @@ def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> No
     report = make(folder_of(url))
     assert (report.samples, report.shards) == (32, 4)
     found = contents(url)
-    assert {name: found[name] for name in found if "/" in name} == local_shards(local)
+    assert {name: found[name] for name in found if "/" in name} == shard_bytes(local)
     there = {path.name for path in local.iterdir() if path.is_file()}
     assert {name for name in found if "/" not in name} == there - {"status.json"}
     for name in ("manifest.json", "README.md", "failed.jsonl"):
@@ -100,7 +97,7 @@ def test_what_is_damaged_or_gone_there_is_made_again(bucket: str, local: Path) -
     content[-100] ^= 1
     store.put("train/shard-00000.h5", bytes(content))
     assert make(folder_of(url)).kept == 2
-    assert shards_of(url) == local_shards(local)
+    assert shards_of(url) == shard_bytes(local)
 
 
 def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_path: Path) -> None:
@@ -129,8 +126,8 @@ def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_p
         assert report.kept >= 1
         left = {name for name in contents(url) if name.startswith(".")}
     assert left == set()
-    assert shards_of(url) == local_shards(local)
-    assert manifest_of(url).keys() == local_shards(local).keys()
+    assert shards_of(url) == shard_bytes(local)
+    assert manifest_of(url).keys() == shard_bytes(local).keys()
 
 
 def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path) -> None:
@@ -145,7 +142,7 @@ def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path
         "plain = Store.get\n"
         "def get(self, name):\n"
         "    open(sys.argv[2], 'a').write(name + '\\n')\n"
-        "    time.sleep(2)\n"
+        "    time.sleep(1)\n"
         "    return plain(self, name)\n"
         "Store.get = get\n"
         "bring(Path(sys.argv[1]))"
@@ -195,7 +192,7 @@ def test_slices_make_one_dataset(bucket: str, local: Path) -> None:
         make(folder_of(url, part.part), shard=part)
     report = make(folder_of(url))
     assert (report.kept, report.samples) == (4, 32)
-    assert shards_of(url) == local_shards(local)
+    assert shards_of(url) == shard_bytes(local)
     assert not [name for name in contents(url) if "-of-" in name]
 
 
@@ -253,14 +250,113 @@ def test_workers_that_share_no_folder_prepare_and_put(
     )
     report = make(folder_of(url), **how)
     assert [failure.ref.name for failure in report.failures] == ["reef/alpha/0003"]
-    assert shards_of(url) == local_shards(tmp_path / "dataset")
+    assert shards_of(url) == shard_bytes(tmp_path / "dataset")
     assert not [name for name in contents(url) if name.startswith(".")]
 
 
 @pytest.mark.parametrize("verb", ["status", "merge", "view"])
-def test_verbs_that_need_files_say_so(verb: str) -> None:
-    module, name = VERBS[verb].target.split(":")
-    main = getattr(importlib.import_module(module), name)
+def test_verbs_that_need_files_say_so(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     more = ["--out", "x"] if verb == "merge" else []
-    with pytest.raises(FactoryError, match="works on files of this machine"):
-        main(["s3://sonar/data", *more])
+    assert main([verb, "s3://sonar/data", *more]) == 2
+    assert "works on files of this machine" in capsys.readouterr().err
+
+
+SHARDS, PAIRS, WINDOW = 12, 3, 2
+
+
+@pytest.fixture(scope="module")
+def dozen(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of a dozen shards of two scenes in a folder."""
+    folder = tmp_path_factory.mktemp("local") / "dozen"
+    pairs = some_pairs(SHARDS * PAIRS - PAIRS) + some_pairs(PAIRS, "gamma")
+    shards = {
+        f"train/shard-{number:05d}.h5": pairs[number * PAIRS :][:PAIRS] for number in range(SHARDS)
+    }
+    write_all(folder, shards, PROVENANCE)
+    return folder
+
+
+@pytest.fixture
+def far(dozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The same at memory://, with an empty place for copies."""
+    monkeypatch.setenv("SIMNFND_CLOUD_CACHE", str(tmp_path / "copies"))
+    import fsspec
+
+    system = fsspec.filesystem("memory")
+    for path in (dozen / "manifest.json", *dozen.glob("train/*.h5")):
+        system.pipe(f"/once/{path.relative_to(dozen).as_posix()}", path.read_bytes())
+    yield "memory://once"
+    system.rm("/once", recursive=True)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How often the storage was asked for each shard."""
+    found, plain = Counter[str](), Store.get
+
+    def get(self: Store, name: str) -> Any:
+        content = plain(self, name)
+        if name.endswith(".h5") and name != "index.h5":
+            found[name] += 1
+            time.sleep(0.01)  # as long as others need to ask for it, too
+        return content
+
+    monkeypatch.setattr(Store, "get", get)
+    return found
+
+
+def keep(monkeypatch: pytest.MonkeyPatch, dozen: Path, shards: float) -> None:
+    """Room for so many shards."""
+    size = max(path.stat().st_size for path in dozen.glob("train/*.h5"))
+    monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(int(shards * size)))
+
+
+# One shard; all.
+@pytest.mark.parametrize("room", [1, 50])
+def test_shuffled_fetches_each_shard_once_an_epoch(
+    dozen: Path, far: str, asked: Counter[str], monkeypatch: pytest.MonkeyPatch, room: float
+) -> None:
+    keep(monkeypatch, dozen, room)
+    with PairDataset(far) as distant, PairDataset(dozen) as near:
+        for epoch in range(2):
+            found = [one["noisy"].tobytes() for one in distant.shuffled(3, epoch, window=WINDOW)]
+            wanted = [one["noisy"].tobytes() for one in near.shuffled(3, epoch, window=WINDOW)]
+            assert found == wanted
+            assert sorted(found) == sorted(one["noisy"].tobytes() for one in near)
+            kept = sum(path.stat().st_size for path in distant.folder.glob("t*/*.h5"))
+            assert kept <= int(os.environ["SIMNFND_CLOUD_CACHE_BYTES"])
+            assert max(asked.values()) <= epoch + 1
+    assert len(asked) == SHARDS
+
+
+@pytest.mark.parametrize("room", [1, 4.5])
+def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
+    dozen: Path, far: str, asked: Counter[str], monkeypatch: pytest.MonkeyPatch, room: float
+) -> None:
+    pytest.importorskip("torch")
+    from simnfnd.models.data.crops import VisitSampler
+    from simnfnd.models.data.pairs import PairSource, read_table, windows_of
+    from simnfnd.models.settings import PairsData
+
+    monkeypatch.setattr(pair_dataset, "WINDOW", WINDOW)
+    keep(monkeypatch, dozen, room)
+    table = read_table(far, "train")
+    assert asked == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}
+    asked.clear()
+    source = PairSource(table.samples, table.sonar)
+    sizes: Any = {"patch": 16, "batch": 1, "crops": 1, "weaker": 0, "workers": 0}
+    data = PairsData(kind="pairs", validation=0.1, validation_limit=None, **sizes)
+    for step in VisitSampler(len(source), data, len(source), 0, windows_of(source)):
+        for visit in step:
+            source.sample(visit.image, visit.number)
+    # 36 visits: one round, of which the cache still holds some shards.
+    assert max(asked.values(), default=0) == 1
+
+
+def test_a_limit_that_is_no_number_is_one_line(far: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", "10 GB")
+    with (
+        PairDataset(far) as pairs,
+        pytest.raises(FactoryError, match="SIMNFND_CLOUD_CACHE_BYTES=10 GB: must be a whole"),
+    ):
+        pairs[0]
