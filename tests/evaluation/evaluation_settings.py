@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from simnfnd.evaluation.filters import Baseline
 from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.pairs import items_of
 from simnfnd.evaluation.report.build import measure
-from simnfnd.evaluation.runner import FigureStore, Measured
+from simnfnd.evaluation.runner import FigureStore, Measured, Task, measure_task
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from simnfnd.factory.settings import build
@@ -52,3 +55,20 @@ def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) ->
     with closing(FigureStore(out)) as store, TaskPool(settings.workers) as pool:
         items = items_of(dataset, settings.split, settings.limit)
         return measure(settings, items, [NOISY, *methods], pool, store)
+
+
+def _broken(image: Any) -> Any:
+    if image.mean() > 0:
+        raise ZeroDivisionError("no such\nluck")
+    return image
+
+
+BROKEN = Baseline("broken", _broken, {}, {}, "here")
+"""A filter that crashes."""
+
+
+def killed_by_median(task: Task) -> Any:
+    """A worker that dies of one method."""
+    if any(method.name == "median" for method in task.methods):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return measure_task(task)

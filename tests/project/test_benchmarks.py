@@ -45,15 +45,12 @@ def test_all_run_and_the_failed_ones_are_named(
 ) -> None:
     assert benchmarks.main([]) == 1
     printed = capfd.readouterr()
-    assert (
-        printed.out.index("## bad") < printed.out.index("## good") < printed.out.index("| pair |")
-    )
+    assert printed.out.index("## bad") < printed.out.index("## good")
     assert printed.err.splitlines()[-1] == "error: failed: bad, wrong"
     text = (folder / "outputs/benchmarks/report.md").read_text()
     assert "**Failed: ended with exit code 1**" in text
     assert "**Failed: one shard differs**" in text
     assert "| ours \\| fast | 123 | 0.16 |" in text
-    assert "quick: False" in text
     document = json.loads((folder / "outputs/benchmarks/report.json").read_text())
     assert document["sections"]["good"]["tables"][0]["rows"][0] == ["theirs", 1.0, 20.123456]
 
@@ -68,11 +65,8 @@ def test_mistakes_are_one_line(words: list[str], capfd: pytest.CaptureFixture[st
     assert words[-1] in error
 
 
-def test_the_projects_own_are_found() -> None:
-    assert {"command", "denoise", "stages"} <= set(benchmarks.discover())
-
-
 def test_quick_runs() -> None:
+    assert {"command", "denoise", "stages"} <= set(benchmarks.discover())
     section = benchmarks.run("stages", Options(quick=True))
     assert section.failed == ""
     assert all(table.rows for table in section.tables)

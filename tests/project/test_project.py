@@ -1,4 +1,4 @@
-"""The rules of the house that a machine can check, and the declarations that an install needs."""
+"""Rules that a machine can check, and the declarations that an install and a release need."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import subprocess
 import sys
 from functools import cache
 from importlib import metadata
+from pathlib import Path
 
-import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
 
+from simnfnd import __version__
 from tests.project_files import ROOT, files, module_name, modules, project
+from tools.release_check import problems
 
 # Slow or heavy to import: only inside the function that needs them.
 HEAVY = (
@@ -41,11 +44,11 @@ def pins() -> dict[str, Version]:
     return found
 
 
-@pytest.mark.parametrize("requirement", requirements(), ids=lambda requirement: requirement.name)
-def test_every_dependency_is_pinned_within_its_bounds(requirement: Requirement) -> None:
-    pinned = pins().get(canonicalize_name(requirement.name))
-    assert pinned is not None, f"constraints.txt has no {requirement.name}"
-    assert requirement.specifier.contains(pinned)
+def test_every_dependency_is_pinned_within_its_bounds() -> None:
+    for one in requirements():
+        pinned = pins().get(canonicalize_name(one.name))
+        assert pinned is not None, f"constraints.txt has no {one.name}"
+        assert one.specifier.contains(pinned), one
 
 
 def test_everything_that_the_dependencies_need_is_pinned() -> None:
@@ -115,13 +118,66 @@ def test_no_module_of_the_factory_imports_anything_heavy() -> None:
     assert done.returncode == 0, done.stderr.strip()
 
 
-def experiments() -> list[str]:
-    return [path.stem for path in files() if path.match("conf/experiment/*.yaml")]
+def test_an_experiment_begins_with_the_command_that_runs_it() -> None:
+    for path in (one for one in files() if one.match("conf/experiment/*.yaml")):
+        lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
+        # Hydra's own header may stand first.
+        first = next(line for line in lines if not line.startswith("# @"))
+        pattern = rf"# simnfnd (make|train) .*\bexperiment=\S*\b{path.stem}\b"
+        assert re.match(pattern, first), (path, first)
 
 
-@pytest.mark.parametrize("name", experiments())
-def test_an_experiment_begins_with_the_command_that_runs_it(name: str) -> None:
-    lines = (ROOT / "conf" / "experiment" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
-    # Hydra's own header may stand first.
-    first = next(line for line in lines if not line.startswith("# @"))
-    assert re.match(rf"# simnfnd (make|train) .*\bexperiment=\S*\b{name}\b", first), first
+# --- a release ----------------------------------------------------------------------------------
+
+
+def test_citation_and_changelog_know_the_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == __version__
+    assert citation["license"] == project()["project"]["license"]
+    (paper,) = citation["references"]
+    assert paper["doi"] == "10.3390/rs16152815"
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    first = re.findall(r"^## (.+)$", changelog, flags=re.MULTILINE)[0]
+    assert first == "Unreleased" or first.startswith(f"{__version__}, ")
+
+
+def test_the_image_has_what_the_wheels_load_and_the_install_reads() -> None:
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    script = (ROOT / "tools" / "debian_packages.sh").read_text(encoding="utf-8")
+    for name in ("for_bpy", "for_open3d"):
+        (packages,) = re.findall(rf"^{name}=\((.+)\)$", script, flags=re.MULTILINE)
+        assert set(packages.split()) <= set(text.split())
+    copied = {
+        word for line in re.findall(r"^COPY (.+)$", text, re.MULTILINE) for word in line.split()
+    }
+    links = {path.name for path in (ROOT / "simnfnd").iterdir() if path.is_symlink()}
+    wanted = {"pyproject.toml", "constraints.txt", "simnfnd", *links}
+    wanted |= {project()["project"]["readme"], *project()["project"]["license-files"]}
+    assert wanted <= copied
+    assert 'ENTRYPOINT ["simnfnd"]' in text
+    assert 'CMD ["demo"]' in text
+
+
+def test_what_is_not_ready_is_named(tmp_path: Path) -> None:
+    texts = {
+        "factory/__init__.py": '__version__ = "1.2.3"\n',
+        "CITATION.cff": "version: 1.2.3\ndate-released: 2026-01-02\n",
+        "CHANGELOG.md": "# Log\n\n## Unreleased\n\n## 1.2.3, 2026-01-02\n\nNew.\n",
+    }
+    (tmp_path / "factory").mkdir()
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    who = ["-c", "user.name=T", "-c", "user.email=t@t"]
+    for words in (["init", "--quiet"], ["add", "."], [*who, "commit", "--quiet", "-m", "All"]):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    assert list(problems(tmp_path)) == [], "it is ready"
+    for file, old, new, said in (
+        ("CITATION.cff", "version: 1.2.3", "version: 1.2.2", "version is 1.2.2"),
+        ("CHANGELOG.md", "## 1.2.3, 2026-01-02", "## 1.2.3", "no heading"),
+        ("CHANGELOG.md", "## Unreleased\n", "## Unreleased\n\n- One.\n", "under Unreleased"),
+    ):
+        (tmp_path / file).write_text(texts[file].replace(old, new, 1), encoding="utf-8")
+        found = list(problems(tmp_path))
+        assert any(said in line for line in found)
+        assert any("not committed" in line for line in found)
+        (tmp_path / file).write_text(texts[file], encoding="utf-8")

@@ -67,6 +67,5 @@ def test_root_installs_after_an_update(tmp_path: Path) -> None:
 
 def test_no_python_311_is_one_clear_line(tmp_path: Path) -> None:
     said = run(tmp_path, {"python3": "exit 1"}, "find_python.sh")
-    assert said.returncode == 2
-    assert said.stderr.count("\n") == 1
+    assert (said.returncode, said.stderr.count("\n")) == (2, 1)
     assert "PYTHON311=" in said.stderr

@@ -12,7 +12,7 @@ from PIL import Image
 from simnfnd.command import main
 from simnfnd.evaluation import calibrate as search
 from simnfnd.evaluation.calibrate import Simulation
-from simnfnd.evaluation.settings import FitSettings, Grid, flattened
+from simnfnd.evaluation.settings import FitSettings, Grid
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run as generate
 from simnfnd.factory.errors import FactoryError
@@ -20,20 +20,11 @@ from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.settings import build
 
 RECIPE = (
-    "noise=none",
-    "noise.background.enabled=true",
-    "noise.background.density=0.02",
-    "noise.background.strength=0.3",
-    "scenes.locations=1",
-    "scenes.frames_per_location=10",
-    "scenes.width=96",
-    "scenes.height=64",
-    "sonar.image.layout=polar",
-    "sonar.beams=64",
-    "sonar.range_bins=96",
-    "render=analytic",
-    "scheduler=serial",
-)
+    "noise=none", "noise.background.enabled=true", "noise.background.density=0.02",
+    "noise.background.strength=0.3", "scenes.locations=1", "scenes.frames_per_location=10",
+    "scenes.width=96", "scenes.height=64", "sonar.image.layout=polar", "sonar.beams=64",
+    "sonar.range_bins=96", "render=analytic", "scheduler=serial",
+)  # fmt: skip
 TRUE_DENSITY = 0.5
 GRID = {"range_bins": 96, "beams": 64}
 
@@ -54,17 +45,9 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def settings_for(real: Path, out: Path, **changes: object) -> FitSettings:
-    values: dict[str, object] = {
-        "real": str(real),
-        "recipe": RECIPE,
-        "name": "found",
-        "frames": 10,
-        "grid": GRID,
-        "trials": 16,
-        "startup": 8,
-        "parameters": {"noise.background.density": {"low": 0.005, "high": 5, "log": True}},
-        "out": str(out),
-    }
+    parameters = {"noise.background.density": {"low": 0.005, "high": 5, "log": True}}
+    values = {"real": str(real), "recipe": RECIPE, "name": "found", "frames": 10, "grid": GRID,
+              "trials": 16, "startup": 8, "parameters": parameters, "out": str(out)}  # fmt: skip
     return build(FitSettings, {**values, **changes})
 
 
@@ -113,8 +96,6 @@ def test_what_cannot_be_searched_is_refused(real: Path, tmp_path: Path) -> None:
         ({"noise.background.colour": number}, "no such key"),
         ({"scenes.locations": number}, "cannot be searched"),
         ({"noise.background.density": {"low": 1, "high": 0.1}}, "low < high"),
-        ({"noise.background.density": {"low": -2, "high": -1}}, "noise.background.density"),
-        ({}, "name at least one key"),
     ):
         with pytest.raises(FactoryError, match=said):
             search.fit(settings_for(real, tmp_path / "bad", parameters=parameters))
@@ -132,8 +113,6 @@ def test_spreads_are_written_as_distributions_within_the_limits() -> None:
     assert search.written(a, 8.0, 0.25) == {"uniform": [3.0, 10.0]}
     assert search.written(a, 1.23456) == 1.235
     assert search.written(b, 2.0, 1.0) == {"uniform": [1.0, 4.0]}
-    nested = {"noise": {"x": {"low": 1, "high": 2}, "y": None}, "sonar.z": {"choices": [1]}}
-    assert list(flattened(nested)) == ["noise.x", "noise.y", "sonar.z"]
 
 
 def test_the_command_takes_the_recipe_behind_two_dashes(

@@ -1,17 +1,20 @@
-"""`simnfnd evaluate realism`: geometries, baselines and the report."""
+"""`simnfnd evaluate realism`: what it reads, geometries, features and the report."""
 
 from __future__ import annotations
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import ndimage
 
 from simnfnd.command import main
+from simnfnd.evaluation import features as statistics
 from simnfnd.evaluation import recorded as real
 from simnfnd.evaluation.features import FEATURES, features_of
 from simnfnd.evaluation.realism import distances, real_pictures, to_polar
@@ -20,10 +23,12 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from tests.evaluation.realism.realism_pictures import polar_folder, sonar_picture
+from tests.evaluation.realism.realism_pictures import polar_folder, sonar_picture, speckle
 from tests.project_files import ROOT
 
-MDD = ROOT.parent / "shared" / "data" / "mdd"
+SHARED = ROOT.parent / "shared" / "data"
+MDD, ARIS = SHARED / "mdd", SHARED / "aris-sdk" / "sample.aris"
+LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
 
 
 def smooth(rows: int, columns: int) -> np.ndarray:
@@ -62,17 +67,6 @@ def test_bearings_without_data_are_left_out_and_squeezed_pictures_stretched() ->
         assert polar.std(axis=1).max() < 0.05
 
 
-@pytest.mark.parametrize("name", ["A", "B"])
-def test_the_two_fans_of_mdd_are_told_apart(name: str) -> None:
-    rng = np.random.default_rng(0)
-    sector = real.MDD_GEOMETRIES[name].sector_mask(*real.MDD_SHAPE)
-    picture = np.where(sector, rng.rayleigh(0.2, sector.shape), 0).astype(np.float32)
-    picture[rng.random(sector.shape) < 0.1] = 0  # dark pixels inside must not matter
-    assert real.mdd_geometry(picture) == name
-    assert real.mdd_geometry(np.ones(real.MDD_SHAPE, np.float32)) is None
-    assert real.mdd_geometry(picture[:-1]) is None
-
-
 @pytest.mark.skipif(not MDD.is_dir(), reason="needs the MDD sample in ../shared/data")
 def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
     lines = (MDD / "fan_geometry.csv").read_text().splitlines()[1:]
@@ -88,14 +82,13 @@ def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
     assert (polar[2:-2, 2:-2] == 0).mean() < 0.01
 
 
-def test_geometry_files_are_checked(tmp_path: Path) -> None:
+def test_geometry_files_and_recordings_are_checked(tmp_path: Path) -> None:
     folder = polar_folder(tmp_path / "real", 1, 4)
     table = folder / "geometry.csv"
     good = table.read_text()
     assert len(real.open_real(folder)[0]) == 4
     for text, said in (
         ("file,layout,hfov_deg,widht\n*,polar,30,2\n", "line 2: .*widht"),
-        ("layout,hfov_deg\npolar,30\n", "no column 'file'"),
         ("file,layout,hfov_deg\n*,fan,30\n", "missing .*apex_x_px"),
         ("file,layout,hfov_deg\n000.png,polar,30\n", "no line for 001.png"),
         (good + "999.png,polar,30,,\n", "999.png is listed"),
@@ -107,9 +100,65 @@ def test_geometry_files_are_checked(tmp_path: Path) -> None:
     table.unlink()
     with pytest.raises(FactoryError, match=r"no fan is seen in it; write a geometry\.csv"):
         real.open_real(folder)
-    (folder / "Images").mkdir()
-    with pytest.raises(FactoryError, match="no pictures"):
-        real.open_real(folder)
+    for name, said in (("absent.aris", "no such folder or recording"), ("dive.aris", "dive.aris")):
+        (tmp_path / "dive.aris").write_bytes(b"no recording")
+        with pytest.raises(FactoryError, match=said):
+            real.open_real(tmp_path / name)
+
+
+def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
+    shutil.copy(LAMPREY, tmp_path / "dive.avi")
+    one, folder = real.open_real(LAMPREY)[0], real.open_real(tmp_path)[0]
+    assert len(one) == len(folder) == 8
+    assert folder[7].name == "dive.avi#7"
+    first = one[0]
+    assert first.known is not None
+    sector = first.known.sector_mask(*first.read()[0].shape)
+    assert first.read()[0][sector].mean() > 20 * first.read()[0][~sector].mean()
+    assert one[0].known == one[7].known
+
+
+@pytest.mark.skipif(not ARIS.is_file(), reason="no shared data")
+def test_a_recording_says_where_range_and_bearing_are() -> None:
+    found, _ = real.open_real(ARIS)
+    assert len(found) == 6
+    assert found[0].known is not None
+    assert found[0].known.range_max_m == pytest.approx(23.3, abs=0.5)
+    assert not np.array_equal(found[0].read()[0], found[5].read()[0])
+
+
+def test_rayleigh_speckle_has_the_textbook_numbers() -> None:
+    rng = np.random.default_rng(0)
+    amplitude = 0.2 * speckle(rng, (1024, 256))
+    enl, index = statistics.speckle(amplitude)
+    assert enl == pytest.approx(3.66, rel=0.05)
+    assert index == pytest.approx(1.0, rel=0.08)
+
+
+@pytest.mark.parametrize("grain", [(2.0, 1.0), (1.0, 2.5)])
+def test_half_widths_are_those_of_the_point_spread(grain: tuple[float, float]) -> None:
+    # Filtered white noise of standard deviation s has the autocorrelation exp(-d^2 / 4 s^2).
+    rng = np.random.default_rng(3)
+    noise = ndimage.gaussian_filter(rng.standard_normal((512, 512)), grain, mode="wrap")
+    picture = (0.5 + 0.1 * noise / noise.std()).astype(np.float32)
+    expected = [2 * s * np.sqrt(np.log(2)) for s in grain]
+    assert statistics.half_widths(picture) == pytest.approx(expected, rel=0.08)
+
+
+def test_spokes_arcs_slope_and_contrasts_of_made_up_pictures() -> None:
+    rng = np.random.default_rng(6)
+    spokes = np.broadcast_to(rng.random(64), (200, 64)).astype(np.float32)
+    assert statistics.spread_of_means(spokes, 0) == pytest.approx(1)
+    assert statistics.spread_of_means(spokes, 1) == pytest.approx(0, abs=1e-6)
+    position = (np.arange(200) + 0.5) / 200
+    ramp = np.broadcast_to((0.5 * 10 ** (-12 * position / 20))[:, None], (200, 64))
+    assert statistics.range_slope_db(ramp.astype(np.float32)) == pytest.approx(-12, abs=0.05)
+    picture = np.full((200, 64), 0.2, np.float32)
+    picture[20:40, 10:30] = 0.8
+    picture[100:140, 10:30] = 0.05
+    highlight, shadow = statistics.contrasts_db(picture)
+    assert highlight == pytest.approx(20 * np.log10(4), abs=0.3)
+    assert shadow == pytest.approx(20 * np.log10(4), abs=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -165,11 +214,9 @@ def test_bad_input_is_one_line_and_exit_code_2(
     monkeypatch.chdir(tmp_path)
     polar_folder(tmp_path / "REAL", 1, 8)
     for words, said in (
-        (["REAL"], "sim: give both folders"),
         (["nowhere", "REAL"], "real=nowhere: no such folder"),
         (["REAL", "nowhere"], "dataset=nowhere: no such folder"),
         (["REAL", "REAL", "limit=6"], "6 pictures; at least 8"),
-        (["REAL", "REAL", "grid.beams=1"], "grid.beams"),
     ):
         assert main(["evaluate", "realism", *words]) == 2
         (error,) = [one for one in capsys.readouterr().err.splitlines() if one[:6] == "error:"]
