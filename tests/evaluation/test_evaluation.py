@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 import torch
 
+from simnfnd import command
 from simnfnd.command import main
-from simnfnd.evaluation import runner, tuning
+from simnfnd.evaluation import paper, runner, tuning
 from simnfnd.evaluation.compare import read_results
 from simnfnd.evaluation.filters import REGISTRY, Baseline
 from simnfnd.evaluation.methods import (
@@ -46,7 +47,13 @@ from simnfnd.models.data.pairs import hold_out, read_table
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
-from tests.evaluation.evaluation_settings import BROKEN, killed_by_median, measured, settings_for
+from tests.evaluation.evaluation_settings import (
+    BROKEN,
+    killed_by_median,
+    measured,
+    polar_folder,
+    settings_for,
+)
 from tests.project_files import ROOT
 from tests.small_dataset import COLUMNS, fan_images, write_dataset
 
@@ -83,7 +90,7 @@ def test_one_command_writes_the_whole_report(
 ) -> None:
     out = tmp_path / "report"
     words = (f"dataset={dataset}", f"out={out}", "baselines=[median]", "tuning.pairs=2",
-             "workers=1", "models=[]", f"tuning.file={tmp_path / 'tuned.json'}")  # fmt: skip
+             "workers=1", f"tuning.file={tmp_path / 'tuned.json'}")  # fmt: skip
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["evaluation"])
     assert main(["evaluate", *words]) == 0
@@ -103,10 +110,12 @@ def test_one_command_writes_the_whole_report(
     results = read_results(out)
     noisy = results["method"] == "noisy"
     assert results["psnr"][noisy].to_numpy() == pytest.approx(expected, rel=1e-6)
-    assert set(results["method"]) == {
-        "noisy", "median", "median + levels", "median tuned", "median tuned + levels",
-    }  # fmt: skip
     content = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    (network,) = [row for row in content["rows"] if row["kind"] == "network"]
+    assert network["name"].removesuffix("-paper") == "simnfnd", "the one that ships"
+    assert network["lost"] is None
+    forms = {f"median{form}" for form in ("", " + levels", " tuned", " tuned + levels")}
+    assert set(results["method"]) == {"noisy", network["label"], *forms}
     row = next(row for row in content["rows"] if row["label"] == "noisy")
     psnr = row["metrics"]["psnr"]
     assert psnr["mean"] == pytest.approx(np.mean(expected))
@@ -281,20 +290,12 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
         assert rows_["mine"]["metrics"][name] == rows_["median"]["metrics"][name]
         assert rows_["arrays"]["metrics"][name] == rows_["noisy"]["metrics"][name]
     assert "psnr" in rows_["mine"]["against_best"]
-    for array, said in (
-        (np.full((48, 48), 9.0), "floats must be grey values from 0 to 1"),
-        (np.zeros((48, 40)), "test/noisy/000002: 40x48 pixels, but its pair has 48x48"),
-    ):
-        np.save(arrays / "000002.npy", array)
-        rows = builder.build(settings_for(dataset, pictures=given[1:]))["rows"]
-        assert said in rows[-1]["lost"]
-    cases: list[tuple[dict[str, str], str]] = [
-        ({"name": "mine", "dir": "nowhere"}, "mine: nowhere: 5 of 5 pictures are missing"),
-        ({"name": "median", "dir": str(mine)}, "median: another row has this name"),
-    ]
-    for one, words in cases:
-        with pytest.raises(FactoryError, match=words):
-            builder.build(settings_for(dataset, pictures=[one]))
+    np.save(arrays / "000002.npy", np.zeros((48, 40)))
+    lost = builder.build(settings_for(dataset, pictures=given[1:]))["rows"][-1]["lost"]
+    assert "test/noisy/000002: 40x48 pixels, but its pair has 48x48" in lost
+    again = settings_for(dataset, pictures=[{"name": "median", "dir": str(mine)}])
+    with pytest.raises(FactoryError, match="median: another row has this name"):
+        builder.build(again)
     (mine / "test" / "noisy" / "000001.png").unlink()
     with pytest.raises(FactoryError, match=r"1 of 5 pictures are missing, the first is test/noisy"):
         builder.build(settings_for(dataset, pictures=given))
@@ -533,3 +534,43 @@ def test_paths_without_weights_are_named(dataset: Path, tmp_path: Path) -> None:
     settings = settings_for(dataset, limit=2, models=[str(tmp_path / "bad.safetensors")])
     found = measured(dataset, networks_of(settings), tmp_path / "out")
     assert "not a safetensors file" in found.lost["bad"], "it loses its row"
+
+
+def test_one_command_gives_both_tables_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran: list[str] = []
+
+    def here(words: list[str]) -> int:
+        """The same words in this process, on pictures as small as a crop."""
+        ran.append(words[0])
+        small = {
+            "make": ["sonar.image.width_px=72", "sonar.image.height_px=72", "scheduler=serial"],
+            "train": ["model.width=4", "device=cpu"],
+            "evaluate": ["workers=1", "bootstrap=100", "baselines=[median]"],
+        }
+        monkeypatch.setattr(sys, "argv", ["simnfnd"])
+        return command.main([*words, *small[words[0]]])
+
+    monkeypatch.setattr(paper, "run", lambda words: 0 if words[0] != "train" else 3)
+    out, real = tmp_path / "out", polar_folder(tmp_path / "real", 1, 4)
+    words = ["--quick", "--real", str(real), "--frames", "8", "--steps", "2", "--out", str(out)]
+    assert paper.main(words) == 3
+    said = capsys.readouterr()
+    assert said.out.startswith("Quick mode, no reproduction: 16 pairs of 8 frames at most")
+    assert "the same command goes on from here" in said.err
+    monkeypatch.setattr(paper, "run", here)
+    assert paper.main(words) == 0
+    assert ran == ["make", "train", "train", "train", "evaluate"]
+    text = (out / "tables.md").read_text(encoding="utf-8")
+    assert "Quick mode, no reproduction" in text
+    assert "| row | paper PSNR / SSIM / GMSD | ours (quick) | which row here |" in text
+    for row in ("OldData + L1loss", "SimNFND + L1loss", "SimNFND + Newloss"):
+        (line,) = [one for one in text.splitlines() if one.startswith(f"| {row} ")]
+        assert line.count(" / ") == 4, "the paper's and ours"
+    assert "| Median | 17.76 / 0.690 / 0.190 |" in text
+    # What is done is not done again.
+    kept = (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns
+    monkeypatch.setattr(paper, "run", lambda w: here(w) if "name=simnfnd_l1" in w else 0)
+    assert paper.main(words) == 0
+    assert (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns == kept

@@ -11,7 +11,7 @@ import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
-from simnfnd.evaluation.filters import REGISTRY, Baseline, chosen
+from simnfnd.evaluation.filters import REGISTRY, Baseline
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.factory.errors import FactoryError
 
@@ -157,13 +157,6 @@ def test_the_wavelet_gives_back_what_it_got(size: tuple[int, int], levels: int) 
     image = np.random.default_rng(0).random(size, dtype=np.float32)
     same = run("wavelet", image, strength=0.0, levels=levels)
     np.testing.assert_allclose(same, image, atol=1e-5)
-
-
-def test_names_choose_filters() -> None:
-    assert [b.name for b in chosen(["nlm", "median", "nlm"])] == ["nlm", "median"]
-    assert [b.name for b in chosen(["all"])] == list(NAMES)
-    with pytest.raises(FactoryError, match=r"no 'wiener'; choose of identity, median"):
-        chosen(["wiener"])
 
 
 @pytest.mark.parametrize(

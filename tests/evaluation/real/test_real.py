@@ -296,15 +296,6 @@ def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.Monk
     assert "tuned on the first 12 frames of itself" in alone[0]
 
 
-def test_nothing_is_judged_in_time_without_recordings_or_networks(tmp_path: Path) -> None:
-    network = Method("one", "", {}, weights="one")
-    short = recording(tmp_path / "short.avi", 0, 8)
-    long = recording(tmp_path / "long.avi", 0, 14)
-    assert timed([short], [network])[0].empty
-    assert timed([long], [])[0].empty
-    assert timed([long], [network], most=0)[0].empty
-
-
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
     save(tmp_path / "black" / "0.png", np.zeros((40, 40)))

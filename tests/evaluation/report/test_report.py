@@ -204,18 +204,6 @@ def test_compare_refuses_what_cannot_be_compared(
         assert error.count("\n") == 1
 
 
-def test_the_network_that_ships_has_a_row(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data", train=6, test=3, size=32)
-    settings = settings_for(
-        dataset, out=str(tmp_path / "out"), models="auto", tuning={"auto": True}, bootstrap=100
-    )
-    content = builder.build(settings)
-    assert len(content["rows"]) == 6  # noisy, median in four forms, the network
-    (network,) = [row for row in content["rows"] if row["kind"] == "network"]
-    assert network["name"].removesuffix("-paper") == "simnfnd"
-    assert network["lost"] is None
-
-
 # --- the page ------------------------------------------------------------------------------------
 
 
