@@ -30,24 +30,15 @@ with contextlib.suppress(ImportError):
     absl_logging.get_absl_handler().python_handler.stream = sys.__stderr__
 
 
-# From the files that take longest to those that are over soon.
-ROOMS = ("project", "models", "evaluation", "factory")
-
-
-def long_files_first(items: list[pytest.Item]) -> None:
-    """Files that hold a slow test, then those of the slower rooms, each in the order it has.
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Several processes share the files: those with a slow test and of slower rooms come first.
 
     A file is tested by one process: begun last, one of a minute keeps the other processes waiting.
     """
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    place = {room: number for number, room in enumerate(ROOMS)}
-    items.sort(key=lambda item: (item.path not in slow, place[item.nodeid.split("/")[1]]))
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Several processes share the tests: begin with what takes long."""
     if hasattr(config, "workerinput"):
-        long_files_first(items)
+        slow = {item.path for item in items if item.get_closest_marker("slow")}
+        rooms = ("project", "models", "evaluation", "factory")
+        items.sort(key=lambda one: (one.path not in slow, rooms.index(one.nodeid.split("/")[1])))
 
 
 @pytest.fixture(scope="session", autouse=True)

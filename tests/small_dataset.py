@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from simnfnd.factory.dataset.manifest import Manifest, save_manifest
+from simnfnd.factory.dataset.manifest import Manifest, ShardInfo, save_manifest
 from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance, config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.writer import write_shard
+from simnfnd.factory.files import sha256_of
 
 COLUMNS = (
     Column("location", "S16"),
@@ -88,14 +89,8 @@ def add_shard(root: Path, relative: str, pairs: Iterable[Pair], *, dtype: str = 
 
 def write_manifest(root: Path, *relative: str) -> None:
     """A manifest that lists only these shards."""
-    from simnfnd.factory.dataset.manifest import ShardInfo
-    from simnfnd.factory.files import sha256_of
-
     manifest = Manifest(config_hash({}), "tests")
     for path in relative:
-        file = root / path
-        split = path.split("/")[0]
-        manifest = manifest.with_shard(
-            ShardInfo(path, split, 1, file.stat().st_size, sha256_of(file))
-        )
+        size, checksum = (root / path).stat().st_size, sha256_of(root / path)
+        manifest = manifest.with_shard(ShardInfo(path, path.split("/")[0], 1, size, checksum))
     save_manifest(root, manifest)

@@ -1,12 +1,13 @@
-"""`simnfnd evaluate`: from a dataset folder to the files of the report."""
+"""`simnfnd evaluate` and its tuning: from a dataset folder to the files of the report."""
 
 from __future__ import annotations
 
 import json
 import math
-import os
-import signal
+import shutil
+import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,47 @@ import cv2
 import h5py
 import numpy as np
 import pytest
+import torch
 
+from simnfnd import command
 from simnfnd.command import main
-from simnfnd.evaluation import runner
+from simnfnd.evaluation import paper, runner, tuning
 from simnfnd.evaluation.compare import read_results
-from simnfnd.evaluation.methods import NOISY, Method, baselines_of, methods_of
+from simnfnd.evaluation.filters import REGISTRY, Baseline
+from simnfnd.evaluation.methods import (
+    NOISY,
+    Method,
+    baselines_of,
+    costs_of,
+    methods_of,
+    networks_of,
+)
 from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.metrics.measure import Picture, Scene, sector_of
-from simnfnd.evaluation.pairs import items_of, picture
+from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
+from simnfnd.evaluation.metrics.measure import Picture, Scene, fit_levels, sector_of
+from simnfnd.evaluation.pairs import geometry_of, items_of, picture, read_gray
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.runner import STORE_NAME, Measured, Task, measure_task
+from simnfnd.evaluation.runner import SECONDS, STORE_NAME, Measured, Task, measure_task
+from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance
+from simnfnd.factory.dataset.settings import DatasetSettings
+from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError
-from tests.evaluation.evaluation_settings import measured, settings_for
-from tests.small_dataset import fan_images, write_dataset
+from simnfnd.factory.scheduler.workers.tasks import TaskPool
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.models.data.pairs import hold_out, read_table
+from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.weights import save_weights
+from tests.evaluation.evaluation_settings import (
+    BROKEN,
+    killed_by_median,
+    measured,
+    polar_folder,
+    settings_for,
+)
+from tests.project_files import ROOT
+from tests.small_dataset import COLUMNS, fan_images, write_dataset
 
 FILES = {"report.html", "report.json", "report.md", "results.csv", STORE_NAME}
 METRICS = ("psnr", "ssim", "gmsd", "psnr_fan", "shadow_iou", "shadow_residual")
@@ -39,20 +68,36 @@ def assert_same(one: Measured, other: Measured) -> None:
     assert one.table()[columns].equals(other.table()[columns])
 
 
+def tune(dataset: Path, file: Path, *names: str, **changes: Any) -> list[str]:
+    """The lines of `evaluation tune` for these baselines."""
+    tuning_keys = {"file": str(file), **changes.pop("tuning", {})}
+    settings = settings_for(dataset, tuning=tuning_keys, **changes)
+    with TaskPool(settings.workers) as pool:
+        return tuning.tune(settings, baselines_of(names), pool)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two variants a frame, four train scenes of four frames."""
+    return write_dataset(tmp_path_factory.mktemp("data"), train=32, test=6, size=48, noise=0.15)
+
+
 def test_one_command_writes_the_whole_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    dataset = write_dataset(tmp_path / "data", train=16, test=6, size=48)
     out = tmp_path / "report"
     words = (f"dataset={dataset}", f"out={out}", "baselines=[median]", "tuning.pairs=2",
-             "workers=1", "models=[]", f"tuning.file={tmp_path / 'tuned.json'}")  # fmt: skip
+             "workers=1", f"tuning.file={tmp_path / 'tuned.json'}")  # fmt: skip
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["evaluation"])
     assert main(["evaluate", *words]) == 0
     assert "+ levels (size=" in capsys.readouterr().out, "the best form of the median"
     assert {path.name for path in out.iterdir()} == FILES
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"data", "report", "tuned.json"}, "Hydra left litter"
+    assert names == {"report", "tuned.json"}, "Hydra left litter"
 
     # The figures are those of the images in the shards, taken one by one.
     expected = []
@@ -65,10 +110,12 @@ def test_one_command_writes_the_whole_report(
     results = read_results(out)
     noisy = results["method"] == "noisy"
     assert results["psnr"][noisy].to_numpy() == pytest.approx(expected, rel=1e-6)
-    assert set(results["method"]) == {
-        "noisy", "median", "median + levels", "median tuned", "median tuned + levels",
-    }  # fmt: skip
     content = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    (network,) = [row for row in content["rows"] if row["kind"] == "network"]
+    assert network["name"].removesuffix("-paper") == "simnfnd", "the one that ships"
+    assert network["lost"] is None
+    forms = {f"median{form}" for form in ("", " + levels", " tuned", " tuned + levels")}
+    assert set(results["method"]) == {"noisy", network["label"], *forms}
     row = next(row for row in content["rows"] if row["label"] == "noisy")
     psnr = row["metrics"]["psnr"]
     assert psnr["mean"] == pytest.approx(np.mean(expected))
@@ -80,7 +127,7 @@ def test_one_command_writes_the_whole_report(
     markdown = (out / "report.md").read_text(encoding="utf-8")
     assert "| Median | 17.76 / 0.690 / 0.190 |" in markdown
     # One row a method, its other forms below.
-    first, _, more = markdown.partition("## All 5 forms")
+    first, _, more = markdown.partition("## All 6 forms")
     assert first.count("| median") == 1
     assert more.partition("##")[0].count("| median") == 4
 
@@ -108,14 +155,25 @@ def test_a_report_goes_on_where_it_was_interrupted(
     assert [len(task.subjects) for task in tasks[2:]] == [4, 1], "the first four were known"
     assert_same(again, whole)
     # Known rows are read, a new one is measured alone.
-    tasks[:] = [tasks[0]] * 2
     more = [MEDIAN, Method("grey_opening", "", {"size": 3})]
-    measured(dataset, more, tmp_path / "out")
-    assert {method.name for task in tasks[2:] for method in task.methods} == {"grey_opening"}
+
+    def again(chosen: list[Method]) -> set[str]:
+        tasks[:] = [tasks[0]] * 2
+        runner.program_digest.cache_clear()
+        measured(dataset, chosen, tmp_path / "out")
+        return {method.name for task in tasks[2:] for method in task.methods}
+
+    assert again(more) == {"grey_opening"}
+    # Another device, and other code or libraries, must not find the figures of before.
+    for name in ("_device_kind", "sources_digest"):
+        with monkeypatch.context() as patch:
+            patch.setattr(runner, name, lambda *_: "another")
+            assert again([MEDIAN]) == {"identity", "median"}
+    assert not again([MEDIAN]), "what was known before still is"
 
 
 def test_processes_do_not_change_the_figures(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data", train=3, test=9, size=48, per_shard=5)
+    dataset = write_dataset(tmp_path / "data", train=6, test=6, size=48, per_shard=5)
     alone, together = (
         measured(dataset, [MEDIAN], tmp_path / str(n), split="all", workers=n) for n in (1, 2)
     )
@@ -124,15 +182,11 @@ def test_processes_do_not_change_the_figures(tmp_path: Path) -> None:
     assert len(items) == 12
     assert items[0].shard == "train/shard-00000.h5"
     assert items_of(dataset, "all", 5) == items[:5]
+    for workers in (1, 2):
+        tune(dataset, tmp_path / f"{workers}.json", "median", workers=workers)
+    assert (tmp_path / "1.json").read_bytes() == (tmp_path / "2.json").read_bytes()
 
 
-def killed_by_median(task: Task) -> Any:
-    if any(method.name == "median" for method in task.methods):
-        os.kill(os.getpid(), signal.SIGKILL)
-    return measure_task(task)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="there is no SIGKILL")
 def test_a_killed_worker_costs_the_row_of_its_method_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,27 +212,58 @@ def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
     assert scores["ssim_fan"] < scores["ssim"]
 
 
-def test_out_that_cannot_be_written(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
-    (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    with pytest.raises(FactoryError, match=r"out: cannot write"):
-        builder.build(settings_for(dataset, out=str(tmp_path / "file" / "x")))
+def write_images(folder: Path, images: dict[str, Any]) -> Path:
+    for name, image in images.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(folder / name), image)
+    return folder
 
 
-def test_identical_pairs_have_a_stated_rule(tmp_path: Path) -> None:
-    item, *_ = items_of(write_dataset(tmp_path / "data", train=0, test=2, size=48), "test")
-    figures = item.measure(picture(item.place).clean)
-    assert figures["psnr"] == metrics.PSNR_CAP_DB
-    assert figures["ssim"] == pytest.approx(1)
+def test_folders_of_image_pairs_are_a_dataset(tmp_path: Path) -> None:
+    """8 and 16 bits, gray and equal channels, sizes that differ from pair to pair."""
+    images: dict[str, Any] = {}
+    for number, size in enumerate((48, 64)):
+        noisy, clean, shadow = fan_images(size, np.random.default_rng(number))
+        images[f"clean/{number}.png"] = (clean * 65535).astype(np.uint16)
+        gray = (noisy * 255).astype(np.uint8)
+        images[f"noisy/{number}.png"] = np.stack([gray] * 3, axis=-1) if number else gray
+        images[f"shadow/{number}.png"] = shadow.astype(np.uint8) * 255
+    folder = write_images(tmp_path / "pairs", images)
+    found = measured(folder, [MEDIAN], tmp_path / "out").wide()
+    assert len(found["psnr"]["median"]) == 2
+    assert np.isfinite(found["shadow_residual"]).all(axis=None)
+    first = picture(items_of(folder, "test")[0].place)
+    assert first.clean.max() == pytest.approx(images["clean/0.png"].max() / 65535)
+    for file in (folder / "shadow").iterdir():
+        file.unlink()
+    found = measured(folder, [MEDIAN], tmp_path / "out").wide()
+    assert np.isnan(found["shadow_iou"]).all(axis=None), "nobody knows where shadow is"
+    assert np.isfinite(found["psnr"]).all(axis=None)
 
 
-def test_rows_are_named_once() -> None:
+def test_unfit_image_pairs_are_named(tmp_path: Path) -> None:
+    gray = np.full((32, 32), 100, np.uint8)
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"noisy/a.png": gray, "noisy/b.png": gray, "clean/a.png": gray},
+         r"b\.png: no partner in clean/"),
+        ({"noisy/a.png": gray, "clean/a.png": gray[:16]}, r"32x32, but .* 32x16 pixels"),
+        ({"noisy/a.png": np.dstack([gray, gray, gray // 2]), "clean/a.png": gray}, "in colour"),
+        ({"noisy/a.tif": gray.astype("f4"), "clean/a.tif": gray}, r"a\.tif: float pixels"),
+    ]  # fmt: skip
+    for number, (images, words) in enumerate(cases):
+        folder = write_images(tmp_path / str(number), images)
+        with pytest.raises(FactoryError, match=words):
+            measured(folder, [], tmp_path / "out")
+    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), [gray, gray // 2])
+    with pytest.raises(FactoryError, match=r"stack\.tif: holds several pages"):
+        read_gray(tmp_path / "stack.tif")
+
+
+def test_filters_are_chosen_by_name_or_group() -> None:
     methods = methods_of(baselines_of(["fast", "median", "paper"]), {})
     labels = [method.label for method in methods]
     assert labels == ["noisy", "median", "gaussian", "bilateral", "nlm", "grey_opening", "bm3d"]
     assert methods[0] == NOISY
-    keys = {method.key for method in (MEDIAN, GAUSSIAN, Method("median", "", {"size": 5}))}
-    assert len(keys) == 3
 
 
 def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
@@ -201,20 +286,287 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
         assert rows_["mine"]["metrics"][name] == rows_["median"]["metrics"][name]
         assert rows_["arrays"]["metrics"][name] == rows_["noisy"]["metrics"][name]
     assert "psnr" in rows_["mine"]["against_best"]
-    for array, said in (
-        (np.full((48, 48), 9.0), "floats must be grey values from 0 to 1"),
-        (np.zeros((48, 40)), "test/noisy/000002: 40x48 pixels, but its pair has 48x48"),
-    ):
-        np.save(arrays / "000002.npy", array)
-        rows = builder.build(settings_for(dataset, pictures=given[1:]))["rows"]
-        assert said in rows[-1]["lost"]
-    cases: list[tuple[dict[str, str], str]] = [
-        ({"name": "mine", "dir": "nowhere"}, "mine: nowhere: 5 of 5 pictures are missing"),
-        ({"name": "median", "dir": str(mine)}, "median: another row has this name"),
-    ]
-    for one, words in cases:
-        with pytest.raises(FactoryError, match=words):
-            builder.build(settings_for(dataset, pictures=[one]))
+    np.save(arrays / "000002.npy", np.zeros((48, 40)))
+    lost = builder.build(settings_for(dataset, pictures=given[1:]))["rows"][-1]["lost"]
+    assert "test/noisy/000002: 40x48 pixels, but its pair has 48x48" in lost
+    again = settings_for(dataset, pictures=[{"name": "median", "dir": str(mine)}])
+    with pytest.raises(FactoryError, match="median: another row has this name"):
+        builder.build(again)
     (mine / "test" / "noisy" / "000001.png").unlink()
     with pytest.raises(FactoryError, match=r"1 of 5 pictures are missing, the first is test/noisy"):
         builder.build(settings_for(dataset, pictures=given))
+
+
+def test_validation_is_what_training_holds_out(dataset: Path) -> None:
+    items = tuning.validation_items(settings_for(dataset, tuning={"pairs": 99}))
+    kept, held = hold_out(read_table(dataset, "train").samples, 0.3, 0)
+    assert {item.place for item in items} == {(str(s.path), s.row) for s in held}
+    assert not {item.scene for item in items} & {sample.scene.split("/")[1] for sample in kept}
+    assert all(item.shard.startswith("train/") for item in items)
+    assert len(tuning.validation_items(settings_for(dataset))) == 3
+
+
+def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> None:
+    file = tmp_path / "deep" / "tuned.json"
+    lines = tune(dataset, file, "gaussian", "identity")
+    content = json.loads(file.read_text(encoding="utf-8"))
+    assert set(content["baselines"]) == {"identity", "gaussian"}
+    items = tuning.validation_items(settings_for(dataset))
+    assert content["validation"] == [f"{item.shard}#{item.place[1]}" for item in items]
+
+    # By hand: every sigma on every pair.
+    baseline, plain, corrected = REGISTRY["gaussian"], {}, {}
+    for point in baseline.points():
+        pictures = [picture(item.place) for item in items]
+        pairs = [(baseline(pair.noisy, point), pair.clean) for pair in pictures]
+        levels = fit_levels(pairs)
+        key = float(point["sigma_px"])
+        plain[key] = np.mean([psnr(c, i, data_range=1.0) for i, c in pairs])
+        corrected[key] = np.mean([psnr(c, levels(i), data_range=1.0) for i, c in pairs])
+    entry = content["baselines"]["gaussian"]
+    assert entry["tuned"]["psnr"] == pytest.approx(max(plain.values()))
+    assert entry["tuned"]["parameters"]["sigma_px"] == max(plain, key=lambda key: plain[key])
+    assert entry["tuned_levels"]["psnr_levels"] == pytest.approx(max(corrected.values()))
+    assert entry["default"]["psnr"] == pytest.approx(plain[1.0])
+    assert corrected[1.0] > plain[1.0] + 1, "the haze of the test images is an offset"
+    assert any(line.startswith("gaussian: ") and "tuned (sigma_px=" in line for line in lines)
+
+
+def test_tuned_results_are_kept_until_something_changes(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "tuned.json"
+    tune(dataset, file, "median")
+    ran: list[str] = []
+    honest = tuning.on_grid
+
+    def counted(task: Any) -> Any:
+        ran.append(task.baseline)
+        return honest(task)
+
+    monkeypatch.setattr(tuning, "on_grid", counted)
+    again = tune(dataset, file, "median")
+    assert not ran
+    assert again[0].startswith("median: ")
+    tune(dataset, file, "grey_opening")
+    assert ran == ["grey_opening"]
+    # Another grid, other pairs: another result.
+    median = REGISTRY["median"]
+    finer = Baseline("median", median.function, median.default, {"size": (3, 5)}, "here")
+    monkeypatch.setitem(REGISTRY, "median", finer)
+    tune(dataset, file, "median")
+    assert ran == ["grey_opening", "median"]
+
+
+def test_the_tune_command_never_opens_the_test_split(
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    dataset = Path(shutil.copytree(dataset, tmp_path / "data"))
+    for path in (dataset / "test").glob("*.h5"):
+        path.write_bytes(b"nothing to read here")
+    words = (f"dataset={dataset}", "baselines=[median]", f"tuning.file={tmp_path / 't.json'}")
+    monkeypatch.setattr(sys, "argv", ["evaluation"])
+    assert main(["evaluate", "tune", *words, "tuning.pairs=2", "workers=1"]) == 0
+    assert "median: " in capsys.readouterr().out
+    assert (tmp_path / "t.json").is_file()
+
+
+def test_a_method_that_crashes_loses_its_row_alone(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(REGISTRY, "broken", BROKEN)
+    lines = tune(dataset, tmp_path / "t.json", "broken", "median")
+    assert lines[0] == "broken: lost (ZeroDivisionError: no such luck)"
+    assert lines[1].startswith("median: ")
+    settings = settings_for(
+        dataset,
+        baselines=["broken", "median"],
+        out=str(tmp_path / "out"),
+        tuning={"file": str(tmp_path / "t.json")},
+    )
+    content = builder.build(settings)
+    assert content["rows"][-1]["label"] == "broken"
+    assert content["rows"][-1]["lost"] == "ZeroDivisionError: no such luck"
+    assert {row["label"]: row["lost"] for row in content["rows"]}["median"] is None
+    for name in ("report.md", "report.html"):
+        text = (tmp_path / "out" / name).read_text(encoding="utf-8")
+        assert "lost: ZeroDivisionError: no such luck" in text
+
+
+def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
+    file, names = tmp_path / "t.json", ("median", "identity")
+    tune(dataset, file, *names)
+    methods = methods_of(baselines_of(names), tuning.load_tuned(file))
+    forms = ["", " + levels", " tuned", " tuned + levels"]
+    labels = ["noisy", *(f"median{form}" for form in forms), "noisy + levels"]
+    assert [method.label for method in methods] == labels
+    found = measured(dataset, methods, tmp_path / "out").wide()
+    # One pair by hand.
+    number, label = 4, "median tuned + levels"
+    pair = picture(items_of(dataset, "test")[number].place)
+    method = methods[labels.index(label)]
+    assert method.levels is not None
+    image = method.levels(REGISTRY["median"](pair.noisy, method.parameters))
+    expected = {
+        "psnr": psnr(pair.clean, image, data_range=1.0),
+        "psnr_fan": psnr(pair.clean, image, data_range=1.0, mask=pair.sector),
+        "gmsd_unpooled": gmsd(pair.clean, image, data_range=1.0, pooled=False),
+    }
+    assert {n: found[n][label][number] for n in expected} == pytest.approx(expected)
+    assert (found["psnr"][label] > found["psnr"]["noisy"]).all(), "taking the haze off must help"
+    assert found["ms_ssim"].isna().all(axis=None), "48 pixels are too few for five scales"
+    assert found["ratio_mean"]["noisy"].to_numpy() == pytest.approx(1)
+    assert np.isfinite(found["edge_preservation"][label]).all()
+
+
+def test_bad_settings_are_one_line(
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    for arguments, words in (
+        (("tune",), "dataset: give the folder"),
+        (("dataset=nowhere",), "no such folder"),
+        (("dataset=nowhere", "speed=1"), "speed: no such key; did you mean seed?"),
+        (("dataset=nowhere", "split=valid"), "split: Input should be 'train', 'test' or 'all'"),
+        (("baselines=[wiener]", "dataset=."), "baselines: no 'wiener'"),
+        (("models=[nothing]", "dataset=."), "models: weights=nothing: no such file"),
+        (("tune", "dataset=.", "tuning.pairs=0"), "tuning.pairs: "),
+        ((f"dataset={dataset}", "out=file/x", "models=[]", "baselines=[]"), "out: cannot write"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["evaluation"])
+        assert main(["evaluate", *arguments]) == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:
+    file = tmp_path / "t.json"
+    for text in ("{", '{"schema": "other"}', '{"schema": "simnfnd-tuned/1"}'):
+        file.write_text(text, encoding="utf-8")
+        with pytest.raises(FactoryError, match=r"tuning\.file=.*not a file that"):
+            tuning.load_tuned(file)
+    (tmp_path / "taken").write_text("", encoding="utf-8")
+    with pytest.raises(FactoryError, match=r"tuning\.file: cannot write.*taken"):
+        tune(dataset, tmp_path / "taken" / "t.json", "identity")
+
+
+def test_the_leaderboard_does_not_import_torch() -> None:
+    """It runs where torch is not installed."""
+    code = "import sys, simnfnd.evaluation.report.build; print('torch' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
+
+
+def weights(path: Path, seed: int) -> Path:
+    """The weights of a small untrained network."""
+    config = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 1, "decoder": [1]}
+    torch.manual_seed(seed)
+    network = build_network(config)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.05)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_weights(path, network, config, {})
+    return path
+
+
+def test_networks_are_rows_with_their_costs(dataset: Path, tmp_path: Path) -> None:
+    first = weights(tmp_path / "small" / "weights.safetensors", 1)
+    second = weights(tmp_path / "other.safetensors", 2)
+    ablation = {"olddata_l1": None, "simnfnd_l1": str(second), "simnfnd_newloss": None}
+    settings = settings_for(dataset, models=[str(first.parent)], ablation=ablation)
+    methods = networks_of(settings)
+    assert [(method.label, method.ablation) for method in methods] == [
+        ("small", ""),
+        ("other", "simnfnd_l1"),
+    ]
+    found = measured(dataset, methods, tmp_path / "out")
+    psnr_db = found.wide()["psnr"]
+    pair = picture(items_of(dataset, "test")[1].place)
+    expected = psnr(pair.clean, load_denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
+    assert psnr_db["small"][1] == pytest.approx(expected, abs=1e-6)
+    assert psnr_db["small"][1] != psnr_db["other"][1]
+    assert (found.wide()[SECONDS]["small"] > 0).all()
+    costs = costs_of(methods)
+    assert costs["small"] == costs["other"]
+    assert 0 < costs["small"]["gmac"] < 1
+    assert costs["small"]["parameters"] > 100
+
+
+def test_networks_are_told_where_range_is(tmp_path: Path) -> None:
+    sonar = SonarSettings()
+    window = {"range_min_m": 1.0, "range_max_m": 5.0, "azimuth_min_deg": -9, "azimuth_max_deg": 9}
+    columns = (*COLUMNS, *(Column(name, "f8") for name in window))
+    identity = {"location": "a", "scene": "b", "frame": "c", "variant": 0}
+    record: dict[str, Any] = {**identity, **window}
+    noisy, clean, shadow = fan_images(64, np.random.default_rng(0))
+    axes = Axis("row", "px", np.arange(64.0)), Axis("column", "px", np.arange(64.0))
+    provenance = Provenance({"sonar": asdict(sonar)}, "0123abcd", "tests")
+    pair = Pair(noisy, clean, shadow, record)
+    name = "test/shard-00000.h5"
+    write_shard(tmp_path, name, [pair], axes, columns, provenance, DatasetSettings())
+    (item,) = items_of(tmp_path, "test")
+    known = geometry_of(item.place)
+    assert known is not None
+    assert known.far_px == pytest.approx(FanGeometry.from_sonar(sonar, 1.0, 5.0).far_px)
+
+
+def test_paths_without_weights_are_named(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for path, words in (("empty", "holds 0 weights files"), ("none", "models: weights=.*no such")):
+        with pytest.raises(FactoryError, match=words):
+            networks_of(settings_for(tmp_path / "data", models=[str(tmp_path / path)]))
+    (tmp_path / "bad.safetensors").write_bytes(b"no weights")
+    settings = settings_for(dataset, limit=2, models=[str(tmp_path / "bad.safetensors")])
+    found = measured(dataset, networks_of(settings), tmp_path / "out")
+    assert "not a safetensors file" in found.lost["bad"], "it loses its row"
+
+
+def test_one_command_gives_both_tables_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran: list[str] = []
+
+    def here(words: list[str]) -> int:
+        """The same words in this process, on pictures as small as a crop."""
+        ran.append(words[0])
+        small = {
+            "make": ["sonar.image.width_px=72", "sonar.image.height_px=72", "scheduler=serial"],
+            "train": ["model.width=4", "device=cpu"],
+            "evaluate": ["workers=1", "bootstrap=100", "baselines=[median]"],
+        }
+        monkeypatch.setattr(sys, "argv", ["simnfnd"])
+        return command.main([*words, *small[words[0]]])
+
+    monkeypatch.setattr(paper, "run", lambda words: 0 if words[0] != "train" else 3)
+    out, real = tmp_path / "out", polar_folder(tmp_path / "real", 1, 4)
+    words = ["--quick", "--real", str(real), "--frames", "8", "--steps", "2", "--out", str(out)]
+    assert paper.main(words) == 3
+    said = capsys.readouterr()
+    assert said.out.startswith("Quick mode, no reproduction: 16 pairs of 8 frames at most")
+    assert "the same command goes on from here" in said.err
+    monkeypatch.setattr(paper, "run", here)
+    assert paper.main(words) == 0
+    assert ran == ["make", "train", "train", "train", "evaluate"]
+    text = (out / "tables.md").read_text(encoding="utf-8")
+    assert "Quick mode, no reproduction" in text
+    assert "| row | paper PSNR / SSIM / GMSD | ours (quick) | which row here |" in text
+    for row in ("OldData + L1loss", "SimNFND + L1loss", "SimNFND + Newloss"):
+        (line,) = [one for one in text.splitlines() if one.startswith(f"| {row} ")]
+        assert line.count(" / ") == 4, "the paper's and ours"
+    assert "| Median | 17.76 / 0.690 / 0.190 |" in text
+    # What is done is not done again.
+    kept = (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns
+    monkeypatch.setattr(paper, "run", lambda w: here(w) if "name=simnfnd_l1" in w else 0)
+    assert paper.main(words) == 0
+    assert (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns == kept

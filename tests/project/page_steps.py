@@ -25,7 +25,7 @@ PAGES = [
     *sorted((ROOT / "docs/how-to").glob("*.md")),
 ]
 
-_FENCE = re.compile(r"^\s*```+\s*(\S*)")
+_FENCE = re.compile(r"^ *```+ *(\S*)\n(.*?)^ *```+ *$", re.MULTILINE | re.DOTALL)
 _COMMENT = re.compile(r"(^|\s+)#(\s.*|$)")
 _TIME = re.compile(r"#\s.*?\b(\d+(?:\.\d+)?) (s|min)\b")
 
@@ -75,17 +75,11 @@ class Step:
 
 def fences(page: Path) -> list[tuple[str, int, list[str]]]:
     """(language, first line number, lines) of every fenced block."""
-    blocks: list[tuple[str, int, list[str]]] = []
-    inside = False
-    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
-        match = _FENCE.match(line)
-        if match and not inside:
-            blocks.append((match.group(1), number + 1, []))
-        elif inside and not match:
-            blocks[-1][2].append(line)
-        inside = inside != bool(match)
-    assert not inside, f"{page}: a block is never closed"
-    return blocks
+    text = page.read_text(encoding="utf-8")
+    return [
+        (block[1], text.count("\n", 0, block.start(2)) + 1, block[2].splitlines())
+        for block in _FENCE.finditer(text)
+    ]
 
 
 def steps(page: Path) -> list[Step]:

@@ -1,7 +1,8 @@
-"""What `from simnfnd import ...` gives, and how little reading a dataset needs."""
+"""What `from simnfnd import ...` gives, docs/python.md, and how little reading needs."""
 
 from __future__ import annotations
 
+import doctest
 import os
 import subprocess
 import sys
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 
 import simnfnd
-from tests.project.frames import frame
+from simnfnd.command import main
+from tests.models.recordings.recording_files import pings, write_aris
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
 
@@ -70,15 +72,17 @@ def test_every_name_is_there_and_documented() -> None:
         simnfnd.nothing  # noqa: B018
 
 
-def test_importing_costs_nothing() -> None:
-    code = (
-        "import sys; before = set(sys.modules); import simnfnd\n"
-        "assert not {'numpy', 'h5py'} & (set(sys.modules) - before)\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 # --- make_pair ----------------------------------------------------------------------------------
+
+
+def frame() -> tuple[np.ndarray, np.ndarray]:
+    """Sloping ground with a few pixels that were not measured."""
+    v = np.arange(96)[:, None] / 96
+    depth_m = np.broadcast_to(1.5 / (0.15 + 0.5 * v), (96, 152)).astype(np.float32).copy()
+    depth_m[:4, :4] = np.nan
+    rgb = np.random.default_rng(0).integers(60, 200, (96, 152, 3), dtype=np.uint8)
+    return rgb, depth_m
+
 
 PLACE: dict[str, Any] = {"fx": 120.0, "fy": 120.0, "cx": 76.0, "cy": 48.0}
 
@@ -95,16 +99,14 @@ def test_a_pair_of_a_frame_in_memory() -> None:
     again = simnfnd.make_pair(rgb, depth_m, **PLACE)
     np.testing.assert_array_equal(again.noisy, pair.noisy)
     others: list[dict[str, Any]] = [{"variant": 1}, {"seed": 7}, {"name": "another"}]
+    others.append({"config": ("experiment=physical", "sonar=didson_hf")})
     for other in others:
-        assert (simnfnd.make_pair(rgb, depth_m, **PLACE, **other).noisy != pair.noisy).any()
+        found = simnfnd.make_pair(rgb, depth_m, **PLACE, **other)
+        assert not np.array_equal(found.noisy, pair.noisy)
 
 
 def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypatch) -> None:
     """A recording of one frame, made by `simnfnd make`, holds the very same pictures."""
-    import cv2
-
-    from simnfnd.command import main
-
     rgb, depth_m = frame()
     depth_m[:4, :4] = 0
     millimetres = np.rint(depth_m * 1000).astype(np.uint16)
@@ -130,18 +132,8 @@ def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypat
     np.testing.assert_array_equal(pair.noisy, stored["noisy"])
 
 
-def test_a_pair_by_the_sonar_equation() -> None:
-    rgb, depth_m = frame()
-    words = ("experiment=physical", "render=analytic", "dataset.dtype=float32")
-    pair = simnfnd.make_pair(rgb, depth_m, **PLACE, config=words)
-    assert pair.noisy.dtype == np.float32
-    assert 0 <= pair.noisy.min() < pair.noisy.max() <= 1
-
-
 def test_frames_and_words_that_will_not_do(monkeypatch) -> None:
     rgb, depth_m = frame()
-    with pytest.raises(simnfnd.FrameError, match="only 0 valid pixels"):
-        simnfnd.make_pair(rgb, depth_m * 0, **PLACE)
     with pytest.raises(simnfnd.FrameError, match="depth is 76x96 but colour is 152x96"):
         simnfnd.make_pair(rgb, depth_m[:, ::2], **PLACE)
     with pytest.raises(simnfnd.FactoryError, match="nois"):
@@ -151,10 +143,30 @@ def test_frames_and_words_that_will_not_do(monkeypatch) -> None:
         simnfnd.make_pair(rgb, depth_m, **PLACE, config=("render=cycles",))
 
 
+def test_the_examples_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    rgb, depth_m = frame()
+    cv2.imwrite("frame.png", np.ascontiguousarray(rgb[..., ::-1]))
+    cv2.imwrite(
+        "frame_depth.png", np.rint(np.nan_to_num(depth_m, posinf=0) * 1000).astype(np.uint16)
+    )
+    write_aris(tmp_path / "dive.aris", pings(2, 40, 48))
+    write_dataset(tmp_path / "dataset", train=4, test=2, size=32)
+    page = ROOT / "docs/python.md"
+    parsed = doctest.DocTestParser().get_doctest(
+        page.read_text(encoding="utf-8"), {}, page.name, str(page), 0
+    )
+    said: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=doctest.IGNORE_EXCEPTION_DETAIL)
+    result = runner.run(parsed, out=said.append)
+    assert result.failed == 0, "".join(said)
+    assert result.attempted > 10
+
+
 # --- denoise ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("shape", [(40, 48), (2, 40, 48)])
 def test_a_picture_comes_back_in_its_own_form(dtype: type, shape: tuple[int, ...]) -> None:
     full = 1 if np.dtype(dtype).kind == "f" else np.iinfo(dtype).max
@@ -179,11 +191,7 @@ def test_colours_of_a_map_are_denoised_as_levels(order: int) -> None:
     assert np.abs(found.astype(int) - wanted).mean() < 1
     alpha = np.full((40, 48, 1), 7, np.uint8)
     np.testing.assert_array_equal(simnfnd.denoise(np.dstack([jet, alpha]))[..., 3:], alpha)
-    scaled = simnfnd.denoise(jet / 255)
-    assert scaled.dtype == np.float64
-    np.testing.assert_allclose(scaled * 255, found, atol=1)
-    any_colours = np.random.default_rng(0).random((40, 48, 3))
-    assert simnfnd.denoise(any_colours).shape == (40, 48, 3)
+    np.testing.assert_allclose(simnfnd.denoise(jet / 255) * 255, found, atol=1)
 
 
 def test_a_stack_is_its_pictures_one_by_one() -> None:
@@ -199,9 +207,7 @@ def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
     pictures: list[tuple[np.ndarray, str]] = [
         (np.zeros(5), "expected"),
         (np.zeros((4, 4), np.int64), "int64"),
-        (np.full((4, 4), np.nan), r"0\.\.1"),
         (np.full((4, 4), 2.0), r"0\.\.1"),
-        (np.full((5, 5, 3), [0, 1, 2.0]), r"0\.\.1"),
         (np.full((5, 5, 3), [0, 1, np.nan]), r"0\.\.1"),
     ]
     for picture, said in pictures:

@@ -1,4 +1,4 @@
-"""Every command of README.md, of the tutorials and of the how-to pages runs, smaller.
+"""Every command of README.md, of the tutorials, of the how-to pages, and of --help runs, smaller.
 
 All run in one folder, so that a page may use what an earlier one made: README.md as its reader runs
 it, the others in this process.
@@ -7,9 +7,11 @@ it, the others in this process.
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -17,6 +19,9 @@ import h5py
 import numpy as np
 import pytest
 
+from simnfnd.command import main
+from simnfnd.verbs import VERBS, Verb
+from tests.factory.cli_frames import ground, write_frame
 from tests.project.page_steps import PAGES, SMALL_SEABED, Step, fences, run, steps
 from tests.project_files import ROOT
 
@@ -32,14 +37,13 @@ RUN_HERE = {
     if not step.text.startswith(NOT_HERE)
 }
 IN_ORDER = sorted(RUN_HERE.values(), key=lambda step: (PAGES.index(step.page), step.line))
-NAMES = [page.relative_to(ROOT).as_posix() for page in PAGES]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=NAMES)
-def test_no_command_hides_and_each_says_how_long_it_takes(page: Path) -> None:
-    assert {language for language, _, _ in fences(page)} <= {"sh", "python", "text", "yaml"}
-    silent = [one.text for one in STEPS[page] if one.kind == "sh" and not one.time_s]
-    assert [text for text in silent if not text.startswith(NOT_HERE)] == []
+def test_no_command_hides_and_each_says_how_long_it_takes() -> None:
+    for page in PAGES:
+        assert {language for language, _, _ in fences(page)} <= {"sh", "python", "text", "yaml"}
+        silent = [one.text for one in STEPS[page] if one.kind == "sh" and not one.time_s]
+        assert [text for text in silent if not text.startswith(NOT_HERE)] == [], page
 
 
 def test_what_runs_elsewhere_really_does() -> None:
@@ -104,25 +108,107 @@ def as_the_reader(step: Step, folder: Path) -> tuple[int, str]:
     """Exit code and output of a command of README.md in a process of its own."""
     command, prefix = step.text.split(), Path(sys.prefix)
     if command[0] == "make":
-        small = (
-            *SMALL_SEABED,
-            "scenes.frames_per_location=2",
-            f"dataset.dir={folder}/outputs/demo",
-        )
-        command += ["-C", str(ROOT), f"VENV={prefix}", f"ARGS={' '.join(small)}"]
+        small = f"scenes.frames_per_location=2 dataset.dir={folder}/outputs/demo"
+        command += ["-C", str(ROOT), f"VENV={prefix}", f"ARGS={' '.join(SMALL_SEABED)} {small}"]
         # The environment that runs this test is the one to use: -o keeps make from renewing it.
         for name in ("core", "installed"):
             command += ["-o", str(prefix / f".simnfnd-{name}")]
     else:
         command[0] = str(prefix / "bin" / Path(command[0]).name)
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
+    out, env = subprocess.PIPE, {**os.environ, "PYTHONPATH": str(ROOT)}
+    streams = {"stdin": subprocess.DEVNULL, "stdout": out, "stderr": subprocess.STDOUT}
+    done = subprocess.run(command, cwd=folder, env=env, text=True, check=False, **streams)
     return done.returncode, done.stdout
+
+
+# --- every example of every --help: the cheap ones really, the others as far as they go ----------
+
+QUICK = ("render=analytic", "scheduler=serial", "dataset.preview_pairs=0", "frames.total=2")
+# What an example of a verb that really runs is made small with.
+REAL: dict[str, tuple[str, ...]] = {
+    "demo": (*QUICK, *SMALL_SEABED),
+    **dict.fromkeys(("make", "plan", "cache pack"), QUICK),
+    **dict.fromkeys(("cache stats", "cache verify", "cache clear", "status", "inspect"), ()),
+    **dict.fromkeys(("validate", "merge", "preview", "export"), ()),
+}
+ABSENT = ("dive.aris", "simnfnd view")
+# Take long, and have tests of their own; or a page has them, too, whose test runs them.
+LONG = ("export-weights simnfnd", "evaluate paper", "make -m noise.background.density=0.1,0.5")
+ELSEWHERE = {"simnfnd demo", *(one.text for page in PAGES for one in STEPS[page])}
+
+
+def examples(verbs: Mapping[str, Verb]) -> Iterator[str]:
+    for verb in verbs.values():
+        yield from verb.examples
+        yield from examples(verb.verbs)
+
+
+ALL = [
+    one
+    for one in dict.fromkeys(examples(VERBS))
+    if not any(part in one for part in LONG) and (one not in ELSEWHERE or "flsea" in one)
+]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what the examples read."""
+    folder = tmp_path_factory.mktemp("examples")
+    for number in range(2):
+        write_frame(folder / "flsea-vi", f"1623304454176560{number}", ground())
+        write_frame(folder / "flsea-vi", f"1623304454176560{number}", ground(), "red_sea/sub_pier")
+        write_frame(folder / "dive", f"1623304454176560{number}", ground(480, 640), "a/b")
+    images = folder / "dive/a/b"
+    listed = [
+        f"{images}/imgs/1623304454176560{n}.tiff,"
+        f"{images}/depth/1623304454176560{n}_SeaErra_abs_depth.tif"
+        for n in range(2)
+    ]
+    (folder / "frames.csv").write_text("\n".join(listed) + "\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(sys, "argv", ["simnfnd"])
+        demo = ("experiment=demo", *QUICK, *SMALL_SEABED)
+        for name, first in (("a", 0), ("b", 7)):
+            words = (*demo, f"scenes.first_location={first}", f"dataset.dir=outputs/{name}")
+            assert main(["make", *words]) == 0
+        shutil.copytree("outputs/a", "outputs/demo")
+        labelled = (*demo, "dataset.layers=[segmentation]", "dataset.dir=outputs/labelled")
+        assert main(["make", *labelled]) == 0
+        assert main(["cache", "pack", *demo, "--out", "views.pack"]) == 0
+    return folder
+
+
+def run_example(example: str, *more: str) -> int:
+    words = shlex.split(example)[1:]
+    if "seabed" in example or "scenes" not in example or "experiment=demo" in example:
+        own = {word.partition("=")[0] for word in words}
+        more = (*more, *(one for one in SMALL_SEABED if more and one.partition("=")[0] not in own))
+    try:
+        return main([*words, *more])
+    except SystemExit as ended:
+        return int(ended.code or 0)
+
+
+@pytest.mark.parametrize("example", ALL)
+def test_an_example_of_a_help_does_what_it_says(
+    example: str, place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    said = shlex.split(example)
+    verb = " ".join(said[1:3]) if said[1] == "cache" else said[1]
+    if verb in REAL and not any(part in example for part in ABSENT):
+        monkeypatch.chdir(place)
+        # Words after `--cfg job` would be another option's.
+        code = run_example(example, *(() if "--cfg" in example else REAL[verb]))
+        told = capfd.readouterr()
+        assert code == 0, told.err
+    else:
+        # Nothing of what it reads is here: one line says so, and no word of it is unknown.
+        monkeypatch.chdir(tmp_path)
+        code = run_example(example)
+        told = capfd.readouterr()
+        assert code == 2, told.err
+        (error,) = (line for line in told.err.splitlines() if line.startswith("error: "))
+        assert not any(part in error for part in ("unrecognized", "no such key"))
+    assert "Traceback" not in told.err

@@ -1,4 +1,4 @@
-"""The docs site: it builds without a warning, loads nothing from elsewhere, and misses nothing."""
+"""The docs site builds, loads nothing from elsewhere and misses nothing; the notebooks run."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ import re
 import subprocess
 import sys
 from html import unescape
+from itertools import groupby
 from pathlib import Path
 from urllib.parse import unquote
 
+import nbformat
 import pytest
 
 import simnfnd
 from simnfnd.verbs import VERBS
 from tests.project_files import ROOT
+from tools.notebooks import FOLDER, executed
 
 # What a browser loads with a page, as against what a reader may follow.
 _LOADED = re.compile(r"<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=\"?([^\"\s>]+)")
@@ -39,29 +42,21 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
+def test_what_pages_load_and_link_to_is_there(site: Path) -> None:
+    """mkdocs sees links of Markdown; this sees those of the theme and of HTML, too."""
     pages = list(site.rglob("*.html"))
     assert len(pages) > 40
+    link = re.compile(r"\b(?:src|href)=\"([^\"#?]+)")
     for page in pages:
-        text = page.read_text(encoding="utf-8")
-        for loaded in _LOADED.findall(text):
-            assert "//" not in loaded, f"{page.relative_to(site)} loads {loaded}"
+        text, name = page.read_text(encoding="utf-8"), page.relative_to(site)
+        assert not [one for one in _LOADED.findall(text) if "//" in one], f"{name} loads it"
+        for target in link.findall(text) if page.name != "404.html" else ():  # a server's root
+            if not re.match(r"[a-z]+:", target):
+                place = page.parent / unquote(unescape(target))
+                assert place.exists(), f"{name} links to {target}"
     for sheet in site.rglob("*.css"):
         text = sheet.read_text(encoding="utf-8")
         assert not re.search(r"(@import|url\()\s*[\"']?(https?:)?//", text), sheet.name
-
-
-@pytest.mark.slow
-def test_what_pages_load_and_link_to_is_there(site: Path) -> None:
-    """mkdocs sees links of Markdown; this sees those of the theme and of HTML, too."""
-    link = re.compile(r"\b(?:src|href)=\"([^\"#?]+)")
-    for page in site.rglob("*.html"):
-        if page.name == "404.html":
-            continue  # its links are those of a server's root
-        for target in link.findall(page.read_text(encoding="utf-8")):
-            if not re.match(r"[a-z]+:", target):
-                place = page.parent / unquote(unescape(target))
-                assert place.exists(), f"{page.relative_to(site)} links to {target}"
 
 
 @pytest.mark.slow
@@ -80,3 +75,21 @@ def test_every_page_verb_key_and_name_is_shown(site: Path) -> None:
     for file in (ROOT / "conf").rglob("*.yaml"):
         name = file.relative_to(ROOT / "conf").with_suffix("").as_posix()
         assert f'id="{name.replace("/", "")}"' in keys, name
+
+
+def shown(document: nbformat.NotebookNode) -> list[list[str]]:
+    """For each cell of code: what kinds of things it shows; text may come in pieces."""
+    code = [cell for cell in document.cells if cell.cell_type == "code"]
+    kinds = [[o.get("name") or "+".join(o.get("data", {})) for o in cell.outputs] for cell in code]
+    return [[kind for kind, _ in groupby(one)] for one in kinds]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", sorted(FOLDER.glob("*.ipynb")), ids=lambda one: one.stem)
+def test_a_notebook_runs_and_shows_what_is_stored(notebook: Path, tmp_path: Path) -> None:
+    stored = nbformat.read(notebook, as_version=4)
+    assert notebook.stat().st_size < 300_000
+    assert {kind for cell in shown(stored) for kind in cell} == {"stdout", "image/png"}
+    assert shown(executed(notebook, tmp_path)) == shown(stored), (
+        f"run `python -m tools.notebooks {notebook.stem}`"
+    )

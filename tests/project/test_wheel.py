@@ -17,20 +17,20 @@ pytestmark = pytest.mark.slow
 SUFFIXES = {".py", ".yaml", ".css", ".js", ".html", ".safetensors", ".typed"}
 
 
-def checked(words: list[str], **options: object) -> str:
+def checked(words: list[str], cwd: Path, **environment: str) -> str:
     """Run, and return what was printed; fail with all of it otherwise."""
     done = subprocess.run(
         words,
+        cwd=cwd,
+        env={**os.environ, **environment},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         check=False,
         timeout=300,
-        **options,  # type: ignore[call-overload]
     )
-    output = str(done.stdout)
-    assert done.returncode == 0, f"{words} ended with {done.returncode}:\n{output[-4000:]}"
-    return output
+    assert done.returncode == 0, f"{words} ended with {done.returncode}:\n{done.stdout[-4000:]}"
+    return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +68,6 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return target
 
 
-def outside(installed: Path) -> dict[str, str]:
-    """An environment in which the installed copy, and not the checkout, is imported."""
-    return {**os.environ, "PYTHONPATH": str(installed)}
-
-
 def test_wheel_holds_every_module_and_every_configuration_file(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
@@ -100,7 +95,7 @@ def test_a_dataset_is_made_and_read_beside_other_packages(installed: Path, tmp_p
     words = [sys.executable, "-m", "simnfnd", "make", "render=analytic", "scenes.locations=2"]
     words += ["scenes.frames_per_location=1", "scenes.width=242", "scenes.height=152"]
     words += ["dataset.dir=made", "scheduler.workers=2"]
-    said = checked(words, cwd=tmp_path, env=outside(installed))
+    said = checked(words, tmp_path, PYTHONPATH=str(installed))
     assert said.splitlines()[-1].startswith("dataset: ")
     assert (tmp_path / "made" / "preview.png").is_file()
     code = (
@@ -108,8 +103,7 @@ def test_a_dataset_is_made_and_read_beside_other_packages(installed: Path, tmp_p
         "from simnfnd import PairDataset\n"
         "with PairDataset('made', 'all') as pairs: print(pairs[0]['noisy'].shape)\n"
     )
-    where, shape = checked(
-        [sys.executable, "-c", code], cwd=tmp_path, env=outside(installed)
-    ).split("\n", 1)
+    said = checked([sys.executable, "-c", code], tmp_path, PYTHONPATH=str(installed))
+    where, shape = said.split("\n", 1)
     assert Path(where).is_relative_to(installed)
     assert shape.strip() == "(256, 256)"

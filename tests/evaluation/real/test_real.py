@@ -1,10 +1,11 @@
-"""`simnfnd evaluate real`: pictures without truth, measured and segmented."""
+"""`simnfnd evaluate real`: figures without truth, scenes that stand still, recordings in time."""
 
 from __future__ import annotations
 
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -14,12 +15,27 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.real.groups import sector_of
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.real import in_time
+from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of, sector_of
 from simnfnd.evaluation.real.judge import Scene, figures_of, scene_of
 from simnfnd.evaluation.recorded import MDD_GEOMETRIES, MDD_SHAPE, Shot, open_input
-from tests.evaluation.filters.scenes import BROKEN
+from simnfnd.factory.scheduler.workers.tasks import TaskPool
+from simnfnd.models.recordings.static import aligned, moving, shift_px
+from tests.evaluation.evaluation_settings import BROKEN
 
 Array = npt.NDArray[Any]
+Gray = npt.NDArray[np.float32]
+SHAPE = (120, 96)
+SECTOR = np.ones(SHAPE, bool)
+SECTOR[:, :8] = SECTOR[:, -8:] = False
+
+
+def real(out: Path, *words: str) -> dict[str, Any]:
+    """What `evaluate real` writes."""
+    assert main(["evaluate", "real", *words, f"out={out}", "workers=1"]) == 0
+    content: dict[str, Any] = json.loads((out / "real.json").read_text(encoding="utf-8"))
+    return content
 
 
 def save(path: Path, picture: Array) -> None:
@@ -42,20 +58,16 @@ def fans(root: Path, count: int) -> Path:
     return root
 
 
-def scene(shot: Shot) -> Scene:
+def shown(shot: Shot) -> Scene:
     picture, geometry = shot.read()
     return scene_of(picture, sector_of(picture, geometry), shot.name)
-
-
-def real(*words: str) -> int:
-    return main(["evaluate", "real", *words, "workers=1"])
 
 
 def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
     (stretch,), notes = open_input(str(fans(tmp_path / "mdd", 2)))
     assert notes == ("Marine Debris Dataset: 1 of geometry A, 1 of geometry B",)
     for shot, name in zip(stretch.shots, "AB", strict=True):
-        shared = scene(shot)
+        shared = shown(shot)
         own = MDD_GEOMETRIES[name]
         np.testing.assert_array_equal(shared.sector, own.sector_mask(*MDD_SHAPE))
         # The same sector by the geometry that filters and networks get.
@@ -69,7 +81,7 @@ def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
 
 def test_figures_say_what_was_done(tmp_path: Path) -> None:
     (stretch,), _ = open_input(str(fans(tmp_path / "mdd", 1)))
-    shared = scene(stretch.shots[0])
+    shared = shown(stretch.shots[0])
     same = figures_of(shared.noisy, shared)
     assert same["edges_kept"] == pytest.approx(1)
     blurred = cv2.GaussianBlur(shared.noisy, (0, 0), 2)
@@ -88,21 +100,196 @@ def test_the_report_of_a_folder_without_static_groups(
 ) -> None:
     monkeypatch.setitem(REGISTRY, "broken", BROKEN)
     folder, out = fans(tmp_path / "mdd", 2), tmp_path / "out"
-    words = ("baselines=[gaussian,median,broken]", "examples=2")
-    assert real(str(folder), f"out={out}", *words) == 0
+    content = real(out, str(folder), "baselines=[gaussian,median,broken]", "examples=2")
     assert "| noisy |" in capsys.readouterr().out
-    content = json.loads((out / "real.json").read_text(encoding="utf-8"))
     rows = {row["label"]: row for row in content["rows"]}
     assert list(rows) == ["noisy", "gaussian", "median", "broken"]
     assert "no such luck" in rows["broken"]["lost"]
     assert rows["gaussian"]["means"]["enl"] > rows["noisy"]["means"]["enl"]
-    for label in ("noisy", "gaussian", "median"):
-        assert len(rows[label]["pictures"]) == 2
     page = (out / "real.html").read_text(encoding="utf-8")
     assert page.count("data:image/png") == 2 * 3
     assert "lost:" in page
     assert "http" not in page.replace('<html lang="en">', ""), "works without a network"
-    assert "| broken" in (out / "real.md").read_text(encoding="utf-8")
+
+
+# --- scenes that stand still --------------------------------------------------------------------
+
+
+def scene(seed: int) -> Gray:
+    """Blobs of two sizes on a grey floor in 0..1, wider than a frame."""
+    rng = np.random.default_rng(seed)
+    wide = rng.normal(0, 1, (SHAPE[0] + 40, SHAPE[1] + 40)).astype(np.float32)
+    found = np.asarray(sum(size * cv2.GaussianBlur(wide, (0, 0), size) for size in (2.5, 5.0)))
+    return np.asarray(np.clip(0.45 + 0.2 * found / found.std(), 0, 1), np.float32)
+
+
+def frame(
+    seed: int, rng: np.random.Generator, noise: float, shift: tuple[float, float] = (0, 0)
+) -> Gray:
+    """The scene lies `shift` pixels right and down of the middle."""
+    matrix = np.array([[1, 0, 20 - shift[0]], [0, 1, 20 - shift[1]]], np.float64)
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    seen = cv2.warpAffine(scene(seed), matrix, SHAPE[::-1], flags=flags)
+    return np.asarray(np.clip(seen + rng.normal(0, noise, SHAPE), 0, 1), np.float32)
+
+
+def stored(seed: int, count: int) -> list[npt.NDArray[np.uint8]]:
+    """The scene so many times, (H, W) uint8, each with noise of its own."""
+    rng = np.random.default_rng(1000 + seed)
+    return [np.rint(frame(seed, rng, 0.08) * 255).astype(np.uint8) for _ in range(count)]
+
+
+def shuffled(folder: Path, counts: dict[int, int]) -> Path:
+    """Pictures of several scenes in one folder, in no order.  counts: seed -> frames."""
+    pictures = [one for seed, count in counts.items() for one in stored(seed, count)]
+    folder.mkdir(parents=True)
+    for number, place in enumerate(np.random.default_rng(0).permutation(len(pictures))):
+        cv2.imwrite(str(folder / f"{number:03d}.png"), pictures[place])
+    return folder
+
+
+def recording(path: Path, seed: int, count: int) -> Group:
+    """A video of one scene, and the group of its frames."""
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 5, SHAPE[::-1], True)
+    for one in stored(seed, count):
+        video.write(cv2.cvtColor(one, cv2.COLOR_GRAY2BGR))
+    video.release()
+    shots = tuple(Shot(path, number, f"{path.name}#{number}") for number in range(count))
+    return Group(path.name, shots, np.zeros((count, 2)), None, np.ones(SHAPE, bool), 1.0)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.7), (-2.25, 1.5)])
+def test_a_shift_is_found_to_a_tenth_of_a_pixel(shift: tuple[float, float]) -> None:
+    rng = np.random.default_rng(1)
+    fixed, moved = (frame(0, rng, 0.04, one) for one in ((0.0, 0.0), shift))
+    assert shift_px(fixed, moved, SECTOR) == pytest.approx(shift, abs=0.1)
+
+
+def test_frames_that_moved_too_far_are_left_out() -> None:
+    rng = np.random.default_rng(3)
+    shifts = [(0.0, 0.0), (1.0, 0.0), (9.0, 0.0), (0.0, -1.0)]
+    group = aligned([frame(0, rng, 0.03, shift) for shift in shifts], SECTOR)
+    assert group.numbers == (0, 1, 3)
+    assert np.abs(group.shifts_px - np.array([shifts[0], shifts[1], shifts[3]])).max() < 0.15
+
+
+def test_what_moves_is_found() -> None:
+    rng, frames = np.random.default_rng(6), []
+    for number in range(10):
+        one = frame(0, rng, 0.05)
+        one[24:37, 8 + 6 * number : 21 + 6 * number] = 1
+        frames.append(one)
+    found = moving(frames, SECTOR)
+    assert found[30, 18:65].mean() > 0.9
+    assert found[70:].mean() < 0.02
+
+
+def group(folder: Path, values: list[int]) -> Group:
+    """A group of even pictures."""
+    shots = []
+    for number, value in enumerate(values):
+        path = folder / f"{number}.png"
+        cv2.imwrite(str(path), np.full(SHAPE, value, np.uint8))
+        shots.append(Shot(path, 0, path.name))
+    still = np.zeros((len(shots), 2)), None, np.ones(SHAPE, bool), 1.0
+    return Group("even", tuple(shots), *still)
+
+
+def test_a_shuffled_folder_is_judged_by_its_groups(tmp_path: Path) -> None:
+    folder = shuffled(tmp_path / "in", {0: 11, 1: 7, 2: 3})
+    content = real(tmp_path / "out", str(folder), "baselines=[gaussian]", "examples=1")
+    assert sorted(len(one["frames"]) for one in content["groups"]) == [7, 11]
+    assert [one["fold"] for one in content["groups"]] == [0, 1]
+    assert len(content["files"]) == 18, "the third scene has too few frames"
+    rows = {row["label"]: row for row in content["rows"]}
+    noisy, blurred = rows["noisy"], rows["gaussian tuned on others"]
+    # Noise of .08, and an eleventh or seventh of it in the truth; levels take some away.
+    assert 20.5 < noisy["means"]["psnr_db"] < 23
+    assert blurred["means"]["gain_db"] > 5
+    assert len(blurred["parameters"]) == 2
+    low, high = blurred["intervals"]["psnr_db"]
+    assert low <= blurred["means"]["psnr_db"] <= high
+    assert content["best_filter"]["psnr_db"] == "gaussian tuned on others"
+    assert noisy["means"]["margin_db"] == pytest.approx(-blurred["means"]["gain_db"], abs=1e-6)
+    text = (tmp_path / "out" / "real.md").read_text(encoding="utf-8")
+    assert "2 static groups of 18 frames" in text
+    assert "## PSNR by group, dB" in text
+    # The example shows two rows and the truth.
+    page = (tmp_path / "out" / "real.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 3
+
+
+def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -> None:
+    path = tmp_path / "dive.avi"
+    recording(path, 3, 9)
+    content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8")
+    (found,) = content["groups"]
+    assert found["frames"] == [f"dive.avi#{number}" for number in range(8)]
+    assert found["judged"] == found["frames"][4:]
+    assert any("tuned on frames of its first half (4)" in note for note in content["notes"])
+    rows = {row["label"]: row for row in content["rows"]}
+    assert rows["gaussian tuned on others"]["means"]["gain_db"] > 3
+    assert rows["noisy"]["intervals"] == {}
+
+
+def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
+    values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
+    (one,) = judged(0, group(tmp_path, values), [1])
+    assert one.reference is not None
+    assert one.noisy[0, 0] * 255 == pytest.approx(20)
+    assert one.reference[0, 0] * 255 == pytest.approx((sum(values) - 20) / 9, rel=1e-5)
+    assert nearest(10, 5, 7) == [2, 3, 4, 5, 6, 7, 8]
+    assert nearest(10, 9, 7) == [3, 4, 5, 6, 7, 8, 9]
+
+
+def test_filters_are_tuned_on_other_frames_than_they_judge(tmp_path: Path) -> None:
+    shared = group(tmp_path, [50] * 8)
+    (part,) = parts_of([shared])
+    assert part.judged == (4, 5, 6, 7)
+    assert part.tuning == {0: (0, 1, 2, 3)}
+    parts = parts_of([shared] * 40)
+    for part in parts:
+        assert part.judged == tuple(range(8))
+        assert part.fold not in part.tuning
+    for fold in (0, 1):
+        assert 14 <= sum(len(part.tuning.get(fold, ())) for part in parts) <= 16
+
+
+def blurred(gray: Any, geometry: object = None, **more: object) -> Any:
+    return cv2.GaussianBlur(gray, (0, 0), 1.0)
+
+
+def timed(groups: list[Group], networks: list[Method], most: int = 20) -> tuple[Any, list[str]]:
+    settings: Any = SimpleNamespace(in_time=most, device="cpu")
+    with TaskPool(1) as pool:
+        return in_time.judged_in_time(settings, groups, networks, pool)
+
+
+def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(in_time, "network", lambda weights, device: blurred)
+    monkeypatch.setattr(in_time, "WEIGHTS", (0.02, 0.04))
+    one = Method("one", "", {}, weights="one")
+    groups = [recording(tmp_path / f"{seed}.avi", seed, 14) for seed in (0, 1)]
+    found, notes = timed(groups, [one], most=12)
+    rows = [
+        "one: one frame",
+        "fused",
+        "one: fused and denoised",
+        "mean of 7",
+        "mean of 7, tuned TV",
+    ]
+    assert list(found["row"].unique()) == rows
+    assert list(found["kind"].unique()) == ["static", "moving", "ghost"]
+    assert len(found) == 2 * 3 * len(rows)
+    psnr = found.groupby(["kind", "row"])["psnr_db"].last()
+    assert psnr["static", "mean of 7, tuned TV"] > psnr["static", "mean of 7"]
+    assert psnr["moving", "mean of 7"] < psnr["moving", "fused"]
+    assert any("0.avi: tuned TV has weight" in n and "tuned on 1.avi" in n for n in notes)
+    table = in_time.wide(found)
+    assert list(table) == ["row", *(f"{k}, dB / SSIM" for k in ("static", "moving", "ghost"))]
+    assert list(table["row"]) == rows
+    _, alone = timed(groups[:1], [one])
+    assert "tuned on the first 12 frames of itself" in alone[0]
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -111,15 +298,12 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     save(tmp_path / "plain" / "0.png", np.full((40, 40), 0.5))
     plain = str(tmp_path / "plain")
     for words, told in (
-        ((), "real: give pictures or a recording"),
         ((str(tmp_path / "none"),), "no such folder or recording"),
         ((str(tmp_path / "empty"),), "holds no pictures and no recordings"),
         ((str(tmp_path / "black"),), "0.png: black, or smaller than 16 pixels"),
         ((plain, "limit=3"), "limit: Input should be greater than or equal to 4"),
-        ((plain, "baselines=[wiener]"), "baselines: no 'wiener'"),
         ((plain, f"models=[{tmp_path / 'none'}]"), "models: "),
     ):
-        assert real(*words, f"out={tmp_path / 'out'}") == 2
+        assert main(["evaluate", "real", *words, f"out={tmp_path / 'out'}", "workers=1"]) == 2
         error = capsys.readouterr().err
         assert told in error
-        assert "Traceback" not in error

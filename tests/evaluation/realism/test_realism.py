@@ -1,29 +1,43 @@
-"""`simnfnd evaluate realism`: geometries, baselines and the report."""
+"""`simnfnd evaluate realism` and `fit`: what is read, features, the report, and a search."""
 
 from __future__ import annotations
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
+from PIL import Image
+from scipy import ndimage
 
 from simnfnd.command import main
-from simnfnd.evaluation import recorded as real
+from simnfnd.evaluation import calibrate as search
+from simnfnd.evaluation import features as statistics
+from simnfnd.evaluation import recorded
+from simnfnd.evaluation.calibrate import Simulation
 from simnfnd.evaluation.features import FEATURES, features_of
 from simnfnd.evaluation.realism import distances, real_pictures, to_polar
-from simnfnd.evaluation.settings import Grid
+from simnfnd.evaluation.settings import FitSettings, Grid
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.cli.generate import run as generate
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.pairs import pair_maker
+from simnfnd.factory.settings import build
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from tests.evaluation.realism.realism_pictures import polar_folder, sonar_picture
+from tests.evaluation.evaluation_settings import polar_folder, sonar_picture, speckle
 from tests.project_files import ROOT
 
-MDD = ROOT.parent / "shared" / "data" / "mdd"
+SHARED = ROOT.parent / "shared" / "data"
+MDD, ARIS = SHARED / "mdd", SHARED / "aris-sdk" / "sample.aris"
+LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
 
 
 def smooth(rows: int, columns: int) -> np.ndarray:
@@ -62,25 +76,14 @@ def test_bearings_without_data_are_left_out_and_squeezed_pictures_stretched() ->
         assert polar.std(axis=1).max() < 0.05
 
 
-@pytest.mark.parametrize("name", ["A", "B"])
-def test_the_two_fans_of_mdd_are_told_apart(name: str) -> None:
-    rng = np.random.default_rng(0)
-    sector = real.MDD_GEOMETRIES[name].sector_mask(*real.MDD_SHAPE)
-    picture = np.where(sector, rng.rayleigh(0.2, sector.shape), 0).astype(np.float32)
-    picture[rng.random(sector.shape) < 0.1] = 0  # dark pixels inside must not matter
-    assert real.mdd_geometry(picture) == name
-    assert real.mdd_geometry(np.ones(real.MDD_SHAPE, np.float32)) is None
-    assert real.mdd_geometry(picture[:-1]) is None
-
-
 @pytest.mark.skipif(not MDD.is_dir(), reason="needs the MDD sample in ../shared/data")
 def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
     lines = (MDD / "fan_geometry.csv").read_text().splitlines()[1:]
     known = dict(line.split(",")[:2] for line in lines)
-    found = real.open_real(MDD)
+    found = recorded.open_real(MDD)
     shots, _ = found
     assert len(shots) == len(known) == 117
-    names = {geometry: name for name, geometry in real.MDD_GEOMETRIES.items()}
+    names = {geometry: name for name, geometry in recorded.MDD_GEOMETRIES.items()}
     assert {shot.name: names[shot.known] for shot in shots if shot.known} == known
     # No black border is left in the polar picture.
     polar = real_pictures(MDD).sources[0].polar(Grid())
@@ -88,14 +91,13 @@ def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
     assert (polar[2:-2, 2:-2] == 0).mean() < 0.01
 
 
-def test_geometry_files_are_checked(tmp_path: Path) -> None:
+def test_geometry_files_and_recordings_are_checked(tmp_path: Path) -> None:
     folder = polar_folder(tmp_path / "real", 1, 4)
     table = folder / "geometry.csv"
     good = table.read_text()
-    assert len(real.open_real(folder)[0]) == 4
+    assert len(recorded.open_real(folder)[0]) == 4
     for text, said in (
         ("file,layout,hfov_deg,widht\n*,polar,30,2\n", "line 2: .*widht"),
-        ("layout,hfov_deg\npolar,30\n", "no column 'file'"),
         ("file,layout,hfov_deg\n*,fan,30\n", "missing .*apex_x_px"),
         ("file,layout,hfov_deg\n000.png,polar,30\n", "no line for 001.png"),
         (good + "999.png,polar,30,,\n", "999.png is listed"),
@@ -103,13 +105,69 @@ def test_geometry_files_are_checked(tmp_path: Path) -> None:
     ):
         table.write_text(text)
         with pytest.raises(FactoryError, match=said):
-            real.open_real(folder)
+            recorded.open_real(folder)
     table.unlink()
     with pytest.raises(FactoryError, match=r"no fan is seen in it; write a geometry\.csv"):
-        real.open_real(folder)
-    (folder / "Images").mkdir()
-    with pytest.raises(FactoryError, match="no pictures"):
-        real.open_real(folder)
+        recorded.open_real(folder)
+    for name, said in (("absent.aris", "no such folder or recording"), ("dive.aris", "dive.aris")):
+        (tmp_path / "dive.aris").write_bytes(b"no recording")
+        with pytest.raises(FactoryError, match=said):
+            recorded.open_real(tmp_path / name)
+
+
+def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
+    shutil.copy(LAMPREY, tmp_path / "dive.avi")
+    one, folder = recorded.open_real(LAMPREY)[0], recorded.open_real(tmp_path)[0]
+    assert len(one) == len(folder) == 8
+    assert folder[7].name == "dive.avi#7"
+    first = one[0]
+    assert first.known is not None
+    sector = first.known.sector_mask(*first.read()[0].shape)
+    assert first.read()[0][sector].mean() > 20 * first.read()[0][~sector].mean()
+    assert one[0].known == one[7].known
+
+
+@pytest.mark.skipif(not ARIS.is_file(), reason="no shared data")
+def test_a_recording_says_where_range_and_bearing_are() -> None:
+    found, _ = recorded.open_real(ARIS)
+    assert len(found) == 6
+    assert found[0].known is not None
+    assert found[0].known.range_max_m == pytest.approx(23.3, abs=0.5)
+    assert not np.array_equal(found[0].read()[0], found[5].read()[0])
+
+
+def test_rayleigh_speckle_has_the_textbook_numbers() -> None:
+    rng = np.random.default_rng(0)
+    amplitude = 0.2 * speckle(rng, (1024, 256))
+    enl, index = statistics.speckle(amplitude)
+    assert enl == pytest.approx(3.66, rel=0.05)
+    assert index == pytest.approx(1.0, rel=0.08)
+
+
+@pytest.mark.parametrize("grain", [(2.0, 1.0), (1.0, 2.5)])
+def test_half_widths_are_those_of_the_point_spread(grain: tuple[float, float]) -> None:
+    # Filtered white noise of standard deviation s has the autocorrelation exp(-d^2 / 4 s^2).
+    rng = np.random.default_rng(3)
+    noise = ndimage.gaussian_filter(rng.standard_normal((512, 512)), grain, mode="wrap")
+    picture = (0.5 + 0.1 * noise / noise.std()).astype(np.float32)
+    expected = [2 * s * np.sqrt(np.log(2)) for s in grain]
+    assert statistics.half_widths(picture) == pytest.approx(expected, rel=0.08)
+
+
+def test_spokes_arcs_slope_and_contrasts_of_made_up_pictures() -> None:
+    rng = np.random.default_rng(6)
+    spokes = np.broadcast_to(rng.random(64), (200, 64)).astype(np.float32)
+    assert statistics.spread_of_means(spokes, 0) == pytest.approx(1)
+    assert statistics.spread_of_means(spokes, 1) == pytest.approx(0, abs=1e-6)
+    position = (np.arange(200) + 0.5) / 200
+    ramp = np.broadcast_to((0.5 * 10 ** (-12 * position / 20))[:, None], (200, 64))
+    assert statistics.range_slope_db(ramp.astype(np.float32)) == pytest.approx(-12, abs=0.05)
+    picture = np.full((200, 64), 0.2, np.float32)
+    picture[20:40, 10:30] = 0.8
+    picture[100:140, 10:30] = 0.05
+    highlight, shadow = statistics.contrasts_db(picture)
+    assert highlight == pytest.approx(20 * np.log10(4), abs=0.3)
+    assert shadow == pytest.approx(20 * np.log10(4), abs=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -134,8 +192,6 @@ def test_a_perfect_simulation_reaches_the_halves_and_another_does_not(
     assert table["bright"]["middle"] == 1
     assert 1 <= overall["same"] < 1.3
     assert overall["bright"] > 1.5 * overall["same"]
-    again, _ = distances(many["real"], simulated, seed=1)
-    assert again.equals(table)
     without = many["real"].assign(slope_per_m=np.nan)
     assert "slope_per_m" not in distances(without, simulated, seed=1)[0].index
 
@@ -165,12 +221,119 @@ def test_bad_input_is_one_line_and_exit_code_2(
     monkeypatch.chdir(tmp_path)
     polar_folder(tmp_path / "REAL", 1, 8)
     for words, said in (
-        (["REAL"], "sim: give both folders"),
         (["nowhere", "REAL"], "real=nowhere: no such folder"),
         (["REAL", "nowhere"], "dataset=nowhere: no such folder"),
         (["REAL", "REAL", "limit=6"], "6 pictures; at least 8"),
-        (["REAL", "REAL", "grid.beams=1"], "grid.beams"),
     ):
         assert main(["evaluate", "realism", *words]) == 2
         (error,) = [one for one in capsys.readouterr().err.splitlines() if one[:6] == "error:"]
         assert said in error
+
+
+# --- the search -----------------------------------------------------------------------------------
+
+RECIPE = (
+    "noise=none", "noise.background.enabled=true", "noise.background.density=0.02",
+    "noise.background.strength=0.3", "scenes.locations=1", "scenes.frames_per_location=10",
+    "scenes.width=96", "scenes.height=64", "sonar.image.layout=polar", "sonar.beams=64",
+    "sonar.range_bins=96", "render=analytic", "scheduler=serial",
+)  # fmt: skip
+TRUE_DENSITY = 0.5
+GRID = {"range_bins": 96, "beams": 64}
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of "real" pictures: the recipe's frames with another density; and its renders."""
+    folder = tmp_path_factory.mktemp("fit")
+    generate(compose_config([*RECIPE, f"dataset.dir={folder / 'data'}"]), [])
+    (folder / "real").mkdir()
+    config = compose_config([*RECIPE, f"noise.background.density={TRUE_DENSITY}", "seed=5"])
+    maker = pair_maker(config)
+    for number, ref in enumerate(Simulation(RECIPE, 10, Grid(**GRID)).refs):
+        (pair,) = maker.pairs(ref, (0,))
+        Image.fromarray(pair.noisy).save(folder / "real" / f"{number}.png")
+    (folder / "real" / "geometry.csv").write_text("file,layout,hfov_deg\n*,polar,45\n")
+    return folder / "real"
+
+
+def settings_for(real: Path, out: Path, **changes: object) -> FitSettings:
+    parameters = {"noise.background.density": {"low": 0.005, "high": 5, "log": True}}
+    values = {"real": str(real), "recipe": RECIPE, "name": "found", "frames": 10, "grid": GRID,
+              "trials": 16, "startup": 8, "parameters": parameters, "out": str(out)}  # fmt: skip
+    return build(FitSettings, {**values, **changes})
+
+
+def test_the_density_that_made_the_pictures_is_found_again(
+    real: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = settings_for(real, tmp_path / "fit")
+    density = search.fit(settings)["noise.background.density"]
+    assert TRUE_DENSITY / 2 < density < TRUE_DENSITY * 2
+    words = capsys.readouterr().out.split()
+    before, after = (float(words[words.index(when) - 1]) for when in ("before,", "after"))
+    assert after < 1.1 < before
+    # The file is a configuration that the factory takes as it stands.
+    text = (tmp_path / "fit" / "experiment" / "found.yaml").read_text()
+    assert "16 trials" in text.splitlines()[3]
+    content = yaml.safe_load(text)
+    assert content["noise"]["background"]["density"] == density
+    assert "scenes" not in content
+    assert search.usage(settings) == (
+        "scenes.locations=1 scenes.frames_per_location=10 scenes.width=96 scenes.height=64 "
+        "render=analytic scheduler=serial experiment=found"
+    )
+    given = ["--config-dir", str(settings.folder), *search.usage(settings).split()]
+    assert main(["make", *given, "--cfg", "job"]) == 0
+    composed = yaml.safe_load(capsys.readouterr().out)
+    assert composed["noise"]["background"]["density"] == density
+    assert composed["sonar"]["beams"] == 64
+
+
+def test_an_interrupted_search_goes_on_as_if_nothing_had_happened(
+    real: Path, tmp_path: Path
+) -> None:
+    short: Any = {"startup": 2}
+    whole = search.fit(settings_for(real, tmp_path / "whole", trials=4, **short))
+    search.fit(settings_for(real, tmp_path / "parts", trials=2, **short))
+    # A trial that was asked for and never told is what a kill leaves behind.
+    search._study(settings_for(real, tmp_path / "parts", **short)).ask()
+    assert search.fit(settings_for(real, tmp_path / "parts", trials=4, **short)) == whole
+    with pytest.raises(FactoryError, match="holds a search with other settings"):
+        search.fit(settings_for(real, tmp_path / "parts", frames=8))
+
+
+def test_what_cannot_be_searched_is_refused(real: Path, tmp_path: Path) -> None:
+    number = {"low": 0.1, "high": 1}
+    for parameters, said in (
+        ({"noise.background.colour": number}, "no such key"),
+        ({"scenes.locations": number}, "cannot be searched"),
+        ({"noise.background.density": {"low": 1, "high": 0.1}}, "low < high"),
+    ):
+        with pytest.raises(FactoryError, match=said):
+            search.fit(settings_for(real, tmp_path / "bad", parameters=parameters))
+    with pytest.raises(FactoryError, match="0 of its 10 frames are rendered"):
+        search.fit(settings_for(real, tmp_path / "bad", recipe=(*RECIPE, "scenes.width=80")))
+
+
+def test_spreads_are_written_as_distributions_within_the_limits() -> None:
+    level = {"low": -10, "high": 10, "spread": (0, 0.5)}
+    factor = {"low": 0.1, "high": 10, "log": True, "spread": 1.0}
+    settings: FitSettings = build(
+        FitSettings, {"real": "x", "parameters": {"a": level, "b": factor}}
+    )
+    a, b = settings.parameters.values()
+    assert search.written(a, 8.0, 0.25) == {"uniform": [3.0, 10.0]}
+    assert search.written(a, 1.23456) == 1.235
+    assert search.written(b, 2.0, 1.0) == {"uniform": [1.0, 4.0]}
+
+
+def test_the_command_takes_the_recipe_behind_two_dashes(
+    real: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = ["search=simnfnd", "name=shown", "trials=1", "frames=8",
+           "grid.range_bins=96", "grid.beams=64", f"out={tmp_path / 'fit'}"]  # fmt: skip
+    assert main(["evaluate", "fit", str(real), *own, "--", *RECIPE]) == 0
+    assert "experiment=shown" in capsys.readouterr().out
+    assert main(["evaluate", "fit", *own, "--", *RECIPE]) == 2
+    assert "real: give a folder of real pictures" in capsys.readouterr().err

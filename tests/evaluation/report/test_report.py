@@ -1,25 +1,33 @@
-"""What the figures say together: tests, the paper's tables, comparisons."""
+"""What the figures say together, and the page: tests, breakdowns, comparisons, what moves."""
 
 from __future__ import annotations
 
+import base64
+import html
 import json
 import math
+import re
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from scipy import stats
 
 from simnfnd.command import main
 from simnfnd.evaluation.compare import compare, read_results
+from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.metrics import statistics
 from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.content import best_classical, content_of
+from simnfnd.evaluation.report.content import best_classical, breakdown_of, content_of
+from simnfnd.evaluation.report.document import as_data_uri
 from simnfnd.evaluation.runner import SECONDS, Measured
-from tests.evaluation.evaluation_settings import settings_for
+from tests.evaluation.evaluation_settings import BROKEN, settings_for
 from tests.small_dataset import write_dataset
 
 
@@ -43,8 +51,6 @@ def test_the_paired_test_sees_frames() -> None:
     assert found.difference.mean == pytest.approx(shift.mean())
     assert found.p == pytest.approx(stats.wilcoxon(shift[::2]).pvalue)
     assert found.wins == pytest.approx((shift > 0).mean())
-    low_is_good = statistics.paired(base + shift, base, groups, better=-1, resamples=200, seed=0)
-    assert low_is_good.wins == pytest.approx(1 - found.wins)
     same = statistics.paired(base, base, groups, better=1, resamples=200, seed=0)
     assert (same.p, same.wins, same.difference.mean) == (1.0, 0.5, 0.0)
     base[0] = np.nan
@@ -122,8 +128,11 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]
     dataset = write_dataset(root / "data", train=0, test=24, size=40, per_shard=24)
     other = write_dataset(root / "louder", train=0, test=4, size=40, noise=0.4)
     a, b, c = (root / name for name in "abc")
-    builder.build(settings_for(dataset, out=str(a), baselines=["grey_opening"], examples=1))
-    builder.build(settings_for(dataset, out=str(b), baselines=["gaussian"], examples=1))
+    rows = ["grey_opening", "gaussian", "broken"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(REGISTRY, "broken", BROKEN)
+        builder.build(settings_for(dataset, out=str(a), baselines=rows, examples=1))
+    builder.build(settings_for(dataset, out=str(b), baselines=[], examples=0))
     builder.build(settings_for(other, out=str(c), baselines=[], examples=0))
     return a, b, c
 
@@ -132,10 +141,11 @@ def test_compare_says_which_is_better(
     reports: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     a, b, _ = reports
-    assert main(["evaluate", "compare", str(a), str(b), "--row-b", "noisy"]) == 0
+    words = ("--row-a", "grey_opening", "--row-b", "noisy")
+    assert main(["evaluate", "compare", str(a), str(b), *words]) == 0
     said = capsys.readouterr().out
     assert "A = grey_opening (a), B = noisy (b): 24 pairs of 12 frames" in said
-    content = compare(a, b, None, "noisy")
+    content = compare(a, b, "grey_opening", "noisy")
     one, other = read_results(a), read_results(b)
     first = one["psnr"][one["method"] == "grey_opening"].to_numpy()
     second = other["psnr"][other["method"] == "noisy"].to_numpy()
@@ -156,7 +166,10 @@ def test_compare_refuses_what_cannot_be_compared(
         ((str(a), str(c)), "different pairs, none in common"),
         ((str(a), "nowhere"), "no report here"),
         ((str(a), str(tmp_path)), "damaged"),
-        ((str(a), str(b), "--row-a", "wiener"), "no row 'wiener'; it has noisy, grey_opening"),
+        (
+            (str(a), str(b), "--row-a", "wiener"),
+            "no row 'wiener'; it has noisy, grey_",
+        ),
         ((str(a),), "the following arguments are required: B"),
     ):
         assert main(["evaluate", "compare", *words]) == 2
@@ -165,13 +178,100 @@ def test_compare_refuses_what_cannot_be_compared(
         assert error.count("\n") == 1
 
 
-def test_the_network_that_ships_has_a_row(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data", train=6, test=3, size=32)
-    settings = settings_for(
-        dataset, out=str(tmp_path / "out"), models="auto", tuning={"auto": True}, bootstrap=100
-    )
-    content = builder.build(settings)
-    assert len(content["rows"]) == 6  # noisy, median in four forms, the network
-    (network,) = [row for row in content["rows"] if row["kind"] == "network"]
-    assert network["name"].removesuffix("-paper") == "simnfnd"
-    assert network["lost"] is None
+# --- the page ------------------------------------------------------------------------------------
+
+
+def test_it_is_one_file_that_asks_nobody(reports: tuple[Path, Path, Path]) -> None:
+    text = (reports[0] / builder.PAGE_NAME).read_text(encoding="utf-8")
+    assert text.startswith("<!DOCTYPE html>")
+    for word in ("http://", "https://", "//cdn", "@import"):
+        assert word not in text
+    assert not re.search(r"url\((?!#)", text), "parts of its own pictures alone"
+    assert not re.search(r"<(script|img|link)[^>]+(src|href)=\"(?!data:)", text)
+
+
+def test_pictures_inside_are_lossless() -> None:
+    image = np.linspace(0, 1, 256, dtype=np.float32).reshape(16, 16)
+    head, content = as_data_uri(image).split(",", 1)
+    assert head == "data:image/png;base64"
+    pixels = cv2.imdecode(np.frombuffer(base64.b64decode(content), np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(pixels, np.arange(256).reshape(16, 16))
+
+
+# What a reader does: sorts the board twice, moves the slider, zooms, compares, darkens.
+READ = """<script>(async () => {
+const page = window, at = (name) => document.querySelector(name);
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+const board = at("table.board"), rows = () => [...board.tBodies[0].rows];
+const names = () => rows().map((row) => row.cells[0].textContent);
+const figures = (column) => rows().filter((row) => !row.classList.contains("lost"))
+  .map((row) => Number.parseFloat(row.cells[column].textContent));
+const heads = board.tHead.querySelectorAll("button"), before = names();
+heads[1].click();
+const down = figures(1), order = heads[1].parentElement.ariaSort;
+heads[1].click();
+while (!(at(".stage").dataset.painted >= 2)) await wait(20);
+const clip = () => at(".layer.second").style.clipPath;
+const middle = clip(), slider = at("#slider");
+slider.value = 25; slider.dispatchEvent(new page.Event("input"));
+const moved = clip();
+const scale = () => at(".layer.second canvas").style.transform;
+at("#closer").click(); const near = scale();
+at("#whole").click(); const whole = scale();
+const set = (id, value) => {
+  at(id).value = value;
+  at(id).dispatchEvent(new page.Event("change"));
+};
+set("#after", "clean"); set("#map", "error");
+const sum = (side) => {
+  const from = at(`.layer.${side} canvas`);
+  const canvas = new OffscreenCanvas(from.width, from.height), context = canvas.getContext("2d");
+  context.drawImage(from, 0, 0);
+  const data = context.getImageData(0, 0, from.width, from.height).data;
+  return data.reduce((all, value, i) => i % 4 === 3 ? all : all + value, 0);
+};
+while (sum("second") > 0) await wait(20);
+const errors = [sum("first"), sum("second")];
+const back = () => page.getComputedStyle(page.document.body).backgroundColor;
+const light = back(); at("#theme").click();
+const asked = performance.getEntriesByType("resource").map((one) => one.name);
+document.title = JSON.stringify({
+  before, after: names(), up: figures(1), down, order, middle, moved, near, whole, errors, light,
+  dark: back(), tags: [at(".tag.before").textContent, at(".tag.after").textContent], complaints,
+  asked: asked.filter((url) => !url.startsWith("data:"))});
+})().catch((error) => { document.title = JSON.stringify({broken: String(error)}); });</script>"""
+WATCH = """<head><script>
+const complaints = [];
+addEventListener("error", (event) => complaints.push(String(event.message)));
+console.error = console.warn = (...words) => complaints.push(words.join(" "));
+</script>"""
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_a_reader_can_sort_and_compare(reports: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    text = (reports[0] / builder.PAGE_NAME).read_text(encoding="utf-8")
+    copy = tmp_path / "page.html"
+    copy.write_text(text.replace("<head>", WATCH, 1) + READ, encoding="utf-8")
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+             f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=20000",
+             "--window-size=1280,900", "--dump-dom"]  # fmt: skip
+    command = [str(CHROMIUM), *flags, copy.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=180)
+    written = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
+    assert written is not None
+    found = json.loads(html.unescape(written[1]))
+    assert (found["complaints"], found["asked"]) == ([], []), found
+    assert found["before"][-1] == "broken"
+    assert found["after"][-1] == "broken", "lost rows stay last"
+    assert found["order"] == "descending"
+    assert found["down"] == sorted(found["down"], reverse=True)
+    assert found["up"] == found["down"][::-1]
+    assert found["middle"] == "inset(0px 0px 0px 50%)"
+    assert found["moved"] == "inset(0px 0px 0px 25%)"
+    assert "scale(1.5)" in found["near"]
+    assert "scale(1)" in found["whole"]
+    assert found["errors"][0] > 0 == found["errors"][1], "clean has no error against clean"
+    assert (found["light"], found["dark"]) == ("rgb(255, 255, 255)", "rgb(18, 23, 29)")
+    assert re.fullmatch(r"noisy, \d+\.\d\d dB", found["tags"][0])
+    assert found["tags"][1] == "clean"
