@@ -19,7 +19,7 @@ from PIL import Image
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.quiet import quiet_stderr
-from .arrays import is_table, read_array
+from .arrays import ArrayFile, is_table
 from .base import (
     ARRAY_SUFFIX,
     FULL_SCALE,
@@ -70,7 +70,8 @@ def read_picture(path: Path) -> Samples:
     Of a TIFF of several pages, and of an array of several pictures, the first.
     """
     if path.suffix.lower() == ARRAY_SUFFIX:
-        return read_array(path)
+        with explained(f"{path}: not a readable array"), ArrayFile(path) as array:
+            return array[0].samples
     try:
         content = path.read_bytes()
     except OSError as error:
