@@ -51,8 +51,8 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
 SEQUENCES = ("video", "stack", "array")
 """Kinds whose frames are pictures, one after the other."""
 
-# What OpenCV reads, which is an extra; bags say themselves what they need.
-_OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
+# What OpenCV and SciPy read, which are an extra; bags say themselves what they need.
+_NEEDS = {"video": "cv2", "pictures": "cv2", ".mat": "scipy"}
 
 
 def is_bag_folder(folder: Path) -> bool:
@@ -78,7 +78,7 @@ def kind_of(path: Path) -> str | None:
         if is_stack(path):
             return "stack"
     if suffix in SUFFIXES and path.is_file():
-        return {"picture": "pictures", "several": "array", "other": None}[kind_of_arrays(path)]
+        return kind_of_arrays(path)
     for kind, (_, suffixes) in READERS.items():
         if suffix in suffixes:
             return kind
@@ -104,8 +104,9 @@ def open_recording(path: str | Path) -> Recording:
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
-    if kind in _OPENCV and find_spec("cv2") is None:
-        raise FactoryError(f"{path}: {_OPENCV[kind]} needs cv2: pip install 'simnfnd[sonar]'")
+    needed = _NEEDS.get(kind) or _NEEDS.get(suffix)
+    if needed and find_spec(needed) is None:
+        raise FactoryError(f"{path}: needs {needed}: pip install 'simnfnd[sonar]'")
     module, name = READERS[kind][0].split(":")
     reader = getattr(import_module(f".{module}", __name__), name)
     recording: Recording = reader(where)

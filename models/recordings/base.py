@@ -81,10 +81,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Device:
-    """The sonar and its settings, as far as the file says.
-
-    decibels: what full scale of the samples stands for, where they are logarithmic.
-    """
+    """The sonar and its settings, as far as the file says."""
 
     name: str = "unknown"
     serial_number: int | None = None
@@ -92,7 +89,6 @@ class Device:
     sound_speed_m_s: float | None = None
     gain_db: float | None = None
     gain_percent: float | None = None
-    decibels: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

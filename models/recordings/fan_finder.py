@@ -78,9 +78,7 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
         alone = _largest_part(grey, spread)
         if alone is not None:
             found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
-    if found is None and (drawn := find_drawn(grey)) is not None:
-        found = FoundFan(*drawn)
-    return found
+    return found or _find_drawn(grey)
 
 
 def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
@@ -133,15 +131,14 @@ def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
     return FoundFan(moved, confidence)
 
 
-def _corners(grey: Bytes) -> tuple[Bytes, Bytes]:
-    """Both upper ones, which no fan reaches."""
-    size = max(2, min(grey.shape) // 40)
-    return grey[:size, :size], grey[:size, -size:]
-
-
 def _black(grey: Bytes) -> int:
-    """The level of the border: the lesser of the corners', as there may be text in the other."""
-    return min(int(np.quantile(corner, 0.99)) for corner in _corners(grey))
+    """The level of the border: the lesser of both upper corners', which no fan reaches.
+
+    There may be text in the other.
+    """
+    size = max(2, min(grey.shape) // 40)
+    corners = grey[:size, :size], grey[:size, -size:]
+    return min(int(np.quantile(corner, 0.99)) for corner in corners)
 
 
 def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
@@ -163,10 +160,6 @@ def _bytes(picture: npt.NDArray[Any]) -> Bytes:
         picture = picture[..., :3].max(axis=2) if painted is None else painted.levels
     if picture.ndim != 2:
         raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
-    return _grey_bytes(picture)
-
-
-def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
     if picture.dtype == np.uint8:
         return picture
     full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
@@ -180,8 +173,7 @@ def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
 def _inside(sector: Sector, height: int, width: int) -> Bytes:
     (top,), (bottom,) = limits(np.array([sector]), np.arange(width, dtype=np.float64))
     row = np.arange(height)[:, None]
-    inside: Bytes = ((row >= top) & (row <= bottom)).astype(np.uint8)
-    return inside
+    return np.asarray((row >= top) & (row <= bottom), np.uint8)
 
 
 def _level_beside(grey: Bytes, sector: Sector) -> int:
@@ -250,17 +242,21 @@ def _lit_share(
     return np.where(counts > 0, share, np.nan)
 
 
-def border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """The outermost pixels of (H, W), in one row."""
     return np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
 
 
 def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
     """What is largest on a flat ground, alone on black: a fan amid text and panels."""
-    ground = int(np.median(border(grey)))
+    ground = int(np.median(_border(grey)))
     shown = grey
     if ground > spread:
-        shown = np.where(_ground(grey, ground, spread) > 0, 0, grey).astype(np.uint8)
+        # What reaches in from the picture's border.
+        alike = (np.abs(grey.astype(np.int16) - ground) <= spread).astype(np.uint8)
+        _, parts = cv2.connectedComponents(alike, connectivity=4)
+        reached = np.isin(parts, np.setdiff1d(_border(parts), 0))
+        shown = np.where(reached, 0, grey).astype(np.uint8)
     lit = cv2.morphologyEx((shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, _HOLES)
     count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=4)
     if count < (2 if ground > spread else 3):
@@ -269,13 +265,6 @@ def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
     if not _LEAST_PART <= stats[largest, cv2.CC_STAT_AREA] / grey.size <= _MOST_PART:
         return None
     return np.where(parts == largest, shown, 0).astype(np.uint8)
-
-
-def _ground(grey: Bytes, level: int, spread: int) -> Bytes:
-    """1 where pixels of a level reach in from the picture's border, else 0."""
-    alike = (np.abs(grey.astype(np.int16) - level) <= spread).astype(np.uint8)
-    _, parts = cv2.connectedComponents(alike, connectivity=4)
-    return np.isin(parts, np.setdiff1d(border(parts), 0)).astype(np.uint8)
 
 
 _SIDE = 160  # the picture is made about this large for the first guess
@@ -291,22 +280,20 @@ def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
     if guess is None:
         return None
     outline, rows, cell = guess
-    counts = _Counts(lit)
-    coarse = _objective(counts, outline, rows)
-    if coarse is None:
+    fit = _Likelihood(lit, rows)
+    if not fit.learn(outline):
         return None
-    outline = coarse.improve(outline, cell, squeezed=False)
+    outline = fit.improve(outline, cell, squeezed=False)
     # Now that the shares inside and outside are known better.
-    objective = _objective(counts, outline, rows)
-    if objective is None:
+    if not fit.learn(outline):
         return None
-    outline = objective.improve(outline, 1.0, squeezed=False)
-    squeezed = objective.improve(outline, 0.5, squeezed=True)
+    outline = fit.improve(outline, 1.0, squeezed=False)
+    squeezed = fit.improve(outline, 0.5, squeezed=True)
     # Pixels are square unless the arcs say plainly that they are not.
-    changed, square = objective.costs([squeezed.tolist(), outline.tolist()])
+    changed, square = fit.costs([squeezed.tolist(), outline.tolist()])
     if changed < square - _PLAINLY:
         outline = squeezed
-    return _sector(objective.polish(outline).tolist(), rows)
+    return _sector(fit.polish(outline).tolist(), rows)
 
 
 def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, float], float] | None:
@@ -386,44 +373,74 @@ def _sector(outline: Sequence[float], rows: tuple[float, float]) -> Sector | Non
     return apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze
 
 
-def _objective(counts: _Counts, outline: Numbers, rows: tuple[float, float]) -> _Objective | None:
-    """With the shares of lit pixels inside and outside `outline`; None if it parts nothing."""
-    sector = _sector(outline.tolist(), rows)
-    if sector is None:
-        return None
-    area, lit = counts.inside([sector], 1, False)[:, 0].tolist()
-    inside_share = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
-    outside = max(counts.pixels - area, 1.0)
-    outside_share = float(np.clip((counts.lit - lit) / outside, 1e-3, 0.05))
-    if inside_share <= outside_share:
-        return None
-    gain = math.log(inside_share / outside_share)
-    price = math.log((1 - outside_share) / (1 - inside_share))
-    return _Objective(counts, rows, gain, price)
+class _Likelihood:
+    """How badly an outline tells lit from black, to be made small; a fit asks two thousand times.
 
-
-@dataclass(frozen=True)
-class _Objective:
-    """How badly an outline tells lit from black, to be made small.
-
-    rows: see `_first_guess`.
-    gain, price: of a lit and of a black pixel inside, logarithms of likelihood ratios.
+    A lit pixel inside gains and a black one costs, by logarithms of likelihood ratios.
     """
 
-    counts: _Counts
-    rows: tuple[float, float]
-    gain: float
-    price: float
+    def __init__(self, lit: npt.NDArray[np.bool_], rows: tuple[float, float]) -> None:
+        """rows: see `_first_guess`."""
+        height, self._width = lit.shape
+        # How many of the pixels above each row's upper border are lit, and the last row once more.
+        above = np.zeros((height + 2, self._width), np.int32)
+        np.cumsum(lit, axis=0, dtype=np.int32, out=above[1:-1])
+        above[-1] = above[-2]
+        self._above, self._height, self._rows = above.ravel(), height, rows
+        self._pixels, self._lit = lit.size, int(above[-1].sum())
+
+    def learn(self, outline: Numbers) -> bool:
+        """Take the shares of lit pixels inside and outside `outline`; False if it parts nothing."""
+        sector = _sector(outline.tolist(), self._rows)
+        if sector is None:
+            return False
+        area, lit = self.inside([sector], 1, False)[:, 0].tolist()
+        inside = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
+        outside = max(self._pixels - area, 1.0)
+        outside = float(np.clip((self._lit - lit) / outside, 1e-3, 0.05))
+        if inside <= outside:
+            return False
+        self._gain = math.log(inside / outside)
+        self._price = math.log((1 - outside) / (1 - inside))
+        return True
+
+    def inside(self, sectors: Sequence[Sector], step: int, whole: bool) -> Numbers:
+        """Pixels in each of N sectors, and lit ones, of every `step`-th column; (2, N).
+
+        whole: a pixel counts if its centre is in the sector; else parts of pixels count as such,
+        which is smoother and draws the outline outward.
+        """
+        columns = np.arange(step // 2, self._width, step)
+        found = np.empty((2, 2, len(sectors), len(columns)))
+        rows, lit = found
+        # Pixel r reaches from r - 0.5 to r + 0.5.
+        np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
+        if whole:
+            rows[0], rows[1] = np.ceil(rows[0] - 0.5), np.floor(rows[1] + 0.5)
+        np.maximum(rows, 0.0, out=rows)
+        np.minimum(rows, self._height, out=rows)
+        np.minimum(rows[0], rows[1], out=rows[0])  # nothing where last < first
+        at = rows.astype(np.int64)
+        part = rows - at
+        at *= self._width
+        at += columns
+        here = self._above.take(at)
+        at += self._width
+        np.multiply(part, self._above.take(at) - here, out=lit)
+        lit += here
+        # One after the other, so that the sums do not depend on how NumPy splits them.
+        sums: Numbers = (found[:, 1] - found[:, 0]).cumsum(axis=-1)[..., -1]
+        return sums
 
     def costs(self, outlines: Sequence[Sequence[float]], whole: bool = False) -> Numbers:
         """Minus the logarithms of their likelihoods, but for a constant."""
-        sectors = [_sector(outline, self.rows) for outline in outlines]
+        sectors = [_sector(outline, self._rows) for outline in outlines]
         there = [sector for sector in sectors if sector is not None]
         costs = np.full(len(sectors), _NONE)
         if there:
-            step = max(1, self.counts.width // 400)
-            area, lit = self.counts.inside(there, step, whole)
-            found = (self.price * (area - lit) - self.gain * lit) * step
+            step = max(1, self._width // 400)
+            area, lit = self.inside(there, step, whole)
+            found = (self._price * (area - lit) - self._gain * lit) * step
             costs[[sector is not None for sector in sectors]] = found
         return costs
 
@@ -521,50 +538,6 @@ def limits(sectors: Numbers, x: Numbers) -> Numbers:
     return np.subtract(apex_y, ahead, out=ahead)
 
 
-class _Counts:
-    """How many pixels of a picture are lit in a sector, quickly: a fit asks two thousand times.
-
-    pixels, lit: of the whole picture.
-    """
-
-    def __init__(self, lit: npt.NDArray[np.bool_]) -> None:
-        height, self.width = lit.shape
-        # How many of the pixels above each row's upper border are lit, and the last row once more.
-        above = np.zeros((height + 2, self.width), np.int32)
-        np.cumsum(lit, axis=0, dtype=np.int32, out=above[1:-1])
-        above[-1] = above[-2]
-        self._above, self._height = above.ravel(), height
-        self.pixels, self.lit = lit.size, int(above[-1].sum())
-
-    def inside(self, sectors: Sequence[Sector], step: int, whole: bool) -> Numbers:
-        """Pixels in each of N sectors, and lit ones, of every `step`-th column; (2, N).
-
-        whole: a pixel counts if its centre is in the sector; else parts of pixels count as such,
-        which is smoother and draws the outline outward.
-        """
-        columns = np.arange(step // 2, self.width, step)
-        found = np.empty((2, 2, len(sectors), len(columns)))
-        rows, lit = found
-        # Pixel r reaches from r - 0.5 to r + 0.5.
-        np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
-        if whole:
-            rows[0], rows[1] = np.ceil(rows[0] - 0.5), np.floor(rows[1] + 0.5)
-        np.maximum(rows, 0.0, out=rows)
-        np.minimum(rows, self._height, out=rows)
-        np.minimum(rows[0], rows[1], out=rows[0])  # nothing where last < first
-        at = rows.astype(np.int64)
-        part = rows - at
-        at *= self.width
-        at += columns
-        here = self._above.take(at)
-        at += self.width
-        np.multiply(part, self._above.take(at) - here, out=lit)
-        lit += here
-        # One after the other, so that the sums do not depend on how NumPy splits them.
-        sums: Numbers = (found[:, 1] - found[:, 0]).cumsum(axis=-1)[..., -1]
-        return sums
-
-
 _WHITE = 200  # of 255
 _WIDE = np.ones((9, 9), np.uint8)  # echoes and panels are as wide as that, lines are not
 _LEAST_LENGTH = 0.2  # of the picture's width: a line's length
@@ -576,8 +549,8 @@ _MOST_DRAWN = 0.05  # of the picture: where more is thin and bright, it is speck
 _ARC_SHARE = 0.35  # of an arc within the picture that must be white
 
 
-def find_drawn(grey: npt.NDArray[np.uint8]) -> tuple[FanGeometry, float] | None:
-    """The fan between two white lines as far as the outermost arc, and how much of that is seen.
+def _find_drawn(grey: Bytes) -> FoundFan | None:
+    """The fan between two white lines as far as the outermost arc.
 
     grey: (H, W), or levels of a map, of which white is the highest.
     """
@@ -607,9 +580,8 @@ def find_drawn(grey: npt.NDArray[np.uint8]) -> tuple[FanGeometry, float] | None:
             arc = _farthest_arc(lines, x, y, half)
             if arc is not None:
                 far, seen = arc
-                return FanGeometry.fan(
-                    2 * half, apex_x_px=x, apex_y_px=y, near_px=0.0, far_px=far
-                ), seen
+                place = {"apex_x_px": x, "apex_y_px": y, "near_px": 0.0, "far_px": far}
+                return FoundFan(FanGeometry.fan(2 * half, **place), seen)
     return None
 
 

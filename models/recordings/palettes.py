@@ -43,10 +43,7 @@ _HALF_STEP = 0.5 / 255
 _MIXED, _MIXED_SHARE = 2.0, 0.1  # so far beside a map, of 255, lie so many where colours were mixed
 _SPECK = 30  # pixels of what mixing leaves
 _STROKE = 7  # pixels: what is as wide as that is a page or a panel, not a line
-_GREY, _COLOURED = (
-    3.0,
-    6.0,
-)  # of 255: what the channels of a grey picture and of marks on it differ by
+_GREY, _COLOURED = 3.0, 6.0  # of 255: what channels of a grey picture, of marks on it differ by
 _EXACT, _EXACT_SHARE, _SOME = 1.5, 0.5, 0.2
 """How near a known map half of the colours lie where others were drawn over it, and part of the
 pixels that must have colours at all."""
@@ -203,13 +200,11 @@ def _palette_of(seen: Colours) -> Palette | None:
 
 def _exact(seen: Colours) -> Palette | None:
     """The map, or grey, of most pixels, where marks in other colours are the rest."""
-    spread = np.ptp(seen, axis=1)
-    coloured = seen[spread > _GREY]
+    coloured = seen[np.ptp(seen, axis=1) > _GREY]
+    grey = None
     if len(coloured) < (1 - _EXACT_SHARE) * len(seen):
         ramp = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, axis=1)
         grey = Palette(GREY, ramp, ramp[:, 0] / np.float32(255))
-    else:
-        grey = None
     if len(coloured) < max(_SOME * len(seen), _LEAST):
         return grey
     few = coloured[:: max(1, len(coloured) // 300)]

@@ -19,7 +19,7 @@ from PIL import Image
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.quiet import quiet_stderr
-from .arrays import is_table, read_array
+from .arrays import ArrayFile, is_table
 from .base import (
     ARRAY_SUFFIX,
     FULL_SCALE,
@@ -70,7 +70,8 @@ def read_picture(path: Path) -> Samples:
     Of a TIFF of several pages, and of an array of several pictures, the first.
     """
     if path.suffix.lower() == ARRAY_SUFFIX:
-        return read_array(path)
+        with explained(f"{path}: not a readable array"), ArrayFile(path) as array:
+            return array[0].samples
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -165,17 +166,13 @@ class StackFile(FileOfFrames):
             # ImageJ writes 16 bits with the most significant byte first.
             size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
             if self._image.format == "GIF":
-                return _plain(np.asarray(self._image.convert("RGB")))
+                return _untinted(swapped(np.asarray(self._image.convert("RGB"))))
             if size == self._first and mode in _PAGES:
                 return np.ascontiguousarray(swapped(np.asarray(self._image)))
-        if size != self._first:
-            raise FrameError(
-                f"{self.path}: page {number + 1} has {size[0]} x {size[1]} pixels, the first "
-                f"{self._first[0]} x {self._first[1]}; split the file"
-            )
         raise FrameError(
-            f"{self.path}: page {number + 1} is of kind {mode}; expected "
-            f"{', '.join(_PAGES.values())}; convert it"
+            f"{self.path}: page {number + 1} has {size[0]} x {size[1]} pixels of kind {mode}, the "
+            f"first {self._first[0]} x {self._first[1]}; expected one size and "
+            f"{', '.join(_PAGES.values())}"
         )
 
     def close(self) -> None:
@@ -183,12 +180,6 @@ class StackFile(FileOfFrames):
         if hasattr(self, "_image"):
             self._image.close()
         super().close()
-
-
-def _plain(colours: Samples) -> Samples:
-    """(H, W) of colours that are grey, else (H, W, 3) BGR."""
-    grey = (colours == colours[..., :1]).all()
-    return np.ascontiguousarray(colours[..., 0] if grey else swapped(colours))
 
 
 _MOST_TINT = 6  # of 255: codecs tint grey pictures by a few levels, and by others in each frame

@@ -20,7 +20,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import explain_os_errors
@@ -42,13 +41,8 @@ from .pictures import decoded
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import Reader as Reader2
-    from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys.store import Typestore
-
-    Reader = Reader1 | Reader2
-    Writer = Writer1 | Writer2
 
 SONAR = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 IMAGE = "sensor_msgs/msg/Image"
@@ -85,7 +79,6 @@ _JPEG, _PNG = b"\xff\xd8", b"\x89PNG"
 _DAMAGED = "cannot be read, it is damaged or no bag"
 # RIHS01 of a type of which neither the bag nor this program knows more than the name.
 _UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"
-_KINDS = (SONAR, IMAGE, COMPRESSED)
 
 
 class RosBag(Recording):
@@ -113,10 +106,11 @@ class RosBag(Recording):
                 found = list(reader.connections)
         except FrameError as error:
             raise FactoryError(str(error)) from error
-        self.connections = _chosen(path, found, topics, self.version)
-        self.topics = tuple(dict.fromkeys(one.topic for one in self.connections))
+        chosen = _chosen(path, found, topics, self.version)
+        self._chosen = {one.id for one in chosen}
+        self.topics = tuple(dict.fromkeys(one.topic for one in chosen))
         # A message takes a byte at least, whatever the bag says.
-        stated = sum(max(0, int(one.msgcount)) for one in self.connections)
+        stated = sum(max(0, int(one.msgcount)) for one in chosen)
         self._count = min(stated, sum(file.stat().st_size for file in _files(path)))
         if not self._count:
             raise FactoryError(f"{path}: holds no message on {', '.join(self.topics)}")
@@ -154,7 +148,7 @@ class RosBag(Recording):
     def _all(self) -> Generator[Frame]:
         # A reader of its own, as two that read in turns would lose their places.
         with _reading(self.path, self.version) as reader:
-            chosen = _same(reader.connections, self.connections)
+            chosen = [one for one in reader.connections if one.id in self._chosen]
             for number, (one, time_ns, data) in enumerate(_messages(self.path, reader, chosen)):
                 message, what = self._message(one, data, number)
                 yield frame_of(message, one.msgtype, number, time_ns * 1e-9, what)
@@ -175,8 +169,6 @@ class RosBag(Recording):
         Raises ValueError for samples of another shape, type or number, FrameError when the bag is
         damaged, FactoryError when `path` is there or cannot be written.
         """
-        if path.exists() and (path.is_dir() or not path.is_file()):
-            raise FactoryError(f"{path}: is there already; remove it, or give another --out")
         with explain_os_errors(path, "--out"):
             path.parent.mkdir(parents=True, exist_ok=True)
             with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
@@ -190,17 +182,16 @@ class RosBag(Recording):
                     (target,) = (one for one in target.iterdir() if one.suffix in (".mcap", ".db3"))
                 os.replace(target, path)
 
-    def _write(self, reader: Reader, samples: Iterator[Samples], target: Path) -> None:
+    def _write(self, reader: Reader1 | Reader2, samples: Iterator[Samples], target: Path) -> None:
         store, damaged = typestore(self.version), f"{self.path}: cannot be copied"
         serialized = store.serialize_ros1 if self.version == 1 else store.serialize_cdr
-        chosen = {one.id for one in _same(reader.connections, self.connections)}
-        with _writing(self.path, reader, target) as writer:
+        with self._writer(target) as writer:
             with explained(damaged, passing=OSError, reason=True):
-                targets = {one.id: _added(writer, one) for one in reader.connections}
+                targets = {one.id: self._added(writer, one) for one in reader.connections}
             number = 0
             for one, time_ns, data in _messages(self.path, reader, reader.connections):
                 content: bytes | memoryview = data
-                if one.id in chosen:
+                if one.id in self._chosen:
                     message, what = self._message(one, data, number)
                     new = next(samples, None)
                     if new is None:
@@ -213,9 +204,36 @@ class RosBag(Recording):
         if next(samples, None) is not None:
             raise ValueError(f"{self.path}: has fewer frames than samples were given")
 
+    def _writer(self, target: Path) -> Any:
+        """Of the same kind of bag, without compression."""
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+
+        if self.version == 1:
+            return Writer1(target)
+        mcap = any(".mcap" in file.suffixes for file in _files(self.path))
+        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+        return Writer2(target, version=8, storage_plugin=plugin)
+
+    def _added(self, writer: Any, one: Connection) -> Connection:
+        """The connection in another bag."""
+        if self.version == 1:
+            digest = {"md5sum": one.digest or "*"}
+        else:
+            known = one.msgtype in typestore(2).fielddefs
+            digest = {
+                "rihs01": one.digest or (digest_of(one.msgtype, 2) if known else _UNKNOWN_DIGEST)
+            }
+        of_version = {**digest, **one.ext._asdict()}
+        added: Connection = writer.add_connection(
+            one.topic, one.msgtype, msgdef=one.msgdef.data, **of_version
+        )
+        return added
+
 
 @contextmanager
-def _reading(path: Path, version: int) -> Iterator[Reader]:
+def _reading(path: Path, version: int) -> Iterator[Reader1 | Reader2]:
     """A bag of ROS 1 or 2, opened.  Raises FrameError when that cannot be."""
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
@@ -230,14 +248,13 @@ def _reading(path: Path, version: int) -> Iterator[Reader]:
 
 
 def _messages(
-    path: Path, reader: Reader, connections: Sequence[Connection]
+    path: Path, reader: Reader1 | Reader2, connections: Sequence[Connection]
 ) -> Iterator[tuple[Connection, int, bytes]]:
     """(connection, nanoseconds since 1970, content) of all messages of some connections, in order.
 
     Raises FrameError at damage.
     """
-    with explained(f"{path}: {_DAMAGED}", reason=True):
-        found = iter(reader.messages(connections))
+    found = reader.messages(connections)
     while True:
         with explained(f"{path}: {_DAMAGED}", reason=True):
             message = next(found, None)
@@ -250,17 +267,11 @@ def _files(path: Path) -> list[Path]:
     return [path] if path.is_file() else [one for one in path.iterdir() if one.is_file()]
 
 
-def _same(here: Sequence[Connection], wanted: Sequence[Connection]) -> list[Connection]:
-    """Those of another reader of the same bag."""
-    numbers = {one.id for one in wanted}
-    return [one for one in here if one.id in numbers]
-
-
 def _chosen(
     path: Path, connections: Sequence[Connection], topics: Sequence[str], version: int
 ) -> list[Connection]:
     """The connections whose messages are the frames."""
-    fit = [one for one in connections if one.msgtype in _KINDS]
+    fit = [one for one in connections if one.msgtype in _PIXELS]
     names = ", ".join(dict.fromkeys(one.topic[:80] for one in fit)) or "none"
     absent = [topic for topic in topics if topic not in {one.topic for one in fit}]
     if absent:
@@ -282,48 +293,6 @@ def _chosen(
                 f"fingerprint is {one.digest[:80]})"
             )
     return chosen
-
-
-@contextmanager
-def _writing(source: Path, reader: Reader, target: Path) -> Iterator[Writer]:
-    """A writer of the same kind of bag, without compression."""
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-
-    writer: Writer
-    if isinstance(reader, Reader1):
-        writer = Writer1(target)
-    else:
-        mcap = any(".mcap" in file.suffixes for file in _files(source))
-        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-        writer = Writer2(target, version=8, storage_plugin=plugin)
-    with writer:
-        yield writer
-
-
-def _added(writer: Writer, one: Connection) -> Connection:
-    """The connection in another bag."""
-    from rosbags.interfaces import ConnectionExtRosbag1
-    from rosbags.rosbag1 import Writer as Writer1
-
-    ext, definition = one.ext, one.msgdef.data
-    if isinstance(writer, Writer1):
-        assert isinstance(ext, ConnectionExtRosbag1)
-        return writer.add_connection(
-            one.topic, one.msgtype, msgdef=definition, md5sum=one.digest or "*",
-            callerid=ext.callerid, latching=ext.latching,
-        )  # fmt: skip
-    assert not isinstance(ext, ConnectionExtRosbag1)
-    digest = one.digest or (
-        digest_of(one.msgtype, 2) if one.msgtype in typestore(2).fielddefs else _UNKNOWN_DIGEST
-    )
-    return writer.add_connection(
-        one.topic, one.msgtype, msgdef=definition, rihs01=digest,
-        serialization_format=ext.serialization_format,
-        offered_qos_profiles=ext.offered_qos_profiles,
-    )  # fmt: skip
 
 
 @lru_cache(maxsize=2)
@@ -352,17 +321,18 @@ def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, what: s
     stamp = message.header.stamp
     time_s = stamp.sec + stamp.nanosec * 1e-9 if stamp.sec or stamp.nanosec else bag_time_s
     name = message.header.frame_id or "unknown"
+    samples = _PIXELS[msgtype](message, what)
+    # As this machine orders bytes, and in one piece.
+    samples = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
     if msgtype != SONAR:
-        picture = _picture(message, what) if msgtype == IMAGE else _decoded(message, what)
-        return Frame(number, _native(picture), time_s=time_s, device=Device(name))
-    samples = _samples(message, what)
+        return Frame(number, samples, time_s=time_s, device=Device(name))
     info = message.ping_info
     device = Device(
         name,
         frequency_khz=known(info.frequency / 1000) or None,
         sound_speed_m_s=known(info.sound_speed, 1e4) or None,
     )
-    return Frame(number, _native(samples), _beams(message, what), time_s, device=device)
+    return Frame(number, samples, _beams(message, what), time_s, device=device)
 
 
 def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any:
@@ -371,28 +341,25 @@ def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any
     A compressed picture is compressed as it was, JPEG at its best quality.
     Raises ValueError for samples of another shape or type.
     """
+    before = _PIXELS[msgtype](message, what)
+    if samples.shape != before.shape or samples.dtype != before.dtype.newbyteorder("="):
+        raise ValueError(
+            f"samples are {samples.dtype} {samples.shape}; expected {before.dtype} {before.shape}"
+        )
     if msgtype == COMPRESSED:
-        before = _decoded(message, what)
-        _same_form(samples, before)
-        jpeg = _head(message) == _JPEG
         import cv2  # an extra
 
+        jpeg = bytes(message.data[:2]) == _JPEG
         options = [cv2.IMWRITE_JPEG_QUALITY, 100] if jpeg else []
         done, content = cv2.imencode(".jpg" if jpeg else ".png", samples, options)
         assert done
-        data = content.tobytes()
-        return _with(message, data=_like(message.data, data))
+        return _with(message, data=_like(message.data, content.tobytes()))
     # A copy of all bytes, so that what lies between the rows stays.
-    if msgtype == IMAGE:
-        changed = _with(message, data=_like(message.data, bytes(message.data)))
-        target = _picture(changed, what)
-    else:
-        image = message.image
-        image = _with(image, data=_like(image.data, bytes(image.data)))
-        changed = _with(message, image=image)
-        target = _samples(changed, what)
-    _same_form(samples, target)
-    target[...] = samples
+    holder = message.image if msgtype == SONAR else message
+    changed = _with(holder, data=_like(holder.data, bytes(holder.data)))
+    if msgtype == SONAR:
+        changed = _with(message, image=changed)
+    _PIXELS[msgtype](changed, what)[...] = samples
     return changed
 
 
@@ -408,22 +375,6 @@ def _like(data: Any, content: bytes) -> Any:
     return array("B", content) if isinstance(data, array) else np.array(bytearray(content))
 
 
-def _same_form(samples: Samples, before: Samples) -> None:
-    if samples.shape != before.shape or samples.dtype != before.dtype.newbyteorder("="):
-        raise ValueError(
-            f"samples are {samples.dtype} {samples.shape}; expected {before.dtype} {before.shape}"
-        )
-
-
-def _native(samples: Samples) -> Samples:
-    """As this machine orders bytes, and in one piece."""
-    return np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
-
-
-def _order(big: bool) -> str:
-    return ">" if big else "<"
-
-
 def _picture(message: Any, what: str) -> Samples:
     """The pixels of an Image, (H, W) or (H, W, channels), in its own memory."""
     height, width, step = int(message.height), int(message.width), int(message.step)
@@ -433,7 +384,7 @@ def _picture(message: Any, what: str) -> Samples:
             f"({', '.join(_ENCODINGS)})"
         )
     kind, channels = _ENCODINGS[message.encoding]
-    dtype = np.dtype(_order(message.is_bigendian) + kind)
+    dtype = np.dtype((">" if message.is_bigendian else "<") + kind)
     row = width * channels * dtype.itemsize
     if not (
         0 < height * width <= MOST_PIXELS and row <= step and height * step == len(message.data)
@@ -447,14 +398,9 @@ def _picture(message: Any, what: str) -> Samples:
     return pixels[..., 0] if channels == 1 else pixels
 
 
-def _head(message: Any) -> bytes:
-    data = bytes(message.data[:4])
-    return next((kind for kind in (_JPEG, _PNG) if data.startswith(kind)), b"")
-
-
 def _decoded(message: Any, what: str) -> Samples:
     """The pixels of a CompressedImage."""
-    if not _head(message):
+    if not bytes(message.data[:4]).startswith((_JPEG, _PNG)):
         raise FrameError(
             f"{what} is compressed as {str(message.format)[:40]!r}; JPEG and PNG can be read"
         )
@@ -470,7 +416,7 @@ def _samples(message: Any, what: str) -> Samples:
             f"{what} has samples of type {image.dtype}; uint8 (0), uint16 (2) and float32 (8) can "
             "be read"
         )
-    dtype = np.dtype(_order(image.is_bigendian) + _SONAR_DTYPES[image.dtype])
+    dtype = np.dtype((">" if image.is_bigendian else "<") + _SONAR_DTYPES[image.dtype])
     held = len(image.data)
     if not (
         2 <= ranges <= MOST_RANGES
@@ -486,14 +432,18 @@ def _samples(message: Any, what: str) -> Samples:
     return samples
 
 
+_PIXELS = {SONAR: _samples, IMAGE: _picture, COMPRESSED: _decoded}
+"""What a frame shows, by the type of its message."""
+
+
 def _beams(message: Any, what: str) -> Beams:
     """Where the samples lie.
 
     The message has z ahead, x up and y to the side.  Drivers do not agree on the sign of y, but
-    store beams from left to right, so bearings are taken to ascend; some simulators have x ahead.
+    store beams from left to right, so bearings are taken to ascend.
     """
-    ahead, side = _axes(message.beam_directions)
-    bearings = np.arctan2(side, ahead)
+    sides, ahead = ([getattr(one, axis) for one in message.beam_directions] for axis in "yz")
+    bearings = np.arctan2(np.array(sides, np.float64), np.array(ahead, np.float64))
     if bearings[0] > bearings[-1]:
         bearings = -bearings
     ranges = np.asarray(message.ranges, np.float64)
@@ -511,10 +461,3 @@ def _beams(message: Any, what: str) -> Beams:
         )
     near = max(0.0, float(ranges[0] - step / 2))
     return Beams(tuple(bearings.tolist()), near, float(ranges[-1] + step / 2))
-
-
-def _axes(
-    directions: Sequence[Any],
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    x, y, z = (np.array([getattr(one, k) for one in directions], np.float64) for k in "xyz")
-    return (x, y) if np.abs(z).max() < 1e-6 else (z, y)

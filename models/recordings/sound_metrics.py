@@ -33,7 +33,6 @@ from .base import (
 
 SIGNATURE = b"DDF\5"
 """Of an ARIS file and of each of its frames."""
-_ARIS_DECIBELS, _DIDSON_DECIBELS = 80.0, 90.0
 
 # The fields that are read; offsets of FrameHeader.h, names too but for the pose.
 _ARIS_FRAME = layout_of(
@@ -178,7 +177,6 @@ class ArisFile(_SoundMetricsFile):
                 frequency_khz=frequencies[high] if frequencies else None,
                 sound_speed_m_s=speed,
                 gain_db=known(header["ReceiverGain"], 100),
-                decibels=_ARIS_DECIBELS,
             ),
         )
 
@@ -246,7 +244,6 @@ class DdfFile(_SoundMetricsFile):
                 name="DIDSON",
                 serial_number=int(self._told["serialnumber"]),
                 gain_db=known(header["receivergain"], 100),
-                decibels=_DIDSON_DECIBELS,
             ),
         )
 

@@ -19,9 +19,7 @@ Gray = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 _SIDE = 96  # of the small pictures that are compared with each other, pixels
-_BROAD = (
-    8.0  # what is wider than this counts as brightness, not as scene; pixels of a small picture
-)
+_BROAD = 8.0  # pixels of a small picture: what is wider counts as brightness, not as scene
 _LEAST_SPREAD = 0.1 / 255  # less is rounding, where there is hardly any noise
 _ECC_STEPS = cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-5
 
@@ -119,11 +117,10 @@ def references(frames: Sequence[Gray], group: StaticGroup) -> list[Gray]:
 
     frames: those of the group, in its order.
     """
-    found = []
-    for one in range(len(frames)):
-        others = [other for other in range(len(frames)) if other != one]
-        found.append(np.mean(laid_over(frames, group, one, others), axis=0, dtype=np.float64))
-    return [np.asarray(reference, np.float32) for reference in found]
+    places = range(len(frames))
+    others = [[other for other in places if other != one] for one in places]
+    laid = (laid_over(frames, group, one, others[one]) for one in places)
+    return [np.asarray(np.mean(each, axis=0, dtype=np.float64), np.float32) for each in laid]
 
 
 def laid_over(
@@ -158,14 +155,9 @@ def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
     Cubic, the border reflected.
     """
     matrix = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]], np.float64)
-    shifted = cv2.warpAffine(
-        frame,
-        matrix,
-        frame.shape[1::-1],
-        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REFLECT,
-    )
-    return np.asarray(shifted, np.float32)
+    how, border = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, cv2.BORDER_REFLECT
+    moved = cv2.warpAffine(frame, matrix, frame.shape[1::-1], flags=how, borderMode=border)
+    return np.asarray(moved, np.float32)
 
 
 def _small(picture: Gray, sector: Mask) -> npt.NDArray[np.float64]:

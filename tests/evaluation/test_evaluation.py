@@ -44,7 +44,7 @@ from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.pairs import hold_out, read_table
-from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.evaluation.evaluation_settings import (
@@ -493,7 +493,7 @@ def test_networks_are_rows_with_their_costs(dataset: Path, tmp_path: Path) -> No
     found = measured(dataset, methods, tmp_path / "out")
     psnr_db = found.wide()["psnr"]
     pair = picture(items_of(dataset, "test")[1].place)
-    expected = psnr(pair.clean, load_denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
+    expected = psnr(pair.clean, Denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
     assert psnr_db["small"][1] == pytest.approx(expected, abs=1e-6)
     assert psnr_db["small"][1] != psnr_db["other"][1]
     assert (found.wide()[SECONDS]["small"] > 0).all()

@@ -50,7 +50,7 @@ def test_aris(tmp_path: Path, beams: int) -> None:
     assert (frame.pose.heading_deg, frame.pose.depth_m, frame.pose.pan_deg) == (123.0, 4.5, 15.0)
     assert frame.device.name == ("ARIS 3000" if beams in (64, 128) else "ARIS 1800")
     assert (frame.device.sound_speed_m_s, frame.device.gain_db) == (1500.0, 20.0)
-    assert (frame.device.serial_number, frame.device.decibels) == (1234, 80.0)
+    assert frame.device.serial_number == 1234
 
 
 def test_beam_tables_are_those_of_the_sdk() -> None:
@@ -236,9 +236,9 @@ def test_pages_that_are_no_frames(tmp_path: Path) -> None:
     assert kind_of(thumbnail) == "pictures"
     assert np.array_equal(open_recording(thumbnail)[0].samples, picture)
     for pages, words in (
-        ([picture, picture, picture[:8]], r"a\.tif: page 3 has 40 x 8 pixels, the first 40 x 32"),
+        ([picture, picture, picture[:8]], r"a\.tif: page 3 has 40 x 8 pixels .*, the first 40 x 32"),
         (np.full((2, 9, 9), 2, np.float32), r"page 1: float pixels must lie in 0\.\.1; divide"),
-        (np.zeros((2, 9, 9), np.int32), "page 1 is of kind I; expected grey of 8 bits, "),
+        (np.zeros((2, 9, 9), np.int32), "page 1 has .* of kind I, .* and grey of 8 bits, "),
     ):
         path = write_stack(tmp_path / "a.tif", pages)
         with pytest.raises(FrameError, match=words), open_recording(path) as recording:
