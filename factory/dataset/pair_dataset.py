@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import operator
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -17,14 +16,13 @@ import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..seeds import stream
-from ..storage.copies import local_folder, most_bytes, url_of
+from ..storage.copies import local_folder
 from .layout import image_axes
 from .manifest import INDEX_NAME, load_manifest
 from .reader import (
     Image,
     OpenShards,
     Split,
-    bring,
     check_in_isolation,
     listed_shards,
     reading,
@@ -83,7 +81,6 @@ class PairDataset:
         }
         if not trusted:
             check_in_isolation(self.paths)
-        self._sizes = {path: info.bytes for path, info in infos.items()}
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
         self._shards = OpenShards()
@@ -114,17 +111,12 @@ class PairDataset:
         """All samples once, in a random order that `seed` and `epoch` give, for training.
 
         Shards come in random order, `window` of them at a time, and the samples of a window in
-        random order; the shards of the next are fetched meanwhile where they lie at a URL.
+        random order, so that one at a URL is fetched once.
         """
         counts = zip(self.paths, self._counts, strict=True)
         places = [path for path, count in counts for _ in range(count)]
-        windows = Windows(places, window, sizes=self._sizes)
-        try:
-            for position, index in enumerate(windows.order(stream(seed, "shuffled", epoch))):
-                windows.reach(position)
-                yield self[index]
-        finally:
-            windows.close()
+        for index in mixed_order(places, stream(seed, "shuffled", epoch), window):
+            yield self[index]
 
     def place(self, index: SupportsIndex) -> tuple[Path, int]:
         """The shard that holds a sample, and its row there."""
@@ -242,68 +234,17 @@ def _count(path: Path) -> int:
         return len(file["noisy"])
 
 
-class Windows:
-    """The order of one round over samples after another, and what to fetch while it goes on.
+def mixed_order(
+    places: Sequence[Path], rng: np.random.Generator, window: int = WINDOW
+) -> npt.NDArray[np.int64]:
+    """(N,) every sample once: shards in random order, the samples of `window` of them mixed.
 
-    places: the shard of each sample.  window: shards whose samples are mixed.  sizes: bytes of the
-    shards; None: there is room.
+    places: the shard of each sample.
     """
-
-    def __init__(
-        self,
-        places: Sequence[Path],
-        window: int = WINDOW,
-        *,
-        sizes: Mapping[Path, int] | None = None,
-    ) -> None:
-        if window < 1:
-            raise FactoryError(f"window={window}: must be at least 1 shard")
-        self._paths = list(dict.fromkeys(places))
-        numbers = {path: number for number, path in enumerate(self._paths)}
-        self._shard = np.array([numbers[path] for path in places], np.int64)
-        self._window = window
-        two = 2 * window * max((sizes or {}).values(), default=0)
-        distant = bool(self._paths) and url_of(self._paths[0].parent.parent) is not None
-        self._fetches = distant and two <= most_bytes()
-        self._groups: list[list[Path]] = []
-        self._first: npt.NDArray[np.int64] = np.empty(0, np.int64)
-        self._now = range(0)
-        self._threads: ThreadPoolExecutor | None = None
-
-    def order(self, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-        """(N,) every sample once; the same generator gives the same order."""
-        shards = rng.permutation(len(self._paths))
-        rank = np.empty(len(shards), np.int64)
-        rank[shards] = np.arange(len(shards))
-        windows = rank[self._shard] // self._window
-        # Random within each window: a key of its own for every sample.
-        order: npt.NDArray[np.int64] = np.lexsort((rng.random(len(windows)), windows))
-        self._groups = [
-            [self._paths[number] for number in shards[k : k + self._window]]
-            for k in range(0, len(shards), self._window)
-        ]
-        self._first = np.searchsorted(windows[order], np.arange(len(self._groups) + 1))
-        self._now = range(0)
-        return order
-
-    def reach(self, position: int) -> None:
-        """Say that the sample at this position of the order is about to be read."""
-        if not self._fetches or position in self._now or not self._groups:
-            return
-        here = int(np.searchsorted(self._first, position, side="right")) - 1
-        self._now = range(int(self._first[here]), int(self._first[here + 1]))
-        if self._threads is None:
-            self._threads = ThreadPoolExecutor(THREADS, "fetch")
-        for path in (one for group in self._groups[here : here + 2] for one in group):
-            self._threads.submit(_bring, path)
-
-    def close(self) -> None:
-        """Fetch no more."""
-        if self._threads is not None:
-            self._threads.shutdown(wait=False, cancel_futures=True)
-            self._threads = None
-
-
-def _bring(path: Path) -> None:
-    with suppress(FactoryError):  # whoever reads it says so
-        bring(path)
+    if window < 1:
+        raise FactoryError(f"window={window}: must be at least 1 shard")
+    numbers = {path: number for number, path in enumerate(dict.fromkeys(places))}
+    rank = np.argsort(rng.permutation(len(numbers)))
+    windows = rank[[numbers[path] for path in places]] // window
+    # Random within each window: a key of its own for every sample.
+    return np.asarray(np.lexsort((rng.random(len(windows)), windows)), np.int64)

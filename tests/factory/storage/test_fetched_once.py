@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from simnfnd.factory.dataset import PairDataset, pair_dataset
+from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.manifest import Manifest, save_manifest
-from simnfnd.factory.dataset.pair_dataset import Windows
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError
@@ -100,7 +99,7 @@ def keep(monkeypatch: pytest.MonkeyPatch, local: Path, shards: float) -> None:
     monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(int(shards * size)))
 
 
-def visits_of(images: int, steps: int, windows: Windows | None) -> Any:
+def visits_of(images: int, steps: int, places: list[Path] | None) -> Any:
     """One visit a step, as a training has them."""
     from simnfnd.models.data.crops import VisitSampler
     from simnfnd.models.settings import PairsData
@@ -115,7 +114,7 @@ def visits_of(images: int, steps: int, windows: Windows | None) -> Any:
         validation_limit=None,
         workers=0,
     )
-    return VisitSampler(images, data, steps, 0, windows)
+    return VisitSampler(images, data, steps, 0, places)
 
 
 # One shard; all.
@@ -141,15 +140,14 @@ def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
     local: Path, url: str, asked: Asked, monkeypatch: pytest.MonkeyPatch, room: float
 ) -> None:
     pytest.importorskip("torch")
-    from simnfnd.models.data.pairs import PairSource, read_table, windows_of
+    from simnfnd.models.data.pairs import PairSource, distant_places, read_table
 
-    monkeypatch.setattr(pair_dataset, "WINDOW", WINDOW)
     keep(monkeypatch, local, room)
     table = read_table(url, "train")
     assert asked.counts == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}
     asked.counts.clear()
     source = PairSource(table.samples, table.sonar)
-    for step in visits_of(len(source), len(source), windows_of(source)):
+    for step in visits_of(len(source), len(source), distant_places(source)):
         for visit in step:
             source.sample(visit.image, visit.number)
     # 36 visits: one round, of which the cache still holds some shards.
