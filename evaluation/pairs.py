@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..factory.dataset.manifest import load_manifest
+from ..factory.dataset.pair_dataset import PairDataset
 from ..factory.dataset.reader import ImageStack, Split, open_shard, reading, value_range
 from ..factory.dataset.schema import CORE
-from ..factory.dataset.source import open_source
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from ..models.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
@@ -100,13 +100,13 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
             Item(f.name, (str(f), ROW), "", n, key, "", root.name, f.stem, 0)
             for n, (f, key) in files
         ][:limit]
-    source, manifest = open_source(root, split), load_manifest(root)
-    digests, counts = {}, dict.fromkeys(source.splits, 0)
-    for _, path, _ in source.shards:
+    pairs, manifest = PairDataset(root, split), load_manifest(root)
+    digests, counts = {}, dict.fromkeys(pairs.splits, 0)
+    for path in pairs.paths:
         name = path.relative_to(root).as_posix()
         digests[path] = name, manifest.shards[name].sha256 if manifest else sha256_of(path)
     found = []
-    for one in source.names():
+    for one in pairs.names():
         name, digest = digests[one.path]
         place, key = (str(one.path), one.row), f"{digest[:24]}:{one.row}"
         identity = one.location, one.scene, one.frame, one.variant

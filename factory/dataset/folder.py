@@ -16,7 +16,7 @@ from ..files import (
     remove_stale_temporaries,
     write_atomically,
 )
-from ..small_files import read_regular
+from ..small_files import load_yaml, one_line, read_regular
 from .manifest import (
     CONFIG_NAME,
     MANIFEST_NAME,
@@ -25,7 +25,7 @@ from .manifest import (
     load_manifest,
     save_manifest,
 )
-from .schema import SCHEMA, SPLITS, Provenance, plain_values
+from .schema import DATASET_NAME, SCHEMA, SPLITS, Provenance, plain_values
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
@@ -156,3 +156,30 @@ def _config_text(config: Mapping[str, Any], provenance: Provenance) -> str:
         plain_values(config), sort_keys=False, allow_unicode=True, default_flow_style=False
     )
     return f"# {SCHEMA}, {provenance.generator}, config hash {provenance.config_hash}\n{body}"
+
+
+def dataset_settings(directory: Path) -> dict[str, object]:
+    """The `dataset` block of config.yaml; empty when there is none.
+
+    Raises FactoryError when the file cannot be read, or when name or licence are not what the
+    settings allow: both go into the cards of exports.
+    """
+    path = directory / CONFIG_NAME
+    try:
+        values = load_yaml(path)
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read ({one_line(error)}); restore or delete it"
+        ) from error
+    block = values.get("dataset") if isinstance(values, dict) else None
+    block = block if isinstance(block, dict) else {}
+    name, licence = block.get("name") or "dataset", block.get("licence")
+    if not (isinstance(name, str) and DATASET_NAME.fullmatch(name)):
+        raise FactoryError(
+            f"{path}: dataset.name {str(name)[:40]!r} is not letters, digits, dot, dash, underscore"
+        )
+    if not isinstance(licence, str | None):
+        raise FactoryError(f"{path}: dataset.licence {str(licence)[:40]!r} must be text")
+    return block

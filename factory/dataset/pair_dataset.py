@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import operator
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -17,7 +19,7 @@ import numpy.typing as npt
 from ..errors import FactoryError
 from ..seeds import stream
 from ..storage.copies import local_folder
-from .layout import image_axes
+from .layout import config_of, image_axes, optional_layers
 from .manifest import INDEX_NAME, load_manifest
 from .reader import (
     Image,
@@ -27,12 +29,49 @@ from .reader import (
     listed_shards,
     reading,
 )
-from .schema import EFFECT_FOLDER, VALUE_RANGES, Axis, layers
+from .schema import (
+    CORE,
+    EFFECT_FOLDER,
+    REQUIRED_COLUMNS,
+    VALUE_RANGES,
+    Axis,
+    Column,
+    layers,
+)
 
 WINDOW = 16
 THREADS = 4
 
 Sample = dict[str, Image]
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """What all shards of a dataset share, as the first one says it.
+
+    layers, sizes: dtype and shape of the images of each layer, the core ones first.
+    axes: of rows and columns.  columns: of /meta.  config: the settings.
+    """
+
+    layers: Mapping[str, np.dtype[Any]]
+    sizes: Mapping[str, tuple[int, ...]]
+    axes: tuple[Axis, Axis]
+    columns: tuple[Column, ...]
+    config: Mapping[str, Any]
+    config_hash: str
+
+
+@dataclass(frozen=True)
+class SampleName:
+    """One sample: row `row` of the shard at `path`, and what it is of."""
+
+    path: Path
+    row: int
+    split: str
+    location: str
+    scene: str
+    frame: str
+    variant: int
 
 
 class PairDataset:
@@ -49,7 +88,7 @@ class PairDataset:
 
     folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
     from where shards are fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.schema` names them.
+    layers: as `format.schema` names them; None: all that the first shard has.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
@@ -65,14 +104,15 @@ class PairDataset:
         folder: str | Path,
         split: Split = "train",
         *,
-        layers: Sequence[str] = ("noisy", "clean"),
+        layers: Sequence[str] | None = ("noisy", "clean"),
         scaled: bool = False,
         trusted: bool = False,
     ) -> None:
         given = local_folder(folder)
         self.folder = given.parent if given.name == INDEX_NAME else given
-        self.split, self.layers, self.scaled = split, tuple(layers), scaled
-        _check_names(self.layers)
+        self.split, self.scaled = split, scaled
+        if layers is not None:
+            _check_names(tuple(layers))
         manifest = load_manifest(self.folder)
         self.paths = listed_shards(self.folder, split, manifest)
         self._config_hash = manifest.config_hash if manifest else ""
@@ -84,6 +124,7 @@ class PairDataset:
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
         self._shards = OpenShards()
+        self.layers = tuple(self.form.layers if layers is None else layers)
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -124,15 +165,40 @@ class PairDataset:
         shard = bisect_right(self._ends, number)
         return self.paths[shard], number - self._ends[shard] + self._counts[shard]
 
+    @cached_property
+    def form(self) -> Form:
+        """Of the dataset."""
+        with reading(self.paths[0]) as file:
+            stacks = {name: file[name] for name in (*CORE, *optional_layers(file))}
+            table = file["meta"]
+            about = {key: str(value) for key, value in table.attrs.items()}
+            return Form(
+                {name: stack.dtype for name, stack in stacks.items()},
+                {name: stack.shape[1:] for name, stack in stacks.items()},
+                image_axes(file["noisy"]),
+                tuple(
+                    Column(
+                        name,
+                        table.dtype[name].str,
+                        about.get(f"{name}.units", ""),
+                        about.get(f"{name}.description", ""),
+                    )
+                    for name in table.dtype.names
+                ),
+                config_of(file),
+                str(file.attrs["config_hash"]),
+            )
+
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W) of the images, those of the first shard."""
-        return self._form[0]
+        height, width = self.form.sizes["noisy"]
+        return height, width
 
     @property
     def dtype(self) -> np.dtype[Any]:
         """Of noisy and clean as they are given out."""
-        return np.dtype(np.float32 if self.scaled else self._form[1])
+        return np.dtype(np.float32) if self.scaled else self.form.layers["noisy"]
 
     @property
     def value_range(self) -> tuple[float, float]:
@@ -142,32 +208,54 @@ class PairDataset:
     @property
     def config_hash(self) -> str:
         """Of the settings that the dataset was made with, the last ones if it was extended."""
-        return self._config_hash or self._form[2]
+        return self._config_hash or self.form.config_hash
 
     @property
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the images."""
-        with reading(self.paths[0]) as file:
-            return image_axes(file["noisy"])
+        return self.form.axes
+
+    @property
+    def layout(self) -> str:
+        """Polar (range x azimuth) or fan."""
+        return "polar" if self.axes[1].name == "azimuth" else "fan"
+
+    @property
+    def splits(self) -> dict[str, int]:
+        """Split -> number of samples, of the splits that have any."""
+        counts = Counter[str]()
+        for path, count in zip(self.paths, self._counts, strict=True):
+            counts[path.parent.name] += count
+        return dict(counts)
 
     def meta(self) -> npt.NDArray[np.void]:
         """The sample table, one row a sample in the order of the samples; text is bytes (UTF-8).
 
         Reads the tables of all shards, never their images.
         """
-
-        def table(path: Path) -> tuple[tuple[int, int], npt.NDArray[np.void]]:
-            with reading(path) as file:
-                return file["noisy"].shape[1:], file["meta"][()]
-
         # Those at a URL are fetched on the way.
         with ThreadPoolExecutor(THREADS) as pool:
-            shapes, tables = zip(*pool.map(table, self.paths), strict=True)
-        if len(set(shapes)) > 1:
-            raise FactoryError(f"{self.folder}: images of several sizes ({sorted(set(shapes))})")
-        if len({rows.dtype for rows in tables}) > 1:
-            raise FactoryError(f"{self.folder}: shards with different columns in /meta")
-        return np.concatenate(tables)
+            return np.concatenate(list(pool.map(self.table, self.paths)))
+
+    def table(self, path: Path) -> npt.NDArray[np.void]:
+        """The sample table of one shard.  Raises FactoryError when its form is not the first's."""
+        with reading(path) as file:
+            shape, rows = file["noisy"].shape[1:], file["meta"][()]
+        if shape != self.shape:
+            raise FactoryError(f"{self.folder}: images of several sizes ({self.shape}, {shape})")
+        if [(column.name, column.dtype) for column in self.form.columns] != [
+            (name, rows.dtype[name].str) for name in rows.dtype.names
+        ]:
+            raise FactoryError(f"{path}: its columns differ from those of {self.paths[0]}")
+        return np.asarray(rows)
+
+    def names(self) -> Iterator[SampleName]:
+        """What every sample is of, in order."""
+        for path in self.paths:
+            for row, record in enumerate(self.table(path)):
+                location, scene, frame, variant = (record[key] for key in REQUIRED_COLUMNS)
+                texts = location.decode(), scene.decode(), frame.decode()
+                yield SampleName(path, row, path.parent.name, *texts, int(variant))
 
     def close(self) -> None:
         """Close the files that this process has open; reading again opens them again."""
@@ -204,14 +292,6 @@ class PairDataset:
     def _scaled(self, name: str, image: Image) -> Image:
         grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)
         return in_unit_range(image) if self.scaled and grey else image
-
-    @cached_property
-    def _form(self) -> tuple[tuple[int, int], str, str]:
-        """Size and dtype of the images and the hash of the settings, of the first shard."""
-        with reading(self.paths[0]) as file:
-            noisy = file["noisy"]
-            shape = noisy.shape[1], noisy.shape[2]
-            return shape, str(noisy.dtype), str(file.attrs["config_hash"])
 
 
 def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:

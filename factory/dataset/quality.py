@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import FactoryError
-from .manifest import INDEX_NAME
+from .pair_dataset import PairDataset
 from .preview import load, spread
-from .reader import check_in_isolation, reading
-from .source import Source, open_shards, open_source
+from .reader import reading
 
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
@@ -191,7 +190,7 @@ class DatasetSummary:
     psnr_db, ssim: noisy against clean, of `measured` samples spread evenly.
     """
 
-    source: Source
+    pairs: PairDataset
     schema: str
     generator: str
     compression: str
@@ -209,36 +208,31 @@ class DatasetSummary:
 
 
 def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
-    """Read a dataset folder, its index.h5 or one shard; `pairs` images at most are decoded.
+    """Read a dataset folder, or its index.h5; `pairs` images at most are decoded.
 
     Raises FactoryError when there is nothing of the kind, or a file is damaged.
     """
     if pairs < 1:
         raise FactoryError(f"--pairs must be at least 1, got {pairs}")
-    if path.is_file() and path.name != INDEX_NAME:
-        check_in_isolation((path,))
-        source = open_shards(path.parent, (path,))
-    elif not path.exists():
-        raise FactoryError(f"{path}: no such file or folder; give a dataset or one of its shards")
-    else:
-        source = open_source(path.parent if path.is_file() else path, "all")
-    tables = list(source.tables())
-    with reading(source.shards[0][1]) as file:
+    found = PairDataset(path, "all")
+    with reading(found.paths[0]) as file:
         schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
         compression = compression_of(file["noisy"])
-    images = [load(one).images for one in spread(list(source.names()), pairs)]
+    names = list(found.names())
+    images = [load(one).images for one in spread(names, pairs)]
     a_sample = sum(
-        int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
+        int(np.prod(found.form.sizes[name])) * dtype.itemsize
+        for name, dtype in found.form.layers.items()
     )
     return DatasetSummary(
-        source,
+        found,
         schema,
         generator,
         compression,
-        np.concatenate([rows for _, _, rows in tables]),
-        np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
-        sum(shard.stat().st_size for _, shard, _ in source.shards),
-        a_sample * sum(source.splits.values()),
+        found.meta(),
+        np.array([one.split for one in names]),
+        sum(shard.stat().st_size for shard in found.paths),
+        a_sample * len(found),
         np.array([psnr_db(one["clean"], one["noisy"]) for one in images]),
         np.array([ssim(one["clean"], one["noisy"]) for one in images]),
     )

@@ -18,8 +18,8 @@ from backports import zstd
 
 from simnfnd.factory.commands import status
 from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.folder import dataset_settings
 from simnfnd.factory.dataset.manifest import load_manifest
-from simnfnd.factory.dataset.source import dataset_settings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views

@@ -38,7 +38,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "read": read,
     "export": lambda folder: export(folder, "png", folder.parent / "out"),
     "inspect": lambda folder: summarize(folder),
-    "inspect a file": lambda folder: summarize(folder / SHARD),
     "preview": lambda folder: preview(folder, folder.parent / "sheet.png"),
     "shard paths": lambda folder: shard_paths(folder, "train"),
 }

@@ -12,9 +12,7 @@ import yaml
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
-from simnfnd.factory.export.coco import run_lengths
-from simnfnd.factory.export.objects import LEAST_PX
-from simnfnd.factory.export.yolo import outlines
+from simnfnd.factory.export.objects import LEAST_PX, outlines, run_lengths
 from simnfnd.factory.labels import CLASSES
 from tests.factory.dataset.hostile import admit, reseal
 from tests.factory.export.export_dataset import write
