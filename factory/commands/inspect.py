@@ -10,7 +10,7 @@ import numpy.typing as npt
 from ..cli import Parser
 from ..dataset.folder import dataset_settings
 from ..dataset.quality import DatasetSummary, summarize
-from ..dataset.schema import CAMERA_LAYERS
+from ..dataset.schema import CAMERA_LAYERS, SCHEMA
 from ..dataset.validate import validate
 from ..storage.copies import local_folder
 
@@ -54,7 +54,7 @@ def report(found: DatasetSummary, name: str) -> Iterator[str]:
     scale = "0..255" if pairs.dtype == np.uint8 else "0..1"
     across, down = (f"{axis.name} [{axis.units}]" for axis in pairs.axes)
     licence = dataset_settings(pairs.folder).get("licence") or "not stated"
-    yield f"{name}: {found.schema}, made by {found.generator}, config hash {pairs.config_hash}"
+    yield f"{name}: {SCHEMA}, made by {found.generator}, config hash {pairs.config_hash}"
     yield f"samples      {counts}, in {len(pairs.paths)} file(s)"
     yield f"pictures     {rows} x {columns} {pairs.dtype} ({scale}), {pairs.layout}"
     yield f"axes         rows {across}, columns {down}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import yaml
@@ -84,7 +84,9 @@ before projection, so both images of a pair share one scene. The method: {PAPER}
 
 ## What is in it
 
-{table(("split", "location", "scene", "pairs"), [(*key, n) for key, n in counts.items()], "l")}
+| split | location | scene | pairs |
+|---|---|---|---|
+{chr(10).join(f"| {' | '.join(key)} | {count} |" for key, count in counts.items())}
 
 ## How to read it
 
@@ -126,30 +128,3 @@ def hub_fields(name: str, licence: str | None, samples: int) -> str:
         "tags:\n" + "\n".join(f"- {tag}" for tag in _TAGS),
     ]
     return "\n".join(lines)
-
-
-_RULES = {"l": "---", "r": "---:", "c": ":---:"}
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str = "lr") -> str:
-    """A table, without a newline at its end.
-
-    align: a letter a column, l, r or c; the last one counts for all further columns.  In cells a
-    vertical bar is escaped and a line end becomes a space.  Raises ValueError for a row that has
-    not as many cells as the head.
-    """
-    letters = align.ljust(len(head), align[-1])
-    lines = [_line(head), f"|{'|'.join(_RULES[letter] for letter in letters[: len(head)])}|"]
-    for row in rows:
-        if len(row) != len(head):
-            raise ValueError(f"{len(row)} cells under a head of {len(head)}: {row}")
-        lines.append(_line(row))
-    return "\n".join(lines)
-
-
-def _line(cells: Sequence[object]) -> str:
-    return "| " + " | ".join(map(_cell, cells)) + " |"
-
-
-def _cell(content: object) -> str:
-    return str(content).replace("\n", " ").replace("|", "\\|")

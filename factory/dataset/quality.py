@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -126,6 +125,9 @@ class SsimReference:
     def __init__(self, image: Values, data_range: float) -> None:
         self.image = image
         self._c1, self._c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
+        self._mean = window(image)
+        self._mean_squared = self._mean * self._mean
+        self._variance = window(image * image) - self._mean_squared
 
     def terms(self, image: Values) -> tuple[Values, Values]:
         """(H, W) luminance and contrast-structure terms of SSIM; borders are mirrored."""
@@ -139,18 +141,6 @@ class SsimReference:
         luminance = (2 * product + self._c1) / (self._mean_squared + squared + self._c1)
         structure = (2 * cross + self._c2) / (self._variance + variance + self._c2)
         return luminance, structure
-
-    @cached_property
-    def _mean(self) -> Values:
-        return window(self.image)
-
-    @cached_property
-    def _mean_squared(self) -> Values:
-        return np.asarray(self._mean * self._mean)
-
-    @cached_property
-    def _variance(self) -> Values:
-        return np.asarray(window(self.image * self.image) - self._mean_squared)
 
 
 def inner(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
@@ -183,7 +173,7 @@ def _plain_window(values: Values) -> Values:
 class DatasetSummary:
     """Figures about a dataset.
 
-    schema, generator: as the first shard states them.
+    generator: as the first shard states it.
     table: (samples,) structured array, the rows of /meta of all shards.
     splits: (samples,) the split of each row.
     stored_bytes: of all files.  image_bytes: of the images without compression.
@@ -191,7 +181,6 @@ class DatasetSummary:
     """
 
     pairs: PairDataset
-    schema: str
     generator: str
     compression: str
     table: npt.NDArray[np.void]
@@ -216,7 +205,7 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         raise FactoryError(f"--pairs must be at least 1, got {pairs}")
     found = PairDataset(path, "all")
     with reading(found.paths[0]) as file:
-        schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
+        generator = str(file.attrs["generator"])
         compression = compression_of(file["noisy"])
     names = list(found.names())
     images = [load(one).images for one in spread(names, pairs)]
@@ -226,7 +215,6 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
     )
     return DatasetSummary(
         found,
-        schema,
         generator,
         compression,
         found.meta(),

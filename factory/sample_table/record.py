@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,20 +12,15 @@ from .. import seeds
 from ..dataset.schema import Axis, Column
 from ..frame import FrameRef
 from ..imaging.contract import Sample
-from ..imaging.settings import AcousticsSettings
-from ..labels import class_names
 from ..noise import draws as drawn
 from ..noise.draws import Draws
 from ..noise.registry import EFFECTS, NoiseSettings
-from ..sonar.array import WaterSettings
 from ..sonar.fan import pixel_size
 from ..sonar.settings import SonarSettings
-from ..sonar.surface import LitSurface
 from ..sonar.window import Window
-from . import boxes, camera, pose
 
 if TYPE_CHECKING:
-    from ..config import FactoryConfig
+    pass
 
 _NAME = "S96"
 
@@ -57,16 +51,6 @@ _TARGET = Column(
     "radiometric: backscatter",
 )
 
-# What turns grey values into sound pressure: level at the receiver = full scale of the picture, its
-# transfer curve backwards, less the gain, plus the source level; layer intensity_db is the result.
-_CALIBRATION = (
-    Column("source_level_db", "f8", "dB re 1 uPa at 1 m", "of the device"),
-    Column("sound_speed_m_s", "f8", "m/s", "of the water"),
-    Column("absorption_db_per_m", "f8", "dB/m", "of the water at the frequency, one way"),
-    Column("tvg_db_per_decade", "f8", "dB", "time-varying gain of the pictures, per tenfold range"),
-    Column("tvg_db_per_m", "f8", "dB/m", "time-varying gain of the pictures, per metre"),
-)
-
 
 def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ...]:
     """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty.
@@ -89,48 +73,6 @@ def _described(column: Column) -> Column:
         if parameter in names.split(", "):
             return replace(column, description=meaning.rstrip("."))
     return column
-
-
-_REQUESTED = {
-    "pose": pose.COLUMNS,
-    "intrinsics": camera.COLUMNS,
-    "calibration": _CALIBRATION,
-    "boxes": boxes.COLUMNS,
-}
-
-
-def requested(names: Sequence[str]) -> tuple[Column, ...]:
-    """The columns that `dataset.columns` asks for."""
-    return tuple(column for name in names for column in _REQUESTED[name])
-
-
-def requested_row(lit: LitSurface, config: FactoryConfig) -> dict[str, float | str]:
-    """The values of `requested` for a frame as the sonar sees it."""
-    frame, made = lit.frame, dict[str, float | str]()
-    if "pose" in config.dataset.columns:
-        made |= pose.row(frame, config.sonar.mount)
-    if "intrinsics" in config.dataset.columns:
-        made |= camera.row(frame)
-    if "calibration" in config.dataset.columns:
-        made |= _calibration(config.sonar, config.water, config.acoustics)
-    if "boxes" in config.dataset.columns:
-        made |= boxes.row(lit, class_names(config.scenes.own_classes()))
-    return made
-
-
-def _calibration(
-    sonar: SonarSettings, water: WaterSettings, acoustics: AcousticsSettings
-) -> dict[str, float]:
-    """The values of `_CALIBRATION`."""
-    absorption = water.absorption_db_per_m(sonar.frequency_khz)
-    values = (
-        sonar.array.source_level_db,
-        water.sound_speed_m_s(),
-        absorption,
-        acoustics.tvg_log,
-        2 * absorption if acoustics.tvg_absorption else 0.0,
-    )
-    return {column.name: value for column, value in zip(_CALIBRATION, values, strict=True)}
 
 
 def record(

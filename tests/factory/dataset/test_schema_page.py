@@ -13,7 +13,8 @@ from simnfnd.factory.dataset.schema import (
 )
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.sample_table.record import columns, requested
+from simnfnd.factory.sample_table.record import columns
+from simnfnd.factory.sample_table.requested import requested
 from tests.factory.dataset.hostile import whole
 from tests.project.page_steps import run, steps
 from tests.project_files import ROOT

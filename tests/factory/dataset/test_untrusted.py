@@ -14,7 +14,6 @@ import pytest
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.preview import preview
 from simnfnd.factory.dataset.quality import summarize
-from simnfnd.factory.dataset.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
 from tests.factory.dataset.hostile import admit, reseal
@@ -39,7 +38,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "export": lambda folder: export(folder, "png", folder.parent / "out"),
     "inspect": lambda folder: summarize(folder),
     "preview": lambda folder: preview(folder, folder.parent / "sheet.png"),
-    "shard paths": lambda folder: shard_paths(folder, "train"),
 }
 
 
