@@ -96,10 +96,7 @@ class IsolatedProcess:
             kind, result = _decode(child.stdout)
             return kind, result
         except (EOFError, BrokenPipeError, ValueError, TypeError) as error:
-            if not isinstance(error, EOFError | BrokenPipeError):
-                child.kill()  # what it sent is no answer
-            code = self._end()
-            if code == -signal.SIGALRM:
+            if self._end() == -signal.SIGALRM:
                 raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
             raise FactoryError("crashes the library that reads it; it is damaged") from error
         except BaseException:

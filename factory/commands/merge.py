@@ -98,11 +98,8 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Pair
                 f"merge: {first} was made by {one.generator}, {other} by {two.generator}; "
                 "make them with one version"
             )
-        changes = {
-            key: values
-            for key, values in differences(one.config, two.config).items()
-            if not _FREE.match(key)
-        }
+        found = differences(one.config, two.config)
+        changes = {key: change for key, change in found.items() if not _FREE.match(key)}
         if changes:
             raise FactoryError(
                 f"merge: {first} and {other} were made with different settings "

@@ -106,33 +106,27 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     return manifest
 
 
-def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Dotted key -> (value there, value here), of every key in which two configurations differ.
+def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, str]:
+    """Dotted key -> `value there -> value here`, of every key in which two configurations differ.
 
     The records of earlier datasets are left out.
     """
     one, two = (
-        dict(
-            _leaves({key: value for key, value in plain_values(config).items() if key not in PARTS})
-        )
+        {key: repr(value) for key, value in _leaves(plain_values(config)) if key not in PARTS}
         for config in (there, here)
     )
     return {
-        key: (_shown(one, key), _shown(two, key))
+        key: f"{one.get(key, '(absent)')} -> {two.get(key, '(absent)')}"
         for key in sorted(one.keys() | two.keys())
-        if key not in one or key not in two or one[key] != two[key]
+        if one.get(key) != two.get(key)
     }
 
 
-def list_differences(changes: Mapping[str, tuple[str, str]]) -> str:
+def list_differences(changes: Mapping[str, str]) -> str:
     """The first of the differences in one line."""
-    parts = [f"{key} {old} -> {new}" for key, (old, new) in changes.items()]
+    parts = [f"{key} {change}" for key, change in changes.items()]
     more = len(parts) - _SHOWN_DIFFERENCES
     return "; ".join(parts[:_SHOWN_DIFFERENCES] + ([f"and {more} more"] if more > 0 else []))
-
-
-def _shown(values: Mapping[str, Any], key: str) -> str:
-    return repr(values[key]) if key in values else "(absent)"
 
 
 def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,11 +26,9 @@ def noisiness(directory: Path, most: int = 200) -> dict[str, float]:
 
     Over whole pictures of (at most `most`) samples; NaN without any.
     """
-    found: list[tuple[float, ...]] = []
-    for shard in _shards(directory):
-        for noisy, clean in zip(shard["noisy"], shard["clean"], strict=True):
-            if len(found) < most:
-                found.append((psnr_db(clean, noisy), ssim(clean, noisy), gmsd(clean, noisy)))
+    shards = _shards(directory)
+    images = (both for shard in shards for both in zip(shard["clean"], shard["noisy"], strict=True))
+    found = [(psnr_db(*both), ssim(*both), gmsd(*both)) for both in islice(images, most)]
     values = np.array(found or [(np.nan,) * 3])
     made: dict[str, float] = {}
     for name, column in zip(("psnr_db", "ssim", "gmsd"), values.T, strict=True):
@@ -77,21 +76,15 @@ def _gradient(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 def seen_sector_deg(directory: Path) -> tuple[float, float]:
     """Smallest and largest horizontal sector, degrees, that the camera saw of a sample."""
-    spans = [
-        shard["meta"]["azimuth_max_deg"] - shard["meta"]["azimuth_min_deg"]
-        for shard in _shards(directory)
-    ]
-    joined = np.concatenate(spans)
+    tables = (shard["meta"][()] for shard in _shards(directory))
+    joined = np.concatenate([t["azimuth_max_deg"] - t["azimuth_min_deg"] for t in tables])
     return float(joined.min()), float(joined.max())
 
 
 def lit_share(directory: Path, most: int = 64) -> float:
     """Share of the pixels of (at most `most`) clean pictures that show an echo, 0 to 1."""
-    found: list[float] = []
-    for shard in _shards(directory):
-        found += [float((picture > 0).mean()) for picture in shard["clean"][: most - len(found)]]
-        if len(found) >= most:
-            break
+    pictures = (picture for shard in _shards(directory) for picture in shard["clean"])
+    found = [float((picture > 0).mean()) for picture in islice(pictures, most)]
     return float(np.mean(found)) if found else 0.0
 
 

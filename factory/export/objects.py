@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,43 +39,32 @@ class Shown:
         return left, top, width, height
 
 
-class Objects:
-    """The pictures of a dataset and their objects, on their way to `folder`.
+def _pictures(
+    pairs: PairDataset, to: str, folder: Path, take: Callable[[str, str, list[Shown]], None]
+) -> str:
+    """Write images/SPLIT/KEY.png and clean/ of every sample; returns one line that says so.
 
-    Raises FactoryError for a dataset without labels.
+    take: is given split, key and objects of each.  Raises FactoryError for a dataset without
+    labels.
     """
-
-    def __init__(self, pairs: PairDataset, to: str, folder: Path) -> None:
-        if not {"segmentation", "instance"} <= set(pairs.layers):
-            raise FactoryError(
-                f"--to {to}: {pairs.folder} has no labels (/segmentation and /instance); make "
-                "it from scenes with labels and dataset.layers=[segmentation], or export with "
-                "--to png"
-            )
-        self._pairs, self._folder = pairs, folder
-        self.classes = classes_of(pairs.form.config)
-        self._pictures = self._objects = self._left_out = 0
-
-    def of(self, split: str) -> Iterator[tuple[str, list[Shown]]]:
-        """(key, objects) of every sample, whose images/SPLIT/KEY.png and clean/ are written."""
-        for sample in samples(self._pairs, split):
+    if not {"segmentation", "instance"} <= set(pairs.layers):
+        raise FactoryError(
+            f"--to {to}: {pairs.folder} has no labels (/segmentation and /instance); make it from "
+            "scenes with labels and dataset.layers=[segmentation], or export with --to png"
+        )
+    objects = left_out = 0
+    for split in pairs.splits:
+        for sample in samples(pairs, split):
             for name, layer in (("images", "noisy"), ("clean", "clean")):
-                path = self._folder / name / split / f"{sample.key}.png"
+                path = folder / name / split / f"{sample.key}.png"
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(png(stored_image(sample.images[layer], "uint8")))
-            found = list(shown_in(sample, self.classes, self._pairs.folder))
+            found = list(shown_in(sample, classes_of(pairs.form.config), pairs.folder))
             large = [shown for shown in found if int(shown.mask.sum()) >= LEAST_PX]
-            self._pictures += 1
-            self._objects += len(large)
-            self._left_out += len(found) - len(large)
-            yield sample.key, large
-
-    def summary(self) -> str:
-        """One line that says what was written."""
-        return (
-            f"{self._pictures} pictures, {self._objects} objects; {self._left_out} below "
-            f"{LEAST_PX} pixels left out"
-        )
+            objects += len(large)
+            left_out += len(found) - len(large)
+            take(split, sample.key, large)
+    return f"{len(pairs)} pictures, {objects} objects; {left_out} below {LEAST_PX} pixels left out"
 
 
 def shown_in(sample: Sample, classes: tuple[str, ...], directory: Path) -> Iterator[Shown]:
@@ -100,33 +89,34 @@ def write_coco(pairs: PairDataset, folder: Path) -> str:
     holds the ideal pictures.  Format: https://cocodataset.org/#format-data.
     Raises FactoryError for a dataset without labels.
     """
-    objects = Objects(pairs, "coco", folder)
     height, width = pairs.shape
     (folder / "annotations").mkdir()
-    categories = [
-        {"id": label, "name": name, "supercategory": "object"}
-        for label, name in enumerate(objects.classes)
-        if label
-    ]
+    images: dict[str, list[dict[str, Any]]] = {split: [] for split in pairs.splits}
+    annotations: dict[str, list[dict[str, Any]]] = {split: [] for split in pairs.splits}
+
+    def take(split: str, key: str, found: list[Shown]) -> None:
+        number = len(images[split]) + 1
+        size = {"width": width, "height": height}
+        images[split].append({"id": number, "file_name": f"{key}.png", **size})
+        for shown in found:
+            annotations[split].append(_annotation(shown, len(annotations[split]) + 1, number))
+
+    said = _pictures(pairs, "coco", folder, take)
     for split in pairs.splits:
-        images: list[dict[str, Any]] = []
-        annotations: list[dict[str, Any]] = []
-        for key, found in objects.of(split):
-            number = len(images) + 1
-            size = {"width": width, "height": height}
-            images.append({"id": number, "file_name": f"{key}.png", **size})
-            for shown in found:
-                annotations.append(_annotation(shown, len(annotations) + 1, number))
         document = {
             "info": {"description": f"SimNFND, {split}", "version": "1.0"},
-            "images": images,
-            "annotations": annotations,
-            "categories": categories,
+            "images": images[split],
+            "annotations": annotations[split],
+            "categories": [
+                {"id": label, "name": name, "supercategory": "object"}
+                for label, name in enumerate(classes_of(pairs.form.config))
+                if label
+            ],
         }
         text = json.dumps(document, separators=(",", ":"))
         (folder / "annotations" / f"instances_{split}.json").write_text(text + "\n")
     write_notes(pairs, folder, _COCO_NOTES)
-    return objects.summary()
+    return said
 
 
 def _annotation(shown: Shown, number: int, image: int) -> dict[str, Any]:
@@ -158,23 +148,25 @@ def write_yolo(pairs: PairDataset, folder: Path) -> str:
     https://docs.ultralytics.com/datasets/segment.
     Raises FactoryError for a dataset without labels.
     """
-    objects = Objects(pairs, "yolo", folder)
     splits = tuple(pairs.splits)
     for split in splits:
         (folder / "labels" / split).mkdir(parents=True)
-        for key, found in objects.of(split):
-            lines = [line for shown in found for line in _lines(shown)]
-            (folder / "labels" / split / f"{key}.txt").write_text("".join(lines))
+
+    def take(split: str, key: str, found: list[Shown]) -> None:
+        lines = [line for shown in found for line in _lines(shown)]
+        (folder / "labels" / split / f"{key}.txt").write_text("".join(lines))
+
+    said = _pictures(pairs, "yolo", folder, take)
     # Without `path`, places are those beside data.yaml.  Both keys must be there.
     places = {
         key: f"images/{split if split in splits else splits[0]}"
         for key, split in (("train", "train"), ("val", "test"))
     }
-    names = dict(enumerate(objects.classes[1:]))
+    names = dict(enumerate(classes_of(pairs.form.config)[1:]))
     text = yaml.safe_dump({**places, "names": names}, sort_keys=False)
     (folder / "data.yaml").write_text(text)
     write_notes(pairs, folder, _YOLO_NOTES)
-    return objects.summary()
+    return said
 
 
 def _lines(shown: Shown) -> list[str]:

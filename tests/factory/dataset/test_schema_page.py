@@ -13,8 +13,7 @@ from simnfnd.factory.dataset.schema import (
 )
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.sample_table.record import columns
-from simnfnd.factory.sample_table.requested import requested
+from simnfnd.factory.sample_table import columns, requested
 from tests.factory.dataset.hostile import whole
 from tests.project.page_steps import run, steps
 from tests.project_files import ROOT

@@ -17,7 +17,7 @@ from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.view import view_of
 from simnfnd.factory.render.views import OneView
-from simnfnd.factory.sample_table.requested import pose_row
+from simnfnd.factory.sample_table import pose_row
 from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, labelled, plain_render
 from tests.project.run_example import run
 from tests.project_files import ROOT
