@@ -325,7 +325,7 @@ def load_failures(directory: Path) -> list[dict[str, str]]:
         items = [{key: str(item[key]) for key in FAILURE_KEYS} for item in read]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FactoryError(
-            f"{path}: damaged ({one_line(error)}); run the dataset's command again, it is "
+            f"{path}: cannot be read ({one_line(error)}); run the dataset's command again, it is "
             "written anew"
         ) from error
     settled = outcomes(directory)
