@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..factory.dataset.manifest import load_manifest
+from ..factory.dataset.pair_dataset import PairDataset
 from ..factory.dataset.reader import ImageStack, Split, open_shard, reading, value_range
 from ..factory.dataset.schema import CORE
-from ..factory.dataset.source import open_source
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from ..models.recordings.pictures import in_unit_range, read_picture
@@ -89,13 +89,13 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
 
     Raises FactoryError when `root` is no dataset.
     """
-    source, manifest = open_source(root, split), load_manifest(root)
-    digests, counts = {}, dict.fromkeys(source.splits, 0)
-    for _, path, _ in source.shards:
+    pairs, manifest = PairDataset(root, split), load_manifest(root)
+    digests, counts = {}, dict.fromkeys(pairs.splits, 0)
+    for path in pairs.paths:
         name = path.relative_to(root).as_posix()
         digests[path] = name, manifest.shards[name].sha256 if manifest else sha256_of(path)
     found = []
-    for one in source.names():
+    for one in pairs.names():
         name, digest = digests[one.path]
         place, key = (str(one.path), one.row), f"{digest[:24]}:{one.row}"
         identity = one.location, one.scene, one.frame, one.variant

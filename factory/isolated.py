@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import atexit
 import base64
-import importlib
 import json
 import os
 import signal
@@ -21,6 +20,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import IO, Any
 
 from .errors import FactoryError
@@ -59,8 +59,7 @@ class IsolatedProcess:
         self._memory_bytes = memory_bytes
         self._forget()
         atexit.register(self.close)
-        if hasattr(os, "register_at_fork"):
-            os.register_at_fork(after_in_child=self._forget)
+        os.register_at_fork(after_in_child=self._forget)
 
     def _forget(self) -> None:
         self._lock = threading.Lock()
@@ -97,10 +96,7 @@ class IsolatedProcess:
             kind, result = _decode(child.stdout)
             return kind, result
         except (EOFError, BrokenPipeError, ValueError, TypeError) as error:
-            if not isinstance(error, EOFError | BrokenPipeError):
-                child.kill()  # what it sent is no answer
-            code = self._end()
-            if code == -signal.SIGALRM:
+            if self._end() == -signal.SIGALRM:
                 raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
             raise FactoryError("crashes the library that reads it; it is damaged") from error
         except BaseException:
@@ -189,7 +185,7 @@ def serve(memory_bytes: int) -> None:
         # Not caught: it ends the process even where C code never comes back.
         signal.setitimer(signal.ITIMER_REAL, limit_s)
         try:
-            content = _encode(("answer", _found(name)(*arguments)))
+            content = _encode(("answer", resolve_name(name)(*arguments)))
         except FactoryError as error:
             content = _encode(("refused", str(error)))
         except MemoryError:
@@ -201,32 +197,18 @@ def serve(memory_bytes: int) -> None:
         answers.flush()
 
 
-def _found(name: str) -> Any:
-    module, _, parts = name.partition(":")
-    found: Any = importlib.import_module(module)
-    for part in parts.split("."):
-        found = getattr(found, part)
-    return found
-
-
 def _limit_memory(memory_bytes: int) -> None:
     import resource
 
     import h5py  # noqa: F401  (counts as what the process has)
 
-    most = _address_space_bytes() + memory_bytes
+    # What this process has reserved; systems without /proc know no such limit.
+    reserved = Path("/proc/self/statm")
+    pages = int(reserved.read_text().split()[0]) if reserved.exists() else 0
+    most = pages * resource.getpagesize() + memory_bytes
     _, allowed = resource.getrlimit(resource.RLIMIT_AS)
     if allowed != resource.RLIM_INFINITY:
         most = min(most, allowed)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     # A core file of an expected crash is of no use.
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-def _address_space_bytes() -> int:
-    """What this process has reserved; 0 where the system does not say (and knows no limit)."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-    except OSError:
-        return 0
-    return pages * os.sysconf("SC_PAGE_SIZE")

@@ -25,8 +25,7 @@ from .imaging import layers as truth
 from .imaging.contract import Floats, Formation, Scene
 from .noise.draws import StreamNames, draw
 from .render.views import CachedViews, Views, open_views
-from .sample_table.camera import Camera
-from .sample_table.record import columns, image_axes, record, requested, requested_row
+from .sample_table import Camera, columns, image_axes, record, requested, requested_row
 from .sonar import polar, surface, transfer
 from .sonar.fan import lay_out, lay_out_nearest, rasterised
 from .sonar.window import Window, conical, fit_window, set_window

@@ -103,7 +103,7 @@ VERBS: dict[str, Verb] = {
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(
-        LOOK, "what is in a dataset or shard", f"{_COMMANDS}.inspect:main",
+        LOOK, "what is in a dataset", f"{_COMMANDS}.inspect:main",
         ("simnfnd inspect outputs/demo",),
     ),
     "validate": Verb(

@@ -1,4 +1,4 @@
-"""`simnfnd inspect DIR|FILE`: what is in a dataset; `simnfnd validate DIR`: is it whole."""
+"""`simnfnd inspect DIR`: what is in a dataset; `simnfnd validate DIR`: is it whole."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..cli import Parser
+from ..dataset.folder import dataset_settings
 from ..dataset.quality import DatasetSummary, summarize
-from ..dataset.schema import CAMERA_LAYERS
-from ..dataset.source import dataset_settings
+from ..dataset.schema import CAMERA_LAYERS, SCHEMA
 from ..dataset.validate import validate
 from ..storage.copies import local_folder
 
@@ -21,7 +21,7 @@ _BINS = 10
 def main(words: list[str]) -> None:
     """Print what `words` ask for."""
     parser = Parser(prog="simnfnd inspect")
-    parser.add_argument("path", help="folder or URL of a dataset, index.h5 or a shard")
+    parser.add_argument("path", help="folder or URL of a dataset, or its index.h5")
     parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
     given = parser.parse_args(words)
     found = summarize(local_folder(given.path), given.pairs)
@@ -48,19 +48,19 @@ def check(words: list[str]) -> int:
 
 def report(found: DatasetSummary, name: str) -> Iterator[str]:
     """The lines that `inspect` prints."""
-    source = found.source
-    counts = ", ".join(f"{count} {split}" for split, count in source.splits.items())
-    rows, columns = source.shape
-    scale = "0..255" if source.dtype == "uint8" else "0..1"
-    across, down = (f"{axis.name} [{axis.units}]" for axis in source.axes)
-    licence = dataset_settings(source.directory).get("licence") or "not stated"
-    yield f"{name}: {found.schema}, made by {found.generator}, config hash {source.config_hash}"
-    yield f"samples      {counts}, in {len(source.shards)} file(s)"
-    yield f"pictures     {rows} x {columns} {source.dtype} ({scale}), {source.layout}"
+    pairs = found.pairs
+    counts = ", ".join(f"{count} {split}" for split, count in pairs.splits.items())
+    rows, columns = pairs.shape
+    scale = "0..255" if pairs.dtype == np.uint8 else "0..1"
+    across, down = (f"{axis.name} [{axis.units}]" for axis in pairs.axes)
+    licence = dataset_settings(pairs.folder).get("licence") or "not stated"
+    yield f"{name}: {SCHEMA}, made by {found.generator}, config hash {pairs.config_hash}"
+    yield f"samples      {counts}, in {len(pairs.paths)} file(s)"
+    yield f"pictures     {rows} x {columns} {pairs.dtype} ({scale}), {pairs.layout}"
     yield f"axes         rows {across}, columns {down}"
-    yield f"layers       {', '.join(source.layers)}"
-    if camera := [name for name in source.layers if name in CAMERA_LAYERS]:
-        high, wide = source.sizes[camera[0]][:2]
+    yield f"layers       {', '.join(name.replace('/', '_') for name in pairs.form.layers)}"
+    if camera := [name for name in pairs.form.layers if name in CAMERA_LAYERS]:
+        high, wide = pairs.form.sizes[camera[0]][:2]
         yield f"camera       {high} x {wide} pixels ({', '.join(camera)})"
     yield (
         f"size         {found.stored_bytes / 1e6:.2f} MB on disk, {found.image_bytes / 1e6:.2f} MB "
@@ -89,7 +89,7 @@ def _scenes(found: DatasetSummary) -> list[tuple[str, ...]]:
 def _columns(found: DatasetSummary) -> list[tuple[str, ...]]:
     """One line a column: what was drawn lies between lowest and highest."""
     lines: list[tuple[str, ...]] = []
-    for column in found.source.columns:
+    for column in found.pairs.form.columns:
         if column.name in ("location", "scene", "frame", "seed_key", "boxes"):
             continue
         if np.dtype(column.dtype).kind == "S":

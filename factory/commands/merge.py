@@ -14,7 +14,7 @@ from typing import Any
 
 from ..cli import Parser
 from ..dataset.card import write_card
-from ..dataset.folder import differences, list_differences, open_folder
+from ..dataset.folder import dataset_settings, differences, list_differences, open_folder
 from ..dataset.manifest import (
     MANIFEST_NAME,
     PARTS,
@@ -23,10 +23,10 @@ from ..dataset.manifest import (
     load_manifest,
     save_manifest,
 )
+from ..dataset.pair_dataset import PairDataset
 from ..dataset.preview import preview
 from ..dataset.schema import SPLITS, Provenance, config_hash
 from ..dataset.settings import DatasetSettings
-from ..dataset.source import Source, dataset_settings, open_source
 from ..dataset.writer import write_index
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
@@ -67,7 +67,7 @@ def merge(
     manifests = {directory: _whole(directory) for directory in directories}
     if len(manifests) < len(directories):
         raise FactoryError("merge: a dataset is named twice")
-    sources = {directory: open_source(directory, "all") for directory in directories}
+    sources = {directory: PairDataset(directory, "all") for directory in directories}
     _check_alike(manifests, sources)
     _check_samples(sources)
     settings = DatasetSettings(name=name, licence=licence or _common_licence(directories))
@@ -89,7 +89,7 @@ def _whole(directory: Path) -> Manifest:
     return manifest
 
 
-def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Source]) -> None:
+def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, PairDataset]) -> None:
     first, *others = manifests
     for other in others:
         one, two = manifests[first], manifests[other]
@@ -98,25 +98,22 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Sour
                 f"merge: {first} was made by {one.generator}, {other} by {two.generator}; "
                 "make them with one version"
             )
-        changes = {
-            key: values
-            for key, values in differences(one.config, two.config).items()
-            if not _FREE.match(key)
-        }
+        found = differences(one.config, two.config)
+        changes = {key: change for key, change in found.items() if not _FREE.match(key)}
         if changes:
             raise FactoryError(
                 f"merge: {first} and {other} were made with different settings "
                 f"({list_differences(changes)}); merge only what differs in frames and seed"
             )
         # Layers of the camera are as large as the pictures of the scenes, which may differ.
-        if dict(sources[first].sizes) != dict(sources[other].sizes):
+        if sources[first].form.sizes != sources[other].form.sizes:
             raise FactoryError(
                 f"merge: {first} and {other} differ in their picture sizes; make them with the "
                 "same settings"
             )
 
 
-def _check_samples(sources: Mapping[Path, Source]) -> None:
+def _check_samples(sources: Mapping[Path, PairDataset]) -> None:
     """No sample twice, and no scene in train here and in test there."""
     owner: dict[tuple[Any, ...], Path] = {}
     place: dict[tuple[str, str], tuple[str, Path]] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import yaml
@@ -12,9 +12,9 @@ import yaml
 from ..files import write_atomically
 from .folder import CARD_NAME, PREVIEW_NAME
 from .manifest import FAILURES_NAME, Failure, Manifest
+from .pair_dataset import PairDataset
 from .schema import SCHEMA, SPLITS, Provenance, plain_values
 from .settings import DatasetSettings
-from .source import open_source
 
 # Identifiers that the Hugging Face hub knows; anything else goes there as "other" with a name.
 _HUB_LICENCES = (
@@ -42,10 +42,10 @@ def write_card(
 
     skipped: reason -> images that were left out before the run.  Needs at least one finished shard.
     """
-    source = open_source(directory, "all", trusted=True)
-    rows, columns = source.shape
+    pairs = PairDataset(directory, "all", trusted=True)
+    rows, columns = pairs.shape
     splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
-    counts = Counter((one.split, one.location, one.scene) for one in source.names())
+    counts = Counter((one.split, one.location, one.scene) for one in pairs.names())
     preview = (directory / PREVIEW_NAME).exists()
     config = {key: provenance.config[key] for key in _SECTIONS if key in provenance.config}
     facts = [
@@ -67,7 +67,7 @@ def write_card(
 
 {manifest.samples()} pairs of forward-looking-sonar images ({splits}): each sample is a \
 noisy image, the clean image of the same scene, and the mask of its acoustic shadows. \
-{rows} x {columns} pixels, {source.dtype}, {manifest.total_bytes() / 1e6:.1f} MB.
+{rows} x {columns} pixels, {pairs.dtype}, {manifest.total_bytes() / 1e6:.1f} MB.
 
 {f"![noisy, clean and shadow images of some samples]({PREVIEW_NAME})" if preview else ""}
 
@@ -84,19 +84,21 @@ before projection, so both images of a pair share one scene. The method: {PAPER}
 
 ## What is in it
 
-{table(("split", "location", "scene", "pairs"), [(*key, n) for key, n in counts.items()], "l")}
+| split | location | scene | pairs |
+|---|---|---|---|
+{chr(10).join(f"| {' | '.join(key)} | {count} |" for key, count in counts.items())}
 
 ## How to read it
 
 ```python
 import h5py
 
-with h5py.File("{source.shards[0][1].relative_to(source.directory).as_posix()}") as shard:
+with h5py.File("{pairs.paths[0].relative_to(directory).as_posix()}") as shard:
     noisy, clean, shadow = (shard[name][0] for name in ("noisy", "clean", "shadow"))
     made_from = dict(zip(shard["meta"].dtype.names, shard["meta"][0]))
 ```
 
-`noisy` and `clean` are {"0..255" if source.dtype == "uint8" else "0..1"}; `shadow` is true inside \
+`noisy` and `clean` are {"0..255" if pairs.dtype == "uint8" else "0..1"}; `shadow` is true inside \
 the sonar's sector where no echo arrives. `meta` has, for each sample, its frame and every \
 number that was drawn for it; `axes` has range and bearing. One chunk is one image. `simnfnd \
 validate` checks a copy, `simnfnd export` writes other formats.
@@ -126,30 +128,3 @@ def hub_fields(name: str, licence: str | None, samples: int) -> str:
         "tags:\n" + "\n".join(f"- {tag}" for tag in _TAGS),
     ]
     return "\n".join(lines)
-
-
-_RULES = {"l": "---", "r": "---:", "c": ":---:"}
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str = "lr") -> str:
-    """A table, without a newline at its end.
-
-    align: a letter a column, l, r or c; the last one counts for all further columns.  In cells a
-    vertical bar is escaped and a line end becomes a space.  Raises ValueError for a row that has
-    not as many cells as the head.
-    """
-    letters = align.ljust(len(head), align[-1])
-    lines = [_line(head), f"|{'|'.join(_RULES[letter] for letter in letters[: len(head)])}|"]
-    for row in rows:
-        if len(row) != len(head):
-            raise ValueError(f"{len(row)} cells under a head of {len(head)}: {row}")
-        lines.append(_line(row))
-    return "\n".join(lines)
-
-
-def _line(cells: Sequence[object]) -> str:
-    return "| " + " | ".join(map(_cell, cells)) + " |"
-
-
-def _cell(content: object) -> str:
-    return str(content).replace("\n", " ").replace("|", "\\|")

@@ -16,6 +16,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import h5py
@@ -34,18 +36,7 @@ from .layout import (
 )
 from .schema import CHECKSUMS, CORE, ROOT_ATTRIBUTES, SEALS
 
-
-def _deflate() -> Any:
-    try:
-        from isal import isal_zlib
-    except ImportError:
-        import zlib
-
-        return zlib
-    return isal_zlib
-
-
-DEFLATE = _deflate()
+DEFLATE: Any = import_module("isal.isal_zlib" if find_spec("isal") else "zlib")
 """isal's zlib, in a third to two thirds of the time; readers may have numpy and h5py alone."""
 
 _CONTENTS, _TEXTS = SEALS

@@ -16,7 +16,7 @@ from ..files import (
     remove_stale_temporaries,
     write_atomically,
 )
-from ..small_files import read_regular
+from ..small_files import load_yaml, one_line, read_regular
 from .manifest import (
     CONFIG_NAME,
     MANIFEST_NAME,
@@ -25,7 +25,7 @@ from .manifest import (
     load_manifest,
     save_manifest,
 )
-from .schema import SCHEMA, SPLITS, Provenance, plain_values
+from .schema import DATASET_NAME, SCHEMA, SPLITS, Provenance, plain_values
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
@@ -106,33 +106,27 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     return manifest
 
 
-def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Dotted key -> (value there, value here), of every key in which two configurations differ.
+def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, str]:
+    """Dotted key -> `value there -> value here`, of every key in which two configurations differ.
 
     The records of earlier datasets are left out.
     """
     one, two = (
-        dict(
-            _leaves({key: value for key, value in plain_values(config).items() if key not in PARTS})
-        )
+        {key: repr(value) for key, value in _leaves(plain_values(config)) if key not in PARTS}
         for config in (there, here)
     )
     return {
-        key: (_shown(one, key), _shown(two, key))
+        key: f"{one.get(key, '(absent)')} -> {two.get(key, '(absent)')}"
         for key in sorted(one.keys() | two.keys())
-        if key not in one or key not in two or one[key] != two[key]
+        if one.get(key) != two.get(key)
     }
 
 
-def list_differences(changes: Mapping[str, tuple[str, str]]) -> str:
+def list_differences(changes: Mapping[str, str]) -> str:
     """The first of the differences in one line."""
-    parts = [f"{key} {old} -> {new}" for key, (old, new) in changes.items()]
+    parts = [f"{key} {change}" for key, change in changes.items()]
     more = len(parts) - _SHOWN_DIFFERENCES
     return "; ".join(parts[:_SHOWN_DIFFERENCES] + ([f"and {more} more"] if more > 0 else []))
-
-
-def _shown(values: Mapping[str, Any], key: str) -> str:
-    return repr(values[key]) if key in values else "(absent)"
 
 
 def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -156,3 +150,30 @@ def _config_text(config: Mapping[str, Any], provenance: Provenance) -> str:
         plain_values(config), sort_keys=False, allow_unicode=True, default_flow_style=False
     )
     return f"# {SCHEMA}, {provenance.generator}, config hash {provenance.config_hash}\n{body}"
+
+
+def dataset_settings(directory: Path) -> dict[str, object]:
+    """The `dataset` block of config.yaml; empty when there is none.
+
+    Raises FactoryError when the file cannot be read, or when name or licence are not what the
+    settings allow: both go into the cards of exports.
+    """
+    path = directory / CONFIG_NAME
+    try:
+        values = load_yaml(path)
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read ({one_line(error)}); restore or delete it"
+        ) from error
+    block = values.get("dataset") if isinstance(values, dict) else None
+    block = block if isinstance(block, dict) else {}
+    name, licence = block.get("name") or "dataset", block.get("licence")
+    if not (isinstance(name, str) and DATASET_NAME.fullmatch(name)):
+        raise FactoryError(
+            f"{path}: dataset.name {str(name)[:40]!r} is not letters, digits, dot, dash, underscore"
+        )
+    if not isinstance(licence, str | None):
+        raise FactoryError(f"{path}: dataset.licence {str(licence)[:40]!r} must be text")
+    return block

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -104,24 +104,13 @@ class Manifest:
     @property
     def config_hashes(self) -> frozenset[str]:
         """Hashes that its shards may state: its own, or those of datasets that went into it."""
-        return frozenset(
-            {self.config_hash, *(str(part.get("config_hash")) for part in self._parts())}
-        )
-
-    def _parts(self) -> Iterator[Mapping[str, Any]]:
-        """The records of the datasets that were merged into this one, or that it extends."""
-        waiting = [self.config]
-        while waiting:
-            config = waiting.pop()
-            for key in PARTS:
-                listed = config.get(key)
-                found = [
-                    part
-                    for part in (listed if isinstance(listed, list) else [])
-                    if isinstance(part, dict)
-                ]
-                yield from found
-                waiting += found
+        found, waiting = {self.config_hash}, [self.config]
+        for listed in (config.get(key) for config in waiting for key in PARTS):
+            several = listed if isinstance(listed, list) else []
+            parts = [part for part in several if isinstance(part, dict)]
+            found |= {str(part.get("config_hash")) for part in parts}
+            waiting += parts  # which the loop then comes to
+        return frozenset(found)
 
     def total_bytes(self) -> int:
         """Size of all shards together."""
@@ -330,25 +319,15 @@ def load_failures(directory: Path) -> list[dict[str, str]]:
     Raises FactoryError when one is damaged.
     """
     path = directory / FAILURES_NAME
-    items: list[dict[str, str]] = []
-    lines = []
     try:
-        lines = read_regular(path, _MAX_BYTES).decode().split("\n")[:-1]
-    except FileNotFoundError:
-        pass
-    except (OSError, ValueError) as error:
+        content = read_regular(path, _MAX_BYTES) if path.exists() else b""
+        read = [parse_json(line) for line in content.decode().split("\n")[:-1]]
+        items = [{key: str(item[key]) for key in FAILURE_KEYS} for item in read]
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise FactoryError(
             f"{path}: cannot be read ({one_line(error)}); run the dataset's command again, it is "
             "written anew"
         ) from error
-    for number, line in enumerate(lines, start=1):
-        try:
-            item = parse_json(line)
-            items.append({key: str(item[key]) for key in FAILURE_KEYS})
-        except (ValueError, KeyError, TypeError) as error:
-            raise FactoryError(
-                f"{path}:{number}: damaged; run the dataset's command again, it is written anew"
-            ) from error
     settled = outcomes(directory)
     kept = [item for item in items if item["shard"] not in settled]
     return kept + [dict(line) for path in sorted(settled) for line in settled[path].failures]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import operator
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -17,24 +18,60 @@ import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..seeds import stream
-from ..storage.copies import local_folder, most_bytes, url_of
-from .layout import image_axes
+from ..storage.copies import local_folder
+from .layout import config_of, image_axes, optional_layers
 from .manifest import INDEX_NAME, load_manifest
 from .reader import (
     Image,
     OpenShards,
     Split,
-    bring,
     check_in_isolation,
     listed_shards,
     reading,
 )
-from .schema import EFFECT_FOLDER, VALUE_RANGES, Axis, layers
+from .schema import (
+    CORE,
+    EFFECT_FOLDER,
+    REQUIRED_COLUMNS,
+    VALUE_RANGES,
+    Axis,
+    Column,
+    layers,
+)
 
 WINDOW = 16
 THREADS = 4
 
 Sample = dict[str, Image]
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """What all shards of a dataset share, as the first one says it.
+
+    layers, sizes: dtype and shape of the images of each layer, the core ones first.
+    axes: of rows and columns.  columns: of /meta.  config: the settings.
+    """
+
+    layers: Mapping[str, np.dtype[Any]]
+    sizes: Mapping[str, tuple[int, ...]]
+    axes: tuple[Axis, Axis]
+    columns: tuple[Column, ...]
+    config: Mapping[str, Any]
+    config_hash: str
+
+
+@dataclass(frozen=True)
+class SampleName:
+    """One sample: row `row` of the shard at `path`, and what it is of."""
+
+    path: Path
+    row: int
+    split: str
+    location: str
+    scene: str
+    frame: str
+    variant: int
 
 
 class PairDataset:
@@ -51,7 +88,7 @@ class PairDataset:
 
     folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
     from where shards are fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.schema` names them.
+    layers: as `format.schema` names them; None: all that the first shard has.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
@@ -67,14 +104,15 @@ class PairDataset:
         folder: str | Path,
         split: Split = "train",
         *,
-        layers: Sequence[str] = ("noisy", "clean"),
+        layers: Sequence[str] | None = ("noisy", "clean"),
         scaled: bool = False,
         trusted: bool = False,
     ) -> None:
         given = local_folder(folder)
         self.folder = given.parent if given.name == INDEX_NAME else given
-        self.split, self.layers, self.scaled = split, tuple(layers), scaled
-        _check_names(self.layers)
+        self.split, self.scaled = split, scaled
+        if layers is not None:
+            _check_names(tuple(layers))
         manifest = load_manifest(self.folder)
         self.paths = listed_shards(self.folder, split, manifest)
         self._config_hash = manifest.config_hash if manifest else ""
@@ -83,10 +121,10 @@ class PairDataset:
         }
         if not trusted:
             check_in_isolation(self.paths)
-        self._sizes = {path: info.bytes for path, info in infos.items()}
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
         self._shards = OpenShards()
+        self.layers = tuple(self.form.layers if layers is None else layers)
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -114,17 +152,12 @@ class PairDataset:
         """All samples once, in a random order that `seed` and `epoch` give, for training.
 
         Shards come in random order, `window` of them at a time, and the samples of a window in
-        random order; the shards of the next are fetched meanwhile where they lie at a URL.
+        random order, so that one at a URL is fetched once.
         """
         counts = zip(self.paths, self._counts, strict=True)
         places = [path for path, count in counts for _ in range(count)]
-        windows = Windows(places, window, sizes=self._sizes)
-        try:
-            for position, index in enumerate(windows.order(stream(seed, "shuffled", epoch))):
-                windows.reach(position)
-                yield self[index]
-        finally:
-            windows.close()
+        for index in mixed_order(places, stream(seed, "shuffled", epoch), window):
+            yield self[index]
 
     def place(self, index: SupportsIndex) -> tuple[Path, int]:
         """The shard that holds a sample, and its row there."""
@@ -132,15 +165,40 @@ class PairDataset:
         shard = bisect_right(self._ends, number)
         return self.paths[shard], number - self._ends[shard] + self._counts[shard]
 
+    @cached_property
+    def form(self) -> Form:
+        """Of the dataset."""
+        with reading(self.paths[0]) as file:
+            stacks = {name: file[name] for name in (*CORE, *optional_layers(file))}
+            table = file["meta"]
+            about = {key: str(value) for key, value in table.attrs.items()}
+            return Form(
+                {name: stack.dtype for name, stack in stacks.items()},
+                {name: stack.shape[1:] for name, stack in stacks.items()},
+                image_axes(file["noisy"]),
+                tuple(
+                    Column(
+                        name,
+                        table.dtype[name].str,
+                        about.get(f"{name}.units", ""),
+                        about.get(f"{name}.description", ""),
+                    )
+                    for name in table.dtype.names
+                ),
+                config_of(file),
+                str(file.attrs["config_hash"]),
+            )
+
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W) of the images, those of the first shard."""
-        return self._form[0]
+        height, width = self.form.sizes["noisy"]
+        return height, width
 
     @property
     def dtype(self) -> np.dtype[Any]:
         """Of noisy and clean as they are given out."""
-        return np.dtype(np.float32 if self.scaled else self._form[1])
+        return np.dtype(np.float32) if self.scaled else self.form.layers["noisy"]
 
     @property
     def value_range(self) -> tuple[float, float]:
@@ -150,32 +208,54 @@ class PairDataset:
     @property
     def config_hash(self) -> str:
         """Of the settings that the dataset was made with, the last ones if it was extended."""
-        return self._config_hash or self._form[2]
+        return self._config_hash or self.form.config_hash
 
     @property
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the images."""
-        with reading(self.paths[0]) as file:
-            return image_axes(file["noisy"])
+        return self.form.axes
+
+    @property
+    def layout(self) -> str:
+        """Polar (range x azimuth) or fan."""
+        return "polar" if self.axes[1].name == "azimuth" else "fan"
+
+    @property
+    def splits(self) -> dict[str, int]:
+        """Split -> number of samples, of the splits that have any."""
+        counts = Counter[str]()
+        for path, count in zip(self.paths, self._counts, strict=True):
+            counts[path.parent.name] += count
+        return dict(counts)
 
     def meta(self) -> npt.NDArray[np.void]:
         """The sample table, one row a sample in the order of the samples; text is bytes (UTF-8).
 
         Reads the tables of all shards, never their images.
         """
-
-        def table(path: Path) -> tuple[tuple[int, int], npt.NDArray[np.void]]:
-            with reading(path) as file:
-                return file["noisy"].shape[1:], file["meta"][()]
-
         # Those at a URL are fetched on the way.
         with ThreadPoolExecutor(THREADS) as pool:
-            shapes, tables = zip(*pool.map(table, self.paths), strict=True)
-        if len(set(shapes)) > 1:
-            raise FactoryError(f"{self.folder}: images of several sizes ({sorted(set(shapes))})")
-        if len({rows.dtype for rows in tables}) > 1:
-            raise FactoryError(f"{self.folder}: shards with different columns in /meta")
-        return np.concatenate(tables)
+            return np.concatenate(list(pool.map(self.table, self.paths)))
+
+    def table(self, path: Path) -> npt.NDArray[np.void]:
+        """The sample table of one shard.  Raises FactoryError when its form is not the first's."""
+        with reading(path) as file:
+            shape, rows = file["noisy"].shape[1:], file["meta"][()]
+        if shape != self.shape:
+            raise FactoryError(f"{self.folder}: images of several sizes ({self.shape}, {shape})")
+        if [(column.name, column.dtype) for column in self.form.columns] != [
+            (name, rows.dtype[name].str) for name in rows.dtype.names
+        ]:
+            raise FactoryError(f"{path}: its columns differ from those of {self.paths[0]}")
+        return np.asarray(rows)
+
+    def names(self) -> Iterator[SampleName]:
+        """What every sample is of, in order."""
+        for path in self.paths:
+            for row, record in enumerate(self.table(path)):
+                location, scene, frame, variant = (record[key] for key in REQUIRED_COLUMNS)
+                texts = location.decode(), scene.decode(), frame.decode()
+                yield SampleName(path, row, path.parent.name, *texts, int(variant))
 
     def close(self) -> None:
         """Close the files that this process has open; reading again opens them again."""
@@ -213,14 +293,6 @@ class PairDataset:
         grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)
         return in_unit_range(image) if self.scaled and grey else image
 
-    @cached_property
-    def _form(self) -> tuple[tuple[int, int], str, str]:
-        """Size and dtype of the images and the hash of the settings, of the first shard."""
-        with reading(self.paths[0]) as file:
-            noisy = file["noisy"]
-            shape = noisy.shape[1], noisy.shape[2]
-            return shape, str(noisy.dtype), str(file.attrs["config_hash"])
-
 
 def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
     """Stored grey values (uint8 in 0..255 or float32 in 0..1) as float32 in 0..1."""
@@ -242,68 +314,17 @@ def _count(path: Path) -> int:
         return len(file["noisy"])
 
 
-class Windows:
-    """The order of one round over samples after another, and what to fetch while it goes on.
+def mixed_order(
+    places: Sequence[Path], rng: np.random.Generator, window: int = WINDOW
+) -> npt.NDArray[np.int64]:
+    """(N,) every sample once: shards in random order, the samples of `window` of them mixed.
 
-    places: the shard of each sample.  window: shards whose samples are mixed.  sizes: bytes of the
-    shards; None: there is room.
+    places: the shard of each sample.
     """
-
-    def __init__(
-        self,
-        places: Sequence[Path],
-        window: int = WINDOW,
-        *,
-        sizes: Mapping[Path, int] | None = None,
-    ) -> None:
-        if window < 1:
-            raise FactoryError(f"window={window}: must be at least 1 shard")
-        self._paths = list(dict.fromkeys(places))
-        numbers = {path: number for number, path in enumerate(self._paths)}
-        self._shard = np.array([numbers[path] for path in places], np.int64)
-        self._window = window
-        two = 2 * window * max((sizes or {}).values(), default=0)
-        distant = bool(self._paths) and url_of(self._paths[0].parent.parent) is not None
-        self._fetches = distant and two <= most_bytes()
-        self._groups: list[list[Path]] = []
-        self._first: npt.NDArray[np.int64] = np.empty(0, np.int64)
-        self._now = range(0)
-        self._threads: ThreadPoolExecutor | None = None
-
-    def order(self, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-        """(N,) every sample once; the same generator gives the same order."""
-        shards = rng.permutation(len(self._paths))
-        rank = np.empty(len(shards), np.int64)
-        rank[shards] = np.arange(len(shards))
-        windows = rank[self._shard] // self._window
-        # Random within each window: a key of its own for every sample.
-        order: npt.NDArray[np.int64] = np.lexsort((rng.random(len(windows)), windows))
-        self._groups = [
-            [self._paths[number] for number in shards[k : k + self._window]]
-            for k in range(0, len(shards), self._window)
-        ]
-        self._first = np.searchsorted(windows[order], np.arange(len(self._groups) + 1))
-        self._now = range(0)
-        return order
-
-    def reach(self, position: int) -> None:
-        """Say that the sample at this position of the order is about to be read."""
-        if not self._fetches or position in self._now or not self._groups:
-            return
-        here = int(np.searchsorted(self._first, position, side="right")) - 1
-        self._now = range(int(self._first[here]), int(self._first[here + 1]))
-        if self._threads is None:
-            self._threads = ThreadPoolExecutor(THREADS, "fetch")
-        for path in (one for group in self._groups[here : here + 2] for one in group):
-            self._threads.submit(_bring, path)
-
-    def close(self) -> None:
-        """Fetch no more."""
-        if self._threads is not None:
-            self._threads.shutdown(wait=False, cancel_futures=True)
-            self._threads = None
-
-
-def _bring(path: Path) -> None:
-    with suppress(FactoryError):  # whoever reads it says so
-        bring(path)
+    if window < 1:
+        raise FactoryError(f"window={window}: must be at least 1 shard")
+    numbers = {path: number for number, path in enumerate(dict.fromkeys(places))}
+    rank = np.argsort(rng.permutation(len(numbers)))
+    windows = rank[[numbers[path] for path in places]] // window
+    # Random within each window: a key of its own for every sample.
+    return np.asarray(np.lexsort((rng.random(len(windows)), windows)), np.int64)

@@ -17,10 +17,9 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from ..errors import FactoryError
 from ..files import write_atomically
 from .folder import PREVIEW_NAME
-from .manifest import MANIFEST_NAME, load_manifest
+from .pair_dataset import PairDataset, SampleName
 from .reader import ImageStack, reading
 from .schema import CORE, VALUE_RANGES
-from .source import SampleName, open_source
 
 _BACKGROUND, _TEXT, _FAINT = "#0d1117", "#e6edf3", "#8b949e"
 # Black over amber to near white, as imaging sonars show echoes; shadows in the opposite hue.
@@ -57,14 +56,13 @@ def preview(
     Raises FactoryError when the folder holds no dataset, or one without samples.
     """
     directory = Path(dataset_dir)
-    manifest = load_manifest(directory)
-    if manifest is None:
-        raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
     if pairs < 1:
         raise FactoryError(f"pairs must be at least 1, got {pairs}")
-    chosen = spread(list(open_source(directory, "all", trusted=trusted).names()), pairs)
-    title = f"{manifest.samples('train')} train and {manifest.samples('test')} test pairs"
-    content = draw([load(name) for name in chosen], title, f"config {manifest.config_hash[:8]}")
+    dataset = PairDataset(directory, "all", trusted=trusted)
+    counts = dataset.splits
+    title = f"{counts.get('train', 0)} train and {counts.get('test', 0)} test pairs"
+    chosen = [load(name) for name in spread(list(dataset.names()), pairs)]
+    content = draw(chosen, title, f"config {dataset.config_hash[:8]}")
     path = directory / PREVIEW_NAME if out is None else Path(out)
     # Whoever asks for a preview alone has no key dataset.dir to change.
     write_atomically(path, content, key="dataset.dir" if trusted else "--out")
@@ -93,8 +91,8 @@ def in_common(
     trusted: as of `preview`.
     """
     tables = [
-        {(one.location, one.scene, one.frame, one.variant): one for one in source.names()}
-        for source in (open_source(folder, "all", trusted=trusted) for folder in directories)
+        {(one.location, one.scene, one.frame, one.variant): one for one in pairs.names()}
+        for pairs in (PairDataset(folder, "all", trusted=trusted) for folder in directories)
     ]
     common = [name for name in tables[0] if all(name in table for table in tables)]
     return [tuple(table[name] for table in tables) for name in common]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import FactoryError
-from .manifest import INDEX_NAME
+from .pair_dataset import PairDataset
 from .preview import load, spread
-from .reader import check_in_isolation, reading
-from .source import Source, open_shards, open_source
+from .reader import reading
 
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
@@ -27,11 +26,9 @@ def noisiness(directory: Path, most: int = 200) -> dict[str, float]:
 
     Over whole pictures of (at most `most`) samples; NaN without any.
     """
-    found: list[tuple[float, ...]] = []
-    for shard in _shards(directory):
-        for noisy, clean in zip(shard["noisy"], shard["clean"], strict=True):
-            if len(found) < most:
-                found.append((psnr_db(clean, noisy), ssim(clean, noisy), gmsd(clean, noisy)))
+    shards = _shards(directory)
+    images = (both for shard in shards for both in zip(shard["clean"], shard["noisy"], strict=True))
+    found = [(psnr_db(*both), ssim(*both), gmsd(*both)) for both in islice(images, most)]
     values = np.array(found or [(np.nan,) * 3])
     made: dict[str, float] = {}
     for name, column in zip(("psnr_db", "ssim", "gmsd"), values.T, strict=True):
@@ -79,21 +76,15 @@ def _gradient(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 def seen_sector_deg(directory: Path) -> tuple[float, float]:
     """Smallest and largest horizontal sector, degrees, that the camera saw of a sample."""
-    spans = [
-        shard["meta"]["azimuth_max_deg"] - shard["meta"]["azimuth_min_deg"]
-        for shard in _shards(directory)
-    ]
-    joined = np.concatenate(spans)
+    tables = (shard["meta"][()] for shard in _shards(directory))
+    joined = np.concatenate([t["azimuth_max_deg"] - t["azimuth_min_deg"] for t in tables])
     return float(joined.min()), float(joined.max())
 
 
 def lit_share(directory: Path, most: int = 64) -> float:
     """Share of the pixels of (at most `most`) clean pictures that show an echo, 0 to 1."""
-    found: list[float] = []
-    for shard in _shards(directory):
-        found += [float((picture > 0).mean()) for picture in shard["clean"][: most - len(found)]]
-        if len(found) >= most:
-            break
+    pictures = (picture for shard in _shards(directory) for picture in shard["clean"])
+    found = [float((picture > 0).mean()) for picture in islice(pictures, most)]
     return float(np.mean(found)) if found else 0.0
 
 
@@ -127,6 +118,9 @@ class SsimReference:
     def __init__(self, image: Values, data_range: float) -> None:
         self.image = image
         self._c1, self._c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
+        self._mean = window(image)
+        self._mean_squared = self._mean * self._mean
+        self._variance = window(image * image) - self._mean_squared
 
     def terms(self, image: Values) -> tuple[Values, Values]:
         """(H, W) luminance and contrast-structure terms of SSIM; borders are mirrored."""
@@ -140,18 +134,6 @@ class SsimReference:
         luminance = (2 * product + self._c1) / (self._mean_squared + squared + self._c1)
         structure = (2 * cross + self._c2) / (self._variance + variance + self._c2)
         return luminance, structure
-
-    @cached_property
-    def _mean(self) -> Values:
-        return window(self.image)
-
-    @cached_property
-    def _mean_squared(self) -> Values:
-        return np.asarray(self._mean * self._mean)
-
-    @cached_property
-    def _variance(self) -> Values:
-        return np.asarray(window(self.image * self.image) - self._mean_squared)
 
 
 def inner(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
@@ -184,15 +166,14 @@ def _plain_window(values: Values) -> Values:
 class DatasetSummary:
     """Figures about a dataset.
 
-    schema, generator: as the first shard states them.
+    generator: as the first shard states it.
     table: (samples,) structured array, the rows of /meta of all shards.
     splits: (samples,) the split of each row.
     stored_bytes: of all files.  image_bytes: of the images without compression.
     psnr_db, ssim: noisy against clean, of `measured` samples spread evenly.
     """
 
-    source: Source
-    schema: str
+    pairs: PairDataset
     generator: str
     compression: str
     table: npt.NDArray[np.void]
@@ -209,36 +190,30 @@ class DatasetSummary:
 
 
 def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
-    """Read a dataset folder, its index.h5 or one shard; `pairs` images at most are decoded.
+    """Read a dataset folder, or its index.h5; `pairs` images at most are decoded.
 
     Raises FactoryError when there is nothing of the kind, or a file is damaged.
     """
     if pairs < 1:
         raise FactoryError(f"--pairs must be at least 1, got {pairs}")
-    if path.is_file() and path.name != INDEX_NAME:
-        check_in_isolation((path,))
-        source = open_shards(path.parent, (path,))
-    elif not path.exists():
-        raise FactoryError(f"{path}: no such file or folder; give a dataset or one of its shards")
-    else:
-        source = open_source(path.parent if path.is_file() else path, "all")
-    tables = list(source.tables())
-    with reading(source.shards[0][1]) as file:
-        schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
+    found = PairDataset(path, "all")
+    with reading(found.paths[0]) as file:
+        generator = str(file.attrs["generator"])
         compression = compression_of(file["noisy"])
-    images = [load(one).images for one in spread(list(source.names()), pairs)]
+    names = list(found.names())
+    images = [load(one).images for one in spread(names, pairs)]
     a_sample = sum(
-        int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
+        int(np.prod(found.form.sizes[name])) * dtype.itemsize
+        for name, dtype in found.form.layers.items()
     )
     return DatasetSummary(
-        source,
-        schema,
+        found,
         generator,
         compression,
-        np.concatenate([rows for _, _, rows in tables]),
-        np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
-        sum(shard.stat().st_size for _, shard, _ in source.shards),
-        a_sample * sum(source.splits.values()),
+        found.meta(),
+        np.array([one.split for one in names]),
+        sum(shard.stat().st_size for shard in found.paths),
+        a_sample * len(found),
         np.array([psnr_db(one["clean"], one["noisy"]) for one in images]),
         np.array([ssim(one["clean"], one["noisy"]) for one in images]),
     )

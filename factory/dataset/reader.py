@@ -20,7 +20,7 @@ from ..isolated import look_at
 from ..storage.copies import fetched, url_of
 from .checksums import DEFLATE, check_contents, check_texts, crc32, picture_sums
 from .layout import check_shard, inside
-from .manifest import Manifest, load_manifest
+from .manifest import Manifest
 from .schema import SPLITS
 
 Split = Literal["train", "test", "all"]
@@ -30,25 +30,13 @@ _LIMIT_S = 30.0
 _TRIES = 3
 
 
-def shard_paths(dataset: str | Path, split: Split, *, trusted: bool = False) -> tuple[Path, ...]:
-    """The shard files of one split, in the order of their names, ready to be opened.
-
-    `manifest.json` says which shards belong to the dataset; without one, every `*.h5` in the
-    folders train/ and test/ does.
-    trusted: False has another process open every shard first (`check_in_isolation`).
-
-    Raises FactoryError when the folder is no dataset, a listed shard is absent, damaged or outside
-    the folder, or the split is empty.
-    """
-    root = Path(dataset)
-    paths = listed_shards(root, split, load_manifest(root))
-    if not trusted:
-        check_in_isolation(paths)
-    return paths
-
-
 def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[Path, ...]:
-    """The same for a manifest that was read already, or was found absent (None)."""
+    """The shard files of one split, in the order of their names.
+
+    `manifest` says which shards belong to the dataset; without one, every `*.h5` in the folders
+    train/ and test/ does.  Raises FactoryError when the folder is no dataset, a listed shard is
+    absent, of another size or outside the folder, or the split is empty.
+    """
     if not root.is_dir():
         raise FactoryError(f"dataset={root}: no such folder; give one that `simnfnd make` made")
     found: dict[Path, int | None]
@@ -102,16 +90,6 @@ def check_readable(path: str) -> None:
         check_texts(file)
 
 
-def _check_split(path: Path, file: h5py.File) -> None:
-    """Raise FactoryError when a shard in train/ or test/ says that it belongs to the other one."""
-    split = str(file.attrs["split"])
-    if path.parent.name in SPLITS and path.parent.name != split:
-        raise FactoryError(
-            f"{path}: its attribute split is {split!r}, but it lies in {path.parent.name}/; "
-            "generate it again"
-        )
-
-
 def bring(path: Path) -> None:
     """Fetch a shard of a copy that is not here, and have another process look at it first."""
 
@@ -129,7 +107,7 @@ def bring(path: Path) -> None:
 def open_shard(path: Path) -> h5py.File:
     """Open one shard for reading and check how it is laid out (`format.layout`).
 
-    Shards of a dataset come from `shard_paths`; for any other file call `check_in_isolation` first.
+    Call `check_in_isolation` first for what may be a stranger's.
     One that this process has checked is checked again when it has changed.
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
@@ -157,7 +135,12 @@ def open_shard(path: Path) -> h5py.File:
         with _explained(path):
             check_shard(file)
             check_contents(file)
-        _check_split(path, file)
+            split = str(file.attrs["split"])
+            if path.parent.name in SPLITS and path.parent.name != split:
+                raise FactoryError(
+                    f"its attribute split is {split!r}, but it lies in {path.parent.name}/; "
+                    "generate it again"
+                )
     except FactoryError:
         file.close()
         raise
@@ -188,7 +171,6 @@ def _explained(path: Path) -> Iterator[None]:
 # twenty times as long as opening a file, and random access opens one for every sample.
 _State = tuple[int, int, int]
 _sound: dict[Path, _State] = {}
-_MOST_SOUND = 1 << 15
 # A file that changed so lately can change again without its time telling.
 _SETTLED_NS = 2_000_000_000
 
@@ -200,11 +182,8 @@ def _state_of(path: Path) -> _State:
 
 def _note_sound(path: Path, state: _State, *, ours: bool = False) -> None:
     """The file was checked in this state.  ours: nobody else writes it."""
-    if not ours and time.time_ns() - state[2] < _SETTLED_NS:
-        return
-    if len(_sound) >= _MOST_SOUND:
-        _sound.clear()
-    _sound[path] = state
+    if ours or time.time_ns() - state[2] >= _SETTLED_NS:
+        _sound[path] = state
 
 
 def value_range(file: h5py.File) -> float:

@@ -297,23 +297,10 @@ def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str,
 
 
 def table_dtype(columns: Sequence[Column]) -> np.dtype[np.void]:
-    """The compound dtype of /meta.  `S<n>` columns hold UTF-8 text of at most n bytes.
-
-    Raises FactoryError when a required column is absent, doubled or of an unusable dtype.
-    """
-    names = [column.name for column in columns]
-    absent = [name for name in REQUIRED_COLUMNS if name not in names]
-    if absent or len(set(names)) != len(names):
-        raise FactoryError(
-            f"/meta: columns {', '.join(names)} must differ and hold {', '.join(REQUIRED_COLUMNS)}"
-        )
+    """The compound dtype of /meta.  `S<n>` columns hold UTF-8 text of at most n bytes."""
     fields = []
     for column in columns:
         dtype = np.dtype(column.dtype)
-        if dtype.kind not in "iufS" or dtype.itemsize == 0:
-            raise FactoryError(
-                f"/meta: column {column.name} is {column.dtype}; integers, floats and S<n> go"
-            )
         text = dtype.kind == "S"
         fields.append((column.name, h5py.string_dtype("utf-8", dtype.itemsize) if text else dtype))
     return np.dtype(fields)

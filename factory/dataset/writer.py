@@ -139,7 +139,8 @@ def _create_stacks(
     settings: DatasetSettings,
 ) -> dict[Layer, h5py.Dataset]:
     """Empty, growing image stacks with their axes attached.  shapes: layer -> of its pictures."""
-    scales = [write_axis(file, axis) for axis in axes]
+    for axis in axes:
+        _write_axis(file, axis)
     filters: dict[str, Any] = {}
     if settings.compression == "gzip":
         level = settings.compression_level
@@ -155,26 +156,29 @@ def _create_stacks(
             track_times=False,
             **filters,
         )
-        for key, value in layer_attributes(layer).items():
-            stack.attrs[key] = value
-        for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
-            stack.dims[dimension].label = label
-        if not layer.of_camera:
-            for dimension, (axis, scale) in enumerate(zip(axes, scales, strict=True), start=1):
-                stack.dims[dimension].label = axis.name
-                stack.dims[dimension].attach_scale(scale)
+        _describe(stack, layer, axes)
         stacks[layer] = stack
     return stacks
 
 
-def write_axis(file: h5py.File, axis: Axis) -> h5py.Dataset:
-    """Write an axis as a dimension scale, ready to be attached, and return it."""
+def _write_axis(file: h5py.File, axis: Axis) -> None:
+    """Write an axis as a dimension scale, ready to be attached."""
     values = np.asarray(axis.values, dtype=np.float64)
     scale = file.create_dataset(f"axes/{axis.name}", data=values, track_times=False)
     scale.make_scale(axis.name)
     scale.attrs["units"] = axis.units
     scale.attrs["description"] = axis.description
-    return scale
+
+
+def _describe(stack: h5py.Dataset, layer: Layer, axes: tuple[Axis, Axis]) -> None:
+    """Attributes and dimensions of an image stack; its axes are in the file."""
+    for key, value in layer_attributes(layer).items():
+        stack.attrs[key] = value
+    for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
+        stack.dims[dimension].label = label
+    for dimension, axis in enumerate(() if layer.of_camera else axes, start=1):
+        stack.dims[dimension].label = axis.name
+        stack.dims[dimension].attach_scale(stack.file[f"axes/{axis.name}"])
 
 
 def _write_table(file: h5py.File, rows: np.ndarray[Any, Any], columns: tuple[Column, ...]) -> None:
@@ -194,16 +198,11 @@ def write_gzip_chunk(
     seven times faster; HDF5 only stores what comes of it, and every reader opens it.
     image: of the stack's dtype and the shape of one chunk.  level: of gzip, 0 to 9.
     """
-    content = deflate(np.ascontiguousarray(image), level)
+    plain = np.ascontiguousarray(image).data
+    # The same on every processor since SSE4.2 (2008).
+    content = (isal_zlib if level == _ISAL_LEVEL else zlib).compress(plain, level)
     offset = (number, *(0 for _ in image.shape))
     stack.id.write_direct_chunk(offset, content + struct.pack("<I", fletcher32(content)))
-
-
-def deflate(image: npt.NDArray[np.generic], level: int) -> bytes:
-    """The zlib stream of an image's bytes: the same on every processor since SSE4.2 (2008)."""
-    if level == _ISAL_LEVEL:
-        return isal_zlib.compress(image.data, level)
-    return zlib.compress(image.data, level)
 
 
 def fletcher32(content: bytes) -> int:
@@ -267,7 +266,7 @@ def _write_shared(index: h5py.File, first: h5py.File, manifest: Manifest) -> Non
     index.attrs["config_hash"] = manifest.config_hash
     index.attrs["config"] = config_text(manifest.config)
     for axis in image_axes(first["noisy"]):
-        write_axis(index, axis)
+        _write_axis(index, axis)
 
 
 def _write_split(
@@ -277,13 +276,7 @@ def _write_split(
     classes = classes_of(config_of(first))
     for layer in layers(str(first["noisy"].dtype), optional_layers(first), classes):
         stack = _virtual(index, split, first[layer.name], shards)
-        for key, value in layer_attributes(layer).items():
-            stack.attrs[key] = value
-        for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
-            stack.dims[dimension].label = label
-        for dimension, axis in enumerate(() if layer.of_camera else axes, start=1):
-            stack.dims[dimension].label = axis.name
-            stack.dims[dimension].attach_scale(index[f"axes/{axis.name}"])
+        _describe(stack, layer, axes)
     table = _virtual(index, split, first["meta"], shards)
     for key, value in dict(first["meta"].attrs).items():
         table.attrs[key] = value

@@ -1,18 +1,24 @@
-"""Datasets in the formats of other ecosystems, one module a format."""
+"""Datasets in the formats of other ecosystems."""
 
 from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
 
+from ..dataset.pair_dataset import PairDataset
 from ..dataset.reader import Split
-from ..dataset.source import open_source
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
-# Modules with `write(source, folder) -> str`, which fills an empty folder and returns one line that
-# says what it wrote.
-FORMATS = ("webdataset", "huggingface", "png", "coco", "yolo")
+# Format -> the module whose `write_FORMAT(pairs, folder)` fills an empty folder and returns one
+# line that says what it wrote.
+FORMATS = {
+    "webdataset": "pictures",
+    "huggingface": "huggingface",
+    "png": "pictures",
+    "coco": "objects",
+    "yolo": "objects",
+}
 
 
 def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") -> str:
@@ -24,9 +30,9 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
     """
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
-    writer, source = import_module(f".{to}", __package__), open_source(Path(dataset), split)
+    write = getattr(import_module(f".{FORMATS[to]}", __package__), f"write_{to}")
     folder = Path(out)
     refuse_files(folder)
-    with whole_folder(folder) as unfinished:
-        said: str = writer.write(source, unfinished)
+    with PairDataset(dataset, split, layers=None) as pairs, whole_folder(folder) as unfinished:
+        said: str = write(pairs, unfinished)
     return said

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset, Sampler
 
-from ...factory.dataset.pair_dataset import Windows
+from ...factory.dataset.pair_dataset import mixed_order
 from ...factory.seeds import stream
 from ..settings import DataSettings, RendersData
 from .pairs import Batch, Sample, Source
@@ -118,13 +119,18 @@ class VisitSampler(Sampler[list[Visit]]):
     """
 
     def __init__(
-        self, images: int, data: DataSettings, steps: int, seed: int, windows: Windows | None = None
+        self,
+        images: int,
+        data: DataSettings,
+        steps: int,
+        seed: int,
+        places: Sequence[Path] | None = None,
     ) -> None:
         """images: how many there are.  steps: of one interval.
 
-        windows: of images whose shards are fetched; their order then is not wholly random.
+        places: the shard of each image, where shards are fetched; see `mixed_order`.
         """
-        self._windows = windows
+        self._places = places
         self.images, self.data, self.steps, self.seed = images, data, steps, seed
         self.reuse = data.reuse if isinstance(data, RendersData) else 1
         self._orders: dict[int, npt.NDArray[np.int64]] = {}
@@ -140,7 +146,7 @@ class VisitSampler(Sampler[list[Visit]]):
     def _order(self, round_: int) -> npt.NDArray[np.int64]:
         if round_ not in self._orders:
             rng = stream(self.seed, "order", round_)
-            order = self._windows.order(rng) if self._windows else rng.permutation(self.images)
+            order = mixed_order(self._places, rng) if self._places else rng.permutation(self.images)
             # A kept picture can be one of the round before, and of few images of earlier ones.
             self._orders = {r: o for r, o in self._orders.items() if r >= round_ - KEPT}
             self._orders[round_] = order
@@ -154,8 +160,6 @@ class VisitSampler(Sampler[list[Visit]]):
             for _ in range(each):
                 round_, place = divmod(drawn(number, self.reuse, self.seed), self.images)
                 index = int(self._order(round_)[place])
-                if self._windows:
-                    self._windows.reach(place)  # of the order of this round
                 visits.append(Visit(number, index, round_, self.data.patch))
                 number += 1
             yield visits

@@ -14,8 +14,7 @@ import numpy.typing as npt
 import torch
 
 from ...factory.dataset import PairDataset
-from ...factory.dataset.manifest import load_manifest
-from ...factory.dataset.pair_dataset import Windows, in_unit_range
+from ...factory.dataset.pair_dataset import in_unit_range
 from ...factory.dataset.reader import OpenShards, Split, open_shard
 from ...factory.errors import FactoryError
 from ...factory.files import sha256_of
@@ -178,20 +177,14 @@ def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, 
     return tuple(samples[index * len(samples) // limit] for index in range(limit))
 
 
-def windows_of(source: Source) -> Windows | None:
-    """The windows in which the pairs of a dataset at a URL are visited; None for any other source.
+def distant_places(source: Source) -> list[Path] | None:
+    """The shard of each pair of a dataset at a URL; None for any other source.
 
     From a disk any picture can be read at any time, so that all of them are mixed.
     """
-    if not isinstance(source, PairSource):
+    if not isinstance(source, PairSource) or url_of(source.samples[0].path.parent.parent) is None:
         return None
-    folder = source.samples[0].path.parent.parent
-    if url_of(folder) is None:
-        return None
-    manifest = load_manifest(folder)
-    listed = manifest.shards if manifest else {}
-    sizes = {folder / name: info.bytes for name, info in listed.items()}
-    return Windows([sample.path for sample in source.samples], sizes=sizes)
+    return [sample.path for sample in source.samples]
 
 
 class PairSource:

@@ -146,11 +146,11 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
 
 def _of_folder(path: Path, out: Path) -> Iterator[Item]:
     # These load h5py, which a single picture can do without.
+    from ...factory.dataset import PairDataset
     from ...factory.dataset.manifest import MANIFEST_NAME
-    from ...factory.dataset.reader import shard_paths
 
     if (path / MANIFEST_NAME).is_file():
-        for shard in shard_paths(path, "all"):
+        for shard in PairDataset(path, "all").paths:
             yield Item(shard, shard.relative_to(path), checked=True)
         return
     found = items_below(path, out)

@@ -26,7 +26,7 @@ from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of, write_atomically
 from .. import WEIGHTS_NAME
 from ..data.crops import Crops, KeptSource, VisitSampler, concatenate, whole_image
-from ..data.pairs import Batch, Data, open_data, windows_of
+from ..data.pairs import Batch, Data, distant_places, open_data
 from ..losses import build_loss
 from ..networks import build_network
 from ..networks.weights import load_weights, save_weights
@@ -241,8 +241,8 @@ def _loader(
     reuse = kind.reuse if isinstance(kind, RendersData) else 1
     source = KeptSource(data.learning) if reuse > 1 else data.learning
     crops = Crops(source, crops=kind.crops, seed=settings.seed, extras=module.extras)
-    steps, windows = settings.train.check_every, windows_of(data.learning)
-    visits = VisitSampler(len(data.learning), kind, steps, settings.seed, windows)
+    steps, places = settings.train.check_every, distant_places(data.learning)
+    visits = VisitSampler(len(data.learning), kind, steps, settings.seed, places)
     return DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared), visits
 
 

@@ -18,8 +18,8 @@ from backports import zstd
 
 from simnfnd.factory.commands import status
 from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.folder import dataset_settings
 from simnfnd.factory.dataset.manifest import load_manifest
-from simnfnd.factory.dataset.source import dataset_settings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
@@ -132,7 +132,7 @@ def test_json_that_would_do_harm_is_refused(tmp_path: Path) -> None:
         (folder / "manifest.json").write_bytes(b'{"schema":' + harm)
         refused(lambda: load_manifest(folder), rf"manifest\.json: damaged \({words}")
     (folder / "failed.jsonl").write_bytes(b'{"frame": ' + b"[" * 10_000 + b"\n")
-    refused(lambda: status.main([str(folder)]), r"failed\.jsonl:1: damaged")
+    refused(lambda: status.main([str(folder)]), r"failed\.jsonl: cannot be read")
     (folder / "failed.jsonl").write_bytes(b"\xff\n")
     refused(lambda: status.main([str(folder)]), r"failed\.jsonl: cannot be read")
     (folder / "failed.jsonl").unlink()

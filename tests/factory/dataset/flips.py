@@ -8,7 +8,6 @@ from unittest import mock
 import numpy as np
 
 from simnfnd.factory.dataset import PairDataset, reader
-from simnfnd.factory.dataset.source import open_source
 from simnfnd.factory.errors import FactoryError
 
 LAYERS = ("noisy", "clean", "shadow", "range", "elevation", "segmentation", "layers/background")
@@ -28,9 +27,7 @@ def given_out(root: Path) -> dict[str, str]:
         axes = [(axis.name, axis.units, axis.description) for axis in both]
         found["axes"] = b"".join(axis.values.tobytes() for axis in both)
         found["form"] = repr((axes, pairs.shape, pairs.dtype, pairs.config_hash)).encode()
-    source = open_source(root, "train")
-    told = (source.columns, source.config, source.config_hash, source.splits, dict(source.layers))
-    found["source"] = repr(told).encode()
+        found["all"] = repr((pairs.form.columns, pairs.form, pairs.splits)).encode()
     return {name: content.hex() for name, content in found.items()}
 
 

@@ -13,7 +13,6 @@ import pytest
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.preview import preview
 from simnfnd.factory.dataset.quality import summarize
-from simnfnd.factory.dataset.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
 from tests.factory.dataset.hostile import admit, reseal
@@ -37,9 +36,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "read": read,
     "export": lambda folder: export(folder, "png", folder.parent / "out"),
     "inspect": lambda folder: summarize(folder),
-    "inspect a file": lambda folder: summarize(folder / SHARD),
     "preview": lambda folder: preview(folder, folder.parent / "sheet.png"),
-    "shard paths": lambda folder: shard_paths(folder, "train"),
 }
 
 
