@@ -24,7 +24,7 @@ from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.metrics import statistics
 from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.content import best_classical, breakdown_of, content_of
+from simnfnd.evaluation.report.content import best_classical, content_of
 from simnfnd.evaluation.report.document import as_data_uri
 from simnfnd.evaluation.runner import SECONDS, Measured
 from tests.evaluation.evaluation_settings import BROKEN, settings_for

@@ -25,7 +25,7 @@ from simnfnd.factory.pairs import FORMATIONS, PairMaker
 from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.view import view_of
 from simnfnd.factory.render.views import OneView
-from simnfnd.factory.sample_table import pose
+from simnfnd.factory.sample_table import pose_row
 from simnfnd.factory.sonar.fan import fan_table
 from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, labelled, plain_render
 from tests.project.run_example import run
@@ -226,11 +226,11 @@ def test_pose_of_the_sonar(written):
     assert row["sonar.altitude_m"] == pytest.approx(HEIGHT_M)
     assert [row[f"camera.{axis}_m"] for axis in "xyz"] == [2, 5, HEIGHT_M]
     mount = Mount(translation_m=(1.0, 0.5, 0.25), pitch_deg=10, yaw_deg=30)
-    moved = pose.row(labelled(**PLACE), mount)
+    moved = pose_row(labelled(**PLACE), mount)
     assert moved["sonar.x_m"] == pytest.approx(2 + C + 0.25 * S)
     assert moved["sonar.y_m"] == pytest.approx(5.5)
     assert moved["sonar.heading_deg"] > 25
-    unknown = pose.row(ground_and_post(), Mount())
+    unknown = pose_row(ground_and_post(), Mount())
     assert np.isnan(list(unknown.values())).all()
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.factory.dataset import PairDataset, pair_dataset
+from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler import run
@@ -335,10 +335,9 @@ def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
 ) -> None:
     pytest.importorskip("torch")
     from simnfnd.models.data.crops import VisitSampler
-    from simnfnd.models.data.pairs import PairSource, read_table, windows_of
+    from simnfnd.models.data.pairs import PairSource, distant_places, read_table
     from simnfnd.models.settings import PairsData
 
-    monkeypatch.setattr(pair_dataset, "WINDOW", WINDOW)
     keep(monkeypatch, dozen, room)
     table = read_table(far, "train")
     assert asked == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}
@@ -346,7 +345,7 @@ def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
     source = PairSource(table.samples, table.sonar)
     sizes: Any = {"patch": 16, "batch": 1, "crops": 1, "weaker": 0, "workers": 0}
     data = PairsData(kind="pairs", validation=0.1, validation_limit=None, **sizes)
-    for step in VisitSampler(len(source), data, len(source), 0, windows_of(source)):
+    for step in VisitSampler(len(source), data, len(source), 0, distant_places(source)):
         for visit in step:
             source.sample(visit.image, visit.number)
     # 36 visits: one round, of which the cache still holds some shards.
