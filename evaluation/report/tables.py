@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ...factory.dataset import card
 from ..methods import shown
 
 if TYPE_CHECKING:
@@ -16,6 +15,8 @@ if TYPE_CHECKING:
 Content = Mapping[str, Any]
 
 _SHORT = ("ssim", "gmsd", "psnr_fan", "shadow_iou")
+
+_RULES = {"l": "---", "r": "---:", "c": ":---:"}
 
 TABLE_METRICS = ("psnr", "ssim", "gmsd")
 """Those of the paper's tables."""
@@ -81,8 +82,18 @@ def percent(share: float | None) -> str:
 
 
 def as_markdown(table: pd.DataFrame, align: str = "lr") -> str:
-    """A table of text in Markdown, without its index."""
-    return card.table(list(table.columns), table.to_numpy().tolist(), align)
+    """A table of text in Markdown, without its index.
+
+    align: a letter a column, l, r or c; the last one counts for all further columns.  In cells a
+    vertical bar is escaped and a line end becomes a space.
+    """
+    rules = [_RULES[letter] for letter in align.ljust(table.shape[1], align[-1])]
+    cells = [
+        [str(cell).replace("\n", " ").replace("|", "\\|") for cell in row]
+        for row in (table.columns, *table.to_numpy().tolist())
+    ]
+    head, *rows = (f"| {' | '.join(row)} |" for row in cells)
+    return "\n".join([head, f"|{'|'.join(rules[: table.shape[1]])}|", *rows])
 
 
 def as_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:

@@ -440,10 +440,13 @@ def _beams(message: Any, what: str) -> Beams:
     """Where the samples lie.
 
     The message has z ahead, x up and y to the side.  Drivers do not agree on the sign of y, but
-    store beams from left to right, so bearings are taken to ascend.
+    store beams from left to right, so bearings are taken to ascend; some simulators have x ahead.
     """
-    sides, ahead = ([getattr(one, axis) for one in message.beam_directions] for axis in "yz")
-    bearings = np.arctan2(np.array(sides, np.float64), np.array(ahead, np.float64))
+    x, y, z = (
+        np.array([getattr(one, axis) for one in message.beam_directions], np.float64)
+        for axis in "xyz"
+    )
+    bearings = np.arctan2(y, x if np.abs(z).max() < 1e-6 else z)
     if bearings[0] > bearings[-1]:
         bearings = -bearings
     ranges = np.asarray(message.ranges, np.float64)

@@ -150,9 +150,9 @@ def test_a_report_goes_on_where_it_was_interrupted(
     # A crash may cut a line in two.
     with (tmp_path / "out" / STORE_NAME).open("a", encoding="utf-8") as file:
         file.write('{"method": "x", "pictures": ["a"')
-    again = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
+    rest = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
     assert [len(task.subjects) for task in tasks[2:]] == [4, 1], "the first four were known"
-    assert_same(again, whole)
+    assert_same(rest, whole)
     # Known rows are read, a new one is measured alone.
     more = [MEDIAN, Method("grey_opening", "", {"size": 3})]
 
@@ -276,9 +276,10 @@ def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> Non
         plain[key] = np.mean([psnr(c, i, data_range=1.0) for i, c in pairs])
         corrected[key] = np.mean([psnr(c, levels(i), data_range=1.0) for i, c in pairs])
     entry = content["baselines"]["gaussian"]
-    assert entry["tuned"]["psnr"] == pytest.approx(max(plain.values()))
-    assert entry["tuned"]["parameters"]["sigma_px"] == max(plain, key=lambda key: plain[key])
-    assert entry["tuned_levels"]["psnr_levels"] == pytest.approx(max(corrected.values()))
+    best = max(plain, key=lambda key: plain[key])
+    assert max(plain.values()) - 1e-9 < entry["tuned"]["psnr"] < max(plain.values()) + 0.5
+    assert entry["tuned"]["parameters"]["sigma_px"] == pytest.approx(best, rel=0.25)
+    assert entry["tuned_levels"]["psnr_levels"] > max(corrected.values()) - 1e-9
     assert entry["default"]["psnr"] == pytest.approx(plain[1.0])
     assert corrected[1.0] > plain[1.0] + 1, "the haze of the test images is an offset"
     assert any(line.startswith("gaussian: ") and "tuned (sigma_px=" in line for line in lines)
@@ -290,13 +291,13 @@ def test_tuned_results_are_kept_until_something_changes(
     file = tmp_path / "tuned.json"
     tune(dataset, file, "median")
     ran: list[str] = []
-    honest = tuning.on_grid
+    honest = tuning.on_pairs
 
     def counted(task: Any) -> Any:
         ran.append(task.baseline)
         return honest(task)
 
-    monkeypatch.setattr(tuning, "on_grid", counted)
+    monkeypatch.setattr(tuning, "on_pairs", counted)
     again = tune(dataset, file, "median")
     assert not ran
     assert again[0].startswith("median: ")

@@ -67,7 +67,10 @@ class Node:
     """A stand-in of rclpy and its node: what it is told is kept, what comes is fed by `spin`."""
 
     def __init__(self, messages: list[Any]) -> None:
-        self.messages, self.topics, self.sent, self.said = messages, [], [], []
+        self.messages = messages
+        self.topics: list[Any] = []
+        self.sent: list[Any] = []
+        self.said: list[str] = []
         self.info = self.warning = self.said.append
         self.publish = self.sent.append
         self.init = self.destroy_node = self.try_shutdown = lambda **_: None

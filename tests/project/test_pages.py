@@ -115,9 +115,16 @@ def as_the_reader(step: Step, folder: Path) -> tuple[int, str]:
             command += ["-o", str(prefix / f".simnfnd-{name}")]
     else:
         command[0] = str(prefix / "bin" / Path(command[0]).name)
-    out, env = subprocess.PIPE, {**os.environ, "PYTHONPATH": str(ROOT)}
-    streams = {"stdin": subprocess.DEVNULL, "stdout": out, "stderr": subprocess.STDOUT}
-    done = subprocess.run(command, cwd=folder, env=env, text=True, check=False, **streams)
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        text=True,
+        check=False,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
     return done.returncode, done.stdout
 
 
