@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 import h5py
@@ -36,7 +37,9 @@ from .layout import (
 )
 from .schema import CHECKSUMS, CORE, ROOT_ATTRIBUTES, SEALS
 
-DEFLATE: Any = import_module("isal.isal_zlib" if find_spec("isal") else "zlib")
+DEFLATE: Any = zlib
+with suppress(ImportError):
+    DEFLATE = import_module("isal.isal_zlib")
 """isal's zlib, in a third to two thirds of the time; readers may have numpy and h5py alone."""
 
 _CONTENTS, _TEXTS = SEALS
