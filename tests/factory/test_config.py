@@ -144,7 +144,7 @@ def test_plain_form_makes_the_same_configuration():
 def test_mistakes_are_one_line_that_names_the_key(values, said):
     with pytest.raises(FactoryError) as caught:
         from_mapping({"scenes": {"kind": "seabed"}, **values})
-    assert str(caught.value).startswith(said)
+    assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
