@@ -31,18 +31,18 @@ $(python):
 	@found="$$(bash tools/find_python.sh)" && "$$found" -m venv $(VENV)
 
 # The constraints keep numpy where bpy can load it, in whatever order the parts are installed.
-# Python compiles a module when it is first imported; pip would compile all, 150 MB of them.
 define install
 @bash tools/debian_packages.sh $(3)
 @$(python) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
 	|| { echo "error: $(VENV) is not Python 3.11; remove it and run make again" >&2; exit 2; }
 @echo "Installing $(1) into $(VENV)"
-$(python) -m pip install --disable-pip-version-check --quiet --no-compile $(PIP_ARGS) -c constraints.txt -e '$(2)'
+$(python) -m pip install --disable-pip-version-check --quiet $(4) $(PIP_ARGS) -c constraints.txt -e '$(2)'
 @touch $@
 endef
 
+# Python compiles a module when it is first imported; pip would compile all, 150 MB of them.
 $(core): pyproject.toml constraints.txt | $(python)
-	$(call install,the factory with Blender and Open3D and the denoiser: about 2 GB,.[blender$(comma)open3d$(comma)denoise])
+	$(call install,the factory with Blender and Open3D and the denoiser: about 2 GB,.[blender$(comma)open3d$(comma)denoise],,--no-compile)
 
 $(stamp): pyproject.toml constraints.txt | $(python)
 	$(call install,all parts and what the tests need: about 5 GB with the CPU build of torch,.[all$(comma)dev$(comma)docs],tests)
