@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 from ...factory.seeds import stream
-from ..adapt import Lessons, Still
 from ..data.crops import concatenate, crop, whole_image
 from ..data.pairs import Batch, Image, Sample, spread
 from ..losses import Loss
 from ..networks import averaged
 from ..networks.network import Network, known_extras
 from ..settings import TrainSettings
+from ..stretches import Lessons, Still
 from .loop import Loop
 from .module import DenoisingModule, Row, denoised
 

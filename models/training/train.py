@@ -26,7 +26,8 @@ from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of, write_atomically
 from .. import WEIGHTS_NAME
 from ..data.crops import Crops, KeptSource, VisitSampler, concatenate, whole_image
-from ..data.pairs import Batch, Data, distant_places, open_data
+from ..data.pairs import Batch, Data, distant_places
+from ..data.sources import open_data
 from ..losses import build_loss
 from ..networks import build_network
 from ..networks.weights import load_weights, save_weights

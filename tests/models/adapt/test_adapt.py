@@ -9,11 +9,12 @@ import pytest
 import torch
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.adapt import find_lessons, main, read_clips
+from simnfnd.models.adapt import main
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.inputs import NONE, Geometries
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.stretches import find_lessons, read_clips
 from simnfnd.models.training.adapting import psnr_after_levels
 from tests.models.adapt.scenes import Gray, noisy, scene, write
 from tests.project_files import ROOT

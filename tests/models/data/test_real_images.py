@@ -19,7 +19,7 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.fans import read_fans
 from simnfnd.models.data.images import list_images, read_sample, smallest_side, with_noise
-from simnfnd.models.data.pairs import open_data
+from simnfnd.models.data.sources import open_data
 from simnfnd.models.recordings.pictures import read_grey
 from simnfnd.models.settings import DATA
 from simnfnd.models.training.train import train

@@ -1,0 +1,287 @@
+"""Stretches of recordings in which the scene stands still: frames, and means of the others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..factory.errors import FactoryError, FrameError
+from ..factory.sonar.geometry import FanGeometry
+from .denoise.inputs import Geometries, Item, find_items, sequences
+from .recordings import open_recording
+from .recordings.palettes import grey_of_colours
+from .recordings.pictures import read_grey
+from .recordings.static import aligned, find_groups, moving, references, shifted
+from .recordings.views import grey_of, polar_geometry, presentation_of
+
+Image = npt.NDArray[np.float32]
+
+RUN = 16
+"""So many frames that follow each other are read together where not all can be."""
+MOST_FRAMES = 256
+"""Of all recordings together; of more, runs that are evenly spread are read."""
+LEAST = 4
+"""Fewer frames make no stretch: too little is known of what stands still."""
+_ALIKE = 0.75  # of pictures in any order
+_FOLLOWS = 0.3  # of frames that follow each other: raw pings of one scene have .3 to .5
+_LEAST_ALIGNED = 3
+_LEAST_KNOWN = 0.1  # of the sector that must stand still
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One frame: (H, W) float32 in 0..1, and where range and bearing are, if that is known."""
+
+    grey: Image
+    geometry: FanGeometry | None = None
+
+    @property
+    def sector(self) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: what the sonar measured; all where that is not known."""
+        shape = self.grey.shape
+        if self.geometry is None:
+            return np.ones(shape, bool)
+        return self.geometry.maps(0, 0, *shape)["sector"] > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Frames in the order of time.  shuffled: as far as their names tell; they may be anything."""
+
+    name: str
+    shots: list[Shot]
+    shuffled: bool = False
+
+
+@dataclass
+class Found:
+    """What was read.  frames: how many there were.  skipped: a line for each that was not read."""
+
+    clips: list[Clip] = field(default_factory=list)
+    frames: int = 0
+    skipped: list[str] = field(default_factory=list)
+
+
+def read_clips(
+    paths: Sequence[Path], out: Path, geometries: Geometries, most: int = MOST_FRAMES
+) -> Found:
+    """The frames of files, and of all files below folders but those below `out`.
+
+    most: about so many frames are read, of more in runs that follow each other, evenly spread.
+    Raises FactoryError when there are none.
+    """
+    items = find_items(paths, out)
+    if shard := next((item for item in items if item.kind == "shard"), None):
+        raise FactoryError(
+            f"{shard.source}: belongs to a dataset; `simnfnd train` learns from these, and "
+            "`simnfnd adapt` from recordings, videos and pictures"
+        )
+    found = Found()
+    sources = sequences(items)
+    counts = [_count(source, found) for source in sources]
+    found.frames = sum(counts)
+    share = min(1.0, most / max(found.frames, 1))
+    for source, count in zip(sources, counts, strict=True):
+        if shots := list(_shots(source, runs(count, share), geometries, found)):
+            name = source[0].source.name
+            found.clips.append(Clip(name, presented(shots), source[0].kind == "image"))
+    if not found.clips:
+        more = f" ({found.skipped[0]})" if found.skipped else ""
+        raise FactoryError(f"{paths[0]}: no frame can be read{more}")
+    return found
+
+
+def presented(shots: list[Shot]) -> list[Shot]:
+    """Frames of a clip as denoisers show them to the weights, all with one gain."""
+    found = [presentation_of(shot.grey, shot.geometry) for shot in shots]
+    gain = min(one.gain for one in found)
+    ways = [replace(one, gain=gain) for one in found]
+    return [Shot(way.shown(shot.grey), way.geometry) for way, shot in zip(ways, shots, strict=True)]
+
+
+def runs(count: int, share: float) -> list[int]:
+    """Numbers of about `share` of `count` frames: whole runs of `RUN`, evenly spread."""
+    if share >= 1 or not count:
+        return list(range(count))
+    total = -(-count // RUN)
+    kept = max(1, int(share * total))
+    first = [number * total // kept for number in range(kept)]
+    return [frame for run in first for frame in range(run * RUN, min(run * RUN + RUN, count))]
+
+
+def _count(source: list[Item], found: Found) -> int:
+    """Number of frames; notes a recording that cannot be opened."""
+    if source[0].kind == "image":
+        return len(source)
+    try:
+        with open_recording(source[0].source) as recording:
+            return len(recording)
+    except FactoryError as error:
+        found.skipped.append(str(error))
+        return 0
+
+
+def _shots(
+    source: list[Item], numbers: list[int], geometries: Geometries, found: Found
+) -> Iterator[Shot]:
+    """Frames by their numbers; notes damaged pictures, and where a recording is damaged."""
+    if source[0].kind == "image":
+        for number in numbers:
+            try:
+                grey = read_grey(source[number].source)
+            except FactoryError as error:
+                found.skipped.append(str(error))
+                continue
+            yield Shot(grey, geometries.of(source[number], grey))
+    elif numbers:
+        with open_recording(source[0].source) as recording:
+            try:
+                for number in numbers:
+                    frame = recording[number]
+                    if frame.beams is not None:
+                        geometry = polar_geometry(frame.beams, len(frame.samples))
+                        yield Shot(grey_of(frame), geometry)
+                        continue
+                    is_grey = frame.samples.ndim == 2
+                    grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
+                    yield Shot(grey, geometries.of(source[0], grey))
+            except FrameError as error:
+                found.skipped.append(str(error))
+
+
+@dataclass(frozen=True, eq=False)
+class Still:
+    """One stretch.
+
+    frames: (H, W) float32 in 0..1.  targets: one for each frame, NaN where none is known: outside
+    the sector and where something moves.  geometry: of all frames.  recording: number of the one
+    that they are from.  laid: the frames with the scene where the first has it.
+    """
+
+    frames: list[Image]
+    targets: list[Image]
+    geometry: FanGeometry | None
+    recording: int = 0
+    laid: list[Image] = field(default_factory=list)
+
+    def averaged(self, first: int, count: int) -> tuple[Image, Image]:
+        """The mean of `count` frames from `first` on, and that of all others, NaN where unknown."""
+        inside = np.zeros(len(self.laid), bool)
+        inside[first : first + count] = True
+        own = np.mean([one for one, is_in in zip(self.laid, inside, strict=True) if is_in], axis=0)
+        rest = [one for one, is_in in zip(self.laid, inside, strict=True) if not is_in]
+        target = np.where(np.isfinite(self.targets[0]), np.mean(rest, axis=0), np.nan)
+        return np.asarray(own, np.float32), np.asarray(target, np.float32)
+
+    def only(self, numbers: Sequence[int]) -> Still:
+        """Some of the frames, with the targets that they have."""
+        return replace(
+            self,
+            frames=[self.frames[i] for i in numbers],
+            targets=[self.targets[i] for i in numbers],
+            laid=[self.laid[i] for i in numbers],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Lessons:
+    """learning: what is learned from.  held: what is measured on; no frame of it is learned from.
+
+    same: whether the frames held out belong to the only stretch there is.
+    """
+
+    learning: list[Still]
+    held: list[Still]
+    same: bool
+
+
+def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
+    """All stretches of the clips, a fifth of them (the last) held out; None when there are none.
+
+    A fifth of each clip's that has several, or, where none has, of all.  Of a single stretch the
+    last fifth of the frames is held out.  It still shows what was learned from, so figures measured
+    on it flatter.
+    """
+    known = [
+        (kept, replace(still, recording=number))
+        for number, clip in enumerate(clips)
+        for shots in _stretches(clip)
+        for kept, still in _stills(shots)
+    ]
+    if not known:
+        return None
+    stills = [still for _, still in known]
+    if len(known) > 1:
+        return Lessons(*_held_out(stills), same=False)
+    (kept, whole), count = known[0], max(1, len(known[0][0]) // 5)
+    # Targets of the frames that are learned from must not know the others.
+    learning = [still for _, still in _stills(kept[:-count])]
+    held = whole.only(range(len(kept) - count, len(kept)))
+    return Lessons(learning, [held], same=True) if learning else None
+
+
+def _held_out(stills: list[Still]) -> tuple[list[Still], list[Still]]:
+    """Two or more stretches in the order of their recordings: to learn from, and held out."""
+    parts = [list(part) for _, part in groupby(stills, key=lambda still: still.recording)]
+    if all(len(part) == 1 for part in parts):
+        parts = [stills]
+    counts = [max(1, round(len(part) / 5)) if len(part) > 1 else 0 for part in parts]
+    learning, held = [], []
+    for part, count in zip(parts, counts, strict=True):
+        learning += part[: len(part) - count]
+        held += part[len(part) - count :]
+    return learning, held
+
+
+def _stretches(clip: Clip) -> list[list[Shot]]:
+    """The shots of each stretch: of those that follow each other first, then of the rest."""
+    left = list(range(len(clip.shots)))
+    found: list[list[int]] = []
+    pieces = np.array_split(left, max(1, math.ceil(len(left) / RUN)))
+    for piece in pieces:
+        # Frames that follow each other show one scene unless it is plain that they do not.
+        found += _groups(clip, piece.tolist(), _ALIKE if clip.shuffled else _FOLLOWS)
+    taken = {number for group in found for number in group}
+    found += _groups(clip, [number for number in left if number not in taken], _ALIKE)
+    return [[clip.shots[i] for i in group] for group in sorted(found)]
+
+
+def _groups(clip: Clip, numbers: list[int], alike: float) -> list[list[int]]:
+    shots = [clip.shots[i] for i in numbers]
+    groups = find_groups(
+        [shot.grey for shot in shots], [shot.sector for shot in shots], least=LEAST, alike=alike
+    )
+    found = []
+    for group in groups:
+        own = sorted(numbers[i] for i in group.numbers)
+        parts = np.array_split(own, max(1, len(own) // RUN))
+        found += [part.tolist() for part in parts]
+    return found
+
+
+def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
+    """The stretch of these shots with those of them that fit; nothing when too little does."""
+    sector = shots[0].sector
+    group = aligned([shot.grey for shot in shots], sector)
+    if len(group.numbers) < _LEAST_ALIGNED:
+        return []
+    kept = [shots[i] for i in group.numbers]
+    frames = [shot.grey for shot in kept]
+    laid = [shifted(frame, shift) for frame, shift in zip(frames, group.shifts_px, strict=True)]
+    # Where all frames show the sector and nothing moves.
+    margin = 2 * math.ceil(float(np.abs(group.shifts_px).max())) + 3
+    inner = cv2.erode(sector.astype(np.uint8), np.ones((margin, margin), np.uint8)).astype(bool)
+    known = inner & ~moving(laid, sector)
+    if known.sum() < _LEAST_KNOWN * sector.sum():
+        return []
+    targets = [
+        np.where(known, target, np.nan).astype(np.float32) for target in references(frames, group)
+    ]
+    return [(kept, Still(frames, targets, shots[0].geometry, laid=laid))]
