@@ -163,7 +163,7 @@ def test_a_report_goes_on_where_it_was_interrupted(
         return {method.name for task in tasks[2:] for method in task.methods}
 
     assert again(more) == {"grey_opening"}
-    # Another device, and other code or libraries, must not find the figures of before.
+    # Another device, and other code or libraries, must not find the earlier figures.
     for name in ("_device_kind", "sources_digest"):
         with monkeypatch.context() as patch:
             patch.setattr(runner, name, lambda *_: "another")
