@@ -3,9 +3,9 @@
 A fan picture is lit inside a sector and black outside it, mostly with far range on top.  A pixel is
 lit with one probability inside the sector and with another outside; the outline with the greatest
 likelihood wins, so holes (shadows, noise that reaches zero) and specks (ringing of JPEG or MPEG,
-text) cost little each.  The share of the outline that the picture really shows decides whether it is
-accepted.  Where none is, the finder turns the picture by quarters, then tries the largest area of a
-screen alone, and last searches a V of white lines, as chart plotters draw it.
+text) cost little each.  The share of the outline that the picture really shows decides whether it
+is accepted.  Where none is, the finder turns the picture by quarters, then tries the largest area
+of a screen alone, and last searches a V of white lines, as chart plotters draw it.
 """
 
 from __future__ import annotations
