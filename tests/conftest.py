@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
 
@@ -20,14 +18,6 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 # change must not fail on an example that it did not cause; at home the search goes on.
 settings.register_profile("simnfnd", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("simnfnd")
-
-# The log handler of absl, which TensorBoard brings, keeps the sys.stderr of the moment of its
-# import and CLOSES it when Hydra sets logging up anew, unless it is the process's own.  Within
-# pytest that is the file that collects what tests print: every test after it would break.
-with contextlib.suppress(ImportError):
-    from absl import logging as absl_logging
-
-    absl_logging.get_absl_handler().python_handler.stream = sys.__stderr__
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
