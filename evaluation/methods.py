@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..factory.errors import FactoryError
-from ..factory.files import sha256_of
 from ..models import WEIGHTS_NAME
 from .filters import Baseline, Parameters, chosen
 from .metrics.measure import Levels
@@ -34,7 +31,7 @@ class Method:
     form: '', 'tuned', '+ levels' or 'tuned + levels'.
     weights: of a network, else None.
     given: what gives its pictures, where it is no function: the folder of another program's, or
-        what a subject knows by this word.  content: changes with those pictures.
+        what a subject knows by this word.
     ablation: which row of the paper's Table 3 a network is, or ''.
     """
 
@@ -45,7 +42,6 @@ class Method:
     weights: str | None = None
     ablation: str = ""
     given: str = ""
-    content: str = ""
 
     @property
     def label(self) -> str:
@@ -67,14 +63,6 @@ class Method:
         """Equal for rows that differ in their levels alone, so that they share the filtering."""
         source = self.given or self.weights or self.name
         return f"{source} {sorted(self.parameters.items())}"
-
-    @property
-    def key(self) -> str:
-        """Changes with everything that decides the row's figures, but the pictures and programs."""
-        content = self.content if self.weights is None else weights_digest(self.weights)
-        levels = None if self.levels is None else [self.levels.gain, self.levels.offset]
-        parts = [self.name, sorted(self.parameters.items()), levels, content]
-        return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
 
 
 NOISY = Method("identity", "", {})
@@ -151,12 +139,6 @@ def network(weights: str, device: str) -> Denoiser:
     from ..models.denoise.denoiser import Denoiser
 
     return Denoiser(weights, device)
-
-
-@lru_cache(maxsize=64)
-def weights_digest(path: str) -> str:
-    """Changes with the weights."""
-    return sha256_of(Path(path))[:24]
 
 
 def reason(error: Exception) -> str:

@@ -31,7 +31,6 @@ from .methods import reason, shown
 from .metrics.fidelity import finite_psnr, psnr
 from .metrics.measure import Gray, Levels, fit_levels
 from .pairs import Item, items_of, picture
-from .runner import sources_digest
 from .settings import EvaluationSettings
 
 SCHEMA = "simnfnd-tuned/1"
@@ -75,7 +74,7 @@ class Point:
 def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: TaskPool) -> list[str]:
     """Tune the baselines and write the file after each.
 
-    What the file already has for the same pairs, grid and program is kept.  Returns lines to show:
+    What the file already has for the same pairs and grid is kept.  Returns lines to show:
     one a baseline, and warnings.  Raises FactoryError for anything that is no readable dataset.
     """
     items = validation_items(settings)
@@ -219,10 +218,9 @@ def load_tuned(path: Path) -> dict[str, Any]:
 
 
 def _key(baseline: Baseline, items: list[Item]) -> str:
-    """Changes with the pairs, the grid, the default and the program of the method."""
-    program = sources_digest(Path(__file__).parent / "filters")
+    """Changes with the pairs, the grid and the default."""
     pairs = [item.key for item in items]
-    parts = [baseline.name, dict(baseline.default), dict(baseline.grid), program, pairs]
+    parts = [baseline.name, dict(baseline.default), dict(baseline.grid), pairs]
     return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
 
 

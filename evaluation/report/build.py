@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from ...factory.scheduler.workers.tasks import TaskPool
 from .. import tuning
 from ..methods import NOISY, Method, baselines_of, methods_of, networks_of
 from ..pairs import Item, config_hash_of, drawn_of, given_methods, items_of, names_of, picture
-from ..runner import SECONDS, FigureStore, Measured, Subject, run
+from ..runner import SECONDS, Measured, Subject, run
 from ..settings import EvaluationSettings
 from . import tables
 from .content import best_forms, content_of, shown_rows, verdict
@@ -41,7 +40,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     items = items_of(Path(settings.dataset.dir), settings.split, settings.limit)
     given = given_methods(settings.pictures, [names_of(item) for item in items])
     check_writable(out, "out")
-    with TaskPool(settings.workers) as pool, contextlib.closing(FigureStore(out)) as store:
+    with TaskPool(settings.workers) as pool:
         if settings.tuning.auto and baselines:
             try:
                 print(*tuning.tune(settings, baselines, pool), sep="\n")
@@ -51,7 +50,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
         tuned = tuning.load_tuned(settings.tuned_file)
         named = [NOISY, *methods_of(baselines, tuned), *networks, *given]
         methods = list({method.label: method for method in named}.values())
-        measured = measure(settings, items, methods, pool, store)
+        measured = measure(settings, items, methods, pool)
         content = content_of(methods, measured, items, settings, tuned)
         content["facts"]["image"] = "x".join(map(str, picture(items[0].place).clean.shape))
         content["facts"]["config_hash"] = config_hash_of(items[0])
@@ -78,13 +77,12 @@ def measure(
     items: Sequence[Item],
     methods: Sequence[Method],
     pool: TaskPool,
-    store: FigureStore | None = None,
     *,
     keep: bool = False,
 ) -> Measured:
-    """The figures of methods on pairs; what the store has is not measured again.
+    """The figures of methods on pairs.  keep: whether the images come back.
 
-    keep: whether the images come back.  Raises FactoryError for a dataset that cannot be read.
+    Raises FactoryError for a dataset that cannot be read.
     """
     picture.cache_clear()  # files may have changed since the last report of this process
     pairs: dict[int, Subject] = dict(enumerate(items))
@@ -95,7 +93,6 @@ def measure(
             pool,
             device=settings.device,
             timeout_s=settings.image_timeout_s,
-            store=store,
             chunk=_CHUNK,
             keep=lambda _: keep,
             tick=bar.update,

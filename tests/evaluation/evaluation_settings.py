@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from simnfnd.evaluation.filters import Baseline
 from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.pairs import items_of
 from simnfnd.evaluation.report.build import measure
-from simnfnd.evaluation.runner import FigureStore, Measured, Task, measure_task
+from simnfnd.evaluation.runner import Measured, Task, measure_task
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from simnfnd.factory.settings import build
@@ -54,12 +53,12 @@ def settings_for(dataset: Path, **changes: Any) -> EvaluationSettings:
     return settings
 
 
-def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) -> Measured:
-    """What the engine measures of the noisy images and these methods; figures are kept in `out`."""
+def measured(dataset: Path, methods: list[Method], **changes: Any) -> Measured:
+    """What the engine measures of the noisy images and these methods."""
     settings = settings_for(dataset, **changes)
-    with closing(FigureStore(out)) as store, TaskPool(settings.workers) as pool:
+    with TaskPool(settings.workers) as pool:
         items = items_of(dataset, settings.split, settings.limit)
-        return measure(settings, items, [NOISY, *methods], pool, store)
+        return measure(settings, items, [NOISY, *methods], pool)
 
 
 def _broken(image: Any) -> Any:

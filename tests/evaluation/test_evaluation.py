@@ -34,7 +34,7 @@ from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
 from simnfnd.evaluation.metrics.measure import Picture, Scene, fit_levels, sector_of
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.runner import SECONDS, STORE_NAME, Measured, Task, measure_task
+from simnfnd.evaluation.runner import SECONDS, Measured
 from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.writer import write_shard
@@ -56,7 +56,7 @@ from tests.evaluation.evaluation_settings import (
 from tests.project_files import ROOT
 from tests.small_dataset import COLUMNS, fan_images, write_dataset
 
-FILES = {"report.html", "report.json", "report.md", "results.csv", STORE_NAME}
+FILES = {"report.html", "report.json", "report.md", "results.csv"}
 METRICS = ("psnr", "ssim", "gmsd", "psnr_fan", "shadow_iou", "shadow_residual")
 MEDIAN = Method("median", "", {"size": 3})
 GAUSSIAN = Method("gaussian", "", {"sigma_px": 1.0})
@@ -131,51 +131,9 @@ def test_one_command_writes_the_whole_report(
     assert more.partition("##")[0].count("| median") == 4
 
 
-def test_a_report_goes_on_where_it_was_interrupted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    dataset = write_dataset(tmp_path / "data", train=0, test=9, size=48)
-    whole = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "whole")
-    tasks: list[Task] = []
-
-    def stopping(task: Task) -> Any:
-        tasks.append(task)
-        if len(tasks) == 2:
-            raise KeyboardInterrupt
-        return measure_task(task)
-
-    monkeypatch.setattr(runner, "measure_task", stopping)
-    with pytest.raises(KeyboardInterrupt):
-        measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
-    # A crash may cut a line in two.
-    with (tmp_path / "out" / STORE_NAME).open("a", encoding="utf-8") as file:
-        file.write('{"method": "x", "pictures": ["a"')
-    rest = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
-    assert [len(task.subjects) for task in tasks[2:]] == [4, 1], "the first four were known"
-    assert_same(rest, whole)
-    # Known rows are read, a new one is measured alone.
-    more = [MEDIAN, Method("grey_opening", "", {"size": 3})]
-
-    def again(chosen: list[Method]) -> set[str]:
-        tasks[:] = [tasks[0]] * 2
-        runner.program_digest.cache_clear()
-        measured(dataset, chosen, tmp_path / "out")
-        return {method.name for task in tasks[2:] for method in task.methods}
-
-    assert again(more) == {"grey_opening"}
-    # Another device, and other code or libraries, must not find the earlier figures.
-    for name in ("_device_kind", "sources_digest"):
-        with monkeypatch.context() as patch:
-            patch.setattr(runner, name, lambda *_: "another")
-            assert again([MEDIAN]) == {"identity", "median"}
-    assert not again([MEDIAN]), "what was known before still is"
-
-
 def test_processes_do_not_change_the_figures(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=6, test=6, size=48, per_shard=5)
-    alone, together = (
-        measured(dataset, [MEDIAN], tmp_path / str(n), split="all", workers=n) for n in (1, 2)
-    )
+    alone, together = (measured(dataset, [MEDIAN], split="all", workers=n) for n in (1, 2))
     assert_same(alone, together)
     items = items_of(dataset, "all")
     assert len(items) == 12
@@ -191,12 +149,12 @@ def test_a_killed_worker_costs_the_row_of_its_method_alone(
 ) -> None:
     dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
     monkeypatch.setattr(runner, "measure_task", killed_by_median)
-    found = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out", workers=2)
+    found = measured(dataset, [MEDIAN, GAUSSIAN], workers=2)
     assert set(found.lost) == {"median"}
     assert "SIGKILL" in found.lost["median"]
     monkeypatch.undo()
-    assert_same(found, measured(dataset, [GAUSSIAN], tmp_path / "other"))
-    assert not measured(dataset, [MEDIAN], tmp_path / "out").lost, "the next run tries again"
+    assert_same(found, measured(dataset, [GAUSSIAN]))
+    assert not measured(dataset, [MEDIAN]).lost, "the next run tries again"
 
 
 def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
@@ -356,7 +314,7 @@ def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
     forms = ["", " + levels", " tuned", " tuned + levels"]
     labels = ["noisy", *(f"median{form}" for form in forms), "noisy + levels"]
     assert [method.label for method in methods] == labels
-    found = measured(dataset, methods, tmp_path / "out").wide()
+    found = measured(dataset, methods).wide()
     # One pair by hand.
     number, label = 4, "median tuned + levels"
     pair = picture(items_of(dataset, "test")[number].place)
@@ -443,7 +401,7 @@ def test_networks_are_rows_with_their_costs(dataset: Path, tmp_path: Path) -> No
         ("small", ""),
         ("other", "simnfnd_l1"),
     ]
-    found = measured(dataset, methods, tmp_path / "out")
+    found = measured(dataset, methods)
     psnr_db = found.wide()["psnr"]
     pair = picture(items_of(dataset, "test")[1].place)
     expected = psnr(pair.clean, Denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
@@ -480,7 +438,7 @@ def test_paths_without_weights_are_named(dataset: Path, tmp_path: Path) -> None:
             networks_of(settings_for(tmp_path / "data", models=[str(tmp_path / path)]))
     (tmp_path / "bad.safetensors").write_bytes(b"no weights")
     settings = settings_for(dataset, limit=2, models=[str(tmp_path / "bad.safetensors")])
-    found = measured(dataset, networks_of(settings), tmp_path / "out")
+    found = measured(dataset, networks_of(settings))
     assert "not a safetensors file" in found.lost["bad"], "it loses its row"
 
 
