@@ -69,26 +69,6 @@ def _tile_at(tile: Any, u_m: Any, v_m: Any, scale: Any) -> Any:
     return upper + down * (lower - upper)
 
 
-@compiled(f"void({_ROWS}, {_TRIANGLES}, {_PLANE})")
-def point_normals(points: Any, triangles: Any, normals: Any) -> None:
-    """(V, 3) unit normals, the mean of the triangles around each point by their area."""
-    total = np.zeros((len(points), 3))
-    for k in range(len(triangles)):
-        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-        px, py = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-        qx, qy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
-        pz, qz = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2]
-        x, y, z = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-        for corner in (a, b, c):
-            total[corner, 0] += x
-            total[corner, 1] += y
-            total[corner, 2] += z
-    for k in range(len(points)):
-        x, y, z = total[k, 0], total[k, 1], total[k, 2]
-        scale = 1 / max(np.sqrt(x * x + y * y + z * z), 1e-20)
-        normals[k, 0], normals[k, 1], normals[k, 2] = x * scale, y * scale, z * scale
-
-
 @compiled(f"void({_VECTORS}, {_VECTORS})")
 def normals_of_grid(points: Any, normals: Any) -> None:
     """(R, C, 3) unit normals of a grid of points, turned upward, by central differences."""

@@ -90,11 +90,11 @@ def join(parts: Iterable[Mesh]) -> Mesh:
 
 def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
     """(V, 3) unit normals, the area-weighted mean of the triangles around each vertex."""
-    from .kernels import point_normals
-
-    normals = np.empty(vertices.shape, dtype=np.float32)
-    point_normals(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles), normals)
-    return normals
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    areas = np.repeat(np.cross(b - a, c - a), 3, axis=0).T
+    total = np.array([np.bincount(triangles.ravel(), one, len(vertices)) for one in areas])
+    lengths = np.maximum(np.sqrt((total**2).sum(axis=0)), 1e-20)
+    return np.ascontiguousarray((total * (1 / lengths)).T, np.float32)
 
 
 @functools.cache
@@ -104,12 +104,11 @@ def grid_triangles(rows: int, columns: int, closed: bool = False) -> Indices:
     Cell (i, j) is triangle 2 * (i * cells + j) and the next: (a, b, c) and (a, c, d) of its corners
     a = (i, j), b = (i + 1, j), c = (i + 1, j + 1), d = (i, j + 1).
     """
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns - (not closed)), indexing="ij")
-    after = (j + 1) % columns
-    a, b = i * columns + j, (i + 1) * columns + j
-    c, d = (i + 1) * columns + after, i * columns + after
-    cells = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2)
-    triangles: Indices = cells.reshape(-1, 3).astype(np.int32)
+    number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    if closed:
+        number = np.append(number, number[:, :1], axis=1)
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    triangles: Indices = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
     triangles.setflags(write=False)
     return triangles
 
@@ -160,8 +159,8 @@ def tube(
     angle = np.arange(segments) * (2 * np.pi / segments)
     around = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * up[:, None]
     vertices = (points[:, None] + radii[:, None, None] * around).reshape(-1, 3)
-    triangles = _tube_triangles(len(points), segments, closed)
-    return mesh(vertices, triangles, np.repeat(colours, segments, axis=0))
+    triangles = grid_triangles(len(points) + closed, segments, closed=True) % len(vertices)
+    return mesh(vertices, triangles[:, ::-1], np.repeat(colours, segments, axis=0))
 
 
 def _sides(tangents: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -175,14 +174,6 @@ def _sides(tangents: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         x, y, z = x * scale, y * scale, z * scale
         sides[k] = x, y, z
     return sides
-
-
-@functools.cache
-def _tube_triangles(rings: int, segments: int, closed: bool) -> Indices:
-    triangles = grid_triangles(rings + closed, segments, closed=True) % (rings * segments)
-    outward: Indices = np.ascontiguousarray(triangles[:, ::-1], dtype=np.int32)
-    outward.setflags(write=False)
-    return outward
 
 
 def bar(start: npt.ArrayLike, end: npt.ArrayLike, radius: float, segments: int = 8) -> Mesh:
@@ -225,9 +216,9 @@ def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     sides = np.abs(apart - apart[apart > 0].min()) < 1e-9
     triples = itertools.combinations(range(len(points)), 3)
-    faces = np.array([t for t in triples if all(sides[t[k], t[k - 1]] for k in range(3))], np.int32)
-    outward = np.einsum("ij,ij->i", _normals(points[faces]), points[faces[:, 0]])
-    faces = np.where(outward[:, None] > 0, faces, faces[:, ::-1]).astype(np.int32)
+    found = [list(t) for t in triples if all(sides[t[k], t[k - 1]] for k in range(3))]
+    outward = (t if np.linalg.det(points[t]) > 0 else t[::-1] for t in found)
+    faces = np.array(list(outward), np.int32)
     for _ in range(subdivisions):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         unique, which = np.unique(edges, axis=0, return_inverse=True)
@@ -239,10 +230,6 @@ def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
         faces = np.concatenate([np.stack(corner, axis=-1) for corner in corners_of])
         points = points / np.linalg.norm(points, axis=1, keepdims=True)
     return points / np.linalg.norm(points, axis=1, keepdims=True), faces
-
-
-def _normals(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def sphere(subdivisions: int, colour: Colour = GREY) -> Mesh:
