@@ -131,8 +131,8 @@ class SeabedReader:
         return owned(self._settings.own_objects)
 
     def _built(self, location: int) -> World:
-        from .world import build_world
+        from .world import World
 
         settings = self._settings
         places = settings.places or PLACE_NAMES
-        return build_world(location, places, settings.objects, settings.kinds, self._own)
+        return World(location, places, settings.objects, settings.kinds, self._own)

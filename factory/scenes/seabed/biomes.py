@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+import numpy.typing as npt
 
-from .meshes import Colour
-from .terrain import Banks, Floats, Ripples, Terrain, waves
-
+Colour = tuple[float, ...]  # red, green, blue
 Range = tuple[float, float]
 
 # The order is the order in which locations 0, 1, 2, ... take them.
@@ -109,6 +108,14 @@ PLACES: dict[PlaceName, Place] = {
 # fmt: on
 
 
+def pick(
+    rng: np.random.Generator, colours: tuple[Colour, ...], darkest: float = 0.75,
+    lightest: float = 1.2,
+) -> npt.NDArray[np.float64]:  # fmt: skip
+    """One of the colours, a little lighter or darker."""
+    return np.array(colours[int(rng.integers(len(colours)))]) * rng.uniform(darkest, lightest)
+
+
 def draw(rng: np.random.Generator, span: Range) -> float:
     """A uniform number in (low, high)."""
     return float(rng.uniform(*span))
@@ -122,137 +129,51 @@ _CRUSTS: tuple[Colour, ...] = ((0.42, 0.20, 0.26), (0.50, 0.28, 0.12), (0.40, 0.
 
 
 @dataclass(frozen=True)
-class _Kind:
+class _Water:
     """Ranges of a kind of water; fade is relative to that of green."""
 
     haze: Colour
     fade: Colour
-    sun: tuple[float, float]
+    sun: Range
     sky: Colour
-    clear_m: tuple[float, float]
+    clear_m: Range
 
 
-_KINDS: dict[str, _Kind] = {
-    "clear": _Kind((0.03, 0.24, 0.41), (3.2, 1.0, 0.75), (0.6, 1.0), (0.26, 0.60, 0.70), (10, 17)),
-    "cyan": _Kind((0.07, 0.42, 0.48), (2.7, 1.0, 0.95), (0.6, 1.0), (0.34, 0.68, 0.70), (9, 15)),
-    "deep": _Kind((0.01, 0.075, 0.19), (3.6, 1.0, 0.65), (0.2, 0.4), (0.13, 0.36, 0.52), (9, 15)),
-    "green": _Kind((0.04, 0.15, 0.105), (2.0, 1.0, 1.35), (0.4, 0.8), (0.30, 0.52, 0.40), (8, 12)),
-    "lake": _Kind((0.07, 0.085, 0.035), (1.25, 1.0, 1.9), (0.3, 0.6), (0.42, 0.44, 0.26),
+_WATERS: dict[str, _Water] = {
+    "clear": _Water((0.03, 0.24, 0.41), (3.2, 1.0, 0.75), (0.6, 1.0), (0.26, 0.60, 0.70), (10, 17)),
+    "cyan": _Water((0.07, 0.42, 0.48), (2.7, 1.0, 0.95), (0.6, 1.0), (0.34, 0.68, 0.70), (9, 15)),
+    "deep": _Water((0.01, 0.075, 0.19), (3.6, 1.0, 0.65), (0.2, 0.4), (0.13, 0.36, 0.52), (9, 15)),
+    "green": _Water((0.04, 0.15, 0.105), (2.0, 1.0, 1.35), (0.4, 0.8), (0.30, 0.52, 0.40), (8, 12)),
+    "lake": _Water((0.07, 0.085, 0.035), (1.25, 1.0, 1.9), (0.3, 0.6), (0.42, 0.44, 0.26),
                   (7.5, 11)),
-    "dark": _Kind((0.012, 0.04, 0.045), (2.4, 1.0, 1.1), (0.08, 0.2), (0.24, 0.30, 0.30),
+    "dark": _Water((0.012, 0.04, 0.045), (2.4, 1.0, 1.1), (0.08, 0.2), (0.24, 0.30, 0.30),
                   (7.5, 11)),
 }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
 class Look:
-    """Colours, water and light of a location.
+    """Colours, water and light of a location, of a kind of place.
 
     palette: (5, 3) float32 albedo of sand, gravel, rock, algae and crust, red, green, blue.
     turf: how much of the rock is overgrown, 0 to 1.
     water: (4, 3) float32 attenuation per metre, colour of open water, light from the sun's
-    direction and from all above.  sun_direction: unit, from the ground to the sun.
+    direction and from all above.  sun_direction: (3,) unit, from the ground to the sun.
     clear_m: beyond this range nothing has a depth.
     """
 
-    palette: Floats
-    turf: float
-    water: Floats
-    sun_direction: tuple[float, float, float]
-    clear_m: float
-
-
-def draw_look(rng: np.random.Generator, place: Place) -> Look:
-    """The look of a location of this kind."""
-    kind = _KINDS[place.waters[int(rng.integers(len(place.waters)))]]
-    clear = draw(rng, kind.clear_m)
-    height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
-    flat = np.sqrt(1 - height**2)
-    sun = draw(rng, kind.sun)
-    fade = [1.15 / clear * share for share in kind.fade]
-    haze = [value * rng.uniform(0.85, 1.15) for value in kind.haze]
-    water = (fade, haze, [sun * share for share in (0.62, 1.0, 0.92)], kind.sky)
-
-    def one(colours: tuple[Colour, ...]) -> Colour:
-        chosen = colours[int(rng.integers(len(colours)))]
-        shade = float(rng.uniform(0.85, 1.15))
-        return tuple(part * shade for part in chosen)
-
-    rock = one(_ROCKS)
-    gravel = (rock[0] * 1.15, rock[1] * 1.12, rock[2] * 1.08)
-    palette = (one(_SANDS), gravel, rock, one(_ALGAE), one(_CRUSTS))
-    return Look(
-        palette=np.array(palette, np.float32),
-        turf=rng.uniform(0.2, 0.8),
-        water=np.array(water, np.float32),
-        sun_direction=(float(flat * np.cos(turn)), float(flat * np.sin(turn)), float(height)),
-        clear_m=clear,
-    )
-
-
-def draw_terrain(rng: np.random.Generator, place: Place, heading_rad: float) -> Terrain:
-    """A ground of this kind of place; `heading_rad` is the direction of its walls."""
-    slope = np.tan(np.deg2rad(draw(rng, place.slope_deg)))
-    downhill = rng.uniform(0, 2 * np.pi)
-    longest = rng.uniform(9, 20)
-    return Terrain(
-        slope=(float(slope * np.cos(downhill)), float(slope * np.sin(downhill))),
-        swell=waves(rng, longest, 1.0, 1.2),
-        swell_m=draw(rng, place.swell_m),
-        outcrop=waves(rng, rng.uniform(4, 9), 0.7, 0.9),
-        outcrop_cover=draw(rng, place.outcrop_cover),
-        outcrop_m=draw(rng, place.outcrop_m),
-        gravel=waves(rng, 6.0, 0.5, 0.8),
-        gravel_cover=draw(rng, place.gravel_cover),
-        ripples=_ripples(rng, place) if rng.random() < place.ripples else None,
-        banks=_banks(rng, place, heading_rad),
-        rock_relief_m=rng.uniform(0.05, 0.11),
-        sand_relief_m=rng.uniform(0.006, 0.016),
-        offset_m=(rng.uniform(0, 50), rng.uniform(0, 50)),
-    )
-
-
-def _ripples(rng: np.random.Generator, place: Place) -> Ripples:
-    wavelength = rng.uniform(0.14, 0.55)
-    return Ripples(
-        wavelength_m=wavelength,
-        amplitude_m=wavelength * rng.uniform(0.045, 0.085),
-        heading_rad=rng.uniform(0, 2 * np.pi),
-        bend=waves(rng, 7.0, 0.8, 0.9),
-        bend_rad=rng.uniform(1.2, 2.6),
-        patches=waves(rng, 8.0, 1.5, 0.8),
-        cover=draw(rng, place.ripple_cover),
-    )
-
-
-def _banks(rng: np.random.Generator, place: Place, heading_rad: float) -> Banks | None:
-    if place.banks is None:
-        return None
-    half_width, height = (draw(rng, span) for span in place.banks)
-    # Ledges: steep faces and narrow steps take turns up the wall.
-    faces = int(rng.integers(2, 5))
-    rise = rng.dirichlet(np.full(faces, 3.0)) * height
-    knots = [(-1.2, 0.0), (0.0, 0.22)]
-    behind, level = 0.0, 0.22
-    for step in rise:
-        behind, level = behind + step * rng.uniform(0.12, 0.4), level + float(step)
-        knots.append((behind, level))
-        behind, level = behind + rng.uniform(0.15, 0.7), level + rng.uniform(0.03, 0.15)
-        knots.append((behind, level))
-    knots += [(behind + 6, level + rng.uniform(0.3, 1.5)), (behind + 40, level + 2.5)]
-    sharp = np.array(knots)
-    fine = np.arange(-1.6, behind + 12, 0.04)
-    rounded = np.convolve(
-        np.pad(np.interp(fine, sharp[:, 0], sharp[:, 1]), 4, mode="edge"), np.ones(9) / 9, "valid"
-    )
-    profile = np.concatenate([np.column_stack([fine, rounded]), sharp[-1:]])
-    return Banks(
-        heading_rad=heading_rad,
-        half_width_m=half_width,
-        sides=place.sides,
-        profile=profile,
-        winding=waves(rng, 26.0, 9.0, 1.2),
-        winding_m=rng.uniform(0.3, 1.2),
-        ragged=waves(rng, 3.5, 0.5, 0.9),
-        ragged_m=rng.uniform(0.15, 0.26),
-    )
+    def __init__(self, rng: np.random.Generator, place: Place) -> None:
+        kind = _WATERS[place.waters[int(rng.integers(len(place.waters)))]]
+        self.clear_m = draw(rng, kind.clear_m)
+        height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
+        flat = np.sqrt(1 - height**2)
+        self.sun_direction = np.array([flat * np.cos(turn), flat * np.sin(turn), height])
+        sun = draw(rng, kind.sun)
+        fade = [1.15 / self.clear_m * share for share in kind.fade]
+        haze = [value * rng.uniform(0.85, 1.15) for value in kind.haze]
+        light = [sun * share for share in (0.62, 1.0, 0.92)]
+        self.water = np.array([fade, haze, light, kind.sky], np.float32)
+        rock = pick(rng, _ROCKS, 0.85, 1.15)
+        sand, algae, crust = (pick(rng, some, 0.85, 1.15) for some in (_SANDS, _ALGAE, _CRUSTS))
+        gravel = rock * (1.15, 1.12, 1.08)
+        self.palette = np.array([sand, gravel, rock, algae, crust], np.float32)
+        self.turf = rng.uniform(0.2, 0.8)

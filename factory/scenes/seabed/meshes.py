@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .terrain import Arrays, Floats, waves
+from .biomes import Colour
+from .terrain import Arrays, Floats, Waves
 
 Indices = npt.NDArray[np.int32]
-Colour = tuple[float, ...]  # red, green, blue
 GREY: Colour = (0.5, 0.5, 0.5)
 
 
@@ -45,7 +45,7 @@ class Mesh:
             points = np.stack(rows, axis=-1)
         return Mesh(points + np.asarray(offset, dtype=np.float32), self.colours, self.triangles)
 
-    def tinted(self, colour: Colour) -> Mesh:
+    def tinted(self, colour: npt.ArrayLike) -> Mesh:
         """The mesh in one colour."""
         return Mesh(self.vertices, np.full_like(self.colours, colour), self.triangles)
 
@@ -181,15 +181,16 @@ def bar(start: npt.ArrayLike, end: npt.ArrayLike, radius: float, segments: int =
     return tube(np.stack([np.asarray(start), np.asarray(end)]), radius, segments)
 
 
-def box(size: Sequence[float], centre: Sequence[float] = (0, 0, 0), colour: Colour = GREY) -> Mesh:
+def box(
+    size: Sequence[float], centre: Sequence[float] = (0, 0, 0), colour: npt.ArrayLike = GREY
+) -> Mesh:
     """A box with sharp edges."""
     outline = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size[:2]
-    return prism(outline, size[2], colour).moved(
-        offset=(centre[0], centre[1], centre[2] - size[2] / 2)
-    )
+    x, y, z = centre
+    return prism(outline, size[2], colour).moved(offset=(x, y, z - size[2] / 2))
 
 
-def prism(outline: npt.ArrayLike, height: float, colour: Colour = GREY) -> Mesh:
+def prism(outline: npt.ArrayLike, height: float, colour: npt.ArrayLike = GREY) -> Mesh:
     """A counter-clockwise (P, 2) outline raised from z = 0 to `height`, edges sharp.
 
     The middle of the outline must see all its corners.
@@ -232,7 +233,7 @@ def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
     return points / np.linalg.norm(points, axis=1, keepdims=True), faces
 
 
-def sphere(subdivisions: int, colour: Colour = GREY) -> Mesh:
+def sphere(subdivisions: int, colour: npt.ArrayLike = GREY) -> Mesh:
     """A unit icosphere; 20 * 4 ** subdivisions triangles."""
     points, faces = _unit_sphere(subdivisions)
     return mesh(points, faces, colour)
@@ -242,7 +243,7 @@ def rough(
     smooth: Mesh, rng: np.random.Generator, depth_m: float, longest_m: float, shortest_m: float
 ) -> Mesh:
     """The mesh with fractal bumps of standard deviation `depth_m` along its normals."""
-    field = waves(rng, longest_m, shortest_m, 0.8, dimensions=3, per_octave=6)
+    field = Waves(rng, longest_m, shortest_m, 0.8, dimensions=3, per_octave=6)
     bumps = field(*smooth.vertices.T) * np.float32(depth_m)
     normals = vertex_normals(smooth.vertices, smooth.triangles)
     return Mesh(smooth.vertices + normals * bumps[:, None], smooth.colours, smooth.triangles)

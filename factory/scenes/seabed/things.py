@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ...seeds import stream
+from .biomes import Colour, pick
 from .meshes import (
-    Colour,
     Mesh,
     bar,
     box,
@@ -34,7 +34,7 @@ from .meshes import (
     sphere,
     tube,
 )
-from .terrain import WORLD_SEED, Floats, smoothstep, waves
+from .terrain import WORLD_SEED, Floats, Waves, smoothstep
 
 Points = npt.NDArray[np.float64]
 GroundHeight = Callable[[Points, Points], Floats]
@@ -55,13 +55,6 @@ CONCRETE: tuple[Colour, ...] = ((0.42, 0.41, 0.38), (0.34, 0.34, 0.32), (0.50, 0
 BARS: tuple[Colour, ...] = (PAINTS[1], PAINTS[3], PAINTS[5], RUST, STEEL)
 
 
-def pick(rng: np.random.Generator, colours: tuple[Colour, ...]) -> Colour:
-    """One of the colours, a little lighter or darker."""
-    red, green, blue = colours[int(rng.integers(len(colours)))]
-    shade = float(rng.uniform(0.75, 1.2))
-    return red * shade, green * shade, blue * shade
-
-
 def lying(upright: Mesh) -> Mesh:
     """An upright thing laid on its side."""
     return upright.moved(rotation("y", np.pi / 2)).standing()
@@ -71,8 +64,8 @@ def standing_bottle(rng: np.random.Generator) -> Mesh:
     """A bottle, 22 to 42 cm high, often with a label."""
     height, radius = rng.uniform(0.22, 0.42), rng.uniform(0.036, 0.052)
     neck, shoulder = radius * rng.uniform(0.3, 0.42), rng.uniform(0.5, 0.64)
-    glass = np.array(pick(rng, GLASS))
-    label = np.array(pick(rng, PAINTS)) if rng.random() < 0.6 else glass
+    glass = pick(rng, GLASS)
+    label = pick(rng, PAINTS) if rng.random() < 0.6 else glass
     levels = np.array([0, 0, 0.02, 0.14, 0.15, 0.4, 0.41, shoulder, shoulder + 0.09, 0.78, 0.94])
     radii = radius * np.array([0, 0.9, 1, 1, 1, 1, 1, 1, 0.8, 0, 0])
     radii[9:] = neck
@@ -92,7 +85,7 @@ def can(rng: np.random.Generator) -> Mesh:
     """A tin or drink can, lying or upright, perhaps dented."""
     radius = rng.uniform(0.045, 0.09)
     height = radius * rng.uniform(1.8, 3.0)
-    metal, paint = np.array(STEEL) * 1.3, np.array(pick(rng, PAINTS))
+    metal, paint = np.array(STEEL) * 1.3, pick(rng, PAINTS)
     profile = np.array([[0, 0.02], [0.86, 0.02], [0.9, 0], [1, 0.05], [1, 0.07], [1, 0.5]])
     above = profile[::-1] * [1, -1] + [0, 1]
     whole = np.concatenate([profile, above[1:]]) * [radius, height]
@@ -125,7 +118,7 @@ def drink_carton(rng: np.random.Generator) -> Mesh:
 def shampoo_bottle(rng: np.random.Generator) -> Mesh:
     """A flat plastic bottle with a cap, on its side or upright."""
     height, width = rng.uniform(0.2, 0.32), rng.uniform(0.045, 0.06)
-    paint, cap = np.array(pick(rng, PAINTS)), np.array(pick(rng, PAINTS))
+    paint, cap = pick(rng, PAINTS), pick(rng, PAINTS)
     levels = np.array([0, 0, 0.03, 0.3, 0.6, 0.74, 0.78])
     radii = np.array([0, 0.8, 0.95, 1, 0.9, 0.62, 0.3])
     body = lathe(np.column_stack([radii * width, levels * height]), 20, paint)
@@ -248,7 +241,7 @@ def coral(rng: np.random.Generator) -> Mesh:
     return form(rng, pick(rng, CORALS))
 
 
-def _branching(rng: np.random.Generator, colour: Colour) -> Mesh:
+def _branching(rng: np.random.Generator, colour: Points) -> Mesh:
     """Branches that fork three times, pale at the tips."""
     size = rng.uniform(0.14, 0.4)
     parts: list[Mesh] = []
@@ -258,7 +251,7 @@ def _branching(rng: np.random.Generator, colour: Colour) -> Mesh:
         middle = start + heading * length * 0.5
         end = middle + wobble / np.linalg.norm(wobble) * length * 0.5
         thick = size * 0.075 * 0.72**level
-        pale = np.array(colour) * (1 + 0.28 * level)
+        pale = colour * (1 + 0.28 * level)
         ends = np.array([pale, pale, pale * 1.3])
         radii = [thick, thick * 0.9, thick * 0.72]
         parts.append(tube(np.stack([start, middle, end]), radii, 6, colour=ends))
@@ -273,28 +266,28 @@ def _branching(rng: np.random.Generator, colour: Colour) -> Mesh:
     return join(parts)
 
 
-def _table(rng: np.random.Generator, colour: Colour) -> Mesh:
+def _table(rng: np.random.Generator, colour: Points) -> Mesh:
     """A stalk under one or two thin plates with a ragged rim."""
     radius, height = rng.uniform(0.25, 0.7), rng.uniform(0.14, 0.4)
     profile = [[0.1, 0], [0.08, 0.5], [0.3, 0.82], [1.0, 0.98], [0.98, 1.06], [0.4, 1.0], [0, 0.97]]
     plate = lathe(np.array(profile) * [radius, height], 40, colour)
     # Both faces rise and fall together, or the thin plate would cut through itself.
     x, y, z = plate.vertices.T
-    waviness, raggedness = (waves(rng, radius, radius * share) for share in (0.12, 0.25))
+    waviness, raggedness = (Waves(rng, radius, radius * share) for share in (0.12, 0.25))
     lifted = z + np.float32(0.03 * radius) * waviness(x, y) * np.minimum(z / height, 1)
     outward = 1 + np.float32(0.06) * raggedness(x, y) * np.hypot(x, y) / np.float32(radius)
     points = np.stack([x * outward, y * outward, lifted], axis=-1).astype(np.float32)
     return Mesh(points, plate.colours, plate.triangles)
 
 
-def _brain(rng: np.random.Generator, colour: Colour) -> Mesh:
+def _brain(rng: np.random.Generator, colour: Points) -> Mesh:
     """A knobbly dome."""
     radius = rng.uniform(0.1, 0.45)
     dome = sphere(4, colour).moved(scale=(radius, radius, radius * rng.uniform(0.6, 0.95)))
     return rough(dome, rng, radius * 0.045, radius * 0.7, radius * 0.18)
 
 
-def _tubes(rng: np.random.Generator, colour: Colour) -> Mesh:
+def _tubes(rng: np.random.Generator, colour: Points) -> Mesh:
     """A clump of open tube sponges."""
     parts = []
     for _ in range(int(rng.integers(3, 9))):
@@ -306,7 +299,7 @@ def _tubes(rng: np.random.Generator, colour: Colour) -> Mesh:
     return join(parts)
 
 
-def _fan(rng: np.random.Generator, colour: Colour) -> Mesh:
+def _fan(rng: np.random.Generator, colour: Points) -> Mesh:
     """A sea fan: twigs spread in one plane."""
     size = rng.uniform(0.25, 0.6)
     parts = [tube(np.array([[0, 0, 0], [0, 0, size * 0.3]]), size * 0.03, 6, colour=colour)]
@@ -327,7 +320,7 @@ def _fan(rng: np.random.Generator, colour: Colour) -> Mesh:
 def plant(rng: np.random.Generator) -> Mesh:
     """A tuft of sea grass: bent blades, all leaning with the current."""
     blades, height = int(rng.integers(14, 34)), rng.uniform(0.18, 0.5)
-    colour, parts = np.array(pick(rng, LEAVES)), []
+    colour, parts = pick(rng, LEAVES), []
     t = np.linspace(0, 1, 6)
     for _ in range(blades):
         length, heading = height * rng.uniform(0.6, 1.2), rng.uniform(0, 2 * np.pi)
@@ -443,7 +436,7 @@ def block(rng: np.random.Generator) -> Mesh:
     return whole.standing()
 
 
-def _cinder(length: float, colour: Colour) -> Mesh:
+def _cinder(length: float, colour: Points) -> Mesh:
     """A hollow block: two side walls, three webs."""
     width, height, wall = length * 0.48, length * 0.48, length * 0.085
     apart, along = (width - wall) / 2, (length - wall) / 2
@@ -452,7 +445,7 @@ def _cinder(length: float, colour: Colour) -> Mesh:
     return join([*parts, *(box(web, (x, 0, 0), colour) for x in (-along, 0, along))])
 
 
-def _tetrapod(size: float, colour: Colour) -> Mesh:
+def _tetrapod(size: float, colour: Points) -> Mesh:
     """Four blunt legs toward the corners of a tetrahedron."""
     profile = np.array([[0.34, 0.0], [0.24, 0.92], [0.18, 1.0], [0, 1.0]]) * size
     leg = lathe(profile, 18, colour, crease=True)
@@ -526,7 +519,7 @@ def pipe(rng: np.random.Generator, line: Points, ground: GroundHeight) -> Mesh:
     for k in range(int(rng.integers(6, 14)), len(path) - 2, int(rng.integers(18, 30))):
         along = path[k + 1] - path[k]
         along /= np.linalg.norm(along)
-        shade = np.array(paint) * 0.8
+        shade = paint * 0.8
         for side in (-0.02, 0.05):
             ends = np.stack([path[k] + along * side, path[k] + along * (side + 0.05)])
             parts.append(tube(ends, radius * 1.32, 24, colour=shade))
@@ -537,7 +530,7 @@ def pile(rng: np.random.Generator, height_m: float, radius_m: float) -> Mesh:
     """A round pile with marine growth, from 1 m below the ground to `height_m`."""
     levels = np.linspace(-1.0, height_m, 90)
     path = np.column_stack([np.zeros((90, 2)), levels])
-    bare, grown = np.array(pick(rng, (*CONCRETE, RUST))), np.array([0.16, 0.15, 0.09])
+    bare, grown = pick(rng, (*CONCRETE, RUST)), np.array([0.16, 0.15, 0.09])
     growth = smoothstep(0.3, 1.2, levels * rng.uniform(0.4, 1.2))[:, None]
     shaft = tube(path, radius_m, 40, colour=bare * (1 - growth) + grown * growth)
     return rough(shaft, rng, 0.06 * radius_m + 0.006, 0.7, 0.09)
@@ -552,7 +545,7 @@ def brace(rng: np.random.Generator, start: Points, end: Points) -> Mesh:
 
 def quay(rng: np.random.Generator, length_m: float, height_m: float) -> Mesh:
     """A wall along the x axis, facing -y: courses of blocks, buttresses, and tyres as fenders."""
-    colour, parts = np.array(pick(rng, CONCRETE)), []
+    colour, parts = pick(rng, CONCRETE), []
     course, width = rng.uniform(0.5, 0.9), rng.uniform(1.0, 2.0)
     rows, columns = int(np.ceil((height_m + 1) / course)), int(np.ceil(length_m / width))
     for row in range(rows):
@@ -560,13 +553,13 @@ def quay(rng: np.random.Generator, length_m: float, height_m: float) -> Mesh:
             x = (column + 0.5 * (row % 2)) * width - length_m / 2
             shade, y = colour * rng.uniform(0.75, 1.15), 0.3 + rng.uniform(-0.025, 0.025)
             centre = (x + width / 2, y, -1 + (row + 0.5) * course)
-            parts.append(box((width - 0.025, 0.6, course - 0.025), centre, tuple(shade)))
+            parts.append(box((width - 0.025, 0.6, course - 0.025), centre, shade))
     back = box((length_m + width, 0.5, height_m + 1), (0, 0.56, height_m / 2 - 0.5))
     parts.append(back.tinted((0.05, 0.05, 0.05)))
     for x in np.arange(-length_m / 2 + rng.uniform(1, 3), length_m / 2, rng.uniform(4, 6)):
         if rng.random() < 0.5:
             centre = (x, -0.2, height_m / 2 - 0.5)
-            parts.append(box((0.5, 0.6, height_m + 1), centre, tuple(colour * 0.9)))
+            parts.append(box((0.5, 0.6, height_m + 1), centre, colour * 0.9))
     return join(parts)
 
 
