@@ -17,9 +17,7 @@ from ...errors import FactoryError
 from ...frame import BOX_FIELDS
 from ..base import numbered_lines, numbers_in
 from .meshes import Mesh, grid_triangles, join, vertex_normals
-from .terrain import Floats
-
-Points = npt.NDArray[np.float64]
+from .terrain import Floats, Points
 
 FOCAL_PER_WIDTH = 1168.0 / 968.0
 """Of the FLSea camera, which sees 45 degrees across."""

@@ -6,13 +6,13 @@ import functools
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from .biomes import Colour
-from .terrain import Arrays, Floats, Waves
+from .terrain import Floats, Points, Waves
 
 Indices = npt.NDArray[np.int32]
 GREY: Colour = (0.5, 0.5, 0.5)
@@ -31,40 +31,44 @@ class Mesh:
     triangles: Indices
 
     def moved(
-        self,
-        rotation: Arrays | None = None,
-        offset: Sequence[float] | Arrays = (0.0, 0.0, 0.0),
-        scale: float | Sequence[float] = 1.0,
+        self, offset: npt.ArrayLike = (0.0, 0.0, 0.0), scale: float | Sequence[float] = 1.0
     ) -> Mesh:
-        """Scaled, then rotated by a (3, 3) matrix, then shifted by `offset` metres."""
+        """Scaled, then shifted by `offset` metres."""
         points = self.vertices * np.asarray(scale, dtype=np.float32)
-        if rotation is not None:
-            turn = np.asarray(rotation, dtype=np.float32)
-            x, y, z = points.T
-            rows = [turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z for k in range(3)]
-            points = np.stack(rows, axis=-1)
-        return Mesh(points + np.asarray(offset, dtype=np.float32), self.colours, self.triangles)
+        return replace(self, vertices=points + np.asarray(offset, dtype=np.float32))
+
+    def turned(self, axes: str, *angles_rad: float) -> Mesh:
+        """Turned about the origin; see `rotation`."""
+        return self.rotated(rotation(axes, *angles_rad))
+
+    def rotated(self, matrix: npt.NDArray[np.floating]) -> Mesh:
+        """Turned by a (3, 3) matrix."""
+        turn = np.asarray(matrix, dtype=np.float32)
+        x, y, z = self.vertices.T
+        rows = [turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z for k in range(3)]
+        return replace(self, vertices=np.stack(rows, axis=-1))
 
     def tinted(self, colour: npt.ArrayLike) -> Mesh:
         """The mesh in one colour."""
-        return Mesh(self.vertices, np.full_like(self.colours, colour), self.triangles)
+        return replace(self, colours=np.full_like(self.colours, colour))
 
     def standing(self) -> Mesh:
         """The same mesh with its lowest point at z = 0."""
-        return self.moved(offset=(0, 0, -float(self.vertices[:, 2].min())))
+        return self.moved((0, 0, -float(self.vertices[:, 2].min())))
 
 
-def rotation(axis: str, angle_rad: float) -> npt.NDArray[np.float64]:
-    """(3, 3) right-handed turn about "x", "y" or "z"."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    matrix = np.eye(3)
-    matrix[first, first] = matrix[second, second] = c
-    matrix[first, second], matrix[second, first] = -s, s
-    return matrix
+def rotation(axes: str, *angles_rad: float) -> Points:
+    """(3, 3) product of right-handed turns about axes such as "x" or "zyz", the last one first."""
+    matrices = np.tile(np.eye(3), (len(axes), 1, 1))
+    for matrix, axis, angle_rad in zip(matrices, axes, angles_rad, strict=True):
+        c, s = np.cos(angle_rad), np.sin(angle_rad)
+        first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+        matrix[first, first] = matrix[second, second] = c
+        matrix[first, second], matrix[second, first] = -s, s
+    return functools.reduce(np.matmul, matrices)
 
 
-def circle(points: int) -> npt.NDArray[np.float64]:
+def circle(points: int) -> Points:
     """(points, 3) unit circle about z."""
     angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
@@ -163,7 +167,7 @@ def tube(
     return mesh(vertices, triangles[:, ::-1], np.repeat(colours, segments, axis=0))
 
 
-def _sides(tangents: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _sides(tangents: Points) -> Points:
     """(N, 3) unit vectors across unit tangents that do not spin along the path."""
     sides = np.empty_like(tangents)
     x, y, z = np.eye(3)[np.argmin(np.abs(tangents[0]))].tolist()
@@ -176,9 +180,17 @@ def _sides(tangents: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return sides
 
 
-def bar(start: npt.ArrayLike, end: npt.ArrayLike, radius: float, segments: int = 8) -> Mesh:
-    """A straight round bar between two points."""
-    return tube(np.stack([np.asarray(start), np.asarray(end)]), radius, segments)
+def bars(
+    ends: Iterable[tuple[npt.ArrayLike, npt.ArrayLike]], radius: float, segments: int = 8
+) -> Mesh:
+    """Straight round bars between pairs of points."""
+    return join(tube(np.array(pair), radius, segments) for pair in ends)
+
+
+def sheet(points: Points, colour: npt.ArrayLike = GREY, turned: bool = False) -> Mesh:
+    """A (R, C, 3) grid of points as a sheet.  turned: it looks the other way."""
+    triangles = grid_triangles(*points.shape[:2])
+    return mesh(points.reshape(-1, 3), triangles[:, ::-1] if turned else triangles, colour)
 
 
 def box(
@@ -187,7 +199,7 @@ def box(
     """A box with sharp edges."""
     outline = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size[:2]
     x, y, z = centre
-    return prism(outline, size[2], colour).moved(offset=(x, y, z - size[2] / 2))
+    return prism(outline, size[2], colour).moved((x, y, z - size[2] / 2))
 
 
 def prism(outline: npt.ArrayLike, height: float, colour: npt.ArrayLike = GREY) -> Mesh:
@@ -247,17 +259,3 @@ def rough(
     bumps = field(*smooth.vertices.T) * np.float32(depth_m)
     normals = vertex_normals(smooth.vertices, smooth.triangles)
     return Mesh(smooth.vertices + normals * bumps[:, None], smooth.colours, smooth.triangles)
-
-
-def rock(rng: np.random.Generator, subdivisions: int) -> Mesh:
-    """A boulder of radius about 1: a ball cut by random planes, then roughened."""
-    ball = sphere(subdivisions)
-    radius = np.full(len(ball.vertices), 1.15, dtype=np.float32)
-    for _ in range(int(rng.integers(5, 12))):
-        normal = rng.standard_normal(3)
-        normal /= np.linalg.norm(normal)
-        facing = np.einsum("vi,i->v", ball.vertices, normal.astype(np.float32))
-        cut = rng.uniform(0.6, 1.0) / np.maximum(facing, 1e-3)
-        radius = np.minimum(radius, np.where(facing > 0, cut, radius)).astype(np.float32)
-    shape = Mesh(ball.vertices * radius[:, None], ball.colours, ball.triangles)
-    return rough(shape, rng, rng.uniform(0.03, 0.07), 1.6, 0.5 if subdivisions < 4 else 0.12)

@@ -74,7 +74,7 @@ def _read(settings: OwnObject, key: str) -> Owned:
     parts = read_parts(path, key, settings.scale, _LARGEST_M)
     whole = join(part.mesh for part in parts)
     low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
-    whole = whole.moved(offset=-(low + high) / 2)
+    whole = whole.moved(-(low + high) / 2)
     if settings.colour is not None:
         whole = whole.tinted(settings.colour)
     return Owned(settings, whole, files_of(path, key), turned_note(path, parts))

@@ -17,6 +17,7 @@ from ...seeds import stream
 from .biomes import Place, Range, draw
 
 Floats = npt.NDArray[np.float32]
+Points = npt.NDArray[np.float64]
 Arrays = npt.NDArray[np.floating[Any]]  # any precision
 
 WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
@@ -281,7 +282,7 @@ def grid_normals(points: Floats) -> Floats:
 
 def view_mesh(
     terrain: Terrain,
-    eye: npt.NDArray[np.float64],
+    eye: Points,
     azimuths_rad: tuple[float, float],
     elevations_rad: tuple[float, float],
     shape: tuple[int, int],
@@ -316,7 +317,7 @@ def view_mesh(
     return terrain.surface(x.astype(np.float32), y.astype(np.float32))
 
 
-def _mean_along(values: npt.NDArray[np.float64], width: int, axis: int) -> npt.NDArray[np.float64]:
+def _mean_along(values: Points, width: int, axis: int) -> Points:
     """Mean over `width` (odd) neighbours along an axis, the border repeated."""
     sides = [(0, 0), (0, 0)]
     sides[axis] = (width // 2 + 1, width // 2)

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from ...frame import Frame, FrameRef, Intrinsics
 from ...seeds import stream
-from .camera import Movement, Optics, Points, Pose, ZBuffer, camera, centred, pose
-from .terrain import FAR_M, TILE, WORLD_SEED, Floats, tiles, view_mesh
+from .camera import Movement, Optics, Pose, ZBuffer, camera, centred, pose
+from .terrain import FAR_M, TILE, WORLD_SEED, Floats, Points, tiles, view_mesh
 from .world import World
 
 _SUN_M = 400.0  # how far away the camera in the sun is

@@ -14,12 +14,11 @@ from .biomes import PLACES, Look, Place, PlaceName, draw
 from .camera import Objects
 from .meshes import Mesh, mesh, rotation
 from .own_objects import Owned
-from .terrain import WORLD_SEED, Terrain, Waves
+from .terrain import WORLD_SEED, Points, Terrain, Waves
 
 _VIEWS = 10  # own objects lie before the first so many views of a path, where cameras pass
 _AHEAD_M = 1.5
 _TURN = 2 * np.pi
-Points = npt.NDArray[np.float64]
 
 SAMPLES = 512
 LOWEST_M, HIGHEST_M = 0.75, 2.8  # camera above the ground right under it
@@ -160,8 +159,8 @@ class Site:
             rng, settings = self._draw_from("own", number), one.settings
             for _ in range(int(rng.integers(settings.per_place[0], settings.per_place[1] + 1))):
                 angle, toward = np.deg2rad(rng.uniform(*settings.tilt_deg)), rng.uniform(0, _TURN)
-                turn = _tilt(angle, toward) @ rotation("z", rng.uniform(0, _TURN))
-                self._put(one.mesh.moved(turn).standing(), settings.label, settings.burial)
+                turned = one.mesh.turned("zyzz", toward, angle, -toward, rng.uniform(0, _TURN))
+                self._put(turned.standing(), settings.label, settings.burial)
 
     def _draw_from(self, *name: str | int) -> np.random.Generator:
         self._rng = stream(WORLD_SEED, "seabed", self._location, *name)
@@ -181,13 +180,13 @@ class Site:
         height, east, west, north, south = self._terrain.height_m(*cross.T).astype(np.float64)
         dx, dy = (east - west) / (2 * step), (north - south) / (2 * step)
         if kind not in things.KINDS or not things.KINDS[kind].upright:
-            steep = min(float(np.hypot(dx, dy)), 0.8)
-            mesh = mesh.moved(_tilt(-np.arctan(steep), np.arctan2(dy, dx)))
+            down, toward = np.arctan(min(float(np.hypot(dx, dy)), 0.8)), np.arctan2(dy, dx)
+            mesh = mesh.turned("zyz", toward, -down, -toward)
         sunk = float(np.ptp(mesh.vertices[:, 2])) * self._rng.uniform(*burial) + 0.01
         self._fix(mesh, kind, (*spot, height - sunk), 0.85 * reach)
 
     def _fix(self, mesh: Mesh, kind: str, at: Sequence[float] | Points, reach: float = 0.4) -> None:
-        self.items.append((mesh.moved(offset=at), kind))
+        self.items.append((mesh.moved(at), kind))
         self._taken.append((float(at[0]), float(at[1]), reach))
 
     def _lay_pebbles(self, count: int) -> None:
@@ -199,14 +198,15 @@ class Site:
         for (x, y), height in zip(spots, self._terrain.height_m(*spots.T), strict=True):
             turn, size = rng.uniform(0, _TURN), rng.uniform(0.6, 1.5)
             shape = things.model("Pebble", int(rng.integers(12)))
-            self.items.append((shape.moved(rotation("z", turn), (x, y, height), size), None))
+            stone = shape.moved(scale=size).turned("z", turn).moved((x, y, height))
+            self.items.append((stone, None))
 
     def _lay_wall(self) -> None:
         """A ruined piece of wall, off the path."""
         rng = self._rng
         build = things.quay if rng.random() < 0.7 else things.sheet_pile
         wall = build(rng, rng.uniform(1.5, 4.0), rng.uniform(0.5, 1.4))
-        wall = wall.moved(rotation("z", rng.uniform(0, _TURN)))
+        wall = wall.turned("z", rng.uniform(0, _TURN))
         reach = float(np.abs(wall.vertices[:, :2]).max())
         spot = self._spot(reach, 1.5)
         if spot is not None:
@@ -247,12 +247,12 @@ class Site:
         length, height, face = 44.0, rng.uniform(3.2, 5.0), rng.uniform(2.2, 3.2)
         foot, turn = self._on_axis(0.0, face), rotation("z", self._heading_rad)
         build = things.sheet_pile if rng.random() < 0.35 else things.quay
-        self.items.append((build(rng, length, height).moved(turn, foot), "Wall"))
+        self.items.append((build(rng, length, height).rotated(turn).moved(foot), "Wall"))
         for along in np.arange(-18, 18, 2.2):
             where = np.array([along + rng.uniform(-0.8, 0.8), -0.28, rng.uniform(0.7, 2.4)])
             if rng.random() < 0.5:
                 offset = np.einsum("ij,j->i", turn, where) + foot
-                self.items.append((things.fender(rng).moved(turn, offset), "Tire"))
+                self.items.append((things.fender(rng).rotated(turn).moved(offset), "Tire"))
         behind = (self._on_axis(along, face + 0.4) for along in np.arange(-20, 20, 0.8))
         self._taken += [(float(x), float(y), 0.8) for x, y, _ in behind]
 
@@ -287,12 +287,6 @@ class Site:
 
     def _grounded(self, x: float, y: float) -> Points:
         return np.array([x, y, self._terrain.height_m([x], [y])[0]])
-
-
-def _tilt(angle_rad: float, toward_rad: float) -> Points:
-    """Rotation (3, 3) that leans what stands toward a heading."""
-    turn = rotation("z", toward_rad) @ rotation("y", angle_rad)
-    return np.asarray(turn @ rotation("z", -toward_rad))
 
 
 class World:
