@@ -12,30 +12,21 @@ import functools
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
 from ...seeds import stream
-from .biomes import Colour, pick
+from .biomes import catalogue, pick
 from .meshes import Mesh, bars, box, circle, join, lathe, prism, rough, sheet, sphere, tube
 from .terrain import WORLD_SEED, Floats, Points, Waves, smoothstep
 
 GroundHeight = Callable[[Points, Points], Floats]
 
-GLASS: tuple[Colour, ...] = ((0.05, 0.16, 0.06), (0.16, 0.08, 0.03), (0.42, 0.50, 0.48),
-    (0.62, 0.66, 0.66))  # fmt: skip
-PAINTS: tuple[Colour, ...] = ((0.62, 0.06, 0.04), (0.72, 0.42, 0.04), (0.05, 0.16, 0.45),
-    (0.70, 0.70, 0.66), (0.06, 0.30, 0.12), (0.66, 0.62, 0.10), (0.03, 0.03, 0.035))  # fmt: skip
-RUST: Colour = (0.22, 0.10, 0.05)
-BRONZE: Colour = (0.34, 0.25, 0.10)
-STEEL: Colour = (0.34, 0.35, 0.36)
-STONES: tuple[Colour, ...] = ((0.34, 0.31, 0.26), (0.26, 0.25, 0.24), (0.40, 0.36, 0.29),
-    (0.30, 0.24, 0.19))  # fmt: skip
-CORALS: tuple[Colour, ...] = ((0.50, 0.30, 0.16), (0.46, 0.20, 0.30), (0.58, 0.48, 0.20),
-    (0.30, 0.34, 0.16), (0.62, 0.52, 0.44), (0.36, 0.22, 0.40))  # fmt: skip
-LEAVES: tuple[Colour, ...] = ((0.06, 0.14, 0.03), (0.10, 0.16, 0.04), (0.16, 0.14, 0.05))
-CONCRETE: tuple[Colour, ...] = ((0.42, 0.41, 0.38), (0.34, 0.34, 0.32), (0.50, 0.48, 0.43))
-BARS: tuple[Colour, ...] = (PAINTS[1], PAINTS[3], PAINTS[5], RUST, STEEL)
+GLASS, PAINTS, STONES, CORALS, LEAVES, CONCRETE, (RUST, BRONZE, STEEL) = itemgetter(
+    "glass", "paint", "stone", "coral", "leaf", "concrete", "metal"
+)(catalogue()["colours"])
+BARS = (PAINTS[1], PAINTS[3], PAINTS[5], RUST, STEEL)
 
 
 Draws = np.random.Generator

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from ...labels import class_names
 from ...seeds import stream
 from . import things
-from .biomes import PLACES, Look, Place, PlaceName, draw
+from .biomes import Look, Place, PlaceName, catalogue, draw
 from .camera import Objects
 from .meshes import Mesh, mesh, rotation
 from .own_objects import Owned
@@ -302,7 +302,7 @@ class World:
         kinds: Iterable[str] | None, own: Sequence[Owned] = (),
     ) -> None:  # fmt: skip
         self.location = location
-        place = PLACES[places[location % len(places)]]
+        place = Place(**catalogue()["places"][places[location % len(places)]])
         ground, way, light = (
             stream(WORLD_SEED, "seabed", location, name) for name in ("ground", "path", "light")
         )
