@@ -35,12 +35,13 @@ _SEEN = "Tuple((float32[:, ::1], int32[:, ::1]))"
 _MESH = f"UniTuple({_ROWS}, 3)"
 
 
-@compiled(f"void({_ROWS}, {_ROWS}, {_LINE}, {_LINE}, float32[::1])")
-def add_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any, total: Any) -> None:
-    """Add to `total` (N,) the waves at `axes` (D, N), D of 2 or 3.
+@compiled(f"float32[::1]({_ROWS}, {_ROWS}, {_LINE}, {_LINE})")
+def sum_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any) -> Any:
+    """(N,) sum of the waves at `axes` (D, N), D of 2 or 3.
 
     vectors: (K, D) rad/m.  phases, amplitudes: (K,).
     """
+    total = np.zeros(axes.shape[1], np.float32)
     for begin in range(0, axes.shape[1], _BLOCK):
         # Cut out, so that the compiler sees that no index is negative, and does several at a time.
         x, y = axes[0, begin : begin + _BLOCK], axes[1, begin : begin + _BLOCK]
@@ -52,6 +53,7 @@ def add_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any, total: Any)
             c = vectors[k, 2] * _TURNS if axes.shape[0] == 3 else _ZERO
             for i in range(len(part)):
                 part[i] += height * sine_of_turns(start + a * x[i] + b * y[i] + c * z[i])
+    return total
 
 
 @compiled()
@@ -69,9 +71,10 @@ def _tile_at(tile: Any, u_m: Any, v_m: Any, scale: Any) -> Any:
     return upper + down * (lower - upper)
 
 
-@compiled(f"void({_VECTORS}, {_VECTORS})")
-def normals_of_grid(points: Any, normals: Any) -> None:
+@compiled(f"{_VECTORS}({_VECTORS})")
+def normals_of_grid(points: Any) -> Any:
     """(R, C, 3) unit normals of a grid of points, turned upward, by central differences."""
+    normals = np.empty_like(points)
     rows, columns = points.shape[:2]
     for row in range(rows):
         above, below = points[max(row - 1, 0)], points[min(row + 1, rows - 1)]
@@ -86,6 +89,7 @@ def normals_of_grid(points: Any, normals: Any) -> None:
             length = max(np.sqrt(x * x + y * y + z * z), _F(1e-20))
             normal = normals[row, column]
             normal[0], normal[1], normal[2] = x / length, y / length, z / length
+    return normals
 
 
 @compiled(

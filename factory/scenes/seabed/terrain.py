@@ -56,13 +56,10 @@ class Waves:
     def __call__(self, *coordinates_m: npt.ArrayLike) -> Floats:
         """The field at D coordinate arrays (metres, one shape), float32 of that shape."""
         # Reading a configuration imports this module; only making frames needs numba.
-        from .kernels import add_waves
+        from .kernels import sum_waves
 
         axes = np.array(coordinates_m, dtype=np.float32)
-        total = np.zeros(axes.shape[1:], dtype=np.float32)
-        vectors, phases, amplitudes = self._waves
-        add_waves(axes.reshape(len(axes), -1), vectors, phases, amplitudes, total.reshape(-1))
-        return total
+        return sum_waves(axes.reshape(len(axes), -1), *self._waves).reshape(axes.shape[1:])
 
 
 def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:
@@ -229,55 +226,41 @@ class Terrain:
 
     def height_m(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
         """(...) float32 height without the fine relief."""
-        x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
-        return self._height_m(x, y, self._outcrop(x, y), self._behind(x, y))
+        return self._shape(np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32))[0]
 
-    def _behind(self, x: Floats, y: Floats) -> Floats | None:
-        return None if self.banks is None else self.banks.behind_foot_m(x, y)
-
-    def _height_m(self, x: Floats, y: Floats, outcrop: Floats, behind: Floats | None) -> Floats:
+    def _shape(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Height without the fine relief, and rockiness: 0 on loose ground, 1 on rock."""
+        outcrop, level = self._outcrop(x, y), self._bare
         height = self._slope[0] * x + self._slope[1] * y
         height = height + np.float32(self._swell_m) * self._swell(x, y)
-        level = self._bare
         ledge = smoothstep(level - 0.25, level + 0.5, outcrop)
         height += np.float32(self._outcrop_m) * ledge * (1 + 0.35 * np.clip(outcrop - level, 0, 2))
-        if self.banks is not None and behind is not None:
+        rock = smoothstep(level - 0.15, level + 0.25, outcrop)
+        if self.banks is not None:
+            behind = self.banks.behind_foot_m(x, y)
             height += np.interp(behind, *self.banks.profile.T).astype(np.float32)
-        return np.asarray(height, dtype=np.float32)
+            rock = np.maximum(rock, smoothstep(-0.15, 0.2, behind))
+        return np.asarray(height, dtype=np.float32), rock
 
     def surface(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
         """The ground with all relief, for (R, C) float32 grids of parameters.
 
-        Returns (R, C, 3) float32 each: positions, normals, and attributes: rockiness (0 on loose
-        ground, 1 on rock), gravel share, relief (in units of its standard deviation, negative in
-        crevices).
+        Returns (R, C, 3) float32 each: positions, normals, and attributes: rockiness, gravel share,
+        relief (in units of its standard deviation, negative in crevices).
         """
-        from .kernels import relieve
+        from .kernels import normals_of_grid, relieve
 
-        outcrop, behind = self._outcrop(x, y), self._behind(x, y)
-        rock = smoothstep(self._bare - 0.15, self._bare + 0.25, outcrop)
-        if behind is not None:
-            rock = np.maximum(rock, smoothstep(-0.15, 0.2, behind))
+        height, rock = self._shape(x, y)
         gravel = smoothstep(self._stony - 0.3, self._stony + 0.3, self._gravel(x, y)) * (1 - rock)
-        points = np.stack([x, y, self._height_m(x, y, outcrop, behind)], axis=-1)
         crest, crest_m = np.zeros_like(rock), 0.0
         if self._ripples is not None:
             crest = self._ripples.height(x, y) * (1 - rock) * (1 - 0.8 * gravel)
             crest_m = self._ripples.amplitude_m
+        points, shares = np.stack([x, y, height], axis=-1), (rock, gravel, crest)
         heights = np.array([*self._relief_m, crest_m], dtype=np.float32)
-        attributes, relief = np.empty_like(points), tiles()[1:]
-        shares = rock, gravel, crest
-        relieve(points, grid_normals(points), shares, relief, self.offset_m, heights, attributes)
-        return points, grid_normals(points), attributes
-
-
-def grid_normals(points: Floats) -> Floats:
-    """(R, C, 3) unit normals of a (R, C, 3) grid of points, turned upward."""
-    from .kernels import normals_of_grid
-
-    normals = np.empty_like(points)
-    normals_of_grid(points, normals)
-    return normals
+        attributes, normals, relief = np.empty_like(points), normals_of_grid(points), tiles()[1:]
+        relieve(points, normals, shares, relief, self.offset_m, heights, attributes)
+        return points, normals_of_grid(points), attributes
 
 
 def view_mesh(
@@ -303,12 +286,11 @@ def view_mesh(
     angle = np.abs(np.diff(seen, axis=0))
     share = 0.72 * angle / np.maximum(angle.sum(axis=0), 1e-6) + 0.28 / (len(ranges) - 1)
     # Neighbouring columns get nearly the same rows: a sheared grid has bad normals.
-    share = _mean_along(_mean_along(share, coarse // 2 | 1, 1), 5, 0)
+    share = _mean_down(_mean_down(share.T, coarse // 2 | 1).T, 5)
     share /= share.sum(axis=0)
     reached = np.concatenate([np.zeros((1, coarse)), np.cumsum(share, axis=0)])
     even = np.linspace(0, 1, rows)
-    columns_of = (np.interp(even, column, np.log(ranges)) for column in reached.T)
-    log_r = np.stack(list(columns_of), axis=-1)
+    log_r = np.stack([np.interp(even, one, np.log(ranges)) for one in reached.T], axis=-1)
     between = np.clip((np.arange(columns) + 0.5) * coarse / columns - 0.5, 0, coarse - 1)
     low = np.minimum(between.astype(np.int64), coarse - 2)
     radius = np.exp(log_r[:, low] + (between - low) * (log_r[:, low + 1] - log_r[:, low]))
@@ -317,11 +299,8 @@ def view_mesh(
     return terrain.surface(x.astype(np.float32), y.astype(np.float32))
 
 
-def _mean_along(values: Points, width: int, axis: int) -> Points:
-    """Mean over `width` (odd) neighbours along an axis, the border repeated."""
-    sides = [(0, 0), (0, 0)]
-    sides[axis] = (width // 2 + 1, width // 2)
-    total = np.cumsum(np.pad(values, sides, mode="edge"), axis=axis)
-    count = values.shape[axis]
-    low = np.take(total, np.arange(count), axis=axis)
-    return np.asarray((np.take(total, np.arange(count) + width, axis=axis) - low) / width)
+def _mean_down(values: Points, width: int) -> Points:
+    """Mean over `width` (odd) neighbours down each column, the border repeated."""
+    padded = np.pad(values, ((width // 2 + 1, width // 2), (0, 0)), mode="edge")
+    total = np.cumsum(padded, axis=0)
+    return np.asarray((total[width:] - total[:-width]) / width)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
@@ -536,56 +536,19 @@ def sheet_pile(rng: Draws, length_m: float, height_m: float) -> Mesh:
     return join(parts)
 
 
-@dataclass(frozen=True)
-class Kind:
-    """One kind of object.
-
-    build: draws one that rests on z = 0; None where it is built to fit its place (`Site`).
-    fouling, silt: how readily algae and fallen sediment cover it, 0 to 1.
-    bump: strength of fine surface roughness in the light, 0 to 1.
-    upright: it stays vertical on a slope.
-    """
-
-    build: Callable[[Draws], Mesh] | None
-    fouling: float
-    silt: float
-    bump: float
-    upright: bool = False
-
-
-KINDS: dict[str, Kind] = {
-    "Bottle": Kind(bottle, 0.25, 0.4, 0.1),
-    "Can": Kind(can, 0.25, 0.35, 0.15),
-    "Chain": Kind(None, 0.5, 0.4, 0.6),
-    "Drink-carton": Kind(drink_carton, 0.2, 0.4, 0.1),
-    "Hook": Kind(hook, 0.4, 0.3, 0.5),
-    "Propeller": Kind(propeller, 0.45, 0.35, 0.35),
-    "Shampoo-bottle": Kind(shampoo_bottle, 0.2, 0.35, 0.1),
-    "Standing-bottle": Kind(standing_bottle, 0.25, 0.2, 0.1, upright=True),
-    "Tire": Kind(tire, 0.35, 0.7, 0.35),
-    "Valve": Kind(valve, 0.4, 0.35, 0.4),
-    "Wall": Kind(None, 0.7, 0.3, 0.8, upright=True),
-    "Boulder": Kind(boulder, 0.6, 0.6, 1.0),
-    "Pipe": Kind(None, 0.5, 0.6, 0.5),
-    "Pillar": Kind(None, 0.6, 0.1, 0.9, upright=True),
-    "Frame": Kind(frame, 0.45, 0.3, 0.5),
-    "Anchor": Kind(anchor, 0.45, 0.35, 0.6),
-    "Block": Kind(block, 0.5, 0.6, 0.8),
-    "Coral": Kind(coral, 0.0, 0.0, 0.9, upright=True),
-    "Plant": Kind(plant, 0.0, 0.0, 0.1, upright=True),
-    "Barrel": Kind(barrel, 0.45, 0.5, 0.5),
-}
-
-PLAIN = Kind(None, 0.1, 0.1, 0.1)  # of an object of the user's, which has its own colours
+_BUILD: dict[str, Callable[[Draws], Mesh]] = {
+    "Bottle": bottle, "Can": can, "Drink-carton": drink_carton, "Hook": hook,
+    "Propeller": propeller, "Shampoo-bottle": shampoo_bottle, "Standing-bottle": standing_bottle,
+    "Tire": tire, "Valve": valve, "Boulder": boulder, "Frame": frame, "Anchor": anchor,
+    "Block": block, "Coral": coral, "Plant": plant, "Barrel": barrel, "Pebble": pebble,
+}  # fmt: skip
 _MODELS = 24  # of a kind, each turned, scaled and tinted anew wherever it lies
 
 
 @functools.cache
 def model(kind: str, number: int) -> Mesh:
     """One of the models of a kind of object, at rest on z = 0; drawn once a process."""
-    build = pebble if kind == "Pebble" else KINDS[kind].build
-    assert build is not None
-    return build(stream(WORLD_SEED, "seabed", "model", kind, number))
+    return _BUILD[kind](stream(WORLD_SEED, "seabed", "model", kind, number))
 
 
 def drawn_model(rng: Draws, kind: str) -> Mesh:

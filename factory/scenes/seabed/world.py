@@ -7,13 +7,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ...labels import class_names
+from ...labels import CLASSES, class_names
 from ...seeds import stream
 from . import things
 from .biomes import Look, Place, PlaceName, catalogue, draw
 from .camera import Objects
 from .meshes import Mesh, mesh, rotation
-from .own_objects import Owned
+from .own_objects import OwnObject
 from .terrain import WORLD_SEED, Points, Terrain, Waves
 
 _VIEWS = 10  # own objects lie before the first so many views of a path, where cameras pass
@@ -114,7 +114,7 @@ _LARGE_FIRST = ("Pipe", "Wall", "Frame", "Anchor", "Block", "Barrel", "Tire", "B
 class Site:
     """A location while it is being furnished.
 
-    items: what lies there, and its name in `things.KINDS`, None for a pebble (ground).
+    items: what lies there, and its name in `labels.CLASSES`, None for a pebble (ground).
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Site:
 
         density multiplies every count; allowed: kinds to use, or None for all.
         """
-        names = set(things.KINDS if allowed is None else allowed)
+        names = set(CLASSES if allowed is None else allowed)
         place, scatter = self._place, self._place.scatter
         self._draw_from("structure")
         if place.structure == "pier" and "Pillar" in names:
@@ -151,15 +151,15 @@ class Site:
         rng = self._draw_from("pebbles")
         self._lay_pebbles(round(draw(rng, place.pebbles) * min(density, 1.0)))
 
-    def place_own(self, own: Sequence[Owned]) -> None:
+    def place_own(self, own: Sequence[tuple[OwnObject, Mesh]]) -> None:
         """Put the user's objects beside the part of the path that views show."""
         first = self._path.start_m + _AHEAD_M
         self._stretch_m = first, first + _VIEWS * self._path.step_m
-        for number, one in enumerate(own):
-            rng, settings = self._draw_from("own", number), one.settings
+        for number, (settings, solid) in enumerate(own):
+            rng = self._draw_from("own", number)
             for _ in range(int(rng.integers(settings.per_place[0], settings.per_place[1] + 1))):
                 angle, toward = np.deg2rad(rng.uniform(*settings.tilt_deg)), rng.uniform(0, _TURN)
-                turned = one.mesh.turned("zyzz", toward, angle, -toward, rng.uniform(0, _TURN))
+                turned = solid.turned("zyzz", toward, angle, -toward, rng.uniform(0, _TURN))
                 self._put(turned.standing(), settings.label, settings.burial)
 
     def _draw_from(self, *name: str | int) -> np.random.Generator:
@@ -179,7 +179,7 @@ class Site:
         cross = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step + spot
         height, east, west, north, south = self._terrain.height_m(*cross.T).astype(np.float64)
         dx, dy = (east - west) / (2 * step), (north - south) / (2 * step)
-        if kind not in things.KINDS or not things.KINDS[kind].upright:
+        if kind not in catalogue()["upright"]:
             down, toward = np.arctan(min(float(np.hypot(dx, dy)), 0.8)), np.arctan2(dy, dx)
             mesh = mesh.turned("zyz", toward, -down, -toward)
         sunk = float(np.ptp(mesh.vertices[:, 2])) * self._rng.uniform(*burial) + 0.01
@@ -293,13 +293,13 @@ class World:
     """Location number `location`; it is a place of kind `places[location % len(places)]`.
 
     density, kinds: see `Site.furnish`.  own: the user's objects, put there when all else lies
-    there.  finishes: (N, 3) fouling, silt and bump of each object, see `things.Kind`.
+    there.  finishes: (N, 3) fouling, silt and bump of each object, see `places.yaml`.
     first_own: number in `objects.instances` from which on they are the user's own.
     """
 
     def __init__(
         self, location: int, places: tuple[PlaceName, ...], density: float,
-        kinds: Iterable[str] | None, own: Sequence[Owned] = (),
+        kinds: Iterable[str] | None, own: Sequence[tuple[OwnObject, Mesh]] = (),
     ) -> None:  # fmt: skip
         self.location = location
         place = Place(**catalogue()["places"][places[location % len(places)]])
@@ -313,10 +313,11 @@ class World:
         site.furnish(density, kinds)
         self.first_own = 1 + sum(kind is not None for _, kind in site.items)
         site.place_own(own)
-        classes = class_names(one.settings.label for one in own)
+        classes = class_names(settings.label for settings, _ in own)
         # An empty mesh has no shape: one triangle far below the ground.
         items = site.items or [(mesh(np.eye(3) - [0, 0, 1e4], [[0, 1, 2]]), None)]
         labels = np.array([classes.index(kind) if kind else 0 for _, kind in items], np.uint8)
         self.objects = Objects([solid for solid, _ in items], labels)
-        finish = [things.KINDS.get(kind or "Boulder", things.PLAIN) for _, kind in items]
-        self.finishes = np.array([(of.fouling, of.silt, of.bump) for of in finish], np.float32)
+        known = catalogue()["finishes"]
+        finishes = [known.get(kind or "Boulder", known["own"]) for _, kind in items]
+        self.finishes = np.array(finishes, np.float32)
