@@ -20,7 +20,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError, FrameError
-from ..frame import Frame, FrameRef, checked
+from ..frame import Frame, FrameRef, Intrinsics, checked
 from ..labels import class_names
 from ..seeds import stream
 from ..settings import STRICT
@@ -125,7 +125,7 @@ class MeshReader:
 
     def load(self, ref: FrameRef) -> Frame:
         """See `Reader`."""
-        from .seabed.camera import boxes_of, camera, z_buffer
+        from .seabed.camera import ZBuffer, camera
 
         settings, (objects, shades, _) = self._settings, self._world
         found = re.fullmatch(r"(poses|(?:orbit|transect)-(\d{4}))", ref.scene)
@@ -134,20 +134,19 @@ class MeshReader:
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
         view, path = int(ref.frame), found[2]
         where, time_s = self._at(view) if path is None else self._drawn(int(path), view)
-        seen = z_buffer(where, optics, None, objects)
-        part = np.append(objects.owner + np.int64(1), 0)[seen.which]
-        segmentation, instance = objects.shown(part)
+        seen = ZBuffer(where, optics, objects)
+        segmentation, instance = objects.shown(seen.number)
         frame = Frame(
             ref=ref,
             rgb=self._photograph(where, optics, shades[seen.which]),
             depth_m=np.where(seen.which < 0, np.float32(0), seen.depth_m),
-            intrinsics=optics.intrinsics,
+            intrinsics=Intrinsics(*optics.lens),
             world_from_camera=where.matrix,
             segmentation=segmentation,
             instance=instance,
             time_s=time_s,
             altitude_m=self._above_ground_m(where.eye),
-            boxes=boxes_of(where, optics, objects, seen, instance) if settings.boxes else None,
+            boxes=seen.boxes(instance) if settings.boxes else None,
         )
         return checked(frame, bad_depth=settings.bad_depth)
 
@@ -155,7 +154,7 @@ class MeshReader:
     def _world(self) -> tuple[Objects, npt.NDArray[np.uint8], tuple[str, ...]]:
         """The parts, shades (T + 1, 3) of their faces and of nothing, and notes for the user."""
         from .mesh_parts import read_parts, turned_note
-        from .seabed.camera import objects_of
+        from .seabed.camera import Objects
 
         settings = self._settings
         parts = read_parts(self._path, _KEY, settings.scale, _LARGEST_M)
@@ -169,7 +168,7 @@ class MeshReader:
                     f"scenes.classes: no part is called {one.parts}; there are {known}"
                 )
             labels[meant] = names.index(one.label)
-        objects = objects_of([part.mesh for part in parts], labels)
+        objects = Objects([part.mesh for part in parts], labels)
         a, b, c = objects.mesh.vertices[objects.mesh.triangles].transpose(1, 0, 2)
         normal = np.cross(b - a, c - a)
         up = normal[:, 2] / np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
@@ -190,7 +189,7 @@ class MeshReader:
 
         matrix = where.matrix
         matrix[:3, 3] /= self._settings.scale
-        given = matrix.tolist(), optics.lens.tolist(), optics.width, optics.height
+        given = matrix.tolist(), list(optics.lens), optics.width, optics.height
         content = READING.call(photograph, self._path, *given, limit_s=600.0)
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         return np.ascontiguousarray(picture[..., ::-1])
@@ -266,10 +265,10 @@ class MeshReader:
         return self._above_ground_m(np.array([*place[:2], self._top_m]))
 
     def _above_ground_m(self, eye: Points) -> float | None:
-        from .seabed.camera import Optics, pose, z_buffer
+        from .seabed.camera import ZBuffer, centred, pose
 
-        optics, down = Optics(500, _GROUND_PX, _GROUND_PX), pose(eye, 0, 90, 0)
-        nearest = z_buffer(down, optics, None, self._world[0]).inverse[(_GROUND_PX // 2,) * 2]
+        optics, down = centred(500, _GROUND_PX, _GROUND_PX), pose(eye, 0, 90, 0)
+        nearest = ZBuffer(down, optics, self._world[0]).inverse[(_GROUND_PX // 2,) * 2]
         return float(1 / nearest) if nearest > 0 else None
 
 

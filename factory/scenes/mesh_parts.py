@@ -230,7 +230,7 @@ def _by_open3d(path: Path, suffix: str, folder: Path) -> list[tuple[str, Mesh]]:
     nodes: dict[tuple[int, str], list[Mesh]] = {owner: [] for owner in owners}
     for one in model.meshes:
         made = _of_model(one, model, tinted=True)
-        nodes[owners[one.material_idx]].append(made.moved(_Z_UP))
+        nodes[owners[one.material_idx]].append(made.rotated(_Z_UP))
     return [(name, join(some)) for (_, name), some in nodes.items() if some]
 
 

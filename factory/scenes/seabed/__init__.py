@@ -22,9 +22,10 @@ from ..base import Discovery, OwnClass, Root, SceneSettings
 from .biomes import PLACE_NAMES, PlaceName
 from .camera import Movement, movements
 from .camera import camera as optics_of
-from .own_objects import Owned, OwnObject, owned
+from .own_objects import OwnObject
 
 if TYPE_CHECKING:
+    from .meshes import Mesh
     from .world import World
 
 GENERATOR = 2
@@ -92,14 +93,14 @@ class SeabedReader:
         frames = settings.frames_per_location if lines is None else len(lines)
         paths: tuple[str, ...] = () if settings.path is None else (settings.path,)
         # What is wrong with a mesh shows before a worker starts.
-        paths += tuple(path for one in self._own for path in one.files)
+        paths += tuple(path for _, _, files, _ in self._own for path in files)
         refs = [
             FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", paths)
             for location in range(first, first + settings.locations)
             for frame in range(frames)
         ]
-        notes = tuple(note for one in self._own for note in one.notes)
-        return Discovery(tuple(refs), notes=notes)
+        notes = (note for *_, some in self._own for note in some)
+        return Discovery(tuple(refs), notes=tuple(notes))
 
     def load(self, ref: FrameRef) -> Frame:
         """Build the location, if it is not at hand, and take the frame."""
@@ -127,12 +128,14 @@ class SeabedReader:
         return None if path is None else movements(Path(path).expanduser())
 
     @cached_property
-    def _own(self) -> tuple[Owned, ...]:
-        return owned(self._settings.own_objects)
+    def _own(self) -> list[tuple[OwnObject, Mesh, tuple[str, ...], tuple[str, ...]]]:
+        listed = enumerate(self._settings.own_objects)
+        return [(one, *one.read(f"scenes.own_objects.{k}")) for k, one in listed]
 
     def _built(self, location: int) -> World:
-        from .world import build_world
+        from .world import World
 
         settings = self._settings
         places = settings.places or PLACE_NAMES
-        return build_world(location, places, settings.objects, settings.kinds, self._own)
+        own = [(one, solid) for one, solid, *_ in self._own]
+        return World(location, places, settings.objects, settings.kinds, own)

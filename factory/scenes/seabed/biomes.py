@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
+import numpy.typing as npt
 
-from .meshes import Colour
-from .terrain import Banks, Floats, Ripples, Terrain, waves
-
+Colour = Sequence[float]  # red, green, blue
 Range = tuple[float, float]
 
 # The order is the order in which locations 0, 1, 2, ... take them.
@@ -22,91 +24,36 @@ PLACE_NAMES: tuple[PlaceName, ...] = get_args(PlaceName)
 
 @dataclass(frozen=True)
 class Place:
-    """Ranges (low, high) that each location of this kind draws from.
-
-    loop_m: half axes of the camera's loop.  altitude_m: camera above the ground.
-    pitch_deg: camera below the horizon.  scatter: object kind -> how many, at density 1.
-    pebbles: small stones.  spread_m: typical distance of objects from the camera's loop.
-    banks: (foot distance from the axis, wall height) in metres, with `sides`.
-    look_across: how far the camera turns to the left of the axis, where a wall is (0 to 1).
-    structure: something built along the axis.
-    """
+    """Ranges that each location of this kind draws from; `places.yaml` says what they are."""
 
     loop_m: tuple[Range, Range]
     waters: tuple[str, ...]
     scatter: dict[str, Range]
-    altitude_m: Range = (0.8, 1.6)
-    pitch_deg: Range = (14, 26)
-    spread_m: float = 1.8
-    pebbles: Range = (80, 240)
-    slope_deg: Range = (0, 8)
-    swell_m: Range = (0.08, 0.3)
-    outcrop_cover: Range = (0.0, 0.12)
-    outcrop_m: Range = (0.15, 0.5)
-    gravel_cover: Range = (0.05, 0.4)
-    ripples: float = 0.6
-    ripple_cover: Range = (0.4, 0.95)
-    banks: tuple[Range, Range] | None = None
-    sides: tuple[int, ...] = (1, -1)
-    look_across: float = 0.0
-    structure: Literal["pier", "quay"] | None = None
+    altitude_m: Range
+    pitch_deg: Range
+    spread_m: float
+    pebbles: Range
+    slope_deg: Range
+    swell_m: Range
+    outcrop_cover: Range
+    outcrop_m: Range
+    gravel_cover: Range
+    ripples: float
+    ripple_cover: Range
+    banks: tuple[Range, Range] | None
+    sides: tuple[int, ...]
+    look_across: float
+    structure: Literal["pier", "quay"] | None
 
 
-_DEBRIS = {"Bottle": (16, 26), "Can": (16, 26), "Drink-carton": (12, 20), "Hook": (9, 15),
-    "Propeller": (5, 9), "Shampoo-bottle": (12, 20), "Standing-bottle": (12, 20), "Tire": (6, 10),
-    "Valve": (8, 13), "Chain": (3, 5), "Barrel": (1, 4)}  # fmt: skip
-_SOME_DEBRIS = {name: (low * 0.2, high * 0.3) for name, (low, high) in _DEBRIS.items()}
+@functools.cache
+def catalogue() -> dict[str, Any]:
+    """`places.yaml`."""
+    import yaml
 
-# fmt: off
-PLACES: dict[PlaceName, Place] = {
-    "debris": Place(
-        loop_m=((8, 11), (5, 8)), waters=("clear", "green", "lake", "dark"), altitude_m=(0.75, 1.3),
-        spread_m=1.2,
-        scatter={**_DEBRIS, "Boulder": (10, 22), "Block": (3, 7), "Plant": (0, 16),
-                 "Anchor": (1, 2)}),
-    "canyon": Place(
-        loop_m=((13, 16), (0.2, 0.45)), waters=("cyan", "clear", "green"), pitch_deg=(9, 18),
-        spread_m=0.9, pebbles=(200, 420), outcrop_cover=(0.05, 0.25), ripples=0.8,
-        banks=((1.7, 2.7), (2.6, 5.5)),
-        scatter={"Boulder": (60, 110), "Coral": (16, 36), "Chain": (0, 2), "Anchor": (0, 1)}),
-    "reef": Place(
-        loop_m=((8, 12), (6, 9)), waters=("deep", "clear", "green"), altitude_m=(0.9, 2.0),
-        scatter={"Frame": (13, 20), "Block": (18, 32), "Tire": (8, 14), "Coral": (20, 40),
-                 "Boulder": (8, 16), "Chain": (1, 3), "Barrel": (1, 3)}),
-    "pier": Place(
-        loop_m=((12, 15), (0.8, 1.1)), waters=("green", "dark", "clear", "lake"),
-        pitch_deg=(11, 20), spread_m=1.5, structure="pier",
-        scatter={**_SOME_DEBRIS, "Tire": (4, 8), "Block": (5, 10), "Boulder": (14, 26),
-                 "Anchor": (0, 2), "Pipe": (1, 2)}),
-    "pipeline": Place(
-        loop_m=((9, 13), (4, 7)), waters=("deep", "green", "clear"), spread_m=2.0,
-        scatter={"Pipe": (4, 6), "Valve": (8, 14), "Block": (7, 13), "Boulder": (10, 22),
-                 "Anchor": (1, 2), "Chain": (2, 4), "Hook": (2, 5), "Plant": (0, 14)}),
-    "rubble": Place(
-        loop_m=((8, 11), (6, 8)), waters=("cyan", "clear", "green"), spread_m=2.6,
-        pebbles=(350, 600), slope_deg=(3, 14), outcrop_cover=(0.1, 0.35), gravel_cover=(0.3, 0.8),
-        ripples=0.3,
-        scatter={"Boulder": (95, 150), "Coral": (8, 20), "Tire": (1, 3), "Anchor": (0, 2)}),
-    "quay": Place(
-        loop_m=((12, 15), (0.7, 1.2)), waters=("lake", "dark", "clear", "green"), spread_m=1.5,
-        look_across=0.5, structure="quay",
-        scatter={**_SOME_DEBRIS, "Barrel": (1, 3), "Boulder": (14, 30), "Block": (4, 9)}),
-    "sand": Place(
-        loop_m=((9, 12), (6, 9)), waters=("clear", "cyan", "deep"), swell_m=(0.12, 0.4),
-        gravel_cover=(0.0, 0.15), ripples=1.0, ripple_cover=(0.8, 1.0),
-        scatter={**_SOME_DEBRIS, "Tire": (3, 6), "Boulder": (6, 14), "Plant": (20, 60),
-                 "Anchor": (1, 3), "Wall": (0, 2)}),
-    "garden": Place(
-        loop_m=((8, 11), (6, 8)), waters=("clear", "cyan", "deep"), spread_m=2.4,
-        outcrop_cover=(0.15, 0.45),
-        scatter={"Coral": (90, 140), "Boulder": (30, 50), "Plant": (10, 40), "Block": (0, 4)}),
-    "wall": Place(
-        loop_m=((12, 15), (0.8, 1.3)), waters=("deep", "cyan", "clear"), slope_deg=(2, 12),
-        outcrop_cover=(0.05, 0.3), banks=((2.2, 3.2), (3.5, 6.5)), sides=(1,), look_across=0.5,
-        scatter={"Boulder": (40, 70), "Coral": (20, 40), "Chain": (1, 3), "Anchor": (0, 2),
-                 "Frame": (1, 3), "Tire": (0, 3)}),
-}
-# fmt: on
+    text = Path(__file__).with_name("places.yaml").read_text("utf-8")
+    found: dict[str, Any] = yaml.safe_load(text)
+    return found
 
 
 def draw(rng: np.random.Generator, span: Range) -> float:
@@ -114,145 +61,37 @@ def draw(rng: np.random.Generator, span: Range) -> float:
     return float(rng.uniform(*span))
 
 
-_SANDS: tuple[Colour, ...] = ((0.60, 0.54, 0.43), (0.50, 0.47, 0.40), (0.64, 0.59, 0.50),
-    (0.40, 0.34, 0.26), (0.30, 0.28, 0.25), (0.22, 0.20, 0.18))  # fmt: skip
-_ROCKS: tuple[Colour, ...] = ((0.33, 0.30, 0.25), (0.24, 0.23, 0.22), (0.40, 0.34, 0.27))
-_ALGAE: tuple[Colour, ...] = ((0.12, 0.14, 0.06), (0.17, 0.13, 0.06), (0.10, 0.15, 0.09))
-_CRUSTS: tuple[Colour, ...] = ((0.42, 0.20, 0.26), (0.50, 0.28, 0.12), (0.40, 0.38, 0.16))
+def pick(
+    rng: np.random.Generator, colours: Sequence[Colour], shades: Range = (0.75, 1.2)
+) -> npt.NDArray[np.float64]:
+    """One of the colours, a little lighter or darker."""
+    return np.array(colours[int(rng.integers(len(colours)))]) * rng.uniform(*shades)
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """Ranges of a kind of water; fade is relative to that of green."""
-
-    haze: Colour
-    fade: Colour
-    sun: tuple[float, float]
-    sky: Colour
-    clear_m: tuple[float, float]
-
-
-_KINDS: dict[str, _Kind] = {
-    "clear": _Kind((0.03, 0.24, 0.41), (3.2, 1.0, 0.75), (0.6, 1.0), (0.26, 0.60, 0.70), (10, 17)),
-    "cyan": _Kind((0.07, 0.42, 0.48), (2.7, 1.0, 0.95), (0.6, 1.0), (0.34, 0.68, 0.70), (9, 15)),
-    "deep": _Kind((0.01, 0.075, 0.19), (3.6, 1.0, 0.65), (0.2, 0.4), (0.13, 0.36, 0.52), (9, 15)),
-    "green": _Kind((0.04, 0.15, 0.105), (2.0, 1.0, 1.35), (0.4, 0.8), (0.30, 0.52, 0.40), (8, 12)),
-    "lake": _Kind((0.07, 0.085, 0.035), (1.25, 1.0, 1.9), (0.3, 0.6), (0.42, 0.44, 0.26),
-                  (7.5, 11)),
-    "dark": _Kind((0.012, 0.04, 0.045), (2.4, 1.0, 1.1), (0.08, 0.2), (0.24, 0.30, 0.30),
-                  (7.5, 11)),
-}  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
 class Look:
-    """Colours, water and light of a location.
+    """Colours, water and light of a location, of a kind of place.
 
     palette: (5, 3) float32 albedo of sand, gravel, rock, algae and crust, red, green, blue.
     turf: how much of the rock is overgrown, 0 to 1.
     water: (4, 3) float32 attenuation per metre, colour of open water, light from the sun's
-    direction and from all above.  sun_direction: unit, from the ground to the sun.
+    direction and from all above.  sun_direction: (3,) unit, from the ground to the sun.
     clear_m: beyond this range nothing has a depth.
     """
 
-    palette: Floats
-    turf: float
-    water: Floats
-    sun_direction: tuple[float, float, float]
-    clear_m: float
-
-
-def draw_look(rng: np.random.Generator, place: Place) -> Look:
-    """The look of a location of this kind."""
-    kind = _KINDS[place.waters[int(rng.integers(len(place.waters)))]]
-    clear = draw(rng, kind.clear_m)
-    height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
-    flat = np.sqrt(1 - height**2)
-    sun = draw(rng, kind.sun)
-    fade = [1.15 / clear * share for share in kind.fade]
-    haze = [value * rng.uniform(0.85, 1.15) for value in kind.haze]
-    water = (fade, haze, [sun * share for share in (0.62, 1.0, 0.92)], kind.sky)
-
-    def one(colours: tuple[Colour, ...]) -> Colour:
-        chosen = colours[int(rng.integers(len(colours)))]
-        shade = float(rng.uniform(0.85, 1.15))
-        return tuple(part * shade for part in chosen)
-
-    rock = one(_ROCKS)
-    gravel = (rock[0] * 1.15, rock[1] * 1.12, rock[2] * 1.08)
-    palette = (one(_SANDS), gravel, rock, one(_ALGAE), one(_CRUSTS))
-    return Look(
-        palette=np.array(palette, np.float32),
-        turf=rng.uniform(0.2, 0.8),
-        water=np.array(water, np.float32),
-        sun_direction=(float(flat * np.cos(turn)), float(flat * np.sin(turn)), float(height)),
-        clear_m=clear,
-    )
-
-
-def draw_terrain(rng: np.random.Generator, place: Place, heading_rad: float) -> Terrain:
-    """A ground of this kind of place; `heading_rad` is the direction of its walls."""
-    slope = np.tan(np.deg2rad(draw(rng, place.slope_deg)))
-    downhill = rng.uniform(0, 2 * np.pi)
-    longest = rng.uniform(9, 20)
-    return Terrain(
-        slope=(float(slope * np.cos(downhill)), float(slope * np.sin(downhill))),
-        swell=waves(rng, longest, 1.0, 1.2),
-        swell_m=draw(rng, place.swell_m),
-        outcrop=waves(rng, rng.uniform(4, 9), 0.7, 0.9),
-        outcrop_cover=draw(rng, place.outcrop_cover),
-        outcrop_m=draw(rng, place.outcrop_m),
-        gravel=waves(rng, 6.0, 0.5, 0.8),
-        gravel_cover=draw(rng, place.gravel_cover),
-        ripples=_ripples(rng, place) if rng.random() < place.ripples else None,
-        banks=_banks(rng, place, heading_rad),
-        rock_relief_m=rng.uniform(0.05, 0.11),
-        sand_relief_m=rng.uniform(0.006, 0.016),
-        offset_m=(rng.uniform(0, 50), rng.uniform(0, 50)),
-    )
-
-
-def _ripples(rng: np.random.Generator, place: Place) -> Ripples:
-    wavelength = rng.uniform(0.14, 0.55)
-    return Ripples(
-        wavelength_m=wavelength,
-        amplitude_m=wavelength * rng.uniform(0.045, 0.085),
-        heading_rad=rng.uniform(0, 2 * np.pi),
-        bend=waves(rng, 7.0, 0.8, 0.9),
-        bend_rad=rng.uniform(1.2, 2.6),
-        patches=waves(rng, 8.0, 1.5, 0.8),
-        cover=draw(rng, place.ripple_cover),
-    )
-
-
-def _banks(rng: np.random.Generator, place: Place, heading_rad: float) -> Banks | None:
-    if place.banks is None:
-        return None
-    half_width, height = (draw(rng, span) for span in place.banks)
-    # Ledges: steep faces and narrow steps take turns up the wall.
-    faces = int(rng.integers(2, 5))
-    rise = rng.dirichlet(np.full(faces, 3.0)) * height
-    knots = [(-1.2, 0.0), (0.0, 0.22)]
-    behind, level = 0.0, 0.22
-    for step in rise:
-        behind, level = behind + step * rng.uniform(0.12, 0.4), level + float(step)
-        knots.append((behind, level))
-        behind, level = behind + rng.uniform(0.15, 0.7), level + rng.uniform(0.03, 0.15)
-        knots.append((behind, level))
-    knots += [(behind + 6, level + rng.uniform(0.3, 1.5)), (behind + 40, level + 2.5)]
-    sharp = np.array(knots)
-    fine = np.arange(-1.6, behind + 12, 0.04)
-    rounded = np.convolve(
-        np.pad(np.interp(fine, sharp[:, 0], sharp[:, 1]), 4, mode="edge"), np.ones(9) / 9, "valid"
-    )
-    profile = np.concatenate([np.column_stack([fine, rounded]), sharp[-1:]])
-    return Banks(
-        heading_rad=heading_rad,
-        half_width_m=half_width,
-        sides=place.sides,
-        profile=profile,
-        winding=waves(rng, 26.0, 9.0, 1.2),
-        winding_m=rng.uniform(0.3, 1.2),
-        ragged=waves(rng, 3.5, 0.5, 0.9),
-        ragged_m=rng.uniform(0.15, 0.26),
-    )
+    def __init__(self, rng: np.random.Generator, place: Place) -> None:
+        water = catalogue()["waters"][place.waters[int(rng.integers(len(place.waters)))]]
+        self.clear_m = draw(rng, water["clear_m"])
+        height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
+        flat = np.sqrt(1 - height**2)
+        self.sun_direction = np.array([flat * np.cos(turn), flat * np.sin(turn), height])
+        sun = draw(rng, water["sun"])
+        fade = [1.15 / self.clear_m * share for share in water["fade"]]
+        haze = [value * rng.uniform(0.85, 1.15) for value in water["haze"]]
+        light = [sun * share for share in (0.62, 1.0, 0.92)]
+        self.water = np.array([fade, haze, light, water["sky"]], np.float32)
+        rock, sand, algae, crust = (
+            pick(rng, catalogue()["colours"][name], (0.85, 1.15))
+            for name in ("rock", "sand", "algae", "crust")
+        )
+        self.palette = np.array([sand, rock * (1.15, 1.12, 1.08), rock, algae, crust], np.float32)
+        self.turf = rng.uniform(0.2, 0.8)

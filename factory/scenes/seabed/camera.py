@@ -9,53 +9,39 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from ...frame import BOX_FIELDS, Intrinsics
+from ...frame import BOX_FIELDS
 from ..base import numbered_lines, numbers_in
 from .meshes import Mesh, grid_triangles, join, vertex_normals
-from .terrain import Floats
-
-Points = npt.NDArray[np.float64]
+from .terrain import Floats, Points
 
 FOCAL_PER_WIDTH = 1168.0 / 968.0
 """Of the FLSea camera, which sees 45 degrees across."""
 HFOV_DEG, VFOV_DEG = 45.0, 29.2
 """What it sees at 968x608 pixels."""
 _MARGIN_DEG = 1.0  # beyond each edge of a sonar's sector
+_SIDE_PX = 64  # of the picture in which an object's outline is counted
+_NEAREST_M = 0.05
 
 
 @dataclass(frozen=True)
 class Optics:
     """A pinhole camera without distortion.
 
+    lens: focal lengths and principal point: fx, fy, cx, cy, pixels.
     across: how many times wider than the FLSea camera's its view is, in angle.
-    cy: row of the principal point, None in the middle.
     """
 
-    focal: float
+    lens: tuple[float, float, float, float]
     width: int
     height: int
     across: float = 1.0
-    cy: float | None = None
 
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """In pixels."""
-        cy = (self.height - 1) / 2 if self.cy is None else self.cy
-        return Intrinsics(self.focal, self.focal, (self.width - 1) / 2, cy)
-
-    @property
-    def lens(self) -> Points:
-        """(4,) focal lengths and principal point, pixels."""
-        camera = self.intrinsics
-        return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-
-    def directions(self, rotation: Points, every: int = 1, border: int = 0) -> Floats:
+    def directions(self, rotation: Points, every: int, border: int = 0) -> Floats:
         """(H, W, 3) ray directions in world axes whose length along the optical axis is 1.
 
         every: only each such pixel of each such row.  border: so many pixels more, right and below.
@@ -64,6 +50,11 @@ class Optics:
         x = ((np.arange(0, self.width + border, every) - cx) / fx)[None, :, None]
         y = ((np.arange(0, self.height + border, every) - cy) / fy)[:, None, None]
         return np.asarray(x * rotation[:, 0] + y * rotation[:, 1] + rotation[:, 2], np.float32)
+
+
+def centred(focal: float, width: int, height: int, across: float = 1.0) -> Optics:
+    """Optics whose principal point is the middle of the picture."""
+    return Optics((focal, focal, (width - 1) / 2, (height - 1) / 2), width, height, across)
 
 
 def camera(
@@ -77,7 +68,7 @@ def camera(
     2 hfov sin(vfov / 2), and no faster.
     """
     if hfov_deg is None or vfov_deg is None:
-        return Optics(FOCAL_PER_WIDTH * width, width, height)
+        return centred(FOCAL_PER_WIDTH * width, width, height)
     azimuth = np.deg2rad(hfov_deg / 2 + _MARGIN_DEG)
     elevation = np.deg2rad(vfov_deg / 2 + _MARGIN_DEG)
     half_width = np.tan(azimuth)
@@ -85,7 +76,7 @@ def camera(
     pixels = width * height * _solid_angle(hfov_deg, vfov_deg) / _solid_angle(HFOV_DEG, VFOV_DEG)
     focal = float(np.sqrt(pixels / (4 * half_width * half_height)))
     columns, rows = (int(np.ceil(2 * half * focal)) for half in (half_width, half_height))
-    return Optics(focal, columns, rows, hfov_deg / HFOV_DEG)
+    return centred(focal, columns, rows, hfov_deg / HFOV_DEG)
 
 
 def _solid_angle(hfov_deg: float, vfov_deg: float) -> float:
@@ -121,60 +112,81 @@ def pose(eye: Points, heading_deg: float, pitch_deg: float, roll_deg: float) -> 
     return Pose(np.asarray(eye, dtype=np.float64), rotation)
 
 
-@dataclass(frozen=True, eq=False)
 class Objects:
     """All objects of a location as one mesh.
 
-    owner: (T,) object number of each triangle.  parts: (N, 4) first point, first triangle and the
-    ends of both, of each object.  balls: (N, 4) centre and radius around each.  labels, instances:
-    (N,) class, and number among those that have one, 0 for none.
+    owner: (T,) uint16 object number of each triangle.  parts: (N, 4) first point, first triangle
+    and the ends of both, of each object.  balls: (N, 4) centre and radius around each.
+    labels, instances: (N,) uint8 class, and uint16 number among those that have one, 0 for none.
     """
 
-    mesh: Mesh
-    normals: Floats
-    owner: npt.NDArray[np.uint16]
-    parts: npt.NDArray[np.int64]
-    balls: Points
-    labels: npt.NDArray[np.uint8]
-    instances: npt.NDArray[np.uint16]
+    def __init__(self, meshes: Sequence[Mesh], labels: npt.NDArray[np.uint8]) -> None:
+        self.mesh = join(meshes)
+        points = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+        triangles = np.cumsum([0] + [len(mesh.triangles) for mesh in meshes])
+        low = np.minimum.reduceat(self.mesh.vertices, points[:-1]).astype(np.float64)
+        high = np.maximum.reduceat(self.mesh.vertices, points[:-1]).astype(np.float64)
+        radius = np.linalg.norm(high - low, axis=1, keepdims=True) / 2
+        self.normals = vertex_normals(self.mesh.vertices, self.mesh.triangles)
+        self.owner = np.repeat(np.arange(len(meshes), dtype=np.uint16), np.diff(triangles))
+        self.parts = np.stack([points[:-1], triangles[:-1], points[1:], triangles[1:]], axis=-1)
+        self.balls = np.concatenate([(low + high) / 2, radius], axis=1)
+        self.labels = labels
+        self.instances = np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16)
 
     def shown(
-        self, number: npt.NDArray[Any]
+        self, number: npt.NDArray[np.uint16]
     ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
         """Class and instance of each object number, of which the first is 1 and 0 is none."""
         label, instance = (np.append(of.dtype.type(0), of) for of in (self.labels, self.instances))
         return label.take(number), instance.take(number)
 
 
-def objects_of(meshes: Sequence[Mesh], labels: npt.NDArray[np.uint8]) -> Objects:
-    """Join the objects of a location, whose classes are `labels`."""
-    whole = join(meshes)
-    points = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-    triangles = np.cumsum([0] + [len(mesh.triangles) for mesh in meshes])
-    low = np.minimum.reduceat(whole.vertices, points[:-1]).astype(np.float64)
-    high = np.maximum.reduceat(whole.vertices, points[:-1]).astype(np.float64)
-    radius = np.linalg.norm(high - low, axis=1, keepdims=True) / 2
-    return Objects(
-        mesh=whole,
-        normals=vertex_normals(whole.vertices, whole.triangles),
-        owner=np.repeat(np.arange(len(meshes), dtype=np.uint16), np.diff(triangles)),
-        parts=np.stack([points[:-1], triangles[:-1], points[1:], triangles[1:]], axis=-1),
-        balls=np.concatenate([(low + high) / 2, radius], axis=1),
-        labels=labels,
-        instances=np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16),
-    )
-
-
-@dataclass(frozen=True, eq=False)
 class ZBuffer:
     """What the pixels of a camera meet first.
 
-    inverse: (H, W) one over the depth along the optical axis, 0 where nothing is.  which: (H, W)
-    number of the triangle, those of the ground first, -1 where nothing is.
+    ground: (R, C, 3) grid of it; None for none.  wanted: (N,) bool, of the objects; None for all.
+    What is further than `reach_m` may be left out.
+    inverse: (H, W) float32 one over the depth along the optical axis, 0 where nothing is.
+    which: (H, W) int32 number of the triangle, those of the ground first, -1 where nothing is.
     """
 
-    inverse: Floats
-    which: npt.NDArray[np.int32]
+    def __init__(
+        self,
+        where: Pose,
+        optics: Optics,
+        objects: Objects,
+        ground: Floats | None = None,
+        wanted: npt.NDArray[np.bool_] | None = None,
+        reach_m: float = 1e6,
+    ) -> None:
+        from .kernels import paint
+
+        self.where, self.optics, self.objects, self._first_object = where, optics, objects, 0
+        shape, lens = (optics.height, optics.width), np.array(optics.lens)
+        self.inverse, self.which = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+        sight, seen = (where.eye, where.rotation, lens), (self.inverse, self.which)
+        if ground is not None:
+            triangles, points = grid_triangles(*ground.shape[:2]), ground.reshape(-1, 3)
+            self._first_object = len(triangles)
+            whole = np.array([[0, 0, len(points), len(triangles)]], np.int64)
+            paint(points, triangles, whole, 0, sight, seen)
+        near = self._in_sight(reach_m)
+        parts = np.ascontiguousarray(objects.parts[near if wanted is None else wanted & near])
+        solid = objects.mesh
+        paint(solid.vertices, solid.triangles, parts, self._first_object, sight, seen)
+
+    def _in_sight(self, reach_m: float) -> npt.NDArray[np.bool_]:
+        """(N,) whether the balls around objects touch what the camera sees."""
+        where, radius = self.where, self.objects.balls[:, 3]
+        ways = (self.objects.balls[:, :3] - where.eye)[:, None] * where.rotation.T
+        x, y, z = ways.sum(axis=2).T
+        fx, fy, cx, cy = self.optics.lens
+        right, bottom = self.optics.width - 1 - cx, self.optics.height - 1 - cy
+        seen = (z > -radius) & (z < reach_m + radius)
+        for offset, slope in ((x, right / fx), (-x, cx / fx), (y, bottom / fy), (-y, cy / fy)):
+            seen &= offset - slope * z < radius * np.hypot(1, slope)
+        return np.asarray(seen)
 
     @property
     def depth_m(self) -> Floats:
@@ -182,47 +194,75 @@ class ZBuffer:
         with np.errstate(divide="ignore"):
             return np.asarray(1 / self.inverse)
 
+    @property
+    def number(self) -> npt.NDArray[np.uint16]:
+        """(H, W) number of the object, of which the first is 1; 0 for ground and nothing."""
+        numbers = np.append(np.uint16(0), self.objects.owner + np.uint16(1))
+        return numbers.take(np.maximum(self.which - (self._first_object - 1), 0))
 
-def z_buffer(
-    where: Pose,
-    optics: Optics,
-    ground: Floats | None,
-    objects: Objects,
-    wanted: npt.NDArray[np.bool_] | None = None,
-    reach_m: float = 1e6,
-) -> ZBuffer:
-    """Paint the (R, C, 3) grid of the ground and the wanted objects, no further than `reach_m`.
+    def boxes(self, number: npt.NDArray[np.uint16]) -> Points:
+        """(N, 11) of the instances in a view, whose pixels are `number`; see `Frame.boxes`."""
+        rows, objects = [], self.objects
+        for instance in np.unique(number[number > 0]).tolist():
+            which = int(np.flatnonzero(objects.instances == instance)[0])
+            first, _, last, _ = objects.parts[which]
+            points = (objects.mesh.vertices[first:last] - self.where.eye) @ self.where.rotation
+            box = oriented(np.stack([points[:, 2], -points[:, 0], -points[:, 1]], axis=-1))
+            rows.append([instance, int(objects.labels[which]), *box, *self._cover(which, points)])
+        return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
 
-    ground: None for none.  wanted: (N,); None for all objects.
+    def _cover(self, which: int, points: Points) -> tuple[float, float]:
+        """Pixels that an object alone would cover, beyond the picture too, and those hidden.
+
+        points: (V, 3) its own, camera axes.
+        """
+        ahead = points[points[:, 2] > _NEAREST_M]
+        if not len(ahead):
+            return 0.0, 0.0
+        fx, fy, cx, cy = self.optics.lens
+        places = ahead[:, :2] / ahead[:, 2:] * (fx, fy) + (cx, cy)
+        # Of what reaches beside the lens, as far as three pictures.
+        limits = np.array([self.optics.width, self.optics.height])
+        left, top = np.clip(places.min(axis=0), -limits, 2 * limits)
+        right, bottom = np.clip(places.max(axis=0), -limits, 2 * limits)
+        step = max((right - left) / _SIDE_PX, (bottom - top) / _SIDE_PX, 0.25)
+        lens = fx / step, fy / step, (cx - left) / step, (cy - top) / step
+        optics = Optics(lens, int((right - left) / step) + 2, int((bottom - top) / step) + 2)
+        wanted = np.arange(len(self.objects.parts)) == which
+        alone = ZBuffer(self.where, optics, self.objects, wanted=wanted).inverse
+        rows, columns = np.nonzero(alone)
+        near = alone[rows, columns]
+        rows, columns = (np.rint(v).astype(int) for v in (top + step * rows, left + step * columns))
+        inside = (rows >= 0) & (columns >= 0) & (columns < limits[0]) & (rows < limits[1])
+        front = self.inverse[rows[inside], columns[inside]]
+        hidden = np.count_nonzero(front > near[inside] * np.float32(1.02))
+        return len(near) * step**2, hidden * step**2
+
+
+def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
+    """Centre (3), length, width, height and yaw (rad) of the box around (V, 3) points, z upright.
+
+    The yaw, to .05 degrees, is that with the least ground: from x to y, of the longer side.
     """
-    from .kernels import paint
-
-    shape, lens, first_object = (optics.height, optics.width), optics.lens, 0
-    seen = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
-    sight = where.eye, where.rotation, lens
-    if ground is not None:
-        triangles = grid_triangles(*ground.shape[:2])
-        first_object = len(triangles)
-        whole = np.array([[0, 0, ground.shape[0] * ground.shape[1], first_object]], np.int64)
-        paint(ground.reshape(-1, 3), triangles, whole, 0, sight, seen)
-    near = _in_sight(where, lens, shape, objects.balls, reach_m)
-    parts = np.ascontiguousarray(objects.parts[near if wanted is None else wanted & near])
-    paint(objects.mesh.vertices, objects.mesh.triangles, parts, first_object, sight, seen)
-    return ZBuffer(*seen)
+    flat = points[:, :2].astype(np.float64)
+    middle = flat.mean(axis=0)
+    coarse, _, _ = _narrowest(flat - middle, np.arange(0.0, 90.0))
+    yaw_deg, extent, centre = _narrowest(flat - middle, coarse + 0.05 * np.arange(-20, 21))
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    yaw = np.deg2rad((yaw_deg + (0 if extent[0] >= extent[1] else 90) + 90) % 180 - 90)
+    x, y = (centre + middle).tolist()
+    return x, y, (low + high) / 2, *sorted(extent.tolist(), reverse=True), high - low, float(yaw)
 
 
-def _in_sight(
-    where: Pose, lens: Points, shape: tuple[int, ...], balls: Points, reach_m: float
-) -> npt.NDArray[np.bool_]:
-    """(N,) whether balls touch what a camera of this picture (H, W) sees within `reach_m`."""
-    x, y, z = ((balls[:, :3] - where.eye)[:, None] * where.rotation.T).sum(axis=2).T
-    radius = balls[:, 3]
-    fx, fy, cx, cy = lens
-    seen = (z > -radius) & (z < reach_m + radius)
-    for offset, slope in ((x, (shape[1] - 1 - cx) / fx), (-x, cx / fx),
-                          (y, (shape[0] - 1 - cy) / fy), (-y, cy / fy)):  # fmt: skip
-        seen &= offset - slope * z < radius * np.hypot(1, slope)
-    return np.asarray(seen)
+def _narrowest(flat: Points, yaws_deg: Points) -> tuple[float, Points, Points]:
+    """Yaw, extent along and across it, and centre of the least rectangle around (V, 2) points."""
+    cosine, sine = np.cos(np.deg2rad(yaws_deg)), np.sin(np.deg2rad(yaws_deg))
+    axes = np.array([[cosine, -sine], [sine, cosine]])
+    seen = np.tensordot(flat, axes, 1)
+    least, most = seen.min(axis=0), seen.max(axis=0)
+    at = int(np.argmin(np.prod(most - least, axis=0)))
+    centre = axes[:, :, at] @ (most + least)[:, at] / 2
+    return float(yaws_deg[at]), (most - least)[:, at], centre
 
 
 @dataclass(frozen=True)
@@ -278,87 +318,3 @@ def _about(axis: Points, angle_rad: float) -> Points:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turn = np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * cross @ cross
     return np.asarray(turn)
-
-
-_SIDE_PX = 64  # of the picture in which an object's outline is counted
-_NEAREST_M = 0.05
-
-
-def boxes_of(
-    where: Pose, optics: Optics, objects: Objects, seen: ZBuffer, number: npt.NDArray[np.uint16]
-) -> Points:
-    """(N, 11) of the instances in a view, whose pixels are `number`; see `Frame.boxes`."""
-    shown = np.unique(number)
-    rows = []
-    for instance in shown[shown > 0]:
-        which = int(np.flatnonzero(objects.instances == instance)[0])
-        first, _, last, _ = objects.parts[which]
-        points = (objects.mesh.vertices[first:last] - where.eye) @ where.rotation
-        box = oriented(np.stack([points[:, 2], -points[:, 0], -points[:, 1]], axis=-1))
-        counted = _outline(where, optics, objects, which, points, seen)
-        rows.append([int(instance), int(objects.labels[which]), *box, *counted])
-    return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
-
-
-def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
-    """Centre (3), length, width, height and yaw (rad) of the box around (V, 3) points, z upright.
-
-    The yaw, to .05 degrees, is that with the least ground: from x to y, of the longer side.
-    """
-    flat = points[:, :2].astype(np.float64)
-    middle = flat.mean(axis=0)
-    coarse, _, _ = _narrowest(flat - middle, np.arange(0.0, 90.0))
-    yaw_deg, extent, centre = _narrowest(flat - middle, coarse + 0.05 * np.arange(-20, 21))
-    low, high = float(points[:, 2].min()), float(points[:, 2].max())
-    yaw = np.deg2rad((yaw_deg + (0 if extent[0] >= extent[1] else 90) + 90) % 180 - 90)
-    x, y = (centre + middle).tolist()
-    return x, y, (low + high) / 2, *sorted(extent.tolist(), reverse=True), high - low, float(yaw)
-
-
-def _narrowest(flat: Points, yaws_deg: Points) -> tuple[float, Points, Points]:
-    """Of the rectangles around (V, 2) points at some yaws the one of least area.
-
-    Its yaw, its extent along and across that, and its centre.
-    """
-    cosine, sine = np.cos(np.deg2rad(yaws_deg)), np.sin(np.deg2rad(yaws_deg))
-    axes = np.array([[cosine, -sine], [sine, cosine]])
-    seen = np.tensordot(flat, axes, 1)
-    least, most = seen.min(axis=0), seen.max(axis=0)
-    at = int(np.argmin(np.prod(most - least, axis=0)))
-    centre = axes[:, :, at] @ (most + least)[:, at] / 2
-    return float(yaws_deg[at]), (most - least)[:, at], centre
-
-
-def _outline(
-    where: Pose, optics: Optics, objects: Objects, which: int, points: Points, seen: ZBuffer
-) -> tuple[float, float]:
-    """Pixels that an object alone would cover, beyond the picture too, and those hidden by others.
-
-    points: (V, 3) its own, camera axes.
-    """
-    ahead = points[points[:, 2] > _NEAREST_M]
-    if not len(ahead):
-        return 0.0, 0.0
-    fx, fy, cx, cy = optics.lens
-    height, width = seen.inverse.shape
-    places = ahead[:, :2] / ahead[:, 2:] * (fx, fy) + (cx, cy)
-    # Of what reaches beside the lens, as far as three pictures.
-    limits = np.array([width, height])
-    left, top = np.clip(places.min(axis=0), -limits, 2 * limits)
-    right, bottom = np.clip(places.max(axis=0), -limits, 2 * limits)
-    from .kernels import paint
-
-    step = max((right - left) / _SIDE_PX, (bottom - top) / _SIDE_PX, 0.25)
-    shape = int((bottom - top) / step) + 2, int((right - left) / step) + 2
-    alone = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
-    lens = np.array([fx / step, fy / step, (cx - left) / step, (cy - top) / step])
-    part = np.ascontiguousarray(objects.parts[which : which + 1])
-    sight = where.eye, where.rotation, lens
-    paint(objects.mesh.vertices, objects.mesh.triangles, part, 0, sight, alone)
-    rows, columns = np.nonzero(alone[0])
-    near = alone[0][rows, columns]
-    rows, columns = (np.rint(v).astype(int) for v in (top + step * rows, left + step * columns))
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    front = seen.inverse[rows[inside], columns[inside]]
-    hidden = np.count_nonzero(front > near[inside] * np.float32(1.02))
-    return len(near) * step**2, hidden * step**2

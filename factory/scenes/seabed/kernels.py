@@ -18,7 +18,7 @@ TEXTURE_M, FINE_M = 3.7, 0.7  # a side of the tile that pictures are painted wit
 _F = np.float32
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _TURNS = _F(1 / (2 * np.pi))
-_STEP = _F(1 / STEPS)
+_STEP, _BITS = _F(1 / STEPS), np.int32(24)
 _BLOCK = 1024
 _NEAR_M = 0.02  # what is nearer to the lens is not seen
 _SHADE_M = _F(0.04)  # how far behind an object its shadow begins
@@ -35,12 +35,13 @@ _SEEN = "Tuple((float32[:, ::1], int32[:, ::1]))"
 _MESH = f"UniTuple({_ROWS}, 3)"
 
 
-@compiled(f"void({_ROWS}, {_ROWS}, {_LINE}, {_LINE}, float32[::1])")
-def add_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any, total: Any) -> None:
-    """Add to `total` (N,) the waves at `axes` (D, N), D of 2 or 3.
+@compiled(f"float32[::1]({_ROWS}, {_ROWS}, {_LINE}, {_LINE})")
+def sum_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any) -> Any:
+    """(N,) sum of the waves at `axes` (D, N), D of 2 or 3.
 
     vectors: (K, D) rad/m.  phases, amplitudes: (K,).
     """
+    total = np.zeros(axes.shape[1], np.float32)
     for begin in range(0, axes.shape[1], _BLOCK):
         # Cut out, so that the compiler sees that no index is negative, and does several at a time.
         x, y = axes[0, begin : begin + _BLOCK], axes[1, begin : begin + _BLOCK]
@@ -52,6 +53,7 @@ def add_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any, total: Any)
             c = vectors[k, 2] * _TURNS if axes.shape[0] == 3 else _ZERO
             for i in range(len(part)):
                 part[i] += height * sine_of_turns(start + a * x[i] + b * y[i] + c * z[i])
+    return total
 
 
 @compiled()
@@ -69,29 +71,10 @@ def _tile_at(tile: Any, u_m: Any, v_m: Any, scale: Any) -> Any:
     return upper + down * (lower - upper)
 
 
-@compiled(f"void({_ROWS}, {_TRIANGLES}, {_PLANE})")
-def point_normals(points: Any, triangles: Any, normals: Any) -> None:
-    """(V, 3) unit normals, the mean of the triangles around each point by their area."""
-    total = np.zeros((len(points), 3))
-    for k in range(len(triangles)):
-        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-        px, py = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-        qx, qy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
-        pz, qz = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2]
-        x, y, z = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-        for corner in (a, b, c):
-            total[corner, 0] += x
-            total[corner, 1] += y
-            total[corner, 2] += z
-    for k in range(len(points)):
-        x, y, z = total[k, 0], total[k, 1], total[k, 2]
-        scale = 1 / max(np.sqrt(x * x + y * y + z * z), 1e-20)
-        normals[k, 0], normals[k, 1], normals[k, 2] = x * scale, y * scale, z * scale
-
-
-@compiled(f"void({_VECTORS}, {_VECTORS})")
-def normals_of_grid(points: Any, normals: Any) -> None:
+@compiled(f"{_VECTORS}({_VECTORS})")
+def normals_of_grid(points: Any) -> Any:
     """(R, C, 3) unit normals of a grid of points, turned upward, by central differences."""
+    normals = np.empty_like(points)
     rows, columns = points.shape[:2]
     for row in range(rows):
         above, below = points[max(row - 1, 0)], points[min(row + 1, rows - 1)]
@@ -106,6 +89,7 @@ def normals_of_grid(points: Any, normals: Any) -> None:
             length = max(np.sqrt(x * x + y * y + z * z), _F(1e-20))
             normal = normals[row, column]
             normal[0], normal[1], normal[2] = x / length, y / length, z / length
+    return normals
 
 
 @compiled(
@@ -252,43 +236,36 @@ def paint(
 
 @compiled()
 def _ramp(low: Any, high: Any, x: Any) -> Any:
-    """0 below `low`, 1 above `high`, smooth between; see `fields.smoothstep`."""
+    """0 below `low`, 1 above `high`, smooth between; see `terrain.smoothstep`."""
     t = min(max((x - low) / (high - low), _ZERO), _ONE)
     return t * t * (_F(3) - _F(2) * t)
 
 
 @compiled()
-def _byte(word: Any, number: int) -> Any:
-    """Signed byte `number` of a 32-bit word of a noise tile, in standard deviations."""
-    return _F(np.int32(np.int32(word << np.int32(24 - 8 * number)) >> np.int32(24))) * _STEP
-
-
-@compiled()
-def _fine(word: Any, number: int) -> Any:
-    """`_byte` of detail that is finer than a pixel from a few metres on, and varies the less."""
-    return _byte(word, number) * _F(0.55)
-
-
-@compiled()
-def _word(tile: Any, u: Any, v: Any, rate: Any) -> Any:
-    """The pixel of a periodic tile at (u, v) metres, `rate` periods a metre."""
+def _noise(tile: Any, u: Any, v: Any, rate: Any, strength: Any) -> Any:
+    """The four channels of a texture at (u, v) metres, `rate` periods a metre; see `tiles`."""
     side = tile.shape[0]
     x, y = u * rate, v * rate
     column = np.int32((x - np.floor(x)) * _F(side)) & (side - 1)
     row = np.int32((y - np.floor(y)) * _F(side)) & (side - 1)
-    return tile[_U(row), _U(column)]
+    word = np.int32(tile[_U(row), _U(column)])
+    broad, grain = _F(np.int32(word << _BITS) >> _BITS), _F(np.int32(word << 16) >> _BITS)
+    cells, speckle = _F(np.int32(word << 8) >> _BITS), _F(word >> _BITS)
+    broad, grain, cells, speckle = broad * _STEP, grain * _STEP, cells * _STEP, speckle * _STEP
+    return broad * strength, grain * strength, cells * strength, speckle * strength
 
 
 @compiled()
-def _ground(word: Any, small: Any, close: Any, surface: Any, palette: Any, turf: Any) -> Any:
-    """Albedo (red, green, blue) and roughness of ground.
+def _ground(noise: Any, detail: Any, close: Any, surface: Any, turf: Any) -> Any:
+    """How ground looks.
 
-    word, small: what the two noise tiles say there.  close: 1 nearby, 0 where detail is finer than
-    a pixel.  surface: rockiness, share of gravel, relief.  palette: see `biomes.Look`.
+    noise, detail: what the texture says there, broad and fine.  close: 1 nearby, 0 where detail is
+    finer than a pixel.  surface: rockiness, share of gravel, relief.
+    Returns shades of sand, gravel and rock; shares of gravel and of rock, and of algae and crust on
+    the rock; and roughness.
     """
-    broad, grain, cells, speckle = _byte(word, 0), _byte(word, 1), _byte(word, 2), _byte(word, 3)
-    fine_grain, fine_cells, fine_speckle = _fine(small, 1), _fine(small, 2), _fine(small, 3)
-    bare, stones, tone = surface
+    (broad, grain, cells, speckle), (bare, stones, tone) = noise, surface
+    fine_broad, fine_grain, fine_cells, fine_speckle = detail
     rock = _ramp(_F(0.3), _F(0.7), bare + _F(0.22) * grain * close + _F(0.1) * cells)
     gravel = _ramp(_F(0.35), _F(0.65), stones + _F(0.18) * cells)
     fine = _F(0.06) * fine_grain + _F(0.05) * fine_speckle + _F(0.03) * speckle
@@ -296,37 +273,24 @@ def _ground(word: Any, small: Any, close: Any, surface: Any, palette: Any, turf:
     gravel_shade = _ONE + _F(0.1) * broad + _F(0.16) * tone
     gravel_shade += close * (_F(0.22) * fine_cells + _F(0.1) * speckle)
     grown = _ramp(_F(0.9) - _F(1.6) * turf, _F(1.7) - _F(1.6) * turf, broad + _HALF * cells)
-    crust = _ramp(_F(0.9), _F(1.5), _fine(small, 0) + _F(0.4) * speckle)
+    crust = _ramp(_F(0.9), _F(1.5), fine_broad + _F(0.4) * speckle)
     crust *= (_ONE - _F(0.6) * grown) * _F(0.7)
     rock_shade = _ONE + _F(0.14) * tone + _F(0.12) * grain
     rock_shade += close * (_F(0.14) * fine_cells + _F(0.12) * fine_grain)
     # Crevices are dark, edges are worn bright.
     rock_shade *= _F(0.75) + _HALF * _ramp(_F(-2.0), _F(1.2), tone)
     rough = _F(0.1) + _F(0.35) * gravel + rock * (_HALF - _F(0.35) * gravel)
-    shades, shares = (sand_shade, gravel_shade, rock_shade), (gravel, rock, grown, crust)
-    red, green = _mixed(palette, 0, shades, shares), _mixed(palette, 1, shades, shares)
-    return red, green, _mixed(palette, 2, shades, shares), rough
+    return (sand_shade, gravel_shade, rock_shade), (gravel, rock, grown, crust), rough
 
 
 @compiled()
-def _mixed(palette: Any, channel: int, shades: Any, shares: Any) -> Any:
-    (sand_shade, gravel_shade, rock_shade), (gravel, rock, grown, crust) = shades, shares
-    loose = palette[0, channel] * sand_shade
-    loose += gravel * (palette[1, channel] * gravel_shade - loose)
-    stone = palette[2, channel] + grown * (palette[3, channel] - palette[2, channel])
-    stone = (stone + crust * (palette[4, channel] - stone)) * rock_shade
-    return loose + rock * (stone - loose)
+def _thing(noise: Any, detail: Any, close: Any, up: Any, finish: Any) -> Any:
+    """How an object looks: as `_ground`, with the object for rock, and sand on it for sand.
 
-
-@compiled()
-def _thing(word: Any, small: Any, close: Any, own: Any, up: Any, finish: Any, palette: Any) -> Any:
-    """Albedo and roughness of an object of colour `own`; arguments as of `_ground`.
-
-    finish: fouling, silt and bump.
+    up: of its normal.  finish: fouling, silt and bump.
     """
-    broad, grain, cells, speckle = _byte(word, 0), _byte(word, 1), _byte(word, 2), _byte(word, 3)
-    fine_broad, fine_grain, fine_cells = _fine(small, 0), _fine(small, 1), _fine(small, 2)
-    fouling, silt, bump = finish[0], finish[1], finish[2]
+    (broad, grain, cells, speckle), (fouling, silt, bump) = noise, (finish[0], finish[1], finish[2])
+    fine_broad, fine_grain, fine_cells, _ = detail
     patchy = _F(0.6) * broad + _HALF * cells + _F(0.4) * fine_broad
     grown = _ramp(_ZERO, _F(0.9), patchy + _F(2.2) * fouling - _F(1.3)) * _F(0.85)
     crust = _ramp(_ONE, _F(1.5), fine_broad + _HALF * speckle) * min(fouling * _F(1.5), _F(0.8))
@@ -334,17 +298,7 @@ def _thing(word: Any, small: Any, close: Any, own: Any, up: Any, finish: Any, pa
     shade = _ONE + _F(0.1) * grain + close * _F(0.1) * (fine_grain + fine_cells)
     rough = bump * _F(0.55) * (_ONE - _HALF * dusted)
     sand = _F(0.8) * (_ONE + _F(0.07) * fine_grain)
-    cover = grown, crust, shade, sand, dusted
-    red, green = _overgrown(palette, 0, own[0], cover), _overgrown(palette, 1, own[1], cover)
-    return red, green, _overgrown(palette, 2, own[2], cover), rough
-
-
-@compiled()
-def _overgrown(palette: Any, channel: int, own: Any, cover: Any) -> Any:
-    grown, crust, shade, sand, dusted = cover
-    tint = own + grown * (palette[3, channel] - own)
-    tint = (tint + crust * (palette[4, channel] - tint)) * shade
-    return tint + dusted * (palette[0, channel] * sand - tint)
+    return (sand, _ONE, shade), (_ZERO, dusted, grown, crust), rough
 
 
 @compiled()
@@ -388,7 +342,7 @@ def look(
 
     ground, things: points, normals, and attributes or colours.  columns: of the ground's grid.
     sight: eye, axes and lens.  seen: see `paint`.  finishes: (N, 3) fouling, silt and bump of each
-    object.  palette, turf, water, sun: see `biomes.Look`.  texture: see `fields.Tiles`.
+    object.  palette, turf, water, sun: see `biomes.Look`.  texture: see `tiles`.
     sun_sight, sun_inverse: a camera in the sun and its (S, S) picture of the objects.
     Written: colour (h, w, 3).
     """
@@ -438,19 +392,20 @@ def look(
             chance = _F(dither >> np.uint32(8)) * _F(2.0**-24) * (sx + sy + sz)
             across = (ey if chance < sx else ex) + offset[0]
             along = (ez if chance < sx + sy else ey) + offset[1]
-            word = _word(texture, across, along, _F(1 / TEXTURE_M))
-            small = _word(texture, across, along, _F(1 / FINE_M))
+            noise = _noise(texture, across, along, _F(1 / TEXTURE_M), _ONE)
+            # It is finer than a pixel from a few metres on, and varies the less.
+            detail = _noise(texture, across, along, _F(1 / FINE_M), _F(0.55))
             # Detail that is finer than a pixel would only sparkle: fade it out with distance.
             close = min(max(_F(1.25) - depth * _F(1 / 9), _ZERO), _ONE)
             if on_ground:
-                red, green, blue, rough = _ground(word, small, close, surface, palette, turf)
+                shades, shares, rough = _ground(noise, detail, close, surface, turf)
             else:
                 finish = finishes[owners[number]]
-                red, green, blue, rough = _thing(word, small, close, surface, nz, finish, palette)
+                shades, shares, rough = _thing(noise, detail, close, nz, finish)
             # Light: the sun by the cosine of a rough surface unless an object is in between, and
             # the sky from above.
             shine = nx * sun[0] + ny * sun[1] + nz * sun[2]
-            slope = _fine(small, 1) * rough * (_F(0.25) + _F(0.75) * close)
+            slope = detail[1] * rough * (_F(0.25) + _F(0.75) * close)
             shine = max(shine + _HALF * slope, _ZERO)
             dx, dy, dz = ex - sun_eye[0], ey - sun_eye[1], ez - sun_eye[2]
             far = sun_axes[0, 2] * dx + sun_axes[1, 2] * dy + sun_axes[2, 2] * dz
@@ -464,9 +419,15 @@ def look(
                     shine = _ZERO
             sky = (_F(0.55) + _F(0.45) * nz) * (_ONE + _HALF * slope)
             range_m = depth * np.sqrt(_ONE + x0 * x0 + y0 * y0)
-            tints = (red, green, blue)
+            (sand_shade, gravel_shade, shade), (gravel, share, grown, crust) = shades, shares
             for k in range(3):
-                tint = min(max(tints[k], _F(0.01)), _F(0.95))
+                loose = palette[0, k] * sand_shade
+                loose += gravel * (palette[1, k] * gravel_shade - loose)
+                solid = palette[2, k] if on_ground else surface[k]
+                solid += grown * (palette[3, k] - solid)
+                solid = (solid + crust * (palette[4, k] - solid)) * shade
+                under, over = (loose, solid) if on_ground else (solid, loose)
+                tint = min(max(under + share * (over - under), _F(0.01)), _F(0.95))
                 haze = water[1, k]
                 lit = tint * (shine * water[2, k] + sky * water[3, k])
                 colour[i, j, k] = haze + (lit - haze) * exponential(-water[0, k] * range_m)

@@ -6,15 +6,15 @@ import functools
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from .terrain import Arrays, Floats, waves
+from .biomes import Colour
+from .terrain import Floats, Points, Waves
 
 Indices = npt.NDArray[np.int32]
-Colour = tuple[float, ...]  # red, green, blue
 GREY: Colour = (0.5, 0.5, 0.5)
 
 
@@ -31,40 +31,44 @@ class Mesh:
     triangles: Indices
 
     def moved(
-        self,
-        rotation: Arrays | None = None,
-        offset: Sequence[float] | Arrays = (0.0, 0.0, 0.0),
-        scale: float | Sequence[float] = 1.0,
+        self, offset: npt.ArrayLike = (0.0, 0.0, 0.0), scale: float | Sequence[float] = 1.0
     ) -> Mesh:
-        """Scaled, then rotated by a (3, 3) matrix, then shifted by `offset` metres."""
+        """Scaled, then shifted by `offset` metres."""
         points = self.vertices * np.asarray(scale, dtype=np.float32)
-        if rotation is not None:
-            turn = np.asarray(rotation, dtype=np.float32)
-            x, y, z = points.T
-            rows = [turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z for k in range(3)]
-            points = np.stack(rows, axis=-1)
-        return Mesh(points + np.asarray(offset, dtype=np.float32), self.colours, self.triangles)
+        return replace(self, vertices=points + np.asarray(offset, dtype=np.float32))
 
-    def tinted(self, colour: Colour) -> Mesh:
+    def turned(self, axes: str, *angles_rad: float) -> Mesh:
+        """Turned about the origin; see `rotation`."""
+        return self.rotated(rotation(axes, *angles_rad))
+
+    def rotated(self, matrix: npt.NDArray[np.floating]) -> Mesh:
+        """Turned by a (3, 3) matrix."""
+        turn = np.asarray(matrix, dtype=np.float32)
+        x, y, z = self.vertices.T
+        rows = [turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z for k in range(3)]
+        return replace(self, vertices=np.stack(rows, axis=-1))
+
+    def tinted(self, colour: npt.ArrayLike) -> Mesh:
         """The mesh in one colour."""
-        return Mesh(self.vertices, np.full_like(self.colours, colour), self.triangles)
+        return replace(self, colours=np.full_like(self.colours, colour))
 
     def standing(self) -> Mesh:
         """The same mesh with its lowest point at z = 0."""
-        return self.moved(offset=(0, 0, -float(self.vertices[:, 2].min())))
+        return self.moved((0, 0, -float(self.vertices[:, 2].min())))
 
 
-def rotation(axis: str, angle_rad: float) -> npt.NDArray[np.float64]:
-    """(3, 3) right-handed turn about "x", "y" or "z"."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    matrix = np.eye(3)
-    matrix[first, first] = matrix[second, second] = c
-    matrix[first, second], matrix[second, first] = -s, s
-    return matrix
+def rotation(axes: str, *angles_rad: float) -> Points:
+    """(3, 3) product of right-handed turns about axes such as "x" or "zyz", the last one first."""
+    matrices = np.tile(np.eye(3), (len(axes), 1, 1))
+    for matrix, axis, angle_rad in zip(matrices, axes, angles_rad, strict=True):
+        c, s = np.cos(angle_rad), np.sin(angle_rad)
+        first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+        matrix[first, first] = matrix[second, second] = c
+        matrix[first, second], matrix[second, first] = -s, s
+    return functools.reduce(np.matmul, matrices)
 
 
-def circle(points: int) -> npt.NDArray[np.float64]:
+def circle(points: int) -> Points:
     """(points, 3) unit circle about z."""
     angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
@@ -90,11 +94,11 @@ def join(parts: Iterable[Mesh]) -> Mesh:
 
 def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
     """(V, 3) unit normals, the area-weighted mean of the triangles around each vertex."""
-    from .kernels import point_normals
-
-    normals = np.empty(vertices.shape, dtype=np.float32)
-    point_normals(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles), normals)
-    return normals
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    areas = np.repeat(np.cross(b - a, c - a), 3, axis=0).T
+    total = np.array([np.bincount(triangles.ravel(), one, len(vertices)) for one in areas])
+    lengths = np.maximum(np.sqrt((total**2).sum(axis=0)), 1e-20)
+    return np.ascontiguousarray((total * (1 / lengths)).T, np.float32)
 
 
 @functools.cache
@@ -104,12 +108,11 @@ def grid_triangles(rows: int, columns: int, closed: bool = False) -> Indices:
     Cell (i, j) is triangle 2 * (i * cells + j) and the next: (a, b, c) and (a, c, d) of its corners
     a = (i, j), b = (i + 1, j), c = (i + 1, j + 1), d = (i, j + 1).
     """
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns - (not closed)), indexing="ij")
-    after = (j + 1) % columns
-    a, b = i * columns + j, (i + 1) * columns + j
-    c, d = (i + 1) * columns + after, i * columns + after
-    cells = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2)
-    triangles: Indices = cells.reshape(-1, 3).astype(np.int32)
+    number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    if closed:
+        number = np.append(number, number[:, :1], axis=1)
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    triangles: Indices = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
     triangles.setflags(write=False)
     return triangles
 
@@ -160,11 +163,11 @@ def tube(
     angle = np.arange(segments) * (2 * np.pi / segments)
     around = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * up[:, None]
     vertices = (points[:, None] + radii[:, None, None] * around).reshape(-1, 3)
-    triangles = _tube_triangles(len(points), segments, closed)
-    return mesh(vertices, triangles, np.repeat(colours, segments, axis=0))
+    triangles = grid_triangles(len(points) + closed, segments, closed=True) % len(vertices)
+    return mesh(vertices, triangles[:, ::-1], np.repeat(colours, segments, axis=0))
 
 
-def _sides(tangents: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _sides(tangents: Points) -> Points:
     """(N, 3) unit vectors across unit tangents that do not spin along the path."""
     sides = np.empty_like(tangents)
     x, y, z = np.eye(3)[np.argmin(np.abs(tangents[0]))].tolist()
@@ -177,28 +180,29 @@ def _sides(tangents: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return sides
 
 
-@functools.cache
-def _tube_triangles(rings: int, segments: int, closed: bool) -> Indices:
-    triangles = grid_triangles(rings + closed, segments, closed=True) % (rings * segments)
-    outward: Indices = np.ascontiguousarray(triangles[:, ::-1], dtype=np.int32)
-    outward.setflags(write=False)
-    return outward
+def bars(
+    ends: Iterable[tuple[npt.ArrayLike, npt.ArrayLike]], radius: float, segments: int = 8
+) -> Mesh:
+    """Straight round bars between pairs of points."""
+    return join(tube(np.array(pair), radius, segments) for pair in ends)
 
 
-def bar(start: npt.ArrayLike, end: npt.ArrayLike, radius: float, segments: int = 8) -> Mesh:
-    """A straight round bar between two points."""
-    return tube(np.stack([np.asarray(start), np.asarray(end)]), radius, segments)
+def sheet(points: Points, colour: npt.ArrayLike = GREY, turned: bool = False) -> Mesh:
+    """A (R, C, 3) grid of points as a sheet.  turned: it looks the other way."""
+    triangles = grid_triangles(*points.shape[:2])
+    return mesh(points.reshape(-1, 3), triangles[:, ::-1] if turned else triangles, colour)
 
 
-def box(size: Sequence[float], centre: Sequence[float] = (0, 0, 0), colour: Colour = GREY) -> Mesh:
+def box(
+    size: Sequence[float], centre: Sequence[float] = (0, 0, 0), colour: npt.ArrayLike = GREY
+) -> Mesh:
     """A box with sharp edges."""
     outline = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size[:2]
-    return prism(outline, size[2], colour).moved(
-        offset=(centre[0], centre[1], centre[2] - size[2] / 2)
-    )
+    x, y, z = centre
+    return prism(outline, size[2], colour).moved((x, y, z - size[2] / 2))
 
 
-def prism(outline: npt.ArrayLike, height: float, colour: Colour = GREY) -> Mesh:
+def prism(outline: npt.ArrayLike, height: float, colour: npt.ArrayLike = GREY) -> Mesh:
     """A counter-clockwise (P, 2) outline raised from z = 0 to `height`, edges sharp.
 
     The middle of the outline must see all its corners.
@@ -225,9 +229,9 @@ def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     sides = np.abs(apart - apart[apart > 0].min()) < 1e-9
     triples = itertools.combinations(range(len(points)), 3)
-    faces = np.array([t for t in triples if all(sides[t[k], t[k - 1]] for k in range(3))], np.int32)
-    outward = np.einsum("ij,ij->i", _normals(points[faces]), points[faces[:, 0]])
-    faces = np.where(outward[:, None] > 0, faces, faces[:, ::-1]).astype(np.int32)
+    found = [list(t) for t in triples if all(sides[t[k], t[k - 1]] for k in range(3))]
+    outward = (t if np.linalg.det(points[t]) > 0 else t[::-1] for t in found)
+    faces = np.array(list(outward), np.int32)
     for _ in range(subdivisions):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         unique, which = np.unique(edges, axis=0, return_inverse=True)
@@ -241,11 +245,7 @@ def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
     return points / np.linalg.norm(points, axis=1, keepdims=True), faces
 
 
-def _normals(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def sphere(subdivisions: int, colour: Colour = GREY) -> Mesh:
+def sphere(subdivisions: int, colour: npt.ArrayLike = GREY) -> Mesh:
     """A unit icosphere; 20 * 4 ** subdivisions triangles."""
     points, faces = _unit_sphere(subdivisions)
     return mesh(points, faces, colour)
@@ -255,21 +255,7 @@ def rough(
     smooth: Mesh, rng: np.random.Generator, depth_m: float, longest_m: float, shortest_m: float
 ) -> Mesh:
     """The mesh with fractal bumps of standard deviation `depth_m` along its normals."""
-    field = waves(rng, longest_m, shortest_m, 0.8, dimensions=3, per_octave=6)
+    field = Waves(rng, longest_m, shortest_m, 0.8, dimensions=3, per_octave=6)
     bumps = field(*smooth.vertices.T) * np.float32(depth_m)
     normals = vertex_normals(smooth.vertices, smooth.triangles)
     return Mesh(smooth.vertices + normals * bumps[:, None], smooth.colours, smooth.triangles)
-
-
-def rock(rng: np.random.Generator, subdivisions: int) -> Mesh:
-    """A boulder of radius about 1: a ball cut by random planes, then roughened."""
-    ball = sphere(subdivisions)
-    radius = np.full(len(ball.vertices), 1.15, dtype=np.float32)
-    for _ in range(int(rng.integers(5, 12))):
-        normal = rng.standard_normal(3)
-        normal /= np.linalg.norm(normal)
-        facing = np.einsum("vi,i->v", ball.vertices, normal.astype(np.float32))
-        cut = rng.uniform(0.6, 1.0) / np.maximum(facing, 1e-3)
-        radius = np.minimum(radius, np.where(facing > 0, cut, radius)).astype(np.float32)
-    shape = Mesh(ball.vertices * radius[:, None], ball.colours, ball.triangles)
-    return rough(shape, rng, rng.uniform(0.03, 0.07), 1.6, 0.5 if subdivisions < 4 else 0.12)

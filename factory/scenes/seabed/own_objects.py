@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass as plain_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,36 +43,20 @@ class OwnObject(OwnClass):
             if low > high:
                 raise ValueError(f"{name}: give the least first, then the most")
 
+    def read(self, key: str) -> tuple[Mesh, tuple[str, ...], tuple[str, ...]]:
+        """Its mesh, centred above the origin, the files it was read from, and notes for the user.
 
-@plain_dataclass(frozen=True, eq=False)
-class Owned:
-    """An entry with its mesh, centred above the origin.
+        Raises FactoryError that names file and key.
+        """
+        from ..mesh_parts import files_of, read_parts, turned_note
+        from .meshes import join
 
-    files: what the mesh was read from.  notes: for the user.
-    """
-
-    settings: OwnObject
-    mesh: Mesh
-    files: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-def owned(settings: Sequence[OwnObject]) -> tuple[Owned, ...]:
-    """Read the meshes.  Raises FactoryError that names file and key."""
-    return tuple(_read(one, f"scenes.own_objects.{k}.file") for k, one in enumerate(settings))
-
-
-def _read(settings: OwnObject, key: str) -> Owned:
-    from ..mesh_parts import files_of, read_parts, turned_note
-    from .meshes import join
-
-    if settings.label == "Background":
-        raise FactoryError(f"{key.removesuffix('file')}class: Background is the ground; name it")
-    path = Path(settings.file).expanduser()
-    parts = read_parts(path, key, settings.scale, _LARGEST_M)
-    whole = join(part.mesh for part in parts)
-    low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
-    whole = whole.moved(offset=-(low + high) / 2)
-    if settings.colour is not None:
-        whole = whole.tinted(settings.colour)
-    return Owned(settings, whole, files_of(path, key), turned_note(path, parts))
+        if self.label == "Background":
+            raise FactoryError(f"{key}.class: Background is the ground; name it")
+        path = Path(self.file).expanduser()
+        parts = read_parts(path, f"{key}.file", self.scale, _LARGEST_M)
+        whole = join(part.mesh for part in parts)
+        whole = whole.moved(-(whole.vertices.min(axis=0) + whole.vertices.max(axis=0)) / 2)
+        if self.colour is not None:
+            whole = whole.tinted(self.colour)
+        return whole, files_of(path, f"{key}.file"), turned_note(path, parts)

@@ -7,10 +7,10 @@ import functools
 import numpy as np
 import numpy.typing as npt
 
-from ...frame import Frame, FrameRef
+from ...frame import Frame, FrameRef, Intrinsics
 from ...seeds import stream
-from .camera import Movement, Optics, Points, Pose, ZBuffer, boxes_of, camera, pose, z_buffer
-from .terrain import FAR_M, TILE, WORLD_SEED, Floats, GroundMesh, tiles, view_mesh
+from .camera import Movement, Optics, Pose, ZBuffer, camera, centred, pose
+from .terrain import FAR_M, TILE, WORLD_SEED, Floats, Points, tiles, view_mesh
 from .world import World
 
 _SUN_M = 400.0  # how far away the camera in the sun is
@@ -40,28 +40,25 @@ def take(
     fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
     shape = (int(370 * fine), int(280 * fine * optics.across))
     ground = view_mesh(world.terrain, where.eye, azimuths, elevations, shape)
-    seen = z_buffer(where, optics, ground.points, world.objects)
+    seen = ZBuffer(where, optics, world.objects, ground[0])
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
-    rgb = photograph(world, where, optics, ground, seen, rng.uniform(0.68, 0.92))
+    rgb = photograph(world, ground, seen, rng.uniform(0.68, 0.92))
     depth_m, clear_m = seen.depth_m, world.look.clear_m
     range_m = depth_m * _lengths(optics)
     keep = measured(rng, depth_m, range_m, clear_m)
-    things = np.append(np.uint16(0), world.objects.owner + np.uint16(1))
-    first_object = 2 * (shape[0] - 1) * (shape[1] - 1)
-    number = things.take(np.maximum(seen.which - (first_object - 1), 0)) * (range_m < clear_m)
-    segmentation, instance = world.objects.shown(number)
+    segmentation, instance = world.objects.shown(seen.number * (range_m < clear_m))
     x, y, z = where.eye
     return Frame(
         ref=ref,
         rgb=rgb,
         depth_m=np.where(keep, depth_m, np.float32(0)),
-        intrinsics=optics.intrinsics,
+        intrinsics=Intrinsics(*optics.lens),
         world_from_camera=where.matrix,
         segmentation=segmentation,
         instance=instance,
         time_s=None if movement is None else movement.time_s,
-        altitude_m=float(z - world.terrain.height_m(np.array([x]), np.array([y]))[0]),
-        boxes=boxes_of(where, optics, world.objects, seen, instance) if boxes else None,
+        altitude_m=float(z - world.terrain.height_m([x], [y])[0]),
+        boxes=seen.boxes(instance) if boxes else None,
     )
 
 
@@ -90,7 +87,7 @@ def field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tup
 
 
 def photograph(
-    world: World, where: Pose, optics: Optics, ground: GroundMesh, seen: ZBuffer, exposure: float
+    world: World, ground: tuple[Floats, Floats, Floats], seen: ZBuffer, exposure: float
 ) -> npt.NDArray[np.uint8]:
     """The (H, W, 3) picture of what a z-buffer met.
 
@@ -103,15 +100,13 @@ def photograph(
     rgb = np.empty((height, width, 3), np.uint8)
     look, objects = world.look, world.objects
     kernels.look(
-        (ground.points.reshape(-1, 3), ground.normals.reshape(-1, 3),
-         ground.attributes.reshape(-1, 3)),
-        ground.points.shape[1],
+        tuple(part.reshape(-1, 3) for part in ground), ground[0].shape[1],
         (objects.mesh.vertices, objects.normals, objects.mesh.colours),
         objects.mesh.triangles, objects.owner, world.finishes,
-        _single(where.eye, where.rotation, optics.lens), (seen.inverse, seen.which),
-        look.palette, np.float32(look.turf), np.array(world.terrain.offset_m, np.float32),
-        tiles().texture, look.water, np.array(look.sun_direction, np.float32),
-        *shadows(world, where), colour,
+        _single(seen), (seen.inverse, seen.which),
+        look.palette, np.float32(look.turf), world.terrain.offset_m,
+        tiles()[0], look.water, look.sun_direction.astype(np.float32),
+        *shadows(world, seen.where), colour,
     )  # fmt: skip
     # The camera sets its black level on the haze, as far as that has one colour, and lets the
     # bright parts of the picture fill most of the scale, whatever the water.
@@ -130,12 +125,13 @@ def shadows(world: World, where: Pose) -> tuple[tuple[Floats, ...], Floats]:
     middle = np.append(where.eye[:2] + 0.4 * _SHADE_M * ahead, where.eye[2] - 1)
     heading, pitch = np.rad2deg([np.arctan2(-y, -x), np.arcsin(z)])
     sun = pose(middle + _SUN_M * np.array([x, y, z]), heading, pitch, 0)
-    optics = Optics(_SUN_M * _SHADE_CELLS / _SHADE_M, _SHADE_CELLS, _SHADE_CELLS)
-    picture = z_buffer(sun, optics, None, world.objects).inverse
-    return _single(sun.eye, sun.rotation, optics.lens), picture
+    optics = centred(_SUN_M * _SHADE_CELLS / _SHADE_M, _SHADE_CELLS, _SHADE_CELLS)
+    seen = ZBuffer(sun, optics, world.objects)
+    return _single(seen), seen.inverse
 
 
-def _single(*sight: Points) -> tuple[Floats, ...]:
+def _single(seen: ZBuffer) -> tuple[Floats, ...]:
+    sight = seen.where.eye, seen.where.rotation, np.array(seen.optics.lens)
     return tuple(part.astype(np.float32) for part in sight)
 
 
@@ -156,7 +152,7 @@ def measured(
         (rng.integers(TILE) + np.arange(size) / scale).astype(np.int64) % (TILE // 2)
         for size in near_m.shape
     )
-    words = tiles().texture[rows[:, None], columns]
+    words = tiles()[0][rows[:, None], columns]
     step = np.float32(1 / STEPS)
     broad, grain = ((words << bits >> 24) * step for bits in (24, 16))  # its first two channels
     # Cracks along depth edges, on the far side, of a width that varies.
@@ -192,7 +188,7 @@ def least_around(values: Floats, reach: int) -> Floats:
 _EVERY = 32  # pixels of FLSea's camera from one ray to the next
 _SIDE_DEG, _DOWN_DEG = 50, 20
 # Two such cameras, to the left and to the right, see all that any candidate sees.
-_LOOKOUT = Optics(70, 203, 122, 2.2, cy=54)
+_LOOKOUT = Optics((70.0, 70.0, 101.0, 54.0), 203, 122)
 _OWN = 1.2  # what an object of the user's in sight is worth
 _MOST_LOST = 0.42  # share of the pixels without a depth
 
@@ -204,88 +200,63 @@ def choose_pose(world: World, frame: int) -> Pose:
     A good view has ground to throw shadows on, objects at middle range, something missing but not
     much, and nothing right before the lens.
     """
-    eye = world.path.eye(frame, world.terrain)
+    eye = world.path.eye(frame)
     heading, pitch, roll = world.path.attitude_deg(frame)
     # Between walls the way ahead is the view; in the open the camera turns to what lies there.
     turning = 0.012 if world.terrain.banks is not None else 0.004
-    candidates, effort = [], []
-    for yaw in (0, 14, -14, 28, -28, 45, -45, 70, -70):
-        for lower in (0, -5, 8, 16):
-            if 8 <= pitch + lower <= 35:  # always includes one
-                candidates.append(pose(eye, heading + yaw, pitch + lower, roll))
-                effort.append(turning * abs(yaw) + 0.01 * abs(lower))
-    ground = _ground_around(world, eye, np.deg2rad(heading))
-    wanted = world.objects.instances > 0
-    lookouts = [pose(eye, heading + side, _DOWN_DEG, 0) for side in (_SIDE_DEG, -_SIDE_DEG)]
-    seen = [
-        z_buffer(where, _LOOKOUT, ground, world.objects, wanted, world.look.clear_m)
-        for where in lookouts
+    views = [
+        (pose(eye, heading + yaw, pitch + lower, roll), turning * abs(yaw) + 0.01 * abs(lower))
+        for yaw in (0, 14, -14, 28, -28, 45, -45, 70, -70)
+        for lower in (0, -5, 8, 16)
+        if 8 <= pitch + lower <= 35  # always includes one
     ]
-    first_object = 2 * (ground.shape[0] - 1) * (ground.shape[1] - 1)
-    numbers = np.append(world.objects.instances[world.objects.owner], np.uint16(0))
-    things = [numbers[np.where(s.which >= first_object, s.which - first_object, -1)] for s in seen]
+    lookouts = [pose(eye, heading + side, _DOWN_DEG, 0) for side in (_SIDE_DEG, -_SIDE_DEG)]
+    ground, objects, clear_m = (
+        _ground_around(world, eye, np.deg2rad(heading)),
+        world.objects,
+        world.look.clear_m,
+    )
+    pictures = []
+    for where in lookouts:
+        seen = ZBuffer(where, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
+        pictures.append((seen.inverse, objects.shown(seen.number)[1]))
     rays = camera(968, 608).directions(np.eye(3), _EVERY).reshape(-1, 3)
     length = np.sqrt((rays**2).sum(axis=1))
-    costs = []
-    for candidate, extra in zip(candidates, effort, strict=True):
-        toward = np.einsum("ij,rj->ir", candidate.rotation, rays)
-        *facts, shown = _facts(toward, length, lookouts, seen, things, world.look.clear_m)
-        lost, near, middle, share = facts
-        own = np.count_nonzero(shown >= world.first_own)
-        costs.append(_cost(lost, near, middle, share, len(shown)) + extra - _OWN * min(own, 2))
-    return candidates[int(np.argmin(costs))]
-
-
-def _facts(
-    toward: np.ndarray,
-    length: np.ndarray,
-    lookouts: list[Pose],
-    seen: list[ZBuffer],
-    things: list[np.ndarray],
-    clear_m: float,
-) -> tuple[float, float, float, float, np.ndarray]:
-    """What rays of a candidate would see, looked up in the pictures of the lookouts.
-
-    toward: (3, R) directions whose length along the candidate's axis is 1.  length: (R,).
-    Returns the share of rays beyond `clear_m`, the share nearer than 0.9 m, the median depth, the
-    share on objects within 0.8 `clear_m`, and the numbers of those.
-    """
     fx, fy, cx, cy = _LOOKOUT.lens
-    axes = [np.einsum("ij,ir->jr", where.rotation, toward) for where in lookouts]
-    # The lookout on whose side a ray is: the one that looks more its way.
-    left = axes[0][2] >= axes[1][2]
-    x, y, ahead = (np.where(left, one, other) for one, other in zip(*axes, strict=True))
-    column = np.clip((x / ahead * fx + cx + 0.5).astype(np.int64), 0, _LOOKOUT.width - 1)
-    row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
-    inverse = np.where(left, seen[0].inverse[row, column], seen[1].inverse[row, column]) * ahead
-    thing = np.where(left, things[0][row, column], things[1][row, column])
-    met = inverse > 0
-    if not met.any():
-        return 1.0, 0.0, 99.0, 0.0, np.empty(0, np.uint16)
-    depth = 1 / np.where(met, inverse, 1e-9)
-    range_m = depth * length
-    named = (thing > 0) & (range_m < 0.8 * clear_m)
-    return (
-        float((range_m > clear_m).mean()),
-        float((depth < 0.9).mean()),
-        float(np.median(depth[met])),
-        float(named.mean()),
-        np.unique(thing[named]),
-    )
+
+    def cost(candidate: Pose) -> float:
+        toward = np.einsum("ij,rj->ir", candidate.rotation, rays)
+        axes = [np.einsum("ij,ir->jr", where.rotation, toward) for where in lookouts]
+        # The lookout on whose side a ray is: the one that looks more its way.
+        left = axes[0][2] >= axes[1][2]
+        x, y, ahead = np.where(left, *axes)
+        column = np.clip((x / ahead * fx + cx + 0.5).astype(np.int64), 0, _LOOKOUT.width - 1)
+        row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
+        inverse, thing = (
+            np.where(left, one[row, column], other[row, column])
+            for one, other in zip(*pictures, strict=True)
+        )
+        met = inverse * ahead > 0
+        depth = 1 / np.where(met, inverse * ahead, 1e-9)
+        range_m = depth * length
+        named = (thing > 0) & (range_m < 0.8 * clear_m)
+        shown = np.unique(thing[named])
+        lost, near, share = ((range_m > clear_m).mean(), (depth < 0.9).mean(), named.mean())
+        middle = float(np.median(depth[met])) if met.any() else 99.0
+        bad = 8 * max(lost - 0.34, 0) + 60 * max(lost - _MOST_LOST + 0.06, 0)
+        bad += 30 * max(0.03 - lost, 0)
+        bad += 12 * max(near - 0.02, 0) + max(1.4 - middle, 0) + 0.4 * max(middle - 4, 0)
+        bad += 4 * max(share - 0.42, 0) - min(share, 0.25) * 4 - 0.05 * min(len(shown), 14)
+        own = np.count_nonzero(shown >= world.first_own)
+        return float(bad) - _OWN * min(own, 2)
+
+    return min(views, key=lambda view: cost(view[0]) + view[1])[0]
 
 
-def _ground_around(world: World, eye: np.ndarray, heading_rad: float) -> np.ndarray:
+def _ground_around(world: World, eye: Points, heading_rad: float) -> Floats:
     """(R, C, 3) coarse ground ahead of and beside an eye, without the fine relief."""
     ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
     azimuths = heading_rad + np.deg2rad(np.linspace(-112, 112, 144))[None]
     x, y = eye[0] + ranges * np.cos(azimuths), eye[1] + ranges * np.sin(azimuths)
     points = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1)
     return np.ascontiguousarray(points, dtype=np.float32)
-
-
-def _cost(lost: float, near: float, middle: float, share: float, variety: int) -> float:
-    """How bad a view is; arguments as `_facts` returns them."""
-    cost = 8 * max(lost - 0.34, 0) + 60 * max(lost - _MOST_LOST + 0.06, 0)
-    cost += 30 * max(0.03 - lost, 0)
-    cost += 12 * max(near - 0.02, 0) + max(1.4 - middle, 0) + 0.4 * max(middle - 4, 0)
-    return cost + 4 * max(share - 0.42, 0) - min(share, 0.25) * 4 - 0.05 * min(variety, 14)

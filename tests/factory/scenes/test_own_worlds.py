@@ -26,14 +26,7 @@ from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scenes.mesh_parts import read_parts
-from simnfnd.factory.scenes.seabed.camera import (
-    Optics,
-    boxes_of,
-    objects_of,
-    oriented,
-    pose,
-    z_buffer,
-)
+from simnfnd.factory.scenes.seabed.camera import Objects, ZBuffer, centred, oriented, pose
 from simnfnd.factory.scenes.seabed.meshes import box, join, sphere
 
 open3d: Any = importlib.import_module("open3d")  # its stubs fit no call
@@ -192,11 +185,11 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
     assert np.abs(local).max(axis=0) == pytest.approx([length / 2, width / 2, height / 2], abs=1e-3)
     assert (length, width, height) == pytest.approx((0.6, 0.4, 0.5), abs=1e-3)
     # The nearer one hides the left half of the other's width, seen from the ground's height.
-    optics, where = Optics(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
-    objects = objects_of(solids, np.array([21, 22], np.uint8))
-    seen = z_buffer(where, optics, None, objects)
+    optics, where = centred(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
+    objects = Objects(solids, np.array([21, 22], np.uint8))
+    seen = ZBuffer(where, optics, objects)
     numbers = np.where(seen.which < 0, 0, 1 + (seen.which >= len(solids[0].triangles)))
-    made = boxes_of(where, optics, objects, seen, numbers.astype(np.uint16))
+    made = seen.boxes(numbers.astype(np.uint16))
     assert made[:, :2].tolist() == [[1, 21], [2, 22]]
     for number, _, *_, alone, hidden in made:
         visible = np.count_nonzero(numbers == number)

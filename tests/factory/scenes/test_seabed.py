@@ -21,7 +21,7 @@ from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings
 from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.camera import Movement, movements, pose
 from simnfnd.factory.scenes.seabed.meshes import grid_triangles
-from simnfnd.factory.scenes.seabed.world import build_world
+from simnfnd.factory.scenes.seabed.world import World
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
 
@@ -146,12 +146,12 @@ def test_only_wanted_kinds_lie_there() -> None:
 
 
 def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
-    whole = build_world(0, PLACE_NAMES, 1.0, None)
-    fewer = build_world(0, PLACE_NAMES, 1.0, ("Tire",))
+    whole = World(0, PLACE_NAMES, 1.0, None)
+    fewer = World(0, PLACE_NAMES, 1.0, ("Tire",))
     assert len(fewer.objects.labels) < len(whole.objects.labels)
     x = np.linspace(-9, 9, 50, dtype=np.float32)
     np.testing.assert_array_equal(whole.terrain.height_m(x, x), fewer.terrain.height_m(x, x))
-    np.testing.assert_array_equal(whole.path.loop.points, fewer.path.loop.points)
+    np.testing.assert_array_equal(whole.path.points, fewer.path.points)
     np.testing.assert_array_equal(whole.look.water, fewer.look.water)
 
 
@@ -175,7 +175,7 @@ def test_bad_settings_are_refused_with_their_key(values: dict[str, object], key:
 def test_the_path_keeps_clear_of_everything() -> None:
     """By Open3D's own distances: somebody else's arithmetic."""
     open3d: Any = pytest.importorskip("open3d")
-    world = build_world(3, PLACE_NAMES, 1.0, None)
+    world = World(3, PLACE_NAMES, 1.0, None)
     side = np.arange(-36, 36, 0.3)
     x, y = np.meshgrid(side, side, indexing="ij")
     ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).reshape(-1, 3)
@@ -186,7 +186,7 @@ def test_the_path_keeps_clear_of_everything() -> None:
         scenes.append(open3d.t.geometry.RaycastingScene(nthreads=1))
         scenes[-1].add_triangles(vertices.astype(np.float32), triangles.astype(np.uint32))
     for number in (*range(0, 60, 6), 5000):
-        eye = world.path.eye(number, world.terrain)
+        eye = world.path.eye(number)
         query = open3d.core.Tensor(eye[None].astype(np.float32))
         for scene in scenes:
             assert scene.compute_distance(query).numpy()[0] > 0.4
