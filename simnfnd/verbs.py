@@ -71,11 +71,10 @@ VERBS: dict[str, Verb] = {
         ("simnfnd plan experiment=simnfnd scenes.root=flsea-vi", "simnfnd plan -m seed=1,2,3"),
     ),
     "cache": Verb(
-        MAKE, "the renders that are kept on disk: stats, verify, pack, clear",
+        MAKE, "the renders that are kept on disk: stats, pack, clear",
         f"{_COMMANDS}.cache:main",
         (
             "simnfnd cache stats",
-            "simnfnd cache verify",
             "simnfnd cache pack experiment=demo --out views.pack",
             "simnfnd make scenes=pack scenes.root=views.pack",
             "simnfnd cache clear cache.dir=outputs/cache",
