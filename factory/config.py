@@ -204,6 +204,10 @@ _LATER: dict[str, Any] = {
     "acoustics.lambert_exponents": {},
 }
 # Keys that went, each with the value that all datasets have now.
+_GONE_SCENES = {
+    "flsea": {"undistort": False},
+    "csv_list": {"undistort": False, "distortion": []},
+}
 _GONE_RENDER = {"geometry": "auto", "stride": "auto", "samples": 1, "bounces": 0}
 # Keys of groups that leave the samples as they are.
 _NO_BYTES = {
@@ -221,6 +225,8 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     values = plain(config)
     scenes = values["scenes"]
     values["render"] |= _GONE_RENDER
+    scenes |= {"depth_kind": "z", "bad_depth": scenes.get("bad_depth", "reject")}
+    scenes |= _GONE_SCENES.get(config.scenes.kind, {})
     for group, keys in _NO_BYTES.items():
         for key in keys:
             values[group].pop(key)

@@ -145,7 +145,7 @@ def _config(words: tuple[str, ...]) -> FactoryConfig:
     from .factory.cli.compose import compose_config
 
     # The frame is at hand, so where recordings are does not matter.
-    return compose_config(words, {"kind": "csv_list", "root": ".", "intrinsics": [1, 1, 0, 0]})
+    return compose_config(words, {"kind": "csv_list", "file": ".", "intrinsics": [1, 1, 0, 0]})
 
 
 @lru_cache(maxsize=1)

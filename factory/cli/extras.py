@@ -87,8 +87,6 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
         yield Need("render=cycles", "bpy", "render=analytic or render=embree")
     if not packed and config.render.kind == "embree":
         yield Need("render=embree", "open3d", "render=analytic or render=cycles")
-    if not packed and getattr(config.scenes, "undistort", False):
-        yield Need("scenes.undistort=true", "cv2", "scenes.undistort=false")
     image = config.sonar.image
     if image.enlarged > 1:
         yield Need(f"sonar.image.enlarged={image.enlarged:g}", "cv2", "sonar.image.enlarged=1")
