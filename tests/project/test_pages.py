@@ -11,7 +11,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -20,7 +19,7 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.verbs import VERBS, Verb
+from simnfnd.verbs import VERBS
 from tests.factory.cli_frames import ground, write_frame
 from tests.project.page_steps import PAGES, SMALL_SEABED, Step, fences, run, steps
 from tests.project_files import ROOT
@@ -144,15 +143,9 @@ LONG = ("export-weights simnfnd", "evaluate paper", "make -m noise.background.de
 ELSEWHERE = {"simnfnd demo", *(one.text for page in PAGES for one in STEPS[page])}
 
 
-def examples(verbs: Mapping[str, Verb]) -> Iterator[str]:
-    for verb in verbs.values():
-        yield from verb.examples
-        yield from examples(verb.verbs)
-
-
 ALL = [
     one
-    for one in dict.fromkeys(examples(VERBS))
+    for one in dict.fromkeys(example for verb in VERBS.values() for example in verb.examples)
     if not any(part in one for part in LONG) and (one not in ELSEWHERE or "flsea" in one)
 ]
 
