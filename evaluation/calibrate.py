@@ -22,10 +22,9 @@ from ..factory.files import explain_os_errors
 from ..factory.frame import FrameRef
 from ..factory.pairs import PairMaker
 from ..factory.progress import progress_bar
-from ..factory.render.view import View
-from ..factory.render.views import open_views
 from ..factory.seeds import spawn_key
 from ..factory.sonar.geometry import FanGeometry
+from ..factory.views import KeptViews, open_views
 from .features import features_of
 from .metrics.statistics import evenly
 from .realism import described, distances, real_pictures, to_polar
@@ -212,7 +211,7 @@ class Simulation:
                 f"{self.config.cache.folder}; run `simnfnd make {' '.join(recipe)}` first"
             )
         spread = evenly(there, frames)
-        self._kept = _Kept({ref: views.view(ref) for ref in spread})
+        self._kept = KeptViews({ref: views.view(ref) for ref in spread})
         maker = PairMaker(self.config, self._kept)
         self.refs: list[FrameRef] = []
         for ref in spread:
@@ -248,16 +247,3 @@ class Simulation:
             polar = to_polar(in_unit_range(pair.noisy), geometry, self.grid)
             rows.append(features_of(polar, geometry.range_span_m))
         return pd.DataFrame(rows)
-
-
-class _Kept:
-    """Renders in memory; a `simnfnd.factory.render.views.Views`."""
-
-    def __init__(self, views: dict[FrameRef, View]) -> None:
-        self._views = views
-
-    def holds(self, ref: FrameRef) -> bool:
-        return ref in self._views
-
-    def view(self, ref: FrameRef) -> View:
-        return self._views[ref]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from ..factory.cli import accept_dataset_folder, run_app
+from ..factory.cli import run_app
 from ..factory.cli.extras import Need, require
 from ..factory.errors import FactoryError
 from ..factory.settings import build
@@ -65,7 +65,6 @@ def _hydra(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[
     flags = [word for word in words if word in ("-m", "--multirun")]
     # Hydra reads the command line itself.
     sys.argv[1:] = flags + [word for word in words if word not in flags]
-    accept_dataset_folder()
     return run_app(task, config_name)
 
 

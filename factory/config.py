@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from functools import reduce
 from operator import getitem
@@ -21,8 +20,7 @@ from .errors import FactoryError
 from .imaging.settings import AcousticsSettings, ResampleSettings, with_materials
 from .labels import class_names
 from .noise.registry import EFFECTS, NoiseSettings, blocks
-from .render.base import RenderSettings
-from .render.views import CacheSettings
+from .render.base import CacheSettings, RenderSettings
 from .scenes import Scenes
 from .scenes.base import INTEGERS_PER_M
 from .scenes.csv_list import CsvListSettings
@@ -93,90 +91,64 @@ class FactoryConfig:
     debug: bool = False
 
     @model_validator(mode="after")
-    def _shadows(self) -> Self:
-        if self.render.kind == "analytic" and not self.sonar.mount.colocated:
-            raise ValueError(
-                "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
-                "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
-            )
+    def _goes_together(self) -> Self:
+        for problem in _conflicts(self):
+            raise ValueError(problem)
         return self
 
-    @model_validator(mode="after")
-    def _formation(self) -> Self:
-        if self.devices is not None:
-            # Each picture draws its formation, and has the effects of that one.
-            return self
-        enabled = [name for name, block in blocks(self.noise).items() if block.enabled]
-        if self.acoustics.formation == "points":
-            on_field = [name for name in enabled if EFFECTS[name].stage != "points"]
-            if on_field:
-                raise ValueError(
-                    f"noise.{on_field[0]} acts on the complex field; set acoustics=field, or "
-                    "leave it out (noise=simnfnd)"
-                )
-            return self
-        if self.render.bounces:
-            raise ValueError(
-                "render.bounces adds the brightness of echoes of echoes without their delay; with "
-                "acoustics.formation=field set render.bounces=0 (noise.bottom_multipath and "
-                "noise.surface_multipath have the delay)"
+
+def _conflicts(config: FactoryConfig) -> Iterator[str]:
+    """What contradicts each other, a line each."""
+    render, sonar, scenes, dataset = config.render, config.sonar, config.scenes, config.dataset
+    on_field = config.acoustics.formation == "field"
+    if render.kind == "analytic" and not sonar.mount.colocated:
+        yield (
+            "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
+            "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
+        )
+    if config.devices is None:  # else each picture draws its formation and has the effects of it
+        enabled = [name for name, block in blocks(config.noise).items() if block.enabled]
+        of_field = [name for name in enabled if EFFECTS[name].stage != "points"]
+        moving = [name for name in enabled if EFFECTS[name].moves]
+        if of_field and not on_field:
+            yield (
+                f"noise.{of_field[0]} acts on the complex field; set acoustics=field, or "
+                "leave it out (noise=simnfnd)"
             )
-        if not self.resample.is_default:
-            raise ValueError(
+        if on_field and not config.resample.is_default:
+            yield (
                 "resample thins points, and acoustics.formation=field has none; leave "
                 "resample.kind and resample.rate at their defaults, or set acoustics=points"
             )
-        if moving := [name for name in enabled if EFFECTS[name].moves]:
-            raise ValueError(
+        if on_field and moving:
+            yield (
                 f"noise.{moving[0]} moves points, and acoustics.formation=field has none; "
                 f"set noise.{moving[0]}.enabled=false, or use noise=physical"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _labels(self) -> Self:
-        if "segmentation" in self.dataset.layers and self.scenes.kind not in _LABELLED:
-            raise ValueError(
-                f"dataset.layers: segmentation needs labelled frames and scenes={self.scenes.kind} "
-                "has none; leave it out or use scenes=seabed"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _frames_at_hand(self) -> Self:
-        asked = [name for name in self.dataset.layers if name in CAMERA_LAYERS]
-        if asked and self.scenes.kind == "pack":
-            raise ValueError(
-                f"dataset.layers: {asked[0]} is of the camera, and a pack holds renders alone; "
-                "leave it out, or use the scenes that the pack was made of"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _received(self) -> Self:
-        check_received(self)
-        return self
-
-
-_RECEIVED = ("intensity_db", "field")
-
-
-def check_received(config: FactoryConfig) -> None:
-    """Raise ValueError when layers or columns are asked for that the formation does not have."""
-    dataset = config.dataset
-    asked: list[str] = [name for name in _RECEIVED if name in dataset.layers]
-    if config.devices is not None and (asked or dataset.columns):
-        raise ValueError(
+    if "segmentation" in dataset.layers and scenes.kind not in _LABELLED:
+        yield (
+            f"dataset.layers: segmentation needs labelled frames and scenes={scenes.kind} "
+            "has none; leave it out or use scenes=seabed"
+        )
+    camera = [name for name in dataset.layers if name in CAMERA_LAYERS]
+    if camera and scenes.kind == "pack":
+        yield (
+            f"dataset.layers: {camera[0]} is of the camera, and a pack holds renders alone; "
+            "leave it out, or use the scenes that the pack was made of"
+        )
+    received: list[str] = [name for name in ("intensity_db", "field") if name in dataset.layers]
+    if config.devices is not None and (received or dataset.columns):
+        yield (
             "dataset.layers: intensity_db, field and dataset.columns need one device; leave them "
             "out or set devices=fixed"
         )
-    if config.acoustics.formation == "points" and (asked or "calibration" in dataset.columns):
-        raise ValueError(
-            f"dataset: {(asked or ['calibration'])[0]} is of the physical profile alone; set "
+    if not on_field and (received or "calibration" in dataset.columns):
+        yield (
+            f"dataset: {(received or ['calibration'])[0]} is of the physical profile alone; set "
             "acoustics=field (experiment=physical), or leave it out"
         )
-    if "field" in asked and config.sonar.samples_per_bin > 1:
-        raise ValueError(
+    if "field" in received and sonar.samples_per_bin > 1:
+        yield (
             "dataset.layers: field is of raw samples, and sonar.samples_per_bin averages them; "
             "set sonar.samples_per_bin=1"
         )
@@ -188,17 +160,14 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     Raises FactoryError with one line that names every bad key.
     """
     config: FactoryConfig = build(FactoryConfig, values)
-    scenes = config.scenes
-    if isinstance(scenes, SeabedSettings | MeshSettings) and scenes.hfov_deg is None:
-        sonar = config.sonar
-        if sonar.hfov_deg > HFOV_DEG:  # a camera that sees a sonar's sector
+    scenes, sonar = config.scenes, config.sonar
+    if isinstance(scenes, SeabedSettings | MeshSettings):
+        if scenes.hfov_deg is None and sonar.hfov_deg > HFOV_DEG:
+            # A camera that sees a sonar's sector.
             scenes = replace(scenes, hfov_deg=sonar.hfov_deg, vfov_deg=sonar.vfov_deg)
-            config = replace(config, scenes=scenes)
-    if isinstance(scenes, SeabedSettings | MeshSettings) and "boxes" in config.dataset.columns:
-        scenes = replace(scenes, boxes=True)
-        config = replace(config, scenes=scenes)
-    classes = class_names(scenes.own_classes())
-    return replace(config, acoustics=with_materials(config.acoustics, classes, scenes.own()))
+        scenes = replace(scenes, boxes=scenes.boxes or "boxes" in config.dataset.columns)
+    acoustics = with_materials(config.acoustics, class_names(scenes.own_classes()), scenes.own())
+    return replace(config, scenes=scenes, acoustics=acoustics)
 
 
 def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:
@@ -221,6 +190,8 @@ def plain(config: FactoryConfig) -> dict[str, Any]:
 # Keys that came later, each with the value that leaves a dataset as it was, and its name.
 _LATER: dict[str, Any] = {
     "frames.total": None,
+    "scenes.own_objects": [],
+    "scenes.boxes": False,
     "sonar.samples_per_bin": 1,
     "sonar.range.windows_m": [],
     "sonar.image.sampling": "bilinear",
@@ -232,6 +203,17 @@ _LATER: dict[str, Any] = {
     "acoustics.standing": 0.0,
     "acoustics.lambert_exponents": {},
 }
+# Keys that went, each with the value that all datasets have now.
+_GONE_SCENES = {
+    "flsea": {"undistort": False},
+    "csv_list": {"undistort": False, "distortion": []},
+}
+_GONE_RENDER = {"geometry": "auto", "stride": "auto", "samples": 1, "bounces": 0}
+# Keys of groups that leave the samples as they are.
+_NO_BYTES = {
+    "dataset": ("dir", "name", "preview_pairs", "licence"),
+    "acoustics": ("materials",),
+}
 
 
 def identity(config: FactoryConfig) -> dict[str, Any]:
@@ -241,76 +223,59 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     called, and how many workers do it.
     """
     values = plain(config)
-    for key in ("root", "file"):
-        values["scenes"].pop(key, None)
-    if values["scenes"].get("hfov_deg") is None:
-        # The view that all datasets had before there was another keeps their names.
-        values["scenes"].pop("hfov_deg", None)
-        values["scenes"].pop("vfov_deg", None)
-    path = values["scenes"].pop("path", None)
-    if path is not None:
-        # Where the platform goes counts, and not where the file lies.
-        values["scenes"]["path"] = file_digest(path)
-    _with_content(config.scenes, values)
+    scenes = values["scenes"]
+    values["render"] |= _GONE_RENDER
+    scenes |= {"depth_kind": "z", "bad_depth": scenes.get("bad_depth", "reject")}
+    scenes |= _GONE_SCENES.get(config.scenes.kind, {})
+    for group, keys in _NO_BYTES.items():
+        for key in keys:
+            values[group].pop(key)
     for name, usual in _LATER.items():
         *groups, key = name.split(".")
-        group = reduce(getitem, groups, values)
-        if group[key] == usual:
-            group.pop(key)
+        keyed = reduce(getitem, groups, values)
+        if key in keyed and keyed[key] == usual:
+            keyed.pop(key)
+    for key in ("root", "file"):
+        scenes.pop(key, None)
+    if scenes.get("hfov_deg") is None:
+        # The view that all datasets had before there was another keeps their names.
+        scenes.pop("hfov_deg", None)
+        scenes.pop("vfov_deg", None)
+    # The user's files count by their content, and not where they lie.
+    if (path := scenes.pop("path", None)) is not None:
+        scenes["path"] = _file_digest(path, "scenes.path")
+    if own := config.scenes.own_classes():
+        values["classes"] = list(own)
+    for one in scenes.get("own_objects", ()):
+        one["file"] = _file_digest(one["file"], "scenes.own_objects")
+    if isinstance(config.scenes, MeshSettings):
+        for key, file in (("file", config.scenes.file), ("poses", config.scenes.poses)):
+            scenes[key] = file and _file_digest(file, f"scenes.{key}")
     if isinstance(config.scenes, CsvListSettings):
         # The value that used to be the default, and the name that goes with it; one that is given
         # divides floating-point depth, too.
-        if values["scenes"]["depth_scale"] is None:
-            values["scenes"]["depth_scale"] = INTEGERS_PER_M
+        if scenes["depth_scale"] is None:
+            scenes["depth_scale"] = INTEGERS_PER_M
         else:
-            values["scenes"]["depth_scale_of"] = "all"
-    for key in ("dir", "name", "preview_pairs", "licence"):
-        values["dataset"].pop(key, None)
+            scenes["depth_scale_of"] = "all"
     if config.devices is None:
         values.pop("devices")
         if config.acoustics.formation == "points":
-            _without_field(values)
+            # What never reaches the paper's pictures.
+            del values["acoustics"], values["water"], values["sonar"]["array"]
     values["scheduler"] = {"shard_size": values["scheduler"]["shard_size"]}
     for key in ("cache", "shard", "debug"):
         values.pop(key)
     return values
 
 
-def _with_content(scenes: Scenes, values: dict[str, Any]) -> None:
-    """The user's meshes and materials count by their content; without any all is as it was."""
-    if own := scenes.own_classes():
-        values["classes"] = list(own)
-    for one in values["scenes"].get("own_objects", ()):
-        one["file"] = file_digest(one["file"], "scenes.own_objects")
-    for key in ("own_objects", "boxes"):
-        if not values["scenes"].get(key):
-            values["scenes"].pop(key, None)
-    if isinstance(scenes, MeshSettings):
-        for key, path in (("file", scenes.file), ("poses", scenes.poses)):
-            values["scenes"][key] = None if path is None else file_digest(path, f"scenes.{key}")
-    values["acoustics"].pop("materials")
-
-
-def file_digest(path: str, key: str = "scenes.path") -> str:
+def _file_digest(path: str, key: str) -> str:
     """16 hexadecimal digits of the content of a file.  Raises FactoryError without it."""
     try:
         content = Path(path).expanduser().read_bytes()
     except OSError as error:
         raise FactoryError(f"{key}={path}: cannot be read ({error.strerror})") from error
     return hashlib.blake2b(content, digest_size=8).hexdigest()
-
-
-def _without_field(values: dict[str, Any]) -> None:
-    """Leave out what never reaches the paper's pictures."""
-    values.pop("acoustics")
-    values.pop("water")
-    values["sonar"].pop("array")
-
-
-def digest(values: Mapping[str, Any]) -> str:
-    """Hash of a configuration: 16 hexadecimal digits of blake2b over its sorted JSON."""
-    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
-    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def composed_values(composed: DictConfig) -> dict[str, Any]:

@@ -88,21 +88,6 @@ class Frame:
         return self.depth_m > 0
 
 
-def _check_unit(name: str, depth_m: npt.NDArray[np.float32]) -> None:
-    """Raise FrameError when the depths can hardly be metres: said here, not as a lack of echoes."""
-    measured = depth_m[::4, ::4] if min(depth_m.shape) > 64 else depth_m
-    measured = measured[measured > 0]
-    if not len(measured):
-        return
-    median = float(np.median(measured))
-    if not _LIKELY_M[0] <= median <= _LIKELY_M[1]:
-        unit = "millimetres?" if median > _LIKELY_M[1] else "divided twice?"
-        raise FrameError(
-            f"{name}: median depth {median:,.4g} m: {unit} set scenes.depth_scale to what the "
-            "stored depth is divided by to give metres"
-        )
-
-
 def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> Frame:
     """Return `frame` with clean depth, or raise FrameError that says what is wrong with it.
 
@@ -123,22 +108,27 @@ def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> 
         )
     # Two looks tell that nothing is wrong, as nearly always; NaN compares false.
     if not (depth_m.size > 0 and depth_m.min() >= 0 and depth_m.max() < np.inf):
-        finite = np.isfinite(depth_m)
-        bad = ~finite | (depth_m < 0)
+        nan, infinite = np.isnan(depth_m), np.isinf(depth_m)
+        negative = ~infinite & (depth_m < 0)
+        bad = nan | infinite | negative
         if bad_depth == "reject" and bad.any():
-            kinds = [
-                f"{int(np.isnan(depth_m).sum())} NaN",
-                f"{int(np.isinf(depth_m).sum())} infinite",
-                f"{int((finite & bad).sum())} negative",
-            ]
             raise FrameError(
-                f"{name}: depth has {', '.join(kinds)} pixels; repair the file, "
-                "or set scenes.bad_depth=mask to treat them as unmeasured"
+                f"{name}: depth has {nan.sum()} NaN, {infinite.sum()} infinite, "
+                f"{negative.sum()} negative pixels; repair the file, or set "
+                "scenes.bad_depth=mask to treat them as unmeasured"
             )
         depth_m = np.where(bad, np.float32(0), depth_m)
     valid = int(np.count_nonzero(depth_m > 0))
     if valid < min_valid:
         raise FrameError(f"{name}: depth has only {valid} valid pixels; nothing to render")
     depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)
-    _check_unit(name, depth_m)
+    measured = depth_m[::4, ::4] if min(depth_m.shape) > 64 else depth_m
+    measured = measured[measured > 0]
+    median = float(np.median(measured)) if len(measured) else 1.0
+    if not _LIKELY_M[0] <= median <= _LIKELY_M[1]:  # said here, not as a lack of echoes
+        unit = "millimetres?" if median > _LIKELY_M[1] else "divided twice?"
+        raise FrameError(
+            f"{name}: median depth {median:,.4g} m: {unit} set scenes.depth_scale to what the "
+            "stored depth is divided by to give metres"
+        )
     return replace(frame, depth_m=depth_m)

@@ -24,12 +24,12 @@ from .imaging import coherent, pointwise
 from .imaging import layers as truth
 from .imaging.contract import Floats, Formation, Scene
 from .noise.draws import StreamNames, draw
-from .render.views import CachedViews, Views, open_views
 from .sample_table import Camera, columns, image_axes, record, requested, requested_row
 from .sonar import polar, surface, transfer
 from .sonar.fan import lay_out, lay_out_nearest, rasterised
 from .sonar.window import Window, conical, fit_window, set_window
 from .sonar_randomization import draw as devices
+from .views import CachedViews, Views, open_views
 
 if TYPE_CHECKING:
     from .config import FactoryConfig

@@ -11,8 +11,8 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
-from typing import TYPE_CHECKING, Any, Self
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -30,6 +30,7 @@ def terminal_bars() -> type[tqdm[Any]]:
     from tqdm import tqdm
 
     tqdm.set_lock(threading.RLock())
+    tqdm.monitor_interval = 0  # nor a thread
     return tqdm
 
 
@@ -54,69 +55,44 @@ def stage_if_slow(text: str, after_s: float = 1.0) -> Iterator[None]:
 class Lines:
     """When a line is due in a file: the first at once, then ever more rarely up to a limit."""
 
-    def __init__(self, every_s: float = _LINE_EVERY_S) -> None:
-        self._every_s, self._begun = every_s, time.monotonic()
-        self._next = 0.0
+    def __init__(self) -> None:
+        self._begun, self._next = time.monotonic(), 0.0
 
     def due(self) -> bool:
         """Whether to write one now; if so, the next is due some time later."""
         gone = time.monotonic() - self._begun
         if gone < self._next:
             return False
-        self._next = gone + min(self._every_s, max(2.0, gone))
+        self._next = gone + min(_LINE_EVERY_S, max(2.0, gone))
         return True
 
 
-class LineBar:
-    """A bar for files: one line now and then, and one at the end.  Used as a bar of tqdm."""
+class _AsLines:
+    """stderr of a file: what a bar draws anew is a line of its own."""
 
-    def __init__(self, *, total: int, initial: int, unit: str, desc: str) -> None:
-        self.n, self.total = initial, total
-        self._initial, self._unit, self._desc = initial, unit, desc
-        self._begun, self._lines = time.monotonic(), Lines()
-        self._postfix, self._told = "", -1
+    def write(self, text: str) -> None:
+        """What tqdm writes begins where the line began, and may be blank."""
+        if line := text.strip("\r\n "):
+            print(line, file=sys.stderr, flush=True)
 
-    def update(self, n: int = 1) -> None:
-        """So many more are done."""
-        self.n += n
-        if n and self._lines.due():
-            self._tell()
-
-    def set_postfix(self, **values: object) -> None:
-        """What else to tell, by name."""
-        self.set_postfix_str(", ".join(f"{name} {value}" for name, value in values.items()))
-
-    def set_postfix_str(self, text: str) -> None:
-        """The same as a text."""
-        self._postfix = f"; {text}" if text else ""
-
-    def close(self) -> None:
-        """The end."""
-        if self.n != self._told and self.n > self._initial:
-            self._tell()
-
-    def _tell(self) -> None:
-        self._told = self.n
-        gone = time.monotonic() - self._begun
-        done, left = self.n - self._initial, max(0, self.total - self.n)
-        more = f", {clock(gone / done * left)} left" if left and done else ""
-        text = f"{self._desc}: {self.n} of {self.total} {self._unit}s in {clock(gone)}{more}"
-        print(f"{text}{self._postfix}", file=sys.stderr, flush=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def flush(self) -> None:
+        """Nothing is kept."""
 
 
-def progress_bar(*, total: int, initial: int = 0, unit: str, desc: str) -> tqdm[Any] | LineBar:
+def progress_bar(*, total: int, initial: int = 0, unit: str, desc: str) -> tqdm[Any]:
     """A bar over `total` steps that `update` counts; fit for where stderr goes.
 
     unit: what is counted, in the singular.  initial: so many of them were done before.
     """
     how: dict[str, Any] = {"total": total, "initial": initial, "unit": unit, "desc": desc}
-    return terminal_bars()(**how, dynamic_ncols=True) if sys.stderr.isatty() else LineBar(**how)
+    if sys.stderr.isatty():
+        return terminal_bars()(**how, dynamic_ncols=True)
+    form = "{desc}: {n_fmt} of {total_fmt} {unit}s in {elapsed}, {remaining} left{postfix}"
+    seldom = {"mininterval": _LINE_EVERY_S, "maxinterval": _LINE_EVERY_S, "delay": 1e-9}
+    bar = terminal_bars()(**how, file=_AsLines(), bar_format=form, **seldom)
+    for name in ("set_postfix", "set_postfix_str"):  # by itself it would draw at each
+        setattr(bar, name, partial(getattr(bar, name), refresh=False))
+    return bar
 
 
 def clock(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""Libraries that write to the process's stderr by themselves."""
+"""Libraries that write to the process's stdout or stderr by themselves."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import os
 import sys
 import threading
 from collections.abc import Iterator
+from functools import partial
 
 _REDIRECT = threading.Lock()
 
 
 @contextlib.contextmanager
-def quiet_stderr() -> Iterator[None]:
-    """Drop what C code writes straight to file 2.
+def quiet(descriptor: int) -> Iterator[None]:
+    """Drop what C code writes straight to a file: 1 is stdout, 2 stderr.
 
     The lock keeps two threads from saving each other's redirection as the original.
     """
@@ -21,15 +22,18 @@ def quiet_stderr() -> Iterator[None]:
         if sys.stderr is not None:
             sys.stderr.flush()
         try:
-            saved = os.dup(2)
-        except OSError:  # the process has no stderr: nothing to silence
+            saved = os.dup(descriptor)
+        except OSError:  # the process has no such file: nothing to silence
             yield
             return
         try:
             null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, 2)
+            os.dup2(null, descriptor)
             os.close(null)
             yield
         finally:
-            os.dup2(saved, 2)
+            os.dup2(saved, descriptor)
             os.close(saved)
+
+
+quiet_stderr = partial(quiet, 2)

@@ -6,7 +6,7 @@ import fnmatch
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 
-from .config import FactoryConfig, SplitSettings
+from .config import FactoryConfig
 from .errors import FactoryError
 from .frame import FrameRef
 
@@ -19,7 +19,7 @@ def choose_frames(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[F
     Raises FactoryError when none is left or a name in `frames.only` is unknown.
     """
     settings = config.frames
-    by_scene: dict[tuple[str, str], list[FrameRef]] = {}
+    by_scene: dict[_Scene, list[FrameRef]] = {}
     for ref in found:
         by_scene.setdefault((ref.location, ref.scene), []).append(ref)
     thinned = [refs[:: settings.stride][: settings.limit] for refs in by_scene.values()]
@@ -40,15 +40,11 @@ def split_frames(
     frames: tuple[FrameRef, ...], config: FactoryConfig
 ) -> dict[str, tuple[FrameRef, ...]]:
     """Train and test frames; a scene is in one of them, never in both."""
-    scenes = _scenes(frames)
-    if config.split.test:
-        testing = {
-            scene
-            for scene in scenes
-            if any(_matches(scene, pattern) for pattern in config.split.test)
-        }
+    scenes, patterns = _scenes(frames), config.split.test
+    if patterns:
+        testing = [one for one in scenes if any(_matches(one, pattern) for pattern in patterns)]
     else:
-        testing = set(_by_fraction(scenes, config.split.test_fraction))
+        testing = _by_fraction(scenes, config.split.test_fraction)
     return {
         "train": tuple(ref for ref in frames if (ref.location, ref.scene) not in testing),
         "test": tuple(ref for ref in frames if (ref.location, ref.scene) in testing),
@@ -84,11 +80,8 @@ def _offer(scenes: Sequence[_Scene]) -> str:
             f"there is one scene, {scenes[0][1]}, and a scene is never in both; bring another, or "
             "train and evaluate on the one split (evaluate split=train)"
         )
-    testing = _by_fraction(scenes, SplitSettings().test_fraction)
-    named = ",".join(sorted(scene for _, scene in testing))
-    return (
-        f"split.test=[] would test on a quarter of the {len(scenes)} scenes, split.test=[{named}]"
-    )
+    testing = ",".join(sorted(scene for _, scene in _by_fraction(scenes, 0.25)))
+    return f"split.test=[{testing}] would test on a quarter of the {len(scenes)} scenes"
 
 
 def _scenes(frames: Iterable[FrameRef]) -> list[_Scene]:

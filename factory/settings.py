@@ -38,10 +38,15 @@ def build(kind: type[T] | Any, values: Mapping[str, Any], prefix: str = "") -> T
 def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) -> str:
     parts = []
     for item in error.errors():
-        key = ".".join(_keys(item["loc"], values, absent=item["type"] == "missing"))
-        name = ".".join(part for part in (prefix, key) if part) or "config"
+        keys, beside = _place(item["loc"], values)
+        if item["type"] == "missing":
+            keys.append(str(item["loc"][-1]))
+        name = ".".join([*filter(None, [prefix]), *keys]) or "config"
         if item["type"] == "unexpected_keyword_argument":
-            parts.append(f"{name}: unknown key{_nearest(key, values)}")
+            others = [str(one) for one in beside if str(one) != keys[-1]]
+            near = difflib.get_close_matches(keys[-1], others, n=1, cutoff=0.7)
+            hint = f"; did you mean {'.'.join([*keys[:-1], *near])}?" if near else ""
+            parts.append(f"{name}: unknown key{hint}")
         elif item["type"] == "missing":
             parts.append(f"{name}: a value is required")
         else:
@@ -52,27 +57,15 @@ def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) ->
     return "; ".join(dict.fromkeys(parts))
 
 
-def _nearest(key: str, values: Any) -> str:
-    """`; did you mean ...?` with the key beside it that is most like it."""
-    *parents, last = key.split(".")
-    for step in parents:
-        values = values.get(step, {}) if isinstance(values, Mapping) else {}
-    beside = [str(one) for one in values if one != last] if isinstance(values, Mapping) else []
-    close = difflib.get_close_matches(last, beside, n=1, cutoff=0.7)
-    return f"; did you mean {'.'.join([*parents, *close])}?" if close else ""
+def _place(steps: tuple[int | str, ...], values: Any) -> tuple[list[str], Any]:
+    """The steps that are keys (or positions) of the given values, and what lies beside the last.
 
-
-def _keys(steps: tuple[int | str, ...], values: Any, *, absent: bool) -> list[str]:
-    """The steps that are keys (or positions) of the given values.
-
-    The others name the choice of a union or a validator.  absent: the last step is a missing key.
+    The others name the choice of a union or a validator.
     """
-    keys = []
+    keys, beside = [], values
     for step in steps:
-        known = isinstance(values, Mapping) and step in values
-        if isinstance(values, list | tuple) and isinstance(step, int):
-            known = step < len(values)
-        if known:
-            values = values[step]
+        listed = isinstance(values, list | tuple) and isinstance(step, int) and step < len(values)
+        if listed or (isinstance(values, Mapping) and step in values):
+            beside, values = values, values[step]
             keys.append(str(step))
-    return [*keys, str(steps[-1])] if absent else keys
+    return keys, beside

@@ -35,24 +35,16 @@ __all__ = [
     "open_recording",
 ]
 
-_MODULES = {
-    "FactoryError": "simnfnd.factory.errors",
-    "FrameError": "simnfnd.factory.errors",
-    "OpenRecording": "simnfnd.api",
-    "Pair": "simnfnd.factory.dataset.schema",
-    "PairDataset": "simnfnd.factory.dataset",
-    "RecordedFrame": "simnfnd.api",
-    "__version__": "simnfnd.factory",
-    "denoise": "simnfnd.api",
-    "make_pair": "simnfnd.api",
-    "open_recording": "simnfnd.api",
-}
+# From the lightest on.
+_MODULES = ("factory", "factory.errors", "factory.dataset", "factory.dataset.schema", "api")
 
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module 'simnfnd' has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
+    for module in _MODULES if name in __all__ else ():
+        found = import_module(f".{module}", __name__)
+        if hasattr(found, name):
+            return getattr(found, name)
+    raise AttributeError(f"module 'simnfnd' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -126,7 +126,7 @@ def make_pair(
     from .factory.frame import Frame, FrameRef, Intrinsics, checked
     from .factory.pairs import PairMaker
     from .factory.render.view import view_of
-    from .factory.render.views import OneView
+    from .factory.views import KeptViews
 
     settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))
     require(needs_of(settings))
@@ -135,7 +135,7 @@ def make_pair(
     frame = checked(Frame(ref, rgb, depth, Intrinsics(fx, fy, cx, cy)), bad_depth="mask")
     mount = settings.sonar.mount
     rendered = _renderer(settings.render).render(frame, mount)
-    maker = PairMaker(settings, OneView(view_of(frame, rendered, mount)))
+    maker = PairMaker(settings, KeptViews({ref: view_of(frame, rendered, mount)}))
     (pair,) = maker.pairs(ref, (variant,))
     return pair
 
@@ -145,7 +145,7 @@ def _config(words: tuple[str, ...]) -> FactoryConfig:
     from .factory.cli.compose import compose_config
 
     # The frame is at hand, so where recordings are does not matter.
-    return compose_config(words, {"kind": "csv_list", "root": ".", "intrinsics": [1, 1, 0, 0]})
+    return compose_config(words, {"kind": "csv_list", "file": ".", "intrinsics": [1, 1, 0, 0]})
 
 
 @lru_cache(maxsize=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import gc
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
 
@@ -35,7 +35,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     if "--version" in given[:2]:
         return _print(f"simnfnd {__version__}")
     if default is not None and (
-        not given or _is_option(given[0]) or given[0] in VERBS[default].verbs
+        not given or _is_option(given[0]) or f"{default} {given[0]}" in VERBS
     ):
         given.insert(0, default)
     if not given or given[0] in (*_HELP, "help"):
@@ -77,36 +77,27 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
 
 
 def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
-    """The verb (or verb of a verb) that `words` begin with: its name, itself, the other words.
+    """The verb that `words` begin with: its name (one word or two), itself, the other words.
 
-    Raises FactoryError, one line, for a word that is none.
+    Raises FactoryError, one line, for words that are none.
     """
     name, rest = words[0], list(words[1:])
-    verb = VERBS.get(name)
-    if verb is None:
-        raise FactoryError(unknown(name, VERBS))
-    if verb.verbs and rest and not _is_option(rest[0]):
-        if rest[0] not in verb.verbs:
-            raise FactoryError(unknown(rest[0], verb.verbs, f"{name} "))
-        return f"{name} {rest[0]}", verb.verbs[rest[0]], rest[1:]
-    return name, verb, rest
-
-
-def unknown(word: str, verbs: Mapping[str, Verb], prefix: str = "") -> str:
-    """The one line for a word that is no verb."""
+    second = bool(rest) and _has_own(name) and not _is_option(rest[0])
+    if second:
+        name = f"{name} {rest.pop(0)}"
+    if name in VERBS:
+        return name, VERBS[name], rest
+    word = name.rpartition(" ")[2]
     if "=" in word:
-        return f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
-    # With the verbs of verbs: people leave `evaluate` out.
-    known = {own: f"{name} {own}" for name, verb in verbs.items() for own in verb.verbs}
-    known |= {name: name for name in verbs}
-    close = [word] if word in known else difflib.get_close_matches(word, known, n=3, cutoff=0.5)
-    near = [known[name] for name in close]
-    hint = (
-        f"did you mean `simnfnd {prefix}{f'` or `simnfnd {prefix}'.join(near)}`?"
-        if near
-        else f"`simnfnd {prefix}--help` lists them"
-    )
-    return f"{word}: no such verb; {hint}"
+        raise FactoryError(
+            f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
+        )
+    # By the last word, too: people leave `evaluate` out.
+    known = {one.rpartition(" ")[2]: one for one in VERBS}
+    near = [known[one] for one in difflib.get_close_matches(word, known, n=3, cutoff=0.5)]
+    close = f"did you mean `simnfnd {'` or `simnfnd '.join(near)}`?"
+    listed = f"`simnfnd {f'{words[0]} ' if second else ''}--help` lists them"
+    raise FactoryError(f"{word}: no such verb; {close if near else listed}")
 
 
 def wrong_word(name: str, verb: Verb, words: Sequence[str]) -> str | None:
@@ -128,12 +119,8 @@ def overview() -> str:
     """What `simnfnd --help` prints."""
     lines = ["simnfnd VERB ...: sonar pictures with a known truth, and denoisers made of them", ""]
     for group in dict.fromkeys(verb.group for verb in VERBS.values()):
-        lines.append(f"{group}:")
-        for name, verb in VERBS.items():
-            if verb.group == group:
-                lines.append(f"  {name:<17} {verb.line}")
-                lines += _own_verbs(name, verb)
-        lines.append("")
+        listed = {name: verb for name, verb in VERBS.items() if verb.group == group}
+        lines += [f"{group}:", *_listed(listed), ""]
     lines.append("`simnfnd VERB --help` tells more about one, `simnfnd --version` the version.")
     return "\n".join(lines)
 
@@ -142,15 +129,20 @@ def head(name: str, verb: Verb) -> str:
     """What `simnfnd VERB --help` begins with; the options or configuration groups follow."""
     lines = [f"simnfnd {name}: {verb.line}", "", "Examples:"]
     lines += [f"  {example}" for example in verb.examples]
-    if verb.verbs:
-        lines += ["", "Verbs of its own:", *_own_verbs(name, verb)]
+    if _has_own(name):
+        own = {one: verb for one, verb in VERBS.items() if one.startswith(f"{name} ")}
+        lines += ["", "Verbs of its own:", *_listed(own)]
     if verb.needs:
         lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]
     return "\n".join(lines)
 
 
-def _own_verbs(name: str, verb: Verb) -> Iterator[str]:
-    return (f"  {f'{name} {own}':<17} {one.line}" for own, one in verb.verbs.items())
+def _listed(verbs: Mapping[str, Verb]) -> list[str]:
+    return [f"  {name:<17} {verb.line}" for name, verb in verbs.items()]
+
+
+def _has_own(name: str) -> bool:
+    return any(one.startswith(f"{name} ") for one in VERBS)
 
 
 def _is_option(word: str) -> bool:

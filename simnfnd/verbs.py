@@ -5,13 +5,11 @@ Imports the standard library alone: `simnfnd --help` must answer at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 
-@dataclass(frozen=True)
-class Verb:
-    """One word of the command line.
+class Verb(NamedTuple):
+    """What one word of the command line does, or two.
 
     group, line: where and how `simnfnd --help` lists it.
     target: "module:function"; the function gets the other words and may return an exit code.
@@ -19,7 +17,6 @@ class Verb:
     needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.cli.extras`).
     hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
     places: how many words that are no KEY=VALUE a Hydra verb takes; None: any number.
-    verbs: verbs of its own.
     """
 
     group: str
@@ -29,7 +26,6 @@ class Verb:
     needs: tuple[str, ...] = ()
     hydra: bool = False
     places: int | None = 0
-    verbs: Mapping[str, Verb] = field(default_factory=dict)
 
 
 MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
@@ -42,8 +38,7 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
 _NETWORK = ("onnxruntime", "safetensors", *_SONAR)
-_ADAPTING = ("torch", "safetensors", *_SONAR)
-_TRAINING = _ADAPTING
+_TORCH = ("torch", "safetensors", *_SONAR)
 
 
 VERBS: dict[str, Verb] = {
@@ -71,11 +66,10 @@ VERBS: dict[str, Verb] = {
         ("simnfnd plan experiment=simnfnd scenes.root=flsea-vi", "simnfnd plan -m seed=1,2,3"),
     ),
     "cache": Verb(
-        MAKE, "the renders that are kept on disk: stats, verify, pack, clear",
+        MAKE, "the renders that are kept on disk: stats, pack, clear",
         f"{_COMMANDS}.cache:main",
         (
             "simnfnd cache stats",
-            "simnfnd cache verify",
             "simnfnd cache pack experiment=demo --out views.pack",
             "simnfnd make scenes=pack scenes.root=views.pack",
             "simnfnd cache clear cache.dir=outputs/cache",
@@ -129,7 +123,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd train dataset=outputs/demo train.steps=200",
             "simnfnd train dataset=outputs/demo model=sonarnet loss=l1 name=small",
         ),
-        needs=_TRAINING, hydra=True,
+        needs=_TORCH, hydra=True,
     ),
     "denoise": Verb(
         DENOISE, "images, videos, datasets, recordings of sonars and bags",
@@ -152,7 +146,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd adapt recordings --out own.safetensors --minutes 20",
             "simnfnd denoise dive.aris --weights own.safetensors --out outputs/denoised",
         ),
-        needs=_ADAPTING,
+        needs=_TORCH,
     ),
     "export-weights": Verb(
         DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
@@ -162,7 +156,7 @@ VERBS: dict[str, Verb] = {
             "--out own.safetensors",
             "simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx",
         ),
-        needs=_ADAPTING,
+        needs=_TORCH,
     ),
     "evaluate": Verb(
         JUDGE, "the report on a dataset, and on methods that denoise it",
@@ -173,47 +167,45 @@ VERBS: dict[str, Verb] = {
             "simnfnd evaluate dataset=outputs/demo \"pictures=[{name: mine, dir: outputs/mine}]\"",
         ),
         needs=("pandas", "skimage", *_SONAR), hydra=True,
-        verbs={
-            "tune": Verb(
-                JUDGE, "the best parameters of the classical filters first",
-                "simnfnd.evaluation.commands:tune",
-                ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
-                needs=("torch", "skimage", *_SONAR), hydra=True,
-            ),
-            "paper": Verb(
-                JUDGE, "the paper's Tables 2 and 3: dataset, trainings and report",
-                "simnfnd.evaluation.paper:main",
-                ("simnfnd evaluate paper --quick",
-                 "simnfnd evaluate paper --scenes flsea-vi --real mdd"),
-                needs=("pandas", "skimage", *_TRAINING),
-            ),
-            "compare": Verb(
-                JUDGE, "is one report's row better than another's",
-                "simnfnd.evaluation.compare:main",
-                ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
-                 "--row-b noisy",),
-                needs=("pandas", *_SONAR),
-            ),
-            "real": Verb(
-                JUDGE, "what methods make of real pictures and recordings",
-                "simnfnd.evaluation.commands:real",
-                ("simnfnd evaluate real mdd models=[simnfnd]",),
-                needs=("skimage", *_SONAR), hydra=True, places=1,
-            ),
-            "realism": Verb(
-                JUDGE, "how near datasets are to real pictures",
-                "simnfnd.evaluation.commands:realism",
-                ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
-                needs=("skimage", *_SONAR), hydra=True, places=None,
-            ),
-            "fit": Verb(
-                JUDGE, "the noise parameters that come nearest to real pictures",
-                "simnfnd.evaluation.commands:fit",
-                ("simnfnd evaluate fit mdd name=mine trials=100",
-                 "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
-                 "scenes.root=views.pack"),
-                needs=("optuna", "skimage", *_SONAR), hydra=True, places=None,
-            ),
-        },
+    ),
+    "evaluate tune": Verb(
+        JUDGE, "the best parameters of the classical filters first",
+        "simnfnd.evaluation.commands:tune",
+        ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
+        needs=("torch", "skimage", *_SONAR), hydra=True,
+    ),
+    "evaluate paper": Verb(
+        JUDGE, "the paper's Tables 2 and 3: dataset, trainings and report",
+        "simnfnd.evaluation.paper:main",
+        ("simnfnd evaluate paper --quick",
+         "simnfnd evaluate paper --scenes flsea-vi --real mdd"),
+        needs=("pandas", "skimage", *_TORCH),
+    ),
+    "evaluate compare": Verb(
+        JUDGE, "is one report's row better than another's",
+        "simnfnd.evaluation.compare:main",
+        ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
+         "--row-b noisy",),
+        needs=("pandas", *_SONAR),
+    ),
+    "evaluate real": Verb(
+        JUDGE, "what methods make of real pictures and recordings",
+        "simnfnd.evaluation.commands:real",
+        ("simnfnd evaluate real mdd models=[simnfnd]",),
+        needs=("skimage", *_SONAR), hydra=True, places=1,
+    ),
+    "evaluate realism": Verb(
+        JUDGE, "how near datasets are to real pictures",
+        "simnfnd.evaluation.commands:realism",
+        ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
+        needs=("skimage", *_SONAR), hydra=True, places=None,
+    ),
+    "evaluate fit": Verb(
+        JUDGE, "the noise parameters that come nearest to real pictures",
+        "simnfnd.evaluation.commands:fit",
+        ("simnfnd evaluate fit mdd name=mine trials=100",
+         "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
+         "scenes.root=views.pack"),
+        needs=("optuna", "skimage", *_SONAR), hydra=True, places=None,
     ),
 }  # fmt: skip

@@ -107,9 +107,8 @@ def commands_page() -> str:
     from simnfnd.verbs import VERBS
 
     lines = ["# Commands", "", "Each section is the output of `simnfnd VERB --help`.", ""]
-    for name, verb in VERBS.items():
-        for word in (name, *(f"{name} {own}" for own in verb.verbs)):
-            lines += [f"## {word}", "", "```text", help_of(word), "```", ""]
+    for name in VERBS:
+        lines += [f"## {name}", "", "```text", help_of(name), "```", ""]
     return "\n".join(lines)
 
 

@@ -74,7 +74,11 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     debug = any(argument.replace(" ", "") in ("debug=true", "debug=True") for argument in sys.argv)
-    sys.argv[1:] = readable(sys.argv[1:])
+    words = readable(sys.argv[1:])
+    if config_name != "factory":
+        # Hydra takes `dataset=DIR` for a choice of the group of that name, which `make` has.
+        words = [re.sub("^dataset=", "dataset.dir=", word) for word in words]
+    sys.argv[1:] = words
     codes: list[int] = []
 
     def point(config: DictConfig) -> int:
@@ -153,19 +157,19 @@ def _memory_limit() -> str:
     return f"ulimit -v is {limit // 1024}; raise it, or give fewer scheduler.workers"
 
 
-def accept_dataset_folder() -> None:
-    """Let `dataset=DIR` on the command line mean `dataset.dir=DIR`.
-
-    Hydra takes `dataset=` for a choice from the config group of that name, which the factory has.
-    """
-    prefix = "dataset="
-    sys.argv[1:] = [
-        f"dataset.dir={argument.removeprefix(prefix)}" if argument.startswith(prefix) else argument
-        for argument in sys.argv[1:]
-    ]
-
-
 def say_error(error: Exception) -> int:
     """Print the one line of a user-facing error and return its exit code."""
     print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
     return EXIT_BAD_INPUT
+
+
+def markdown(names: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table with aligned columns."""
+    widths = [max(len(cell) for cell in column) for column in zip(names, *rows, strict=True)]
+    lines = [names, ["-" * width for width in widths], *rows]
+    return "".join(
+        "| "
+        + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        + " |\n"
+        for line in lines
+    )

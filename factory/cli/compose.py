@@ -8,9 +8,11 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import FactoryError
+from ..small_files import load_yaml
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
@@ -95,16 +97,49 @@ def sweep_points(overrides: Sequence[str], params: Mapping[str, Any]) -> list[li
     return [list(point) for point in itertools.product(*axes)]
 
 
-def config_line(error: Exception, config_name: str) -> str:
-    """Hydra's several lines in one, with the remedy."""
-    if line := explained(str(error), config_name):
-        return line
-    reasons = [str(error)]
-    if error.__cause__ is not None:
-        reasons.append(str(error.__cause__))
-    text = " ".join(" ".join(reasons).split())
+def config_line(error: Exception, name: str) -> str:
+    """One line for what Hydra says in several, with what is nearest to an unknown key or choice.
+
+    name: of the root configuration, conf/<name>.yaml.
+    """
+    text = " ".join(f"{error} {error.__cause__ or ''}".split())
+    if found := re.search(
+        r"Could not find '([^'/]+)/([^']+)' Available options in '.*?': (.*)", text
+    ):
+        group, choice = found[1], found[2]
+        choices = re.sub("Config search path.*", "", found[3]).split()
+        near = [f"{group}={one}" for one in difflib.get_close_matches(choice, choices, n=2)]
+        hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(choices)}"
+        return f"{group}={choice}: no such choice; {hint}"
+    if found := re.search(r"Could not (?:override|delete from config\.) '([^']+)'", text):
+        key, keys = found[1], sorted(_keys(name))
+        if key in keys:
+            return f"{key}: the chosen `{key.split('.')[0]}` has no such key (see `--cfg job`)"
+        last = [one for one in keys if one.rpartition(".")[2] == key.rpartition(".")[2]]
+        near = difflib.get_close_matches(key, keys, n=1, cutoff=0.7) or last[:3]
+        hint = f"did you mean {' or '.join(near)}?" if near else "`--cfg job` shows every key"
+        return f"{key}: no such key; {hint}"
+    if found := re.search(r"Ambiguous value for argument '([^=]+)=", text):
+        return f"{found[1]}: several values are a sweep, `-m`, or a list, {found[1]}=[a,b]"
     text = re.sub(r"\s*See https://hydra\S+ for details", "", text)
     return f"config: {text} (see `--cfg job` for every key)"
+
+
+def _keys(name: str) -> set[str]:
+    """Dotted keys of a root configuration and of all choices of groups, and the groups."""
+    folder = Path(str(files("simnfnd.conf")))
+    found = set(_flat(load_yaml(folder / f"{name}.yaml"), ""))
+    for path in folder.glob("*/*.yaml"):
+        if path.parent.name != "experiment":  # which sets keys of others
+            found |= {path.parent.name, *_flat(load_yaml(path) or {}, f"{path.parent.name}.")}
+    return found
+
+
+def _flat(values: Mapping[str, Any], prefix: str) -> Iterator[str]:
+    for key, value in values.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
 
 
 def readable(words: Sequence[str]) -> list[str]:
@@ -124,68 +159,3 @@ def _readable(word: str) -> str:
     text = re.sub(r"(\\*)'", lambda found: 2 * found[1] + "\\'", value)
     ends = "\\" * (len(text) - len(text.rstrip("\\")))
     return f"{key}='{text}{ends}'"
-
-
-def explained(problem: str, name: str) -> str | None:
-    """One line for a key or choice that Hydra does not know, with what is nearest; else None.
-
-    problem: Hydra's message.  name: of the root configuration, conf/<name>.yaml.
-    """
-    if found := re.search(r"Could not find '([^'/]+)/([^']+)'", problem):
-        group, choice = found[1], found[2]
-        choices = sorted(_choices(group))
-        near = [f"{group}={one}" for one in _near(choice, choices, 0.5)]
-        hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(choices)}"
-        return f"{group}={choice}: no such choice; {hint}"
-    if found := re.search(r"Could not (?:override|delete from config\.) '([^']+)'", problem):
-        key, keys = found[1], sorted(set(_keys(name)))
-        if key in keys:
-            return f"{key}: the chosen `{key.split('.')[0]}` has no such key (see `--cfg job`)"
-        last = [one for one in keys if one.rpartition(".")[2] == key.rpartition(".")[2]]
-        near = _near(key, keys, 0.7) or last[:3]
-        hint = f"did you mean {' or '.join(near)}?" if near else "`--cfg job` shows every key"
-        return f"{key}: no such key; {hint}"
-    if found := re.search(r"Ambiguous value for argument '([^=]+)=", problem):
-        return f"{found[1]}: several values are a sweep, `-m`, or a list, {found[1]}=[a,b]"
-    return None
-
-
-def _near(word: str, known: Sequence[str], cutoff: float) -> list[str]:
-    """Those most like a word; one alone where that is a slip of a letter."""
-    near = difflib.get_close_matches(word, known, cutoff=cutoff)
-    slip = near and difflib.SequenceMatcher(None, word, near[0]).ratio() > 0.9
-    return near[:1] if slip else near
-
-
-def _choices(group: str) -> list[str]:
-    folder = files("simnfnd.conf").joinpath(group)
-    names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
-    return [name.removesuffix(".yaml") for name in names if name.endswith(".yaml")]
-
-
-def _keys(name: str) -> Iterator[str]:
-    """Dotted keys of a root configuration and of every choice of its groups, and the groups."""
-    root = _load(f"{name}.yaml")
-    yield from _flat({key: value for key, value in root.items() if key != "hydra"})
-    groups = [next(iter(entry)) for entry in root.get("defaults", ()) if isinstance(entry, dict)]
-    for group in (group for group in groups if " " not in group):
-        yield group
-        for choice in _choices(group):
-            yield from _flat(_load(f"{group}/{choice}.yaml"), f"{group}.")
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    for key, value in values.items():
-        if key != "defaults":
-            yield f"{prefix}{key}"
-            if isinstance(value, dict):
-                yield from _flat(value, f"{prefix}{key}.")
-
-
-def _load(path: str) -> dict[str, Any]:
-    import yaml
-
-    text = files("simnfnd.conf").joinpath(path).read_text(encoding="utf-8")
-    values = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)) or {}
-    # An experiment sets keys of others.
-    return {} if "# @package _global_" in text and "/" in path else dict(values)

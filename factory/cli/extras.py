@@ -6,9 +6,8 @@ Looks for modules without importing them, so that a run is refused before any wo
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..errors import FactoryError
 
@@ -40,23 +39,16 @@ EXTRAS = {
 """Module -> the extra of pyproject.toml that installs it."""
 
 
-@dataclass(frozen=True)
-class Need:
+class Need(NamedTuple):
     """A module that something the user asked for cannot do without.
 
     what: the words that ask for it, for example `render=cycles`.
-    instead: words that do without it.  extra: where more than one extra brings the module.
+    instead: words that do without it.
     """
 
     what: str
     module: str
     instead: str = ""
-    extra: str = ""
-
-    @property
-    def installed_by(self) -> str:
-        """The name of the extra."""
-        return self.extra or EXTRAS[self.module]
 
 
 def install_command(*extras: str) -> str:
@@ -75,35 +67,31 @@ def require(needs: Iterable[Need]) -> None:
     reasons = ", ".join(f"{what} needs {' and '.join(names)}" for what, names in modules.items())
     others = "; ".join(dict.fromkeys(need.instead for need in missing if need.instead))
     raise FactoryError(
-        f"{reasons}: {install_command(*(need.installed_by for need in missing))}"
+        f"{reasons}: {install_command(*(EXTRAS[need.module] for need in missing))}"
         + (f", or choose {others}" if others else "")
     )
 
 
 def needs_of(config: FactoryConfig) -> Iterator[Need]:
     """What making the pairs of a configuration needs beyond the core install."""
-    packed = config.scenes.kind == "pack"
-    if not packed and config.render.kind == "cycles":
-        yield Need("render=cycles", "bpy", "render=analytic or render=embree")
-    if not packed and config.render.kind == "embree":
-        yield Need("render=embree", "open3d", "render=analytic or render=cycles")
-    if not packed and getattr(config.scenes, "undistort", False):
-        yield Need("scenes.undistort=true", "cv2", "scenes.undistort=false")
-    image = config.sonar.image
-    if image.enlarged > 1:
-        yield Need(f"sonar.image.enlarged={image.enlarged:g}", "cv2", "sonar.image.enlarged=1")
-    if image.jpeg_quality is not None:
-        key = "sonar.image.jpeg_quality"
-        yield Need(f"{key}={image.jpeg_quality}", "cv2", f"{key}=null")
-    if config.devices is not None:
-        yield from (Need("devices=any_sonar", module) for module in ("cv2", "scipy"))
-    elif config.acoustics.formation == "field":
-        yield Need("acoustics.formation=field", "scipy", "acoustics=points noise=simnfnd")
-    if "pose" in config.dataset.columns:
-        yield Need("dataset.columns=[pose]", "scipy", "dataset.columns=[]")
-    if config.resample.kind == "voxel":
-        yield Need("resample=voxel", "open3d", "resample=random")
-    if config.scheduler.backend == "dask":
-        yield Need("scheduler=dask", "distributed", "scheduler=local")
-    if (config.dataset.dir or "").startswith("s3://"):
-        yield Need("dataset.dir=s3://...", "s3fs", "a folder of this machine")
+    image, drawn = config.sonar.image, config.devices is not None
+    renderer = "" if config.scenes.kind == "pack" else config.render.kind
+    field = config.acoustics.formation == "field" and not drawn
+    jpeg = f"sonar.image.jpeg_quality={image.jpeg_quality}"
+    enlarged = f"sonar.image.enlarged={image.enlarged:g}"
+    to_s3 = (config.dataset.dir or "").startswith("s3://")
+    for asked, *need in (
+        (renderer == "cycles", "render=cycles", "bpy", "render=analytic or render=embree"),
+        (renderer == "embree", "render=embree", "open3d", "render=analytic or render=cycles"),
+        (image.enlarged > 1, enlarged, "cv2", "sonar.image.enlarged=1"),
+        (image.jpeg_quality is not None, jpeg, "cv2", "sonar.image.jpeg_quality=null"),
+        (drawn, "devices=any_sonar", "cv2"),
+        (drawn, "devices=any_sonar", "scipy"),
+        (field, "acoustics.formation=field", "scipy", "acoustics=points noise=simnfnd"),
+        ("pose" in config.dataset.columns, "dataset.columns=[pose]", "scipy"),
+        (config.resample.kind == "voxel", "resample=voxel", "open3d", "resample=random"),
+        (config.scheduler.backend == "dask", "scheduler=dask", "distributed", "scheduler=local"),
+        (to_s3, "dataset.dir=s3://...", "s3fs", "a folder of this machine"),
+    ):
+        if asked:
+            yield Need(*map(str, need))

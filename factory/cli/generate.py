@@ -5,41 +5,34 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..config import (
-    FactoryConfig,
-    FramesSettings,
-    composed_values,
-    digest,
-    from_mapping,
-    identity,
-    plain,
-    with_cache,
-)
+from .. import __version__
+from ..compiled import compile_needed
+from ..config import FactoryConfig, composed_values, from_mapping, identity, plain, with_cache
 from ..dataset.quality import lit_share, seen_sector_deg
-from ..dataset.schema import Provenance
+from ..dataset.schema import Provenance, config_hash
 from ..errors import FactoryError
+from ..files import check_writable
 from ..frame import FrameRef
 from ..pairs import pair_maker
 from ..progress import stage_if_slow
-from ..render.views import Limit, ViewMaker, check_views
+from ..scenes import open_reader
+from ..scheduler.plan import Job, plan_shards, work_folder
 from ..scheduler.workers import template
 from ..selection import choose_frames, frames_digest, split_frames, split_warnings
 from ..storage.copies import shown
+from ..views import Cache, ViewMaker
 from . import EXIT_BAD_INPUT, PRELOADED
 from .extras import needs_of, require
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from ..scheduler.plan import Job
     from ..scheduler.results import RunReport
 
-# So many procedural frames take minutes.
-_MANY = 50
 # Pictures of which less is lit are hardly meant.
 _LEAST_LIT = 0.01
 _LIKELIEST = (
@@ -69,23 +62,19 @@ def generate(composed: DictConfig) -> int:
     except KeyboardInterrupt as stopped:
         note_failure("interrupted", str(stopped), int(getattr(stopped, "exit_code", 130)))
         raise
-    print(f"dataset: {shown(directory)}")
+    folder = shown(directory)
+    print(f"dataset: {folder}")
     if report.failures:
-        print(_failed(report, shown(directory)))
+        count, reason = _commonest(report)
+        share = "all" if count == len(report.failures) else str(count)
+        print(
+            f"failed: {len(report.failures)} of {report.frames} frames, {share} because: {reason}; "
+            f"`simnfnd status {folder} --failed` lists them"
+        )
     return code
 
 
-def _failed(report: RunReport, directory: str) -> str:
-    """How many frames failed, the commonest reason, and the command that lists them."""
-    count, reason = commonest(report)
-    share = "all" if count == len(report.failures) else str(count)
-    return (
-        f"failed: {len(report.failures)} of {report.frames} frames, {share} because: {reason}; "
-        f"`simnfnd status {directory} --failed` lists them"
-    )
-
-
-def commonest(report: RunReport) -> tuple[int, str]:
+def _commonest(report: RunReport) -> tuple[int, str]:
     """How many frames failed for the commonest reason, and one of their reasons."""
     alike: dict[str, list[str]] = {}
     for failure in report.failures:
@@ -97,19 +86,16 @@ def commonest(report: RunReport) -> tuple[int, str]:
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
-    from ..compiled import compile_needed
     from ..scheduler.run import make_dataset
 
     require(needs_of(config))
-    check_views(config)
-    forked = template.runs() and config.scheduler.backend == "local"
-    if not forked:
+    if config.cache.enabled and config.scenes.kind != "pack":
+        check_writable(config.cache.folder, "cache.dir")
+    if not (template.runs() and config.scheduler.backend == "local"):
         # Else the process that workers are forked from loads them, and the first worker compiles
         # what that does not find.
-        compile_needed(
-            scenes=config.scenes.kind,
-            field=config.acoustics.formation == "field" or config.devices is not None,
-        )
+        field = config.acoustics.formation == "field" or config.devices is not None
+        compile_needed(scenes=config.scenes.kind, field=field)
     job = job_of(config, arguments)
     report = make_dataset(job)
     if job.shard.part:
@@ -119,12 +105,17 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
         )
         return report, job.directory
     if not report.samples:
-        count, reason = commonest(report)
+        count, reason = _commonest(report)
         raise FactoryError(
             f"no frame could be used: {len(report.failures)} of {len(report.failures)} failed, "
             f"{count} of them because: {reason}; {_LIKELIEST}"
         )
-    _report_sector(job.directory, config)
+    narrowest, widest = seen_sector_deg(job.directory)
+    if narrowest < 0.98 * config.sonar.hfov_deg:
+        print(
+            f"sonar: the camera saw {narrowest:.0f} to {widest:.0f} of {config.sonar.hfov_deg:g} "
+            "degrees; the rest is masked (azimuth_min_deg and azimuth_max_deg in /meta)"
+        )
     # Again at the end: what was said first has scrolled away.
     say_warnings(job.warnings)
     if (share := lit_share(job.directory)) < _LEAST_LIT:
@@ -132,15 +123,11 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     return report, job.directory
 
 
-def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
+def job_of(config: FactoryConfig, arguments: Sequence[str]) -> Job:
     """The frames that there are, planned as shards, and how they are made.
 
-    Prints what the recordings lack.  Raises FactoryError when no frame is left.
+    Prints what there is and what the recordings lack.  Raises FactoryError when no frame is left.
     """
-    from .. import __version__
-    from ..scenes import open_reader
-    from ..scheduler.plan import Job, plan_shards, work_folder
-
     with stage_if_slow(f"looking for the frames of scenes={config.scenes.kind}"):
         discovery = open_reader(config.scenes).discover()
     for note in discovery.notes:
@@ -149,47 +136,34 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
         print(f"scenes: {count} skipped: {reason}")
     frames = choose_frames(discovery.frames, config)
     splits = split_frames(frames, config)
-    print(_told(frames, splits, config), flush=True)
+    how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
+    tasks = plan_shards(splits, *how)
+    counts = [(split, sum(t.samples for t in tasks if t.split == split)) for split in splits]
+    pairs = " and ".join(f"{count} {split}" for split, count in counts)
+    scenes = len({(ref.location, ref.scene) for ref in frames})
+    print(f"frames: {len(frames)} of {scenes} scenes; pairs: {pairs}", flush=True)
     warnings = split_warnings(splits, config)
     say_warnings(warnings)
     values = {**identity(config), "frames_found": frames_digest(frames)}
-    config_hash = digest(values)
-    directory = config.dataset.directory(config_hash, config.shard.part)
-    how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
+    directory = config.dataset.directory(config_hash(values), config.shard.part)
     working = with_cache(config, work_folder(directory, config.shard))
     return Job(
         directory,
-        plan_shards(splits, *how),
+        tasks,
         source=pair_maker,
         preparer=None if config.scenes.kind == "pack" else ViewMaker,
         config=working,
-        provenance=Provenance(values, config_hash, f"simnfnd {__version__}"),
+        provenance=Provenance(values, config_hash(values), f"simnfnd {__version__}"),
         config_values=plain(config),
         dataset=config.dataset,
         scheduler=config.scheduler,
         shard=config.shard,
         rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
         skipped=discovery.skipped,
-        on_prepared=Limit(working.cache),
+        on_prepared=Cache(working.cache).grown,
         warnings=warnings,
         preload=PRELOADED,
     )
-
-
-def _told(
-    frames: Sequence[FrameRef], splits: Mapping[str, Sequence[FrameRef]], config: FactoryConfig
-) -> str:
-    """What is going to be made, before it is; and how to get less of what is made up anyway."""
-    scenes = len({(ref.location, ref.scene) for ref in frames})
-    limits = config.dataset.limits
-    counts = []
-    for split, refs in splits.items():
-        pairs, limit = len(refs) * config.frames.variants, limits.get(split)
-        counts.append(f"{pairs if limit is None else min(pairs, limit)} {split}")
-    text = f"frames: {len(frames)} of {scenes} scenes; pairs: {' and '.join(counts)}"
-    if config.scenes.kind == "seabed" and len(frames) > _MANY and config.frames == FramesSettings():
-        text += " (frames.total=8 makes a small dataset in less than a minute)"
-    return text
 
 
 def say_warnings(warnings: Sequence[str]) -> None:
@@ -198,17 +172,7 @@ def say_warnings(warnings: Sequence[str]) -> None:
         print(f"warning: {line}", file=sys.stderr, flush=True)
 
 
-def _report_sector(directory: Path, config: FactoryConfig) -> None:
-    """Tell the user when the camera saw less than the sonar's sector."""
-    narrowest, widest = seen_sector_deg(directory)
-    if narrowest < 0.98 * config.sonar.hfov_deg:
-        print(
-            f"sonar: the camera saw {narrowest:.0f} to {widest:.0f} of {config.sonar.hfov_deg:g} "
-            "degrees; the rest is masked (azimuth_min_deg and azimuth_max_deg in /meta)"
-        )
-
-
-def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:
+def _rerun_command(ref: FrameRef, arguments: Sequence[str], directory: Path) -> str:
     words = [
         word
         for word in arguments

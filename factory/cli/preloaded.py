@@ -17,7 +17,6 @@ gc.disable()
 with suppress(Exception):
     from .. import pairs  # noqa: F401
     from ..compiled import load_compiled
-    from ..render import views  # noqa: F401
     from ..scheduler import worker  # noqa: F401
 
     load_compiled()

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback
 
 from ..errors import FactoryError
+from . import markdown
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -157,15 +158,3 @@ def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
         rows.append(replace(first, heading=label, images=images))
     write_atomically(out, draw(rows, f"{len(points)} points", "the same frames of each"))
     return out
-
-
-def markdown(names: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table with aligned columns."""
-    widths = [max(len(cell) for cell in column) for column in zip(names, *rows, strict=True)]
-    lines = [names, ["-" * width for width in widths], *rows]
-    return "".join(
-        "| "
-        + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        + " |\n"
-        for line in lines
-    )

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
-from ..cli import Parser
+from ..cli import Parser, markdown
 from ..dataset.folder import dataset_settings
 from ..dataset.quality import DatasetSummary, summarize
 from ..dataset.schema import CAMERA_LAYERS, SCHEMA
 from ..dataset.validate import validate
 from ..storage.copies import local_folder
-
-_BAR = 40
-_BINS = 10
 
 
 def main(words: list[str]) -> None:
@@ -69,65 +66,37 @@ def report(found: DatasetSummary, name: str) -> Iterator[str]:
     yield f"compression  {found.compression}"
     yield f"licence      {licence}"
     yield ""
-    yield from _table(("split", "location", "scene", "pairs"), _scenes(found))
-    yield ""
-    yield from _table(("column", "lowest", "mean", "highest", "units", "samples"), _columns(found))
-    yield ""
+    counted = Counter(
+        (str(split), row["location"].decode() or "-", row["scene"].decode())
+        for split, row in zip(found.splits, found.table, strict=True)
+    )
+    scenes = [[*scene, str(count)] for scene, count in counted.items()]
+    yield markdown(["split", "location", "scene", "pairs"], scenes)
+    head = ["column", "lowest", "mean", "highest", "units", "samples"]
+    yield markdown(head, list(_columns(found)))
     yield f"noisy against clean, whole picture, {len(found.psnr_db)} of {len(found.splits)} pairs"
-    yield from _histogram("PSNR, dB", found.psnr_db)
-    yield from _histogram("SSIM", found.ssim)
+    for name, values in (("PSNR, dB", found.psnr_db), ("SSIM", found.ssim)):
+        known = values[np.isfinite(values)]
+        if known.size:
+            limits = f"{known.min():.3f} to {known.max():.3f}"
+            yield f"{name}: mean {known.mean():.3f}, std {known.std():.3f}, {limits}"
+        else:
+            yield f"{name}: pictures are too small for it"
 
 
-def _scenes(found: DatasetSummary) -> list[tuple[str, ...]]:
-    counts: dict[tuple[str, ...], int] = {}
-    for split, row in zip(found.splits, found.table, strict=True):
-        key = (str(split), row["location"].decode() or "-", row["scene"].decode())
-        counts[key] = counts.get(key, 0) + 1
-    return [(*key, str(count)) for key, count in counts.items()]
-
-
-def _columns(found: DatasetSummary) -> list[tuple[str, ...]]:
+def _columns(found: DatasetSummary) -> Iterator[list[str]]:
     """One line a column: what was drawn lies between lowest and highest."""
-    lines: list[tuple[str, ...]] = []
     for column in found.pairs.form.columns:
         if column.name in ("location", "scene", "frame", "seed_key", "boxes"):
             continue
         if np.dtype(column.dtype).kind == "S":
-            texts = sorted({text.decode() for text in found.table[column.name]} - {""})
-            told = ", ".join(texts[:4]) + (", ..." if len(texts) > 4 else "")
-            count = int(np.count_nonzero(found.table[column.name] != b""))
-            lines.append((column.name, told or "not drawn", "", "", "", str(count)))
-            continue
-        values = found.numbers(column.name)
-        figures = (
-            tuple(f"{v:.6g}" for v in (values.min(), values.mean(), values.max()))
-            if values.size
-            else ("not drawn", "", "")
-        )
+            texts = [text.decode() for text in found.table[column.name] if text]
+            named = sorted(set(texts))
+            figures, count = [", ".join(named[:4]) + ", ..." * (len(named) > 4), "", ""], len(texts)
+        else:
+            values = found.numbers(column.name)
+            limits = (values.min(), values.mean(), values.max()) if values.size else ()
+            figures, count = [f"{value:.6g}" for value in limits], values.size
         units = "" if column.units == "1" else column.units
-        lines.append((column.name, *figures, units, str(values.size)))
-    return lines
-
-
-def _histogram(name: str, values: npt.NDArray[np.float64]) -> Iterator[str]:
-    values = values[np.isfinite(values)]
-    if not values.size:
-        yield f"{name}: pictures are too small for it"
-        return
-    yield (
-        f"{name}: mean {values.mean():.3f}, std {values.std():.3f}, "
-        f"{values.min():.3f} to {values.max():.3f}"
-    )
-    counts, edges = np.histogram(values, bins=_BINS if np.ptp(values) > 0 else 1)
-    for count, low, high in zip(counts, edges[:-1], edges[1:], strict=True):
-        bar = "#" * round(_BAR * count / counts.max())
-        yield f"  {low:8.3f} to {high:8.3f} |{bar:<{_BAR}} {count}"
-
-
-def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    lines = [head, *rows]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    for line in lines:
-        yield "  ".join(
-            cell.ljust(width) for cell, width in zip(line, widths, strict=True)
-        ).rstrip()
+        shown = figures if count else ["not drawn", "", ""]
+        yield [column.name, *shown, units, str(count)]

@@ -15,14 +15,7 @@ from typing import Any
 from ..cli import Parser
 from ..dataset.card import write_card
 from ..dataset.folder import dataset_settings, differences, list_differences, open_folder
-from ..dataset.manifest import (
-    MANIFEST_NAME,
-    PARTS,
-    Manifest,
-    damage,
-    load_manifest,
-    save_manifest,
-)
+from ..dataset.manifest import MANIFEST_NAME, PARTS, Manifest, damage, load_manifest, save_manifest
 from ..dataset.pair_dataset import PairDataset
 from ..dataset.preview import preview
 from ..dataset.schema import SPLITS, Provenance, config_hash
@@ -61,19 +54,16 @@ def merge(
     seeds, when a sample is in two of them, when a scene trains in one and tests in another, or
     when their licences differ and none is given.
     """
-    if len(directories) < 2:
+    if len(set(directories)) < 2:
         raise FactoryError("merge: give at least two datasets")
     refuse_files(out)
     manifests = {directory: _whole(directory) for directory in directories}
-    if len(manifests) < len(directories):
-        raise FactoryError("merge: a dataset is named twice")
-    sources = {directory: PairDataset(directory, "all") for directory in directories}
+    sources = {directory: PairDataset(directory, "all") for directory in manifests}
     _check_alike(manifests, sources)
     _check_samples(sources)
     settings = DatasetSettings(name=name, licence=licence or _common_licence(directories))
-    provenance = _provenance(manifests)
     with whole_folder(out) as partial:
-        return _fill(partial, manifests, provenance, settings)
+        return _fill(partial, manifests, _provenance(list(manifests.values())), settings)
 
 
 def _whole(directory: Path) -> Manifest:
@@ -93,23 +83,16 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Pair
     first, *others = manifests
     for other in others:
         one, two = manifests[first], manifests[other]
-        if one.generator != two.generator:
-            raise FactoryError(
-                f"merge: {first} was made by {one.generator}, {other} by {two.generator}; "
-                "make them with one version"
-            )
-        found = differences(one.config, two.config)
+        # Layers of the camera are as large as the pictures of the scenes, which may differ.
+        sizes = [str(sources[folder].form.sizes) for folder in (first, other)]
+        there = {"generator": one.generator, "sizes": sizes[0], **one.config}
+        here = {"generator": two.generator, "sizes": sizes[1], **two.config}
+        found = differences(there, here)
         changes = {key: change for key, change in found.items() if not _FREE.match(key)}
         if changes:
             raise FactoryError(
                 f"merge: {first} and {other} were made with different settings "
                 f"({list_differences(changes)}); merge only what differs in frames and seed"
-            )
-        # Layers of the camera are as large as the pictures of the scenes, which may differ.
-        if sources[first].form.sizes != sources[other].form.sizes:
-            raise FactoryError(
-                f"merge: {first} and {other} differ in their picture sizes; make them with the "
-                "same settings"
             )
 
 
@@ -119,20 +102,19 @@ def _check_samples(sources: Mapping[Path, PairDataset]) -> None:
     place: dict[tuple[str, str], tuple[str, Path]] = {}
     for directory, source in sources.items():
         for one in source.names():
-            split, scene = one.split, (one.location, one.scene)
-            sample = (*scene, one.frame, one.variant)
-            if sample in owner:
+            scene = one.location, one.scene
+            before = owner.setdefault((*scene, one.frame, one.variant), directory)
+            if before != directory:
                 raise FactoryError(
                     f"merge: sample {'/'.join((*scene, one.frame))} variant {one.variant} is in "
-                    f"{owner[sample]} and in {directory}; make one of them without it "
+                    f"{before} and in {directory}; make one of them without it "
                     "(scenes, frames.only)"
                 )
-            owner[sample] = directory
-            known = place.setdefault(scene, (split, directory))
-            if known[0] != split:
+            split, elsewhere = place.setdefault(scene, (one.split, directory))
+            if split != one.split:
                 raise FactoryError(
-                    f"merge: scene {'/'.join(scene)} is in {known[0]} of {known[1]} and in "
-                    f"{split} of {directory}; a denoiser would be tested on what it trained on "
+                    f"merge: scene {'/'.join(scene)} is in {split} of {elsewhere} and in "
+                    f"{one.split} of {directory}; a denoiser would be tested on what it trained on "
                     "(set split.test alike)"
                 )
 
@@ -145,9 +127,9 @@ def _common_licence(directories: Sequence[Path]) -> str | None:
     return next(str(value) if value else None for value in stated.values())
 
 
-def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
+def _provenance(manifests: Sequence[Manifest]) -> Provenance:
     """What all have in common, and under `merged` what each was made with."""
-    configs = [manifest.config for manifest in manifests.values()]
+    configs = [manifest.config for manifest in manifests]
     common = {
         key: value
         for key, value in configs[0].items()
@@ -159,11 +141,10 @@ def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
             "samples": manifest.samples(),
             **{key: value for key, value in manifest.config.items() if key not in common},
         }
-        for manifest in manifests.values()
+        for manifest in manifests
     ]
     config = {**common, "merged": parts}
-    generator = next(iter(manifests.values())).generator
-    return Provenance(config, config_hash(config), generator)
+    return Provenance(config, config_hash(config), manifests[0].generator)
 
 
 def _fill(
@@ -176,16 +157,12 @@ def _fill(
     told = {**provenance.config, "dataset": {**provenance.config.get("dataset", {}), **shown}}
     merged = open_folder(folder, told, provenance)
     for split in SPLITS:
-        number = 0
         (folder / split).mkdir()
-        for directory, manifest in manifests.items():
-            for path in sorted(manifest.shards):
-                info = manifest.shards[path]
-                if info.split == split:
-                    target = f"{split}/shard-{number:05d}.h5"
-                    shutil.copyfile(directory / path, folder / target)
-                    merged = merged.with_shard(replace(info, path=target))
-                    number += 1
+        parts = [(one, info) for one, its in manifests.items() for info in its.of_split(split)]
+        for number, (directory, info) in enumerate(parts):
+            target = f"{split}/shard-{number:05d}.h5"
+            shutil.copyfile(directory / info.path, folder / target)
+            merged = merged.with_shard(replace(info, path=target))
     save_manifest(folder, merged)
     if settings.preview_pairs:
         preview(folder, pairs=settings.preview_pairs, trusted=True)

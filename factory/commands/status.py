@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..cli import Parser
 from ..dataset.folder import STATUS_NAME
-from ..dataset.manifest import CONFIG_NAME, damage, load_failures, load_manifest
+from ..dataset.manifest import CONFIG_NAME, Manifest, damage, load_failures, load_manifest
 from ..dataset.schema import SPLITS
 from ..errors import FactoryError
 from ..scheduler.lock import owner_of
@@ -44,43 +43,45 @@ def main(words: list[str]) -> int:
     failures = load_failures(given.dir)
     if given.rerun and failures:
         return _rerun(given.dir, [item["frame"] for item in failures], given.settings)
-    if given.failed or given.rerun:
-        return _list(given.dir, failures)
-    return _state(given.dir, failures, verify=given.verify)
-
-
-def _state(directory: Path, failures: Sequence[dict[str, str]], *, verify: bool) -> int:
-    manifest = load_manifest(directory)
+    manifest = load_manifest(given.dir)
     if manifest is None:
-        raise FactoryError(f"{directory}: no dataset here (no manifest.json)")
+        raise FactoryError(f"{given.dir}: no dataset here (no manifest.json)")
+    if given.failed or given.rerun:
+        for item in failures:
+            print(_printable(f"{item['kind']}: {item['reason']}"))
+            print(_printable(f"  {item['command']}"))
+        print(f"{len(failures)} frames failed", end="")
+        print("; running the dataset's command again tries them, too" if failures else "")
+        return 1 if failures else 0
+    return _state(given.dir, manifest, failures, verify=given.verify)
+
+
+def _state(
+    directory: Path, manifest: Manifest, failures: Sequence[dict[str, str]], *, verify: bool
+) -> int:
     owner = owner_of(directory)
     running = f"process {owner['pid']} on {owner['host']} is at work" if owner else "nobody works"
     print(f"{directory}: {running}")
     for path in sorted(directory.glob(STATUS_NAME.replace(".", "*."))):
         with suppress(OSError, ValueError, KeyError, TypeError):
             print(_last_run(parse_json(read_regular(path)), owner is not None))
-    shards = list(manifest.shards.values())
     for split in SPLITS:
-        own = [shard for shard in shards if shard.split == split]
+        own = manifest.of_split(split)
         size = sum(shard.bytes for shard in own) / 1e6
-        pairs = sum(shard.samples for shard in own)
-        print(f"  {split}: {pairs} pairs in {len(own)} shards, {size:.1f} MB")
+        print(f"  {split}: {manifest.samples(split)} pairs in {len(own)} shards, {size:.1f} MB")
     if failures:
-        kinds = Counter(item["kind"] for item in failures)
-        told = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-        print(f"  failed frames: {told} (`simnfnd status {directory} --failed` lists them)")
-    problems = {shard.path: damage(directory, shard) for shard in shards} if verify else {}
-    for name, problem in problems.items():
-        if problem:
-            print(f"  {name}: {problem}; run the same command again to repair it")
-    return 1 if any(problems.values()) else 0
+        print(f"  {len(failures)} frames failed (`simnfnd status {directory} --failed` lists them)")
+    shards = manifest.shards.values() if verify else ()
+    damaged = [(shard.path, problem) for shard in shards if (problem := damage(directory, shard))]
+    for name, problem in damaged:
+        print(f"  {name}: {problem}; run the same command again to repair it")
+    return 1 if damaged else 0
 
 
 def _last_run(told: dict[str, Any], at_work: bool) -> str:
-    state = told["state"]
+    state, pairs, frames = told["state"], told["pairs"], told["frames"]
     if state == "running" and not at_work:
         state = "killed; run the same command again to go on"
-    pairs, frames = told["pairs"], told["frames"]
     line = f"  last run: {state}; {pairs['done']} of {pairs['total']} pairs, "
     line += f"{told['pairs_per_second']:.2f} a second"
     if frames["total"]:
@@ -88,19 +89,6 @@ def _last_run(told: dict[str, Any], at_work: bool) -> str:
     if at_work and told["seconds_left"] is not None:
         line += f"; {told['seconds_left']} s left"
     return line
-
-
-def _list(directory: Path, failures: Sequence[dict[str, str]]) -> int:
-    if not failures:
-        if load_manifest(directory) is None:
-            raise FactoryError(f"{directory}: no dataset here (no manifest.json)")
-        print(f"{directory}: no frame failed")
-        return 0
-    for item in failures:
-        print(_printable(f"{item['kind']}: {item['reason']}"))
-        print(_printable(f"  {item['command']}"))
-    print(f"{len(failures)} frames failed; running the dataset's command again tries them, too")
-    return 1
 
 
 def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
@@ -142,18 +130,14 @@ def _stored(directory: Path, settings: list[str]) -> FactoryConfig:
     from ..config import from_mapping
 
     path = directory / CONFIG_NAME
-    try:
-        values = load_yaml(path)
-    except (OSError, ValueError) as error:
-        raise FactoryError(
-            f"{path}: cannot be read ({one_line(error)}); restore it to rerun"
-        ) from error
-    if not isinstance(values, dict):
-        raise FactoryError(f"{path}: not a configuration; restore it to rerun")
     here = compose_config(settings)
     own = {name: getattr(here, name) for name in ("scheduler", "cache", "shard", "debug")}
     try:
-        return from_mapping({**values, **own})
+        return from_mapping({**load_yaml(path), **own})
+    except (OSError, ValueError, TypeError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read ({one_line(error)}); restore it to rerun"
+        ) from error
     except FactoryError as error:
         raise FactoryError(f"{path}: {error}") from error
 

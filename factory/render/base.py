@@ -5,18 +5,18 @@ Camera axes (OpenCV): x right, y down, z forward.  Sonar axes: x forward, y left
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass as plain_dataclass
-from typing import Annotated, Any, Literal, Protocol
+from pathlib import Path
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ..errors import FactoryError
 from ..frame import Frame
 from ..settings import STRICT
-from ..small_files import one_line
 
 # Rows are the sonar's axes in camera axes, for a sonar that looks where the camera looks.
 _SONAR_FROM_CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -60,26 +60,11 @@ class Mount:
         return np.ascontiguousarray(turn, np.float32), position_m.astype(np.float32)
 
 
-def _stride(value: Any) -> Any:
-    if value != "auto" and not (type(value) is int and 1 <= value <= _COARSEST):
-        raise ValueError(f"give auto, or a whole number of pixels from 1 to {_COARSEST}")
-    return value
-
-
-_COARSEST = 8
-
-
 @dataclass(frozen=True, config=STRICT)
 class RenderSettings:
     """Keys of the `render` group.
 
     kind: cycles (Blender), embree (Open3D ray casting) or analytic (numpy alone, no shadows).
-    geometry: what Cycles traces: mesh, points (half the time; shadows are wrong when the sonar is
-        not at the camera), or auto: points where nothing casts a shadow or bounces, else mesh.
-    stride: every how-manieth row and column is traced.  Shading keeps full resolution, shadows and
-        their outlines are as fine as what is traced.  auto: 2 where nothing casts a shadow or
-        bounces, which changes no grey value by more than rounding, else 1.
-    samples, bounces: of Cycles; 1 and 0 are exact for a point light at pixel centres.
     albedo: rgb (luminance of the colour image), flattened (luminance over its local mean, which
         takes out the water's haze and colour), or constant.
     edge_ratio: neighbouring pixels whose depths differ by more than this fraction are different
@@ -87,28 +72,26 @@ class RenderSettings:
     """
 
     kind: Literal["cycles", "embree", "analytic"] = "cycles"
-    geometry: Literal["auto", "mesh", "points"] = "auto"
-    stride: Annotated[Literal["auto"] | int, BeforeValidator(_stride)] = "auto"
-    samples: Annotated[int, Field(ge=1)] = 1
-    bounces: Annotated[int, Field(ge=0)] = 0
     albedo: Literal["rgb", "flattened", "constant"] = "flattened"
     edge_ratio: Annotated[float, Field(gt=0, le=1)] = 0.1
 
-    def direct_only(self, mount: Mount) -> bool:
-        """Whether each pixel's light depends on that pixel alone: no shadows and no bounces."""
-        return mount.colocated and self.bounces == 0
 
-    def stride_at(self, mount: Mount) -> int:
-        """`stride` in pixels for a sonar at `mount`."""
-        if self.stride != "auto":
-            return self.stride
-        return 2 if self.direct_only(mount) else 1
+@dataclass(frozen=True, config=STRICT)
+class CacheSettings:
+    """Keys of the `cache` group.
 
-    def as_points(self, mount: Mount) -> bool:
-        """Whether Cycles traces points for a sonar at `mount`."""
-        if self.geometry == "auto":
-            return self.direct_only(mount)
-        return self.geometry == "points"
+    enabled: keep renders for later runs; else they last until the run ends.
+    dir: folder of the cache.  max_bytes: when it holds more, what was not used for longest goes.
+    """
+
+    enabled: bool = True
+    dir: Annotated[str, Field(min_length=1)] = "outputs/cache"
+    max_bytes: Annotated[int, Field(ge=1)] = 20_000_000_000
+
+    @property
+    def folder(self) -> Path:
+        """`dir` as an absolute path: workers may have another working folder."""
+        return Path(os.path.abspath(Path(self.dir).expanduser()))
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -134,22 +117,3 @@ class Renderer(Protocol):
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame with the light at the sonar.  Same input, same bytes."""
-
-
-# kind -> module, how to install it, what to take instead.
-_LIBRARIES = {
-    "cycles": ("bpy", 'pip install "simnfnd[blender]" (Python 3.11)', "render=embree"),
-    "embree": ("open3d", 'pip install "simnfnd[open3d]"', "render=cycles"),
-}
-
-
-def missing(kind: str, reason: BaseException) -> FactoryError:
-    """The error for a renderer whose module cannot be imported, with the way out of it."""
-    what = one_line(reason) or "not installed"
-    module, remedy, other = _LIBRARIES[kind]
-    if ".so" in what:  # the module is there, but a shared library of the operating system is not
-        remedy = "make setup installs what it needs"
-    return FactoryError(
-        f"render.kind={kind} needs the module {module} ({what}): {remedy}, or choose "
-        f"render=analytic or {other}"
-    )

@@ -131,16 +131,16 @@ def _normals(grid: Any, row: Any, found: Any) -> None:
         nz[j] = nz[j] / length if some else _ZERO
 
 
-@compiled(f"void({_GRID}, int64, int64, float32[:, :, ::1], float32[:, :, ::1])")
-def orient(grid: Any, first: Any, stride: Any, points_m: Any, normals: Any) -> None:
-    """Fill points and normals (h, w, 3) of every `stride`-th pixel from (first, first) on."""
+@compiled(f"void({_GRID}, int64, float32[:, :, ::1], float32[:, :, ::1])")
+def orient(grid: Any, stride: Any, points_m: Any, normals: Any) -> None:
+    """Fill points and normals (h, w, 3) of every `stride`-th pixel."""
     depth_m, across, down = grid[0], grid[2], grid[3]
     found = np.empty((6, depth_m.shape[1] - 2), np.float32)
     for i in range(points_m.shape[0]):
-        row = first + i * stride
+        row = i * stride
         _normals(grid, row, found)
         for j in range(points_m.shape[1]):
-            column = first + j * stride
+            column = j * stride
             z = depth_m[row + 1, column + 1]
             points_m[i, j, 0], points_m[i, j, 1] = across[column + 1] * z, down[row + 1] * z
             points_m[i, j, 2] = z
@@ -198,13 +198,13 @@ def shade(grid: Any, mask: Any, albedo: Any, sonar_m: Any) -> Any:
     return radiance
 
 
-@compiled(f"{_OUT}({_READ}, {_READ}, boolean[:, ::1], {_READ}, int64, int64, float32)")
+@compiled(f"{_OUT}({_READ}, {_READ}, boolean[:, ::1], {_READ}, int64, float32)")
 def apply_traced(
-    radiance: Any, depth_m: Any, known: Any, ratio: Any, first: Any, stride: Any, limit: Any
+    radiance: Any, depth_m: Any, known: Any, ratio: Any, stride: Any, limit: Any
 ) -> Any:
     """(H, W) float32: full-resolution `radiance` times what tracing every n-th pixel found.
 
-    known, ratio: (h, w) traced over closed-form radiance of the pixels from (first, first) on.  Of
+    known, ratio: (h, w) traced over closed-form radiance of every n-th pixel.  Of
     the four around a pixel, those count whose depth differs by less than `limit` of the nearer one,
     by bilinear weight and the more the less it differs: where most of the weight is dark, the pixel
     is.  Without any, it keeps its own.
@@ -212,18 +212,18 @@ def apply_traced(
     made = np.zeros(radiance.shape, np.float32)
     h, w = known.shape
     for row in range(radiance.shape[0]):
-        above = (row - first) // stride
-        v = np.float32((row - first - above * stride) / stride)
+        above = row // stride
+        v = np.float32((row - above * stride) / stride)
         for column in range(radiance.shape[1]):
             if not radiance[row, column] > 0:
                 continue
-            left = (column - first) // stride
-            u = np.float32((column - first - left * stride) / stride)
+            left = column // stride
+            u = np.float32((column - left * stride) / stride)
             here, lit, dark, total = depth_m[row, column], 0.0, 0.0, 0.0
             for corner in range(4):
                 down, across = corner >> 1, corner & 1
-                i, j = min(max(above + down, 0), h - 1), min(max(left + across, 0), w - 1)
-                there = depth_m[first + i * stride, first + j * stride]
+                i, j = min(above + down, h - 1), min(left + across, w - 1)
+                there = depth_m[i * stride, j * stride]
                 step, most = abs(there - here), limit * min(there, here)
                 if not (known[i, j] and step < most):
                     continue

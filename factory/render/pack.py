@@ -132,7 +132,7 @@ def _ref(item: Mapping[str, object]) -> FrameRef:
 
 
 class PackViews:
-    """Renders in a pack; a `simnfnd.factory.render.views.Views`."""
+    """Renders in a pack; a `simnfnd.factory.views.Views`."""
 
     def __init__(self, root: str, mount: Mount) -> None:
         """Raises FactoryError when the pack was made for another mount of the sonar."""
@@ -145,11 +145,11 @@ class PackViews:
             )
 
     def holds(self, ref: FrameRef) -> bool:
-        """See `simnfnd.factory.render.views.Views`."""
+        """See `simnfnd.factory.views.Views`."""
         return ref in self._contents.members
 
     def view(self, ref: FrameRef) -> View:
-        """See `simnfnd.factory.render.views.Views`."""
+        """See `simnfnd.factory.views.Views`."""
         if ref not in self._contents.members:
             raise NotRendered(ref.name)
         try:

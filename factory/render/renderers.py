@@ -1,8 +1,7 @@
 """The renderers: light in closed form, with Embree's shadows (through Open3D), by Blender's Cycles.
 
-One sample of Cycles without bounces is not an estimate: a point light has one direction, and the
-ray goes through the pixel's centre.  With bounces, sound that was scattered before adds to each
-pixel (also in shadow), as noisily as `samples` allow.
+One sample of Cycles is not an estimate: a point light has one direction, and the ray goes through
+the pixel's centre.
 
 bpy is one Blender for the whole process.  All that is made here lives in a scene of its own, so
 nothing else in that Blender is touched.
@@ -19,13 +18,26 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..errors import FactoryError
 from ..frame import Frame, Intrinsics
-from .base import Mount, Rendered, RenderSettings, missing
-from .surface import SHADOW_BIAS, Surface, pixels_of, surface_mesh
+from ..quiet import quiet
+from ..small_files import one_line
+from .base import Mount, Rendered, RenderSettings
+from .surface import SHADOW_BIAS, Pixels, Surface, pixels_of, surface_mesh
+
+
+def _loaded(module: str, kind: str) -> Any:
+    try:
+        return import_module(module)
+    except (ImportError, OSError) as error:
+        raise FactoryError(
+            f"render.kind={kind} needs the module {module} ({one_line(error)}): make setup "
+            "installs what it needs, or choose render=analytic"
+        ) from error
 
 
 class ClosedFormRenderer:
-    """Shades the normals of the pixel grid; with Embree a ray from each traced pixel to the sonar.
+    """Shades the normals of the pixel grid; with Embree a ray from each pixel to the sonar.
 
     Without rays nothing casts a shadow: exact when the sonar is at the camera, where all that the
     camera sees is insonified; with any other mount it lights what the sonar cannot see.
@@ -34,39 +46,28 @@ class ClosedFormRenderer:
     def __init__(self, settings: RenderSettings) -> None:
         """Raises FactoryError when Open3D is asked for and not there: half a second, 100 MB."""
         self._settings = settings
-        try:
-            self._open3d: Any = import_module("open3d") if settings.kind == "embree" else None
-        except (ImportError, OSError) as error:
-            raise missing("embree", error) from error
+        self._open3d: Any = _loaded("open3d", "embree") if settings.kind == "embree" else None
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
-        pixels = pixels_of(frame, self._settings, self._settings.stride_at(mount))
+        pixels = pixels_of(frame, self._settings)
         sonar_m = mount.position_camera_m()
         radiance = pixels.radiance(sonar_m)
-        # What the camera sees, a sonar at its place insonifies.
         if self._open3d and not mount.colocated and pixels.mask.any():
-            surface = pixels.surface()
-            shadow = self._shadow(surface, pixels.traced_edge_ratio, sonar_m)
-            if pixels.stride == 1:
-                radiance[shadow] = 0
-            else:
-                returned = np.where(shadow, 0, radiance[pixels.traced, pixels.traced])
-                radiance = pixels.apply(radiance, returned, surface.mask)
+            radiance[self._shadow(pixels, sonar_m)] = 0
         return Rendered(radiance, pixels.mask)
 
-    def _shadow(
-        self, surface: Surface, edge_ratio: float, sonar_m: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.bool_]:
-        """(h, w) bool: surface pixels that the mesh hides from the sonar."""
-        mesh = surface_mesh(surface.points_m, surface.normals, surface.intrinsics, edge_ratio)
-        scene = self._open3d.t.geometry.RaycastingScene(nthreads=1)
+    def _shadow(self, pixels: Pixels, sonar_m: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: surface pixels that the mesh hides from the sonar."""
+        surface, open3d = pixels.surface(), self._open3d
+        mesh = surface_mesh(pixels, surface)
+        scene = open3d.t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(
             mesh.vertices_m * np.float32(1 + SHADOW_BIAS), mesh.triangles.astype(np.uint32)
         )
         points_m = surface.points_m[surface.mask]
         rays = np.concatenate([points_m, sonar_m.astype(np.float32) - points_m], axis=-1)
-        hidden = scene.test_occlusions(self._open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
+        hidden = scene.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
         shadow = np.zeros(surface.mask.shape, np.bool_)
         shadow[surface.mask] = hidden.numpy()
         return shadow
@@ -75,16 +76,18 @@ class ClosedFormRenderer:
 class CyclesRenderer:
     """Keeps a Blender scene and puts one frame after another into it.
 
-    geometry mesh: `surface_mesh`, shaded with the pixels' normals.  geometry points: a sphere per
-    pixel, shaded likewise; right with the sonar at the camera, but neither a surface that casts
-    whole shadows nor one that sound bounces off.
+    With the sonar at the camera, where nothing casts a shadow, a sphere for every second pixel
+    (half the time of a mesh), and closed form between them; else `surface_mesh`, with a vertex for
+    each pixel.  Both are shaded with the pixels' normals.
     """
 
     def __init__(self, settings: RenderSettings) -> None:
-        """Raises FactoryError when bpy is not there."""
+        """Raises FactoryError when bpy cannot be loaded: a second and 260 MB."""
         self._settings = settings
-        self._bpy = import_bpy()
-        self._scene, self._camera, self._light = _stage(self._bpy, settings)
+        # It may greet the world (a warning where /etc/mtab is missing): stdout is the user's.
+        with _one_core(), quiet(1):
+            self._bpy = _loaded("bpy", "cycles")
+        self._scene, self._camera, self._light = _stage(self._bpy)
         self._mesh = self._new_object("surface")
         self._mesh.data.materials.append(_material(self._bpy, normal_attribute=None))
         self._caster = self._new_object("shadow caster", self._mesh.data)
@@ -102,71 +105,67 @@ class CyclesRenderer:
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
-        pixels = pixels_of(frame, self._settings, self._settings.stride_at(mount))
+        as_points = mount.colocated
+        pixels = pixels_of(frame, self._settings, stride=2 if as_points else 1)
         surface = pixels.surface()
         if not surface.mask.any():
             return Rendered(np.zeros(pixels.mask.shape, np.float32), pixels.mask)
         _aim(self._scene, self._camera.data, surface.intrinsics, *surface.mask.shape)
-        light = self._light
-        light.location = mount.position_camera_m()
+        self._light.location = mount.position_camera_m()
         # What the camera sees, a sonar at its place insonifies: no shadow rays, no rounding.
-        light.data.use_shadow = not mount.colocated
-        as_points = self._settings.as_points(mount)
+        self._light.data.use_shadow = not as_points
         self._points.hide_render = not as_points
-        self._mesh.hide_render = as_points
-        self._caster.hide_render = as_points or mount.colocated
+        self._mesh.hide_render = self._caster.hide_render = as_points
+        mesh = (self._points if as_points else self._mesh).data
+        mesh.clear_geometry()
         if as_points:
-            self._fill_points(surface)
+            _fill_points(mesh, surface)
         else:
-            self._fill_mesh(surface, pixels.traced_edge_ratio)
+            _fill_mesh(mesh, pixels, surface)
+        mesh.update_tag()
         picture = _pixels(self._bpy, self._scene)
-        (self._points if as_points else self._mesh).data.clear_geometry()
+        mesh.clear_geometry()
         hit = surface.mask & (picture[..., 3] > 0.5)
-        if pixels.stride == 1:
-            return Rendered(np.where(hit, picture[..., 0], np.float32(0)), hit)
-        radiance = pixels.radiance(mount.position_camera_m())
-        return Rendered(pixels.apply(radiance, picture[..., 0], hit), pixels.mask)
+        if as_points:
+            radiance = pixels.radiance(mount.position_camera_m())
+            return Rendered(pixels.apply(radiance, picture[..., 0], hit), pixels.mask)
+        return Rendered(np.where(hit, picture[..., 0], np.float32(0)), hit)
 
     def _new_object(self, name: str, mesh: Any = None) -> Any:
         new = self._bpy.data.objects.new(name, mesh or self._bpy.data.meshes.new(name))
         self._scene.collection.objects.link(new)
         return new
 
-    def _fill_mesh(self, surface: Surface, edge_ratio: float) -> None:
-        grid = surface_mesh(surface.points_m, surface.normals, surface.intrinsics, edge_ratio)
-        mesh = self._mesh.data
-        mesh.clear_geometry()
-        mesh.vertices.add(len(grid.vertices_m))
-        mesh.loops.add(grid.triangles.size)
-        mesh.polygons.add(len(grid.triangles))
-        # Straight into the attributes: by way of vertices.co and loops.vertex_index it takes 4 x
-        # the time.
-        _set(mesh, "position", grid.vertices_m)
-        _set(mesh, ".corner_vert", grid.triangles)
-        starts = np.arange(0, grid.triangles.size, 3, dtype=np.int32)
-        mesh.polygons.foreach_set("loop_start", starts)
-        _set(mesh, _ALBEDO, surface.albedo.ravel()[grid.pixel])
-        # The name by which Blender takes a vertex attribute as the mesh's own shading normals.
-        _set(mesh, "custom_normal", surface.normals.reshape(-1, 3)[grid.pixel])
-        mesh.update_tag()
 
-    def _fill_points(self, surface: Surface) -> None:
-        # Whole rows of three by their places: a third of the time of a mask.
-        chosen = np.flatnonzero(surface.mask)
-        points_m = surface.points_m.reshape(-1, 3).take(chosen, axis=0)
-        camera = surface.intrinsics
-        radius_m = points_m[:, 2] * np.float32(_RADIUS_PX / max(camera.fx, camera.fy))
-        # The ray through the centre meets a sphere's front: that is what must lie at the point.
-        x, y, z = points_m.T
-        set_back = 1 + radius_m / np.sqrt(x * x + y * y + z * z)
-        mesh = self._points.data
-        mesh.clear_geometry()
-        mesh.vertices.add(len(points_m))
-        _set(mesh, "position", points_m * set_back[:, None])
-        _set(mesh, _RADIUS, radius_m)
-        _set(mesh, _ALBEDO, surface.albedo.ravel()[chosen])
-        _set(mesh, _NORMAL, surface.normals.reshape(-1, 3).take(chosen, axis=0))
-        mesh.update_tag()
+def _fill_mesh(mesh: Any, pixels: Pixels, surface: Surface) -> None:
+    grid = surface_mesh(pixels, surface)
+    mesh.vertices.add(len(grid.vertices_m))
+    mesh.loops.add(grid.triangles.size)
+    mesh.polygons.add(len(grid.triangles))
+    # Straight into the attributes: by way of vertices.co and loops.vertex_index it takes 4 x the
+    # time.
+    _set(mesh, "position", grid.vertices_m)
+    _set(mesh, ".corner_vert", grid.triangles)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, grid.triangles.size, 3, dtype=np.int32))
+    _set(mesh, _ALBEDO, surface.albedo.ravel()[grid.pixel])
+    # The name by which Blender takes a vertex attribute as the mesh's own shading normals.
+    _set(mesh, "custom_normal", surface.normals.reshape(-1, 3)[grid.pixel])
+
+
+def _fill_points(mesh: Any, surface: Surface) -> None:
+    # Whole rows of three by their places: a third of the time of a mask.
+    chosen = np.flatnonzero(surface.mask)
+    points_m = surface.points_m.reshape(-1, 3).take(chosen, axis=0)
+    camera = surface.intrinsics
+    radius_m = points_m[:, 2] * np.float32(_RADIUS_PX / max(camera.fx, camera.fy))
+    # The ray through the centre meets a sphere's front: that is what must lie at the point.
+    x, y, z = points_m.T
+    set_back = 1 + radius_m / np.sqrt(x * x + y * y + z * z)
+    mesh.vertices.add(len(points_m))
+    _set(mesh, "position", points_m * set_back[:, None])
+    _set(mesh, _RADIUS, radius_m)
+    _set(mesh, _ALBEDO, surface.albedo.ravel()[chosen])
+    _set(mesh, _NORMAL, surface.normals.reshape(-1, 3).take(chosen, axis=0))
 
 
 # Far more than the camera's looking past a pixel's centre, and so small that the spheres' boxes
@@ -235,20 +234,6 @@ _OFF_VERTEX_PX = (2e-3, 1e-3)
 _LIGHT_POWER_W = 4 * np.pi**2
 
 
-def import_bpy() -> Any:
-    """Blender's module: a second and 260 MB, so only render workers may call this.
-
-    Raises FactoryError when it cannot be imported.
-    """
-    try:
-        # It may greet the world (a warning where /etc/mtab is missing): stdout is the user's.
-        with _one_core(), _silent_stdout():
-            import bpy
-    except (ImportError, OSError) as error:
-        raise missing("cycles", error) from error
-    return bpy
-
-
 @contextmanager
 def _one_core() -> Iterator[None]:
     """Let libraries loaded meanwhile believe that the machine has one core.
@@ -270,7 +255,7 @@ def _one_core() -> Iterator[None]:
                 os.sched_setaffinity(int(thread), cores)
 
 
-def _stage(bpy: Any, settings: RenderSettings) -> tuple[Any, Any, Any]:
+def _stage(bpy: Any) -> tuple[Any, Any, Any]:
     """A scene that renders direct light exactly at pixel centres, the same bytes every time.
 
     With a camera at the origin, looking along +z with y down, and the sonar's light, returned after
@@ -285,8 +270,8 @@ def _stage(bpy: Any, settings: RenderSettings) -> tuple[Any, Any, Any]:
     render.use_compositing = render.use_sequencer = False
 
     cycles.device = "CPU"
-    cycles.samples = settings.samples
-    cycles.max_bounces = cycles.diffuse_bounces = settings.bounces
+    cycles.samples = 1
+    cycles.max_bounces = cycles.diffuse_bounces = 0
     cycles.use_adaptive_sampling = cycles.use_denoising = cycles.use_auto_tile = False
     cycles.light_sampling_threshold = 0
     cycles.use_light_tree = False
@@ -351,16 +336,3 @@ def _pixels(bpy: Any, scene: Any) -> npt.NDArray[np.float32]:
     finally:
         CyclesRender.render = original
     return taken[0]
-
-
-@contextmanager
-def _silent_stdout() -> Iterator[None]:
-    """Blender greets the world on the C level, past sys.stdout."""
-    keep = os.dup(1)
-    try:
-        with open(os.devnull, "w") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
-        yield
-    finally:
-        os.dup2(keep, 1)
-        os.close(keep)

@@ -12,7 +12,7 @@ tangent planes.  Every surface pixel is then an interior point of the mesh.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -64,7 +64,8 @@ class Pixels:
     """A frame at full resolution: which pixels are surface, and how strongly each scatters.
 
     depth_m, albedo: (H, W) float32.  mask: (H, W) bool.  grid: see `grid_of`.
-    edge_ratio: see `RenderSettings`.  stride: every how-manieth row and column is traced.
+    edge_ratio: see `RenderSettings`.  stride: every how-manieth row and column is traced, from the
+        first on (of two).
     """
 
     depth_m: npt.NDArray[np.float32]
@@ -75,30 +76,17 @@ class Pixels:
     edge_ratio: float
     stride: int
 
-    @property
-    def traced(self) -> slice:
-        """The rows and columns that are traced: the middle one of each `stride`."""
-        return slice((self.stride - 1) // 2, None, self.stride)
-
-    @property
-    def traced_edge_ratio(self) -> float:
-        """`edge_ratio` between traced pixels: on the same slope their steps are larger."""
-        return min(1.0, self.edge_ratio * self.stride)
-
     def surface(self) -> Surface:
         """Points and normals of the traced pixels; the normals are those of full resolution."""
-        first, at, camera = self.traced.start, (self.traced, self.traced), self.intrinsics
-        mask = np.ascontiguousarray(self.mask[at])
+        camera, stride = self.intrinsics, self.stride
+        mask = np.ascontiguousarray(self.mask[::stride, ::stride])
         points_m = np.empty((*mask.shape, 3), np.float32)
         normals = np.empty_like(points_m)
-        kernels.orient(self.grid, first, self.stride, points_m, normals)
-        if self.stride > 1:
-            # At this distance what hangs loose could join a surface that it is no part of.
-            points_m[~mask] = 0
-        fx, fy, cx, cy = camera.fx, camera.fy, camera.cx - first, camera.cy - first
-        stride = self.stride
-        lens = Intrinsics(fx / stride, fy / stride, cx / stride, cy / stride)
-        return Surface(points_m, normals, np.ascontiguousarray(self.albedo[at]), mask, lens)
+        kernels.orient(self.grid, stride, points_m, normals)
+        numbers = camera.fx, camera.fy, camera.cx, camera.cy
+        fx, fy, cx, cy = (number / stride for number in numbers)
+        albedo = np.ascontiguousarray(self.albedo[::stride, ::stride])
+        return Surface(points_m, normals, albedo, mask, Intrinsics(fx, fy, cx, cy))
 
     def radiance(self, sonar_m: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
         """(H, W) float32 light of a sonar at (3,) metres in camera axes, without shadows."""
@@ -114,15 +102,16 @@ class Pixels:
         """(H, W) float32 full-resolution light from the closed form and the traced pixels.
 
         radiance: (H, W) of `radiance`.  traced: (h, w), what tracing found where `known`.
-        The closed form has each pixel's own detail, tracing knows what is in shadow: their ratio
-        is what is spread over the pixels in between.
+        The closed form has each pixel's own detail, tracing knows what is lit: their ratio is what
+        is spread over the pixels in between.
         """
-        coarse = radiance[self.traced, self.traced]
+        coarse = radiance[:: self.stride, :: self.stride]
         known = known & (coarse > _FAINTEST)
         ratio = np.where(known, traced / np.where(known, coarse, 1), 0).astype(np.float32)
-        limit = np.float32(self.traced_edge_ratio)
-        places = self.traced.start, self.stride, limit
-        return np.asarray(kernels.apply_traced(radiance, self.depth_m, known, ratio, *places))
+        # Between traced pixels the steps of the same slope are larger.
+        limit = np.float32(min(1.0, self.edge_ratio * self.stride))
+        light = kernels.apply_traced(radiance, self.depth_m, known, ratio, self.stride, limit)
+        return np.asarray(light)
 
 
 def pixels_of(frame: Frame, settings: RenderSettings, stride: int = 1) -> Pixels:
@@ -212,23 +201,22 @@ class Quads:
     upper: Flags
     lower: Flags
 
-    def corners(self, lower: bool, chosen: Flags) -> Places:
-        """(N, 3) flat pixel indices of the lower or upper triangle of the chosen quads.
-
-        Wound so that the face looks at the camera.
-        """
-        rows, columns = np.nonzero(chosen)
-        width = self.falls.shape[1] + 1
-        a = rows * width + columns
-        b, c, d = a + 1, a + width, a + width + 1
-        falls = self.falls[rows, columns]
-        if lower:
-            return np.stack([d, np.where(falls, a, b), c], axis=-1)
-        return np.stack([a, np.where(falls, d, c), b], axis=-1)
-
     def triangles(self, upper: Flags, lower: Flags) -> Places:
-        """(N, 3) flat pixel indices of the chosen upper and lower triangles."""
-        return np.concatenate([self.corners(False, upper), self.corners(True, lower)])
+        """(N, 3) flat pixel indices of the upper and lower triangles of the chosen quads.
+
+        Wound so that the faces look at the camera.
+        """
+        found, width = [], self.falls.shape[1] + 1
+        for chosen in (upper, lower):
+            rows, columns = np.nonzero(chosen)
+            a = rows * width + columns
+            b, c, d, falls = a + 1, a + width, a + width + 1, self.falls[rows, columns]
+            if chosen is upper:
+                corners = [a, np.where(falls, d, c), b]
+            else:
+                corners = [d, np.where(falls, a, b), c]
+            found.append(np.stack(corners, axis=-1))
+        return np.concatenate(found)
 
     def mask(self) -> Flags:
         """(H, W) bool: pixels that are a corner of at least one surface triangle.
@@ -261,8 +249,7 @@ def cut_quads(joints: npt.NDArray[np.uint8]) -> Quads:
     return Quads(falls, np.where(falls, adb, acb), np.where(falls, dac, dbc))
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceMesh:
+class SurfaceMesh(NamedTuple):
     """A triangle mesh in camera axes.
 
     vertices_m: (N, 3) float32; the first ones are the surface pixels in image order.
@@ -275,21 +262,16 @@ class SurfaceMesh:
     pixel: Places
 
 
-def surface_mesh(
-    points_m: npt.NDArray[np.float32],
-    normals: npt.NDArray[np.float32],
-    intrinsics: Intrinsics,
-    edge_ratio: float,
-) -> SurfaceMesh:
-    """Mesh of a frame: the surface triangles of the pixel grid and the rim around them.
+def surface_mesh(pixels: Pixels, surface: Surface) -> SurfaceMesh:
+    """Mesh of a frame of which every pixel is traced: the pixel grid and the rim around it.
 
-    points_m, normals: (H, W, 3).  Frames without surface give empty arrays.
+    Frames without surface give empty arrays.
     """
     # One pixel of nothing all around gives the image border its rim too.
-    joints = kernels.joints(np.pad(points_m[..., 2], 1), edge_ratio)
+    joints, width = pixels.grid[1], pixels.mask.shape[1]
     quads = cut_quads(joints)
     mask = quads.mask()
-    pixel = np.flatnonzero(mask[1:-1, 1:-1])
+    pixel = np.flatnonzero(pixels.mask)
     vertex_of = np.zeros(mask.size, np.int32)
     vertex_of[mask.ravel()] = np.arange(len(pixel), dtype=np.int32)
     grid = vertex_of[quads.triangles(quads.upper, quads.lower)]
@@ -299,11 +281,10 @@ def surface_mesh(
     rim = vertex_of[owner]
     rim[is_half] = len(pixel) + np.arange(is_half.sum(), dtype=np.int32)
     ends = np.stack([np.divmod(end[is_half], mask.shape[1]) for end in (owner, other)])
-    half = (ends.sum(axis=0) / 2 - 1).T
-    owner = (ends[0, 0] - 1) * points_m.shape[1] + ends[0, 1] - 1
-    half_m = _on_tangent_planes(points_m, normals, owner, half, intrinsics, edge_ratio)
+    owner = (ends[0, 0] - 1) * width + ends[0, 1] - 1
+    half_m = _on_tangent_planes(surface, owner, ends.sum(axis=0) / 2 - 1, pixels.edge_ratio)
     return SurfaceMesh(
-        np.concatenate([points_m.reshape(-1, 3)[pixel], half_m]),
+        np.concatenate([surface.points_m.reshape(-1, 3)[pixel], half_m]),
         np.concatenate([grid, rim]),
         np.concatenate([pixel, owner]),
     )
@@ -344,19 +325,14 @@ def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Plac
 
 
 def _on_tangent_planes(
-    points_m: npt.NDArray[np.float32],
-    normals: npt.NDArray[np.float32],
-    owner: Places,
-    pixel: npt.NDArray[np.float64],
-    intrinsics: Intrinsics,
-    edge_ratio: float,
+    surface: Surface, owner: Places, places: npt.NDArray[np.float64], edge_ratio: float
 ) -> npt.NDArray[np.float32]:
-    """(N, 3) float32 points at (N, 2) rows and columns, on the tangent planes of `owner` (N,)."""
-    point_m = points_m.reshape(-1, 3)[owner].astype(np.float64)
-    normal = normals.reshape(-1, 3)[owner]
+    """(N, 3) float32 points at (2, N) rows and columns, on the tangent planes of `owner` (N,)."""
+    point_m = surface.points_m.reshape(-1, 3)[owner].astype(np.float64)
+    normal, camera = surface.normals.reshape(-1, 3)[owner], surface.intrinsics
     ray = np.ones((len(owner), 3))
-    ray[:, 0] = (pixel[:, 1] - intrinsics.cx) / intrinsics.fx
-    ray[:, 1] = (pixel[:, 0] - intrinsics.cy) / intrinsics.fy
+    ray[:, 0] = (places[1] - camera.cx) / camera.fx
+    ray[:, 1] = (places[0] - camera.cy) / camera.fy
     with np.errstate(divide="ignore", invalid="ignore"):
         depth_m = (normal * point_m).sum(axis=-1) / (normal * ray).sum(axis=-1)
     reach_m = point_m[:, 2] * edge_ratio * _RIM_REACH

@@ -47,14 +47,7 @@ class OwnClass:
 
 @dataclass(frozen=True, config=STRICT)
 class SceneSettings:
-    """Keys that all `scenes` kinds have.
-
-    depth_kind: whether the depth files hold z (along the optical axis) or slant range.
-    bad_depth: what NaN, infinite and negative depths mean: a bad frame, or an unmeasured pixel.
-    """
-
-    depth_kind: Literal["z", "range"] = "z"
-    bad_depth: Literal["reject", "mask"] = "reject"
+    """What all `scenes` kinds have."""
 
     def own(self) -> tuple[OwnClass, ...]:
         """What the user's own objects are and how they echo."""
@@ -63,6 +56,10 @@ class SceneSettings:
     def own_classes(self) -> tuple[str, ...]:
         """Their classes, beside `labels.CLASSES` or among them."""
         return tuple(one.label for one in self.own())
+
+
+BadDepth = Literal["reject", "mask"]
+"""What NaN, infinite and negative depths mean: a bad frame, or an unmeasured pixel."""
 
 
 @plain_dataclass(frozen=True)

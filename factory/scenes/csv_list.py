@@ -23,50 +23,35 @@ from pydantic.dataclasses import dataclass
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import Discovery, Root, SceneSettings, discovery, numbered_lines
-from .frame_files import Pinhole, finished_frame, read_depth, read_rgb
+from .base import BadDepth, Discovery, Root, SceneSettings, discovery, numbered_lines
+from .frame_files import read_depth, read_frame, read_rgb
 
 _EXPECTED = "a CSV file of rgb,depth lines"
+
+
+_Positive = Annotated[float, Field(gt=0)]
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
 class CsvListSettings(SceneSettings):
     """Keys of `scenes=csv_list`.
 
-    file: the CSV file.  root: another name of the same key; give one of the two.
-    intrinsics: fx, fy, cx, cy of the images as they are.
-    distortion: k1, k2, p1, p2 of the lens (OpenCV), or empty.
-    undistort: take that distortion out of colour and depth (same camera matrix).
+    file: the CSV file.
+    intrinsics: fx, fy, cx, cy of the images as they are, pixels.
     depth_scale: what the numbers in the depth files are divided by to give metres; None: integers
         by 1000 (millimetres), and floating-point numbers are metres already.
     invalid_below_m: depths at or below this are pixels without a measurement; None: only 0 is.
     invalid_above_m: depths at or above this are, too (a rendered sky, for example).
+    bad_depth: see `BadDepth`.
     """
 
     kind: Literal["csv_list"] = "csv_list"
-    file: Root | None = None
-    root: Root | None = None
-    intrinsics: Pinhole
-    distortion: tuple[()] | tuple[float, float, float, float] = ()
-    undistort: bool = False
-    depth_scale: Annotated[float, Field(gt=0)] | None = None
+    file: Root
+    intrinsics: tuple[_Positive, _Positive, float, float]
+    depth_scale: _Positive | None = None
     invalid_below_m: float | None = 0.0
-    invalid_above_m: Annotated[float, Field(gt=0)] | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse no file, and two."""
-        if (self.file is None) == (self.root is None):
-            raise ValueError("give the CSV file of rgb,depth lines, scenes.file=frames.csv, alone")
-
-    @property
-    def given(self) -> str:
-        """The file as the user wrote it, for messages."""
-        return f"scenes.root={self.root}" if self.file is None else f"scenes.file={self.file}"
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return Path(self.file or self.root or "").expanduser()
+    invalid_above_m: _Positive | None = None
+    bad_depth: BadDepth = "reject"
 
 
 class CsvListReader:
@@ -77,12 +62,10 @@ class CsvListReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        path, given = self.settings.path, self.settings.given
+        path, given = Path(self.settings.file).expanduser(), f"scenes.file={self.settings.file}"
         if not path.is_file():
             fault = "is a folder" if path.is_dir() else "no such file"
-            raise FactoryError(
-                f"{given}: {fault}; give scenes.file={_EXPECTED}, and no scenes.root"
-            )
+            raise FactoryError(f"{given}: {fault}; give {_EXPECTED}")
         rows = _rows(path)
         frames = _named(path.parent, rows)
         # Unlike Path.is_file, os.path.isfile raises nothing.
@@ -96,9 +79,8 @@ class CsvListReader:
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        image, depth = map(Path, ref.paths)
-        rgb = read_rgb(image)
-        settings, depth_m = self.settings, read_depth(depth, self.settings.depth_scale)
+        settings, (image, depth) = self.settings, map(Path, ref.paths)
+        rgb, depth_m = read_rgb(image), read_depth(depth, settings.depth_scale)
         # NaN and infinities stay to be refused.
         low, high = settings.invalid_below_m, settings.invalid_above_m
         invalid = np.isfinite(depth_m) & (
@@ -106,8 +88,7 @@ class CsvListReader:
             | (depth_m >= (np.inf if high is None else high))
         )
         depth_m = np.where(invalid, np.float32(0), depth_m)
-        lens = Intrinsics(*settings.intrinsics, distortion=settings.distortion)
-        return finished_frame(ref, rgb, depth_m, lens, settings, undistort=settings.undistort)
+        return read_frame(ref, rgb, depth_m, Intrinsics(*settings.intrinsics), settings.bad_depth)
 
 
 def _rows(path: Path) -> list[tuple[str, str, str]]:

@@ -21,8 +21,8 @@ from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
 from ..small_files import one_line
-from .base import Discovery, Root, SceneSettings, discovery
-from .frame_files import finished_frame, read_depth, read_rgb, scaled
+from .base import BadDepth, Discovery, Root, SceneSettings, discovery
+from .frame_files import read_depth, read_frame, read_rgb
 
 _CANYONS = ("flatiron", "horse_canyon", "tiny_canyon", "u_canyon")
 _RED_SEA = ("big_dice_loop", "coral_table_loop", "cross_pyramid_loop", "dice_path", "landward_path",
@@ -60,7 +60,7 @@ class FlseaSettings(SceneSettings):
 
     root: folder of canyons/ and red_sea/, or one location folder, or one scene folder.
     scenes: which of the twelve scenes to use, by name; None uses every one that is there.
-    undistort: take the lens distortion out of colour and depth (same camera matrix).
+    bad_depth: see `BadDepth`.
     """
 
     kind: Literal["flsea"] = "flsea"
@@ -68,7 +68,7 @@ class FlseaSettings(SceneSettings):
     scenes: Annotated[
         Annotated[tuple[str, ...], Field(min_length=1)] | None, AfterValidator(_known)
     ] = None
-    undistort: bool = False
+    bad_depth: BadDepth = "reject"
 
 
 class FlseaReader:
@@ -96,11 +96,6 @@ class FlseaReader:
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
         if absent := [scene for scene in wanted if scene not in there]:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
-        notes += [
-            f"{place}: lens distortion unknown, images are not undistorted"
-            for place in dict.fromkeys(SCENES[scene] for scene in folders)
-            if self.settings.undistort and not BUILT_IN[place].distortion
-        ]
         nothing = f"no FLSea scene {' or '.join(asked or ())}".rstrip() + (
             f" here, looked for <location>/<scene>/imgs such as canyons/u_canyon/imgs; set "
             f"scenes.root to {_EXPECTED}"
@@ -117,10 +112,17 @@ class FlseaReader:
         """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth = map(Path, ref.paths)
         rgb, depth_m = read_rgb(image), read_depth(depth)
-        size = rgb.shape[1], rgb.shape[0]
-        lens = scaled(BUILT_IN[ref.location], CALIBRATED_SIZE, size)
-        undistort = self.settings.undistort
-        return finished_frame(ref, rgb, depth_m, lens, self.settings, undistort=undistort)
+        lens = _scaled(BUILT_IN[ref.location], rgb.shape[1], rgb.shape[0])
+        return read_frame(ref, rgb, depth_m, lens, self.settings.bad_depth)
+
+
+def _scaled(lens: Intrinsics, width: int, height: int) -> Intrinsics:
+    """The lens for images of another size: pixel centres are at whole numbers."""
+    x, y = width / CALIBRATED_SIZE[0], height / CALIBRATED_SIZE[1]
+    if (x, y) == (1.0, 1.0):
+        return lens
+    centre = (lens.cx + 0.5) * x - 0.5, (lens.cy + 0.5) * y - 0.5
+    return Intrinsics(lens.fx * x, lens.fy * y, *centre, lens.distortion)
 
 
 def _scene_folders(root: Path) -> dict[str, Path]:

@@ -1,42 +1,26 @@
-"""From files to a Frame: colour images, depth maps (TIFF, PNG, JPEG, .npy), undistortion.
+"""From files to a Frame: colour images and depth maps (TIFF, PNG, JPEG, .npy).
 
 Pillow decodes, because it refuses a truncated file where other libraries return half a picture.
-Pillow and OpenCV are imported inside the functions so that importing settings stays light.
 """
 
 from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BeforeValidator, Field
 
 from ..errors import FrameError
 from ..frame import Frame, FrameRef, Intrinsics, checked
 from ..quiet import quiet_stderr
 from ..small_files import one_line
-from .base import INTEGERS_PER_M, SceneSettings
+from .base import INTEGERS_PER_M
 
 # Pillow modes whose conversion to RGB loses nothing but transparency.
 _COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})
-
-
-def _four(value: Any) -> Any:
-    if not isinstance(value, list | tuple) or len(value) != 4:
-        raise ValueError("give fx, fy, cx, cy in pixels, for example [525, 525, 319.5, 239.5]")
-    return value
-
-
-_Positive = Annotated[float, Field(gt=0)]
-
-# The `intrinsics` key of readers: fx, fy, cx, cy in pixels of the images as they are.
-Pinhole = Annotated[tuple[_Positive, _Positive, float, float], BeforeValidator(_four)]
 
 
 def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
@@ -102,89 +86,18 @@ def _decoded(path: Path) -> Any:
         ) from error
 
 
-def scaled(
-    intrinsics: Intrinsics, calibrated_size: tuple[int, int], size: tuple[int, int]
-) -> Intrinsics:
-    """`intrinsics` of (width, height) `calibrated_size` for the same view at `size`.
-
-    Pixel centres are at whole numbers, so the principal point scales about -0.5.  The distortion
-    acts on normalised coordinates and stays.
-    """
-    x, y = size[0] / calibrated_size[0], size[1] / calibrated_size[1]
-    if (x, y) == (1.0, 1.0):
-        return intrinsics
-    return Intrinsics(
-        intrinsics.fx * x,
-        intrinsics.fy * y,
-        (intrinsics.cx + 0.5) * x - 0.5,
-        (intrinsics.cy + 0.5) * y - 0.5,
-        intrinsics.distortion,
-    )
-
-
-def finished_frame(
+def read_frame(
     ref: FrameRef,
     rgb: npt.NDArray[np.uint8],
     depth_m: npt.NDArray[np.float32],
     intrinsics: Intrinsics,
-    settings: SceneSettings,
-    *,
-    undistort: bool = False,
+    bad_depth: str,
 ) -> Frame:
-    """A checked frame with z depth, undistorted on demand.
+    """A checked frame of what was read; see `Frame`.  Raises FrameError that names the depth file.
 
-    rgb: (H, W, 3) uint8.  depth_m: (H, W) float32, z or slant range as `settings.depth_kind` says.
-    intrinsics: of this image size.  Raises FrameError that names the depth file (`ref.paths[1]`).
-
-    The files are checked before anything is made of them (a message about pixels must be about
-    the file's pixels) and once more after undistortion, which moves pixels out of the picture.
+    bad_depth: see `simnfnd.factory.frame.checked`.
     """
     try:
-        frame = checked(Frame(ref, rgb, depth_m, intrinsics), bad_depth=settings.bad_depth)
-        if undistort and intrinsics.distortion:
-            rgb, depth_m = undistorted(frame.rgb, frame.depth_m, intrinsics)
-            flat = replace(intrinsics, distortion=())
-            frame = checked(replace(frame, rgb=rgb, depth_m=depth_m, intrinsics=flat))
-        if settings.depth_kind == "range":
-            frame = replace(frame, depth_m=z_from_range(frame.depth_m, frame.intrinsics))
-        return frame
+        return checked(Frame(ref, rgb, depth_m, intrinsics), bad_depth=bad_depth)
     except FrameError as error:
         raise FrameError(f"{error} [{ref.paths[1]}]") from error
-
-
-def undistorted(
-    rgb: npt.NDArray[np.uint8], depth_m: npt.NDArray[np.float32], intrinsics: Intrinsics
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
-    """The images a lens without distortion would have made, with the same camera matrix.
-
-    rgb: (H, W, 3) uint8, interpolated linearly.  depth_m: (H, W) float32, nearest neighbour (a
-    mean of two surfaces would be neither).  Pixels that the lens did not see become 0.
-    """
-    import cv2
-
-    x, y = _distorting_maps(intrinsics, depth_m.shape)
-    flat_rgb = cv2.remap(rgb, x, y, cv2.INTER_LINEAR)
-    flat_depth = cv2.remap(depth_m, x, y, cv2.INTER_NEAREST)
-    return np.asarray(flat_rgb, dtype=np.uint8), np.asarray(flat_depth, dtype=np.float32)
-
-
-@lru_cache(maxsize=4)
-def _distorting_maps(lens: Intrinsics, shape: tuple[int, ...]) -> tuple[npt.NDArray[Any], ...]:
-    import cv2
-
-    camera = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
-    distortion, size = np.array(lens.distortion), (shape[1], shape[0])
-    return cv2.initUndistortRectifyMap(camera, distortion, np.eye(3), camera, size, cv2.CV_32FC1)
-
-
-def z_from_range(
-    range_m: npt.NDArray[np.float32], intrinsics: Intrinsics
-) -> npt.NDArray[np.float32]:
-    """(H, W) float32 slant range in metres -> z along the optical axis; 0 stays 0.
-
-    z = r / sqrt(1 + ((u - cx) / fx)^2 + ((v - cy) / fy)^2), the inverse of the pinhole
-    back-projection that later turns z into points, so the point's distance is r.
-    """
-    x, y = intrinsics.directions(*range_m.shape)
-    stretch = np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
-    return np.asarray(range_m / stretch, dtype=np.float32)

@@ -61,7 +61,6 @@ class MeshSettings(SceneSettings):
     """
 
     kind: Literal["mesh"] = "mesh"
-    depth_kind: Literal["z"] = "z"
     file: Root
     scale: Annotated[float, Field(gt=0)] = 1.0
     classes: tuple[PartClass, ...] = ()
@@ -148,7 +147,7 @@ class MeshReader:
             altitude_m=self._above_ground_m(where.eye),
             boxes=seen.boxes(instance) if settings.boxes else None,
         )
-        return checked(frame, bad_depth=settings.bad_depth)
+        return checked(frame)
 
     @cached_property
     def _world(self) -> tuple[Objects, npt.NDArray[np.uint8], tuple[str, ...]]:

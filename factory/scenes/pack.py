@@ -19,7 +19,6 @@ class PackSettings(SceneSettings):
 
     kind: Literal["pack"] = "pack"
     root: Root
-    depth_kind: Literal["z"] = "z"
 
     def own_classes(self) -> tuple[str, ...]:
         """Those that were packed; none of a pack that cannot be read, as `discover` says."""

@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ...factory.config import FactoryConfig, digest, from_mapping, plain
+from ...factory.config import FactoryConfig, from_mapping, plain
 from ...factory.dataset.manifest import CONFIG_NAME
 from ...factory.dataset.pair_dataset import in_unit_range
+from ...factory.dataset.schema import config_hash
 from ...factory.distribution import Distribution, number
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.noise.draws import StreamNames, draw
 from ...factory.noise.registry import NoiseSettings
 from ...factory.pairs import PairMaker, observe_by
-from ...factory.render.views import Views, open_views
 from ...factory.scenes import open_reader
 from ...factory.seeds import stream
 from ...factory.selection import choose_frames, split_frames
@@ -32,6 +32,7 @@ from ...factory.sonar.fan import rasterised
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.settings import SonarSettings
 from ...factory.sonar_randomization import draw as devices
+from ...factory.views import Views, open_views
 from ..networks import DEFAULT
 from ..settings import MixedData, RendersData
 from .images import digest_of, list_images
@@ -337,7 +338,7 @@ def _by_any_device(
         sonar=replace(drawn.sonar, mount=config.sonar.mount),
         water=drawn.water,
     )
-    drawn_as = digest({name: plain(config)[name] for name in _DECIDE})
+    drawn_as = config_hash({name: plain(config)[name] for name in _DECIDE})
     shown = spread(held, data.validation_limit)
     # A picture without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))

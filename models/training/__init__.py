@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from ...factory.cli import accept_dataset_folder, run_app
+from ...factory.cli import run_app
 from ...factory.errors import FactoryError
 from ...factory.settings import build
 from .. import WEIGHTS_NAME
@@ -23,7 +23,6 @@ def main(words: Sequence[str]) -> int:
     sys.argv[1:] = words
     if {"--help", "-h"} & set(words):
         sys.argv.append(f"hydra.help.template='{_help()}'")
-    accept_dataset_folder()
     return run_app(run, "models")
 
 

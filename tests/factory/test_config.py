@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter
 
-from simnfnd.factory.config import digest, from_mapping, identity, plain
+from simnfnd.factory.config import from_mapping, identity, plain
+from simnfnd.factory.dataset.schema import config_hash as digest
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.distribution import as_override, parse
 from simnfnd.factory.errors import FactoryError

@@ -23,11 +23,11 @@ from simnfnd.factory.dataset.manifest import load_manifest
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
-from simnfnd.factory.render.base import Mount
+from simnfnd.factory.render.base import CacheSettings, Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
-from simnfnd.factory.render.views import Cache
 from simnfnd.factory.scheduler.lock import owner_of
 from simnfnd.factory.small_files import read_regular
+from simnfnd.factory.views import Cache
 from tests.factory.dataset.hostile import whole
 from tests.factory.render.small_views import some_view
 
@@ -158,7 +158,7 @@ BOMB_BYTES = 1 << 27
 def test_a_plane_makes_no_more_than_its_picture(tmp_path: Path) -> None:
     bomb = zstd.compress(bytes(BOMB_BYTES))
     content = forged(views.encode(some_view()), parts=[len(bomb)] * 2, labelled=False)
-    cache = Cache(tmp_path)
+    cache = Cache(CacheSettings(dir=str(tmp_path)))
     path = tmp_path / "ab" / "abc.view"
     path.parent.mkdir()
     path.write_bytes(content + bomb * 2)

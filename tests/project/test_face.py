@@ -116,7 +116,7 @@ def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypat
     words = ("render=analytic", "seed=3", "dataset.dtype=float32", "sonar.projection=top_view")
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
     made = [
-        *("make", *words, "scenes=csv_list", f"scenes.root={tmp_path / 'frame.csv'}"),
+        *("make", *words, "scenes=csv_list", f"scenes.file={tmp_path / 'frame.csv'}"),
         *("scenes.intrinsics=[120,120,76,48]", "scheduler=serial", "dataset.preview_pairs=0"),
         *(f"dataset.dir={tmp_path / 'out'}", f"cache.dir={tmp_path / 'cache'}"),
     ]

@@ -51,7 +51,6 @@ class SeabedSettings(SceneSettings):
     """
 
     kind: Literal["seabed"] = "seabed"
-    depth_kind: Literal["z"] = "z"
     locations: Annotated[int, Field(ge=1, le=_LAST)] = 20
     first_location: Annotated[int, Field(ge=0, lt=_LAST)] = 0
     frames_per_location: Annotated[int, Field(ge=1, le=_LAST)] = 10
@@ -121,7 +120,7 @@ class SeabedReader:
             number, movement = 0, lines[number]
         world = self._world(int(scene[1]))
         frame = take(world, number, ref, optics, movement, boxes=settings.boxes)
-        return checked(frame, bad_depth=settings.bad_depth)
+        return checked(frame)
 
     def _movements(self) -> tuple[Movement, ...] | None:
         path = self._settings.path

@@ -121,7 +121,7 @@ def test_damage_is_found_before_anything_is_written(tmp_path, two) -> None:
 def test_what_cannot_be_merged(tmp_path, two) -> None:
     out = tmp_path / "out"
     refused(two[:1], out, "at least two")
-    refused((two[0], two[0]), out, "named twice")
+    refused((two[0], two[0]), out, "at least two")
     refused((two[0], tmp_path), out, "no manifest.json")
     with pytest.raises(FactoryError, match="holds files already"):
         merge(two, two[0])

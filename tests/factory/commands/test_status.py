@@ -30,7 +30,7 @@ def failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "list.csv").write_text("good.png,good_d.png\nbad.png,bad_d.png\n")
     out = tmp_path / "out"
     words = [
-        *("scenes=csv_list", f"scenes.root={folder / 'list.csv'}", "render=analytic"),
+        *("scenes=csv_list", f"scenes.file={folder / 'list.csv'}", "render=analytic"),
         *("scenes.intrinsics=[100,100,60,40]", "dataset.preview_pairs=0", *SERIAL),
         *(f"cache.dir={tmp_path / 'cache'}", f"dataset.dir={out}"),
     ]

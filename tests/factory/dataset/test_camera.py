@@ -17,8 +17,8 @@ from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.pairs import pair_maker
-from simnfnd.factory.render.views import ViewMaker
 from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.views import ViewMaker
 from tests.frames import ground_and_post
 
 LAYERS = ["rgb", "depth"]

@@ -9,7 +9,6 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -20,17 +19,17 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.scenes import Scenes, open_reader
 from simnfnd.factory.scenes.base import Reader
 from simnfnd.factory.scenes.flsea import BUILT_IN, SCENES
-from simnfnd.factory.scenes.frame_files import read_depth, read_rgb, undistorted
+from simnfnd.factory.scenes.frame_files import read_depth, read_rgb
 from simnfnd.factory.scenes.mesh import trajectory
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
-from tests.render_scenes import FLSEA, rays
+from tests.render_scenes import FLSEA
 
 PINHOLE = [20.0, 20.0, 11.5, 7.5]
+KEYS = {"flsea": "root", "csv_list": "file"}
 
 Array = npt.NDArray[Any]
 RGB = np.arange(16 * 24 * 3, dtype=np.uint8).reshape(16, 24, 3)
@@ -38,7 +37,8 @@ DEPTH = np.linspace(0.5, 6, 16 * 24, dtype=np.float32).reshape(16, 24)
 
 
 def reader(kind: str, root: Path, **values: object) -> Reader:
-    settings: Any = build(Scenes, {"kind": kind, "root": str(root), **values}, "scenes")
+    where = {KEYS[kind]: str(root)}
+    settings: Any = build(Scenes, {"kind": kind, **where, **values}, "scenes")
     return open_reader(settings)
 
 
@@ -70,19 +70,19 @@ def test_missing_and_empty_roots_get_one_line(tmp_path: Path, kind: str) -> None
             root.write_text("# nothing\n")
         with pytest.raises(FactoryError) as caught:
             reader(kind, root, **extra).discover()
-        assert str(caught.value).startswith(f"scenes.root={root}: ")
+        assert str(caught.value).startswith(f"scenes.{KEYS[kind]}={root}: ")
         assert "\n" not in str(caught.value)
         assert not isinstance(caught.value, FrameError)
     for unset in ("", "???"):
-        with pytest.raises(FactoryError, match=r"scenes\.root: a path is required"):
-            build(Scenes, {"kind": kind, "root": unset, **extra}, "scenes")
+        with pytest.raises(FactoryError, match=rf"scenes\.{KEYS[kind]}: a path is required"):
+            build(Scenes, {"kind": kind, KEYS[kind]: unset, **extra}, "scenes")
 
 
 @pytest.mark.parametrize("kind", ["flsea", "csv_list", "seabed"])
 def test_yaml_lists_every_key_with_the_default(kind: str) -> None:
     values = yaml.safe_load((ROOT / f"conf/scenes/{kind}.yaml").read_text())
     given = {key: value for key, value in values.items() if value != "???"}
-    required: dict[str, object] = {} if kind == "seabed" else {"root": "x"}
+    required: dict[str, object] = {} if kind == "seabed" else {KEYS[kind]: "x"}
     required |= {"intrinsics": PINHOLE} if kind == "csv_list" else {}
     settings: Any = build(Scenes, {"kind": kind, **required}, "scenes")
     assert set(values) == set(settings.__dataclass_fields__)
@@ -144,7 +144,6 @@ def test_damaged_csv_lists(tmp_path: Path, content: bytes, said: str) -> None:
     [
         {},
         {"intrinsics": [0, 2, 3, 4]},
-        {"intrinsics": PINHOLE, "distortion": [0.1]},
         {"intrinsics": PINHOLE, "depth_scale": 0},
         {"intrinsics": PINHOLE, "depth_scael": 1},
     ],
@@ -174,8 +173,6 @@ def test_float_millimetres_are_named_and_depth_scale_mends_them(tmp_path: Path) 
     np.testing.assert_allclose(loaded(depth_scale=1000), DEPTH, rtol=1e-5)
     with pytest.raises(FrameError, match="divided twice"):
         loaded(depth_scale=1e6)
-    with pytest.raises(FactoryError, match=r"scenes.file=frames.csv"):
-        build(Scenes, {"kind": "csv_list", "intrinsics": PINHOLE})
 
 
 def test_flsea_finds_every_layout(tmp_path: Path) -> None:
@@ -216,15 +213,6 @@ def test_flsea_root_may_be_any_level(tmp_path: Path, start: str) -> None:
     assert camera.distortion == known.distortion
 
 
-def test_flsea_undistorts_where_the_lens_is_known(tmp_path: Path) -> None:
-    flsea_frame(tmp_path / "canyons/u_canyon", "1")
-    flsea_frame(tmp_path / "red_sea/sub_pier", "1")
-    flsea = reader("flsea", tmp_path, undistort=True)
-    found = flsea.discover()
-    assert all(flsea.load(ref).intrinsics.distortion == () for ref in found.frames)
-    assert found.notes[2:] == ("red_sea: lens distortion unknown, images are not undistorted",)
-
-
 def test_flsea_selects_scenes_by_name(tmp_path: Path) -> None:
     for scene in ("canyons/u_canyon", "canyons/flatiron", "red_sea/sub_pier"):
         flsea_frame(tmp_path / scene, "1")
@@ -255,7 +243,7 @@ def test_a_bad_frame_is_told_with_its_file(tmp_path: Path, kind: float | str, me
     if not isinstance(kind, str):
         depth[3, 4:7] = kind
     flsea_frame(tmp_path / "canyons/u_canyon", "1", depth=depth[: 15 if kind == "mismatch" else 16])
-    flsea = reader("flsea", tmp_path, undistort=True)
+    flsea = reader("flsea", tmp_path)
     with pytest.raises(FrameError, match=message) as caught:
         flsea.load(flsea.discover().frames[0])
     assert "1_SeaErra_abs_depth.tif" in str(caught.value)
@@ -267,19 +255,9 @@ def test_a_bad_frame_is_told_with_its_file(tmp_path: Path, kind: float | str, me
         assert np.isfinite(frame.depth_m).all()
 
 
-def test_range_depth_keeps_every_distance(tmp_path: Path) -> None:
-    flsea_frame(tmp_path / "red_sea/sub_pier", "1", depth=np.full_like(DEPTH, 5.0))
-    flsea = reader("flsea", tmp_path, depth_kind="range")
-    frame = flsea.load(flsea.discover().frames[0])
-    distances = np.linalg.norm(rays(16, 24, frame.intrinsics) * frame.depth_m[..., None], axis=-1)
-    np.testing.assert_allclose(distances, 5.0, rtol=1e-6)
-    assert np.ptp(frame.depth_m) > 0.1
-
-
 @pytest.mark.skipif(not FLSEA.is_dir(), reason="FLSea frames are not here")
-@pytest.mark.parametrize("undistort", [False, True])
-def test_real_flsea_frames(undistort: bool) -> None:
-    flsea = reader("flsea", FLSEA, undistort=undistort)
+def test_real_flsea_frames() -> None:
+    flsea = reader("flsea", FLSEA)
     found = flsea.discover()
     assert len(found.frames) == 6
     assert {ref.location for ref in found.frames} == {"canyons", "red_sea"}
@@ -290,8 +268,7 @@ def test_real_flsea_frames(undistort: bool) -> None:
         assert 0.3 < frame.valid.mean() < 0.95
         assert frame.depth_m[frame.valid].min() > 0.3
         assert frame.depth_m.max() < 25
-        expected = BUILT_IN[ref.location].distortion
-        assert frame.intrinsics.distortion == (() if undistort else expected)
+        assert frame.intrinsics == BUILT_IN[ref.location]
 
 
 # --- Images, depth maps, calibration and trajectories as files: golden values and damage ---
@@ -384,35 +361,6 @@ def test_colour_is_rgb_whatever_the_file(tmp_path: Path) -> None:
         read_rgb(tmp_path / "deep.png")
     with pytest.raises(FrameError, match="no such file"):
         read_rgb(tmp_path / "absent.png")
-
-
-def test_undistortion_puts_a_plane_where_a_pinhole_sees_it() -> None:
-    camera = Intrinsics(120.0, 125.0, 78.0, 61.0, (-0.3, 0.12, 0.004, -0.006))
-    normal, distance = np.array([0.5, -0.3, 0.8]), 3.0
-
-    def plane_depth(x: Array, y: Array) -> Array:
-        return np.asarray(distance / (normal[0] * x + normal[1] * y + normal[2]), np.float32)
-
-    v, u = np.mgrid[:120, :160].astype(np.float64)
-    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-    seen = cv2.undistortPoints(
-        np.stack([u, v], axis=-1).reshape(-1, 1, 2), matrix, np.array(camera.distortion)
-    ).reshape(120, 160, 2)
-    raw = plane_depth(seen[..., 0], seen[..., 1])
-    ideal = plane_depth((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
-    ramp = np.rint(raw * 20).astype(np.uint8)
-
-    rgb, depth_m = undistorted(np.dstack([ramp] * 3), raw, camera)
-    inside = depth_m > 0
-    assert inside.mean() > 0.8
-    # The nearest of the raw pixels is at most half a pixel away in u and in v, and a raw pixel of
-    # this lens covers at most 1.5 ideal ones.
-    slope_v, slope_u = map(np.abs, np.gradient(ideal))
-    error = np.abs(depth_m - ideal)
-    assert (error <= 0.75 * (slope_u + slope_v))[inside].all()
-    assert not (np.abs(raw - ideal) <= 0.75 * (slope_u + slope_v)).all()  # the lens did matter
-    assert np.isin(depth_m, np.append(raw, 0)).all()  # nearest: no depth was made up
-    np.testing.assert_allclose(rgb[20:-20, 20:-20, 0], ideal[20:-20, 20:-20] * 20, atol=1.5)
 
 
 def test_tum_poses_against_scipy(tmp_path: Path) -> None:

@@ -162,7 +162,6 @@ def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
         ({"width": 10}, "scenes.width"),
         ({"kinds": ["Shark"]}, "scenes.kinds"),
         ({"places": ["moon"]}, "scenes.places"),
-        ({"depth_kind": "range"}, "scenes.depth_kind"),
         ({"sharks": 1}, "scenes.sharks: unknown key"),
     ],
 )

@@ -12,8 +12,8 @@ from omegaconf import OmegaConf
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run
 from simnfnd.factory.render.pack import write_pack
-from simnfnd.factory.render.views import CachedViews
 from simnfnd.factory.settings import build
+from simnfnd.factory.views import CachedViews
 from simnfnd.models.data.pairs import PairSource, Source, hold_out, read_table
 from simnfnd.models.data.renders import DeviceSource, RenderSource, open_renders
 from simnfnd.models.settings import DATA, ModelsSettings, RendersData

@@ -13,26 +13,27 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass as plain_dataclass
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from pydantic import Field, TypeAdapter
-from pydantic.dataclasses import dataclass
+from pydantic import TypeAdapter
 
-from ..compiled import compile_needed
-from ..dataset.schema import Prepared
-from ..errors import FrameError, NotRendered
-from ..files import check_writable, explain_os_errors, remove_stale_temporaries, write_atomically
-from ..frame import FrameRef
-from ..scenes import Scenes, open_reader
-from ..scenes.seabed import GENERATOR
-from ..settings import STRICT
-from ..small_files import read_regular
-from .base import Mount, Renderer, RenderSettings
-from .view import View, decode, encode, view_of
+from .compiled import compile_needed
+from .dataset.schema import Prepared
+from .errors import FrameError, NotRendered
+from .files import explain_os_errors, remove_stale_temporaries, write_atomically
+from .frame import FrameRef
+from .render.base import CacheSettings, Mount, Renderer, RenderSettings
+from .render.pack import PackViews
+from .render.view import View, decode, encode, view_of
+from .scenes import Scenes, open_reader
+from .scenes.seabed import GENERATOR
+from .small_files import read_regular
+
+if TYPE_CHECKING:
+    from .config import FactoryConfig
 
 _SUFFIX = ".view"
 _MOST_BYTES = 1 << 27
@@ -40,68 +41,40 @@ _MOST_BYTES = 1 << 27
 _EVICT_TO = 0.9
 
 
-@dataclass(frozen=True, config=STRICT)
-class CacheSettings:
-    """Keys of the `cache` group.
+class Entry(NamedTuple):
+    """One file of the cache: when it was last used, where it is, and its bytes."""
 
-    enabled: keep renders for later runs; else they last until the run ends.
-    dir: folder of the cache.  max_bytes: when it holds more, what was not used for longest goes.
-    """
-
-    enabled: bool = True
-    dir: Annotated[str, Field(min_length=1)] = "outputs/cache"
-    max_bytes: Annotated[int, Field(ge=1)] = 20_000_000_000
-
-    @property
-    def folder(self) -> Path:
-        """`dir` as an absolute path: workers may have another working folder."""
-        return Path(os.path.abspath(Path(self.dir).expanduser()))
-
-
-@plain_dataclass(frozen=True)
-class Entry:
-    """One file of the cache."""
-
-    key: str
+    used_ns: int
     path: Path
     bytes: int
-    used_ns: int
 
 
 class Cache:
     """The entries below one folder; any number of processes may use it at once."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, settings: CacheSettings) -> None:
+        self.folder, self._max_bytes = settings.folder, settings.max_bytes
+        self._total: int | None = None
 
-    def check(self) -> None:
-        """Raise FactoryError with one line when the folder cannot be written."""
-        check_writable(self.folder, "cache.dir")
+    def path(self, key: str) -> Path:
+        """Where an entry is, or would be."""
+        return self.folder / key[:2] / f"{key}{_SUFFIX}"
 
-    def holds(self, key: str) -> bool:
-        """Whether there is an entry (whole or not)."""
-        return self._path(key).exists()
-
-    def get(self, key: str, *, used: bool = True) -> View | None:
-        """The entry, or None when it is absent or was damaged (and is now removed).
-
-        used: note that it was, so that it stays longer.
-        """
-        path = self._path(key)
+    def get(self, key: str) -> View | None:
+        """The entry, or None when it is absent or was damaged (and is now removed)."""
+        path = self.path(key)
         try:
             view = decode(read_regular(path, _MOST_BYTES))
         except (OSError, ValueError):
             path.unlink(missing_ok=True)
             return None
         with suppress(OSError):  # a cache that others own may be read only
-            if used:
-                os.utime(path)
+            os.utime(path)
         return view
 
     def put(self, key: str, view: View) -> int:
         """Store an entry; returns its bytes.  Raises FactoryError when there is no room."""
-        content = encode(view)
-        path = self._path(key)
+        content, path = encode(view), self.path(key)
         with explain_os_errors(path.parent, "cache.dir"):
             path.parent.mkdir(parents=True, exist_ok=True)
         # Its checksums tell what a power cut left half done, so waiting for the disk is needless.
@@ -111,77 +84,46 @@ class Cache:
     def entries(self) -> Iterator[Entry]:
         """All entries; those that vanish meanwhile are left out."""
         for path in sorted(self.folder.glob(f"??/*{_SUFFIX}")):
-            try:
+            with suppress(FileNotFoundError):
                 status = path.stat()
-            except FileNotFoundError:
-                continue
-            yield Entry(path.stem, path, status.st_size, status.st_mtime_ns)
+                yield Entry(status.st_mtime_ns, path, status.st_size)
 
-    def evict(self, max_bytes: int) -> int:
-        """When there is more than `max_bytes`, remove what was unused longest; returns bytes left.
+    def grown(self, added_bytes: int) -> None:
+        """Note that entries were added, and when there are more bytes than may be, make room.
 
-        Temp files of dead writers go, too.
+        What was unused longest goes, and temporary files of dead writers.
         """
+        if not added_bytes:
+            return
+        if self._total is not None:
+            self._total += added_bytes
+            if self._total <= self._max_bytes:
+                return
         for folder in self.folder.glob("??"):
             remove_stale_temporaries(folder)
-        entries = sorted(self.entries(), key=lambda entry: (entry.used_ns, entry.key))
-        total = sum(entry.bytes for entry in entries)
-        if total <= max_bytes:
-            return total
-        for entry in entries:
-            if total <= _EVICT_TO * max_bytes:
-                break
-            entry.path.unlink(missing_ok=True)
-            total -= entry.bytes
-        return total
-
-    def clear(self) -> int:
-        """Remove every entry; returns how many there were."""
-        entries = list(self.entries())
-        for entry in entries:
-            with explain_os_errors(entry.path, "cache.dir"):
+        entries = sorted(self.entries())
+        self._total = sum(entry.bytes for entry in entries)
+        if self._total > self._max_bytes:
+            for entry in entries:
+                if self._total <= _EVICT_TO * self._max_bytes:
+                    break
                 entry.path.unlink(missing_ok=True)
-        return len(entries)
-
-    def _path(self, key: str) -> Path:
-        return self.folder / key[:2] / f"{key}{_SUFFIX}"
-
-
-class Limit:
-    """Keeps a cache within its size while it grows: call it with the bytes that were added."""
-
-    def __init__(self, settings: CacheSettings) -> None:
-        self._cache, self._max_bytes = Cache(settings.folder), settings.max_bytes
-        self._total: int | None = None
-
-    def __call__(self, added_bytes: int) -> None:
-        """Evict when there is too much.  Looks at the folder at the first call and then."""
-        if added_bytes and self._total is not None:
-            self._total += added_bytes
-        if added_bytes and (self._total is None or self._total > self._max_bytes):
-            self._total = self._cache.evict(self._max_bytes)
+                self._total -= entry.bytes
 
 
 # Which frames are chosen changes none of them.
-_NOT_PIXELS = [
-    "root",
-    "file",
-    "path",
-    "locations",
-    "first_location",
-    "frames_per_location",
-    "scenes",
-]
+_NOT_PIXELS = {
+    *("root", "file", "path", "locations", "first_location", "frames_per_location", "scenes"),
+}
 # All code between the files of a recording and the rendered pixels.
 _CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "scenes")
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
 
 
 @cache
-def code_version(kind: str) -> str:
+def _code_version(kind: str) -> str:
     """Stands for the source files and the library that a renderer consists of."""
-    root = Path(__file__).parents[1]
-    digest = hashlib.blake2b(digest_size=8)
+    root, digest = Path(__file__).parent, hashlib.blake2b(digest_size=8)
     for place in (root / name for name in _CODE):
         for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
@@ -200,39 +142,6 @@ def _digest(path: str, size: int, modified_ns: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()[:32]
 
 
-def _plain(kind: Any, value: object) -> dict[str, Any]:
-    values: dict[str, Any] = TypeAdapter(kind).dump_python(value, mode="json")
-    return values
-
-
-class Mounted(Protocol):
-    """What of a sonar a render depends on."""
-
-    @property
-    def mount(self) -> Mount:
-        """Where it is."""
-
-
-class RenderNeeds(Protocol):
-    """The groups of the configuration that renders depend on."""
-
-    @property
-    def scenes(self) -> Scenes:
-        """Which frames there are."""
-
-    @property
-    def render(self) -> RenderSettings:
-        """How they are rendered."""
-
-    @property
-    def cache(self) -> CacheSettings:
-        """Where renders are kept."""
-
-    @property
-    def sonar(self) -> Mounted:
-        """Whose light it is."""
-
-
 class Views(Protocol):
     """Gives the renders of frames."""
 
@@ -243,11 +152,9 @@ class Views(Protocol):
         """The frame's render.  Raises NotRendered when it is not there (any more)."""
 
 
-def open_views(config: RenderNeeds) -> Views:
+def open_views(config: FactoryConfig) -> Views:
     """The renders that the configuration means: of the cache, or of a pack."""
     if config.scenes.kind == "pack":
-        from .pack import PackViews
-
         return PackViews(config.scenes.root, config.sonar.mount)
     return CachedViews(config)
 
@@ -255,13 +162,14 @@ def open_views(config: RenderNeeds) -> Views:
 class CachedViews:
     """Renders in the cache; a `Views`."""
 
-    def __init__(self, config: RenderNeeds) -> None:
-        self.cache = Cache(config.cache.folder)
-        scenes, mount = _plain(Scenes, config.scenes), _plain(Mount, config.sonar.mount)
+    def __init__(self, config: FactoryConfig) -> None:
+        self.cache = Cache(config.cache)
+        kinds: TypeAdapter[object] = TypeAdapter(tuple[Scenes, RenderSettings, Mount])
+        given = config.scenes, config.render, config.sonar.mount
+        scenes, *others = kinds.dump_python(given, mode="json")
         pixels = {key: value for key, value in scenes.items() if key not in _NOT_PIXELS}
         version = GENERATOR if config.scenes.kind == "seabed" else None
-        render = _plain(RenderSettings, config.render)
-        common = pixels, render, mount, code_version(config.render.kind), version
+        common = pixels, *others, _code_version(config.render.kind), version
         self._common = json.dumps(common, sort_keys=True)
         self._expected: Mapping[str, str] = {}
 
@@ -282,7 +190,7 @@ class CachedViews:
     def holds(self, ref: FrameRef) -> bool:
         """See `Views`."""
         with suppress(OSError):
-            return self.cache.holds(self._expected.get(ref.name) or self.key(ref))
+            return self.cache.path(self._expected.get(ref.name) or self.key(ref)).exists()
         return False
 
     def view(self, ref: FrameRef) -> View:
@@ -294,25 +202,25 @@ class CachedViews:
         raise NotRendered(ref.name)
 
 
-class OneView:
-    """A render in memory, whatever the frame's name; a `Views`."""
+class KeptViews:
+    """Renders in memory; a `Views`."""
 
-    def __init__(self, view: View) -> None:
-        self._view = view
+    def __init__(self, views: Mapping[FrameRef, View]) -> None:
+        self._views = views
 
     def holds(self, ref: FrameRef) -> bool:
         """See `Views`."""
-        return True
+        return ref in self._views
 
     def view(self, ref: FrameRef) -> View:
         """See `Views`."""
-        return self._view
+        return self._views[ref]
 
 
 class ViewMaker:
     """Renders frames into the cache; a `simnfnd.factory.dataset.schema.Preparer`."""
 
-    def __init__(self, config: RenderNeeds) -> None:
+    def __init__(self, config: FactoryConfig) -> None:
         self.config = config
         self.reader = open_reader(config.scenes)
         self.views = CachedViews(config)
@@ -325,7 +233,7 @@ class ViewMaker:
         except OSError as error:
             self.reader.load(ref)  # knows best what to say about its files
             raise FrameError(f"{ref.name}: {error.filename}: {error.strerror}") from error
-        if self.views.cache.holds(key):
+        if self.views.cache.path(key).exists():
             # Whether it is whole shows when it is read, once: by the worker that needs it.
             return Prepared(hit=True, bytes=0, key=key)
         return Prepared(hit=False, bytes=self.views.cache.put(key, self.render(ref)), key=key)
@@ -334,24 +242,9 @@ class ViewMaker:
         """Load and render one frame."""
         if self._renderer is None:
             # Not before it is needed: with all renders at hand nobody has to load Blender.
-            from . import open_renderer
+            from .render import open_renderer
 
             compile_needed(scenes=self.config.scenes.kind)
             self._renderer = open_renderer(self.config.render)
-        frame = self.reader.load(ref)
-        mount = self.config.sonar.mount
+        frame, mount = self.reader.load(ref), self.config.sonar.mount
         return view_of(frame, self._renderer.render(frame, mount), mount)
-
-
-def check_views(config: RenderNeeds, *, touch: bool = True) -> None:
-    """Raise FactoryError when renders can be neither made nor kept; loads nothing heavy.
-
-    touch: try to write into the cache.
-    """
-    from . import check_renderer
-
-    if config.scenes.kind == "pack":
-        return
-    check_renderer(config.render)
-    if config.cache.enabled and touch:
-        Cache(config.cache.folder).check()
