@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .motion import Grey, blurred
+from .motion import Grey, blurred, length_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -191,7 +191,7 @@ def total_variation(grey: Grey, sigma: Grey) -> Grey:
         new_across, new_down = across.copy(), down.copy()
         new_across[:, :-1] += (now[:, 1:] - now[:, :-1]) * step[:, :-1]
         new_down[:-1] += (now[1:] - now[:-1]) * step[:-1]
-        length = np.maximum(cv2.magnitude(new_across, new_down), 1)
+        length = np.maximum(length_of(new_across, new_down), 1)
         new_across /= length
         new_down /= length
         following = (1 + np.sqrt(1 + 4 * momentum * momentum)) / 2
