@@ -106,12 +106,14 @@ def shipped_for(dataset: Path) -> list[str]:
     if not all(map(find_spec, ("onnxruntime", "safetensors"))):
         return []
     from ..models.denoise.inputs import Item
-    from ..models.denoise.shards import made_of_points
+    from ..models.denoise.shards import made_of_points, opened_shard
     from ..models.pretrained import DEFAULT, POINTS
 
     shard = next(dataset.glob("*/shard-*.h5"), None)
-    points = shard is not None and made_of_points(Item(shard, Path(shard.name)))
-    return [POINTS if points else DEFAULT]
+    if shard is None:
+        return [DEFAULT]
+    with opened_shard(Item(shard, Path(shard.name))) as opened:
+        return [POINTS if made_of_points(opened) else DEFAULT]
 
 
 def networks_at(

@@ -13,7 +13,7 @@ import argparse
 
 from simnfnd import FactoryError
 from simnfnd.models.denoise.denoiser import Denoiser
-from simnfnd.models.denoise.pictures import denoise_image
+from simnfnd.models.denoise.pictures import Denoising
 from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.recordings.rosbag import IMAGE, SONAR, frame_of, with_samples
 from simnfnd.models.recordings.views import polar_geometry
@@ -25,7 +25,7 @@ class Worker:
     def __init__(self, kind, weights=None):
         """kind: type of the messages, as bags call it."""
         self.kind = kind
-        self.denoise = Denoiser(weights)
+        self.denoising = Denoising(Denoiser(weights))
         self.count = 0
         self.fans = {}
 
@@ -41,7 +41,7 @@ class Worker:
             if shape not in self.fans:
                 self.fans[shape] = find_geometry(frame.samples)
             geometry = self.fans[shape]
-        denoised = denoise_image(frame.samples, self.denoise, geometry)
+        denoised = self.denoising.one(frame.samples, lambda picture: geometry)
         return with_samples(message, self.kind, denoised, what)
 
 

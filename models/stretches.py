@@ -91,7 +91,7 @@ def read_clips(
     for source, count in zip(sources, counts, strict=True):
         if shots := list(_shots(source, runs(count, share), geometries, found)):
             name = source[0].source.name
-            found.clips.append(Clip(name, presented(shots), source[0].kind == "image"))
+            found.clips.append(Clip(name, presented(shots), source[0].kind == "pictures"))
     if not found.clips:
         more = f" ({found.skipped[0]})" if found.skipped else ""
         raise FactoryError(f"{paths[0]}: no frame can be read{more}")
@@ -118,7 +118,7 @@ def runs(count: int, share: float) -> list[int]:
 
 def _count(source: list[Item], found: Found) -> int:
     """Number of frames; notes a recording that cannot be opened."""
-    if source[0].kind == "image":
+    if source[0].kind == "pictures":
         return len(source)
     try:
         with open_recording(source[0].source) as recording:
@@ -132,7 +132,7 @@ def _shots(
     source: list[Item], numbers: list[int], geometries: Geometries, found: Found
 ) -> Iterator[Shot]:
     """Frames by their numbers; notes damaged pictures, and where a recording is damaged."""
-    if source[0].kind == "image":
+    if source[0].kind == "pictures":
         for number in numbers:
             try:
                 grey = read_grey(source[number].source)

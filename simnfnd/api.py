@@ -56,7 +56,7 @@ def denoise(
     needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
     from .factory.sonar.geometry import FanGeometry
-    from .models.denoise.pictures import Denoising, check_frames
+    from .models.denoise.pictures import Denoising
     from .models.pretrained import find_weights
     from .models.recordings.fan_finder import find_geometry
 
@@ -66,7 +66,6 @@ def denoise(
             f"picture has shape {given.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
         )
     path = find_weights(weights)
-    check_frames(frames)
     if not 0 <= strength <= 1:
         raise ValueError(f"strength={strength}: expected 0 to 1")
     network = _denoiser(path, path.stat().st_mtime_ns, device, strength)
@@ -85,9 +84,9 @@ def denoise(
     if given.ndim == 2 or given.shape[2] in (3, 4):
         return denoising.one(known, place).astype(given.dtype)
     result = np.empty(given.shape, given.dtype)
-    seen = (denoising.seen(number, image, place) for number, image in enumerate(known))
-    for shot, denoised in denoising.sequence(seen, alone=len(given) < 2):
-        result[shot.key] = denoised
+    shots = (denoising.shot(number, image, place) for number, image in enumerate(known))
+    for number, denoised in denoising.sequence(shots, alone=len(given) < 2):
+        result[number] = denoised
     return result
 
 

@@ -128,11 +128,8 @@ def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
 
 def _in_time(frames: Gray, network: Network | None) -> list[Gray]:
     """Fused, and denoised where there is a network."""
-    stream: InTime[int] = InTime(network)
-    found: list[Gray] = []
-    for number, frame in enumerate(frames):
-        found += [picture for _, picture in stream.push(Shot(number, frame))]
-    return found + [picture for _, picture in stream.finish()]
+    shots = (Shot(number, frame) for number, frame in enumerate(frames))
+    return [picture for _, picture in InTime(network)(shots)]
 
 
 def _references(frames: Gray) -> tuple[Gray, Mask]:

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 from pathlib import Path
 
 from ...factory.cli import Parser
-from ...factory.errors import FactoryError, FrameError
+from ...factory.errors import FactoryError
 from ...factory.files import check_writable
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
 from .denoiser import Denoiser
-from .files import Job, denoise_files, denoise_recording, opened
+from .files import Job, denoise_files
 from .inputs import FIND, Finished, Geometries, Item, find_items, sequences
-from .pictures import Denoising, check_frames
+from .pictures import Denoising
 from .temporal.stream import FRAMES
-
-Points = Callable[[], Denoiser] | None
 
 _WHICH = f"""\
 weights that ship:
@@ -92,127 +89,52 @@ def main(arguments: Sequence[str]) -> int:
     inputs = [Path(name).expanduser() for name in chosen.inputs]
     items = find_items(inputs, out, compare=chosen.compare)
     geometries = Geometries(chosen.geometry)
-    # What is asked for by hand is not what predicts other frames of a recording.
-    calibrated = chosen.strength == 1
     if chosen.noise == "points":
         if chosen.weights is not None:
             raise FactoryError("--noise points: chooses weights that ship; leave out --weights")
         chosen.weights = POINTS
-    check_frames(chosen.frames)
     check_writable(out, "--out")
     load = cache(partial(Denoiser, device=chosen.device, strength=chosen.strength))
     denoise = load(chosen.weights)
-    points = partial(load, POINTS) if chosen.weights is None else None
+    # What is asked for by hand is not what predicts other frames of a recording.
+    calibrated = chosen.strength == 1
     denoising = Denoising(
         denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
     )
-    job = Job(out, denoising, geometries.of, chosen.compare, chosen.topic)
+    points = partial(load, chosen.weights or POINTS)
     finished = Finished(out, denoise.digest, list(arguments))
-    failed, used = _all(items, job, denoise, points, finished)
+    job = Job(out, denoise, points, denoising, geometries, finished, chosen.compare, chosen.topic)
+    _all(items, job)
     for line in (*geometries.summary(), *denoising.summary()):
         print(line)
-    names = ", ".join(f"{name} ({count} file(s))" for name, count in used.items())
+    names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
     print(f"weights: {names or denoise.name}")
-    print(f"denoised: {used.total()} file(s) in {out}")
-    return 1 if failed else 0
+    print(f"denoised: {job.used.total()} file(s) in {out}")
+    return 1 if job.failures else 0
 
 
-def _denoised(
-    items: Sequence[Item], job: Job, denoise: Denoiser, points: Points
-) -> Iterator[tuple[Item, str, FrameError | str]]:
-    """Denoise pictures that follow each other, or one other file.
-
-    points: what denoises shards of points instead; None: the same.
-    Gives each with the name of its weights, and a warning, mostly empty, or what is wrong with it.
-    """
-    if items[0].kind == "image":
-        for item, error in denoise_files(items, job):
-            yield item, denoise.name, error or ""
-        return
-    (item,) = items
-    of_points, warning = False, ""
+def _all(items: Sequence[Item], job: Job) -> None:
+    """Denoise all files under a progress bar.  FactoryError when none could be."""
+    before = sum(item in job.finished for item in items)
+    if before:
+        print(f"already denoised: {before} file(s), of a run that was stopped")
+    images = sum(item.kind == "pictures" and item not in job.finished for item in items)
     try:
-        if item.kind == "shard":
-            from .shards import denoise_shard, made_of_points  # loads h5py, for datasets alone
-
-            of_points = made_of_points(item)
-            denoise = points() if of_points and points is not None else denoise
-            denoise_shard(item, job, denoise)
-        else:
-            warning = denoise_recording(item, job)
-        warnings = filter(None, [warning, _unsuited(item, denoise, of_points)])
-        yield item, denoise.name, "; ".join(warnings)
-    except FrameError as error:
-        yield item, denoise.name, error
-
-
-def _unsuited(item: Item, denoise: Denoiser, of_points: bool) -> str:
-    """A warning where weights that ship were made for other noise."""
-    if denoise.name not in (DEFAULT_WEIGHTS, POINTS) or of_points == (denoise.name == POINTS):
-        return ""
-    made_for = "the paper's points" if denoise.name == POINTS else "real sonars"
-    other = DEFAULT_WEIGHTS if denoise.name == POINTS else POINTS
-    return f"{item.source}: {denoise.name} is made for {made_for}; {other} suits this file"
-
-
-def _all(
-    items: Sequence[Item], job: Job, denoise: Denoiser, points: Points, finished: Finished
-) -> tuple[int, Counter[str]]:
-    """Denoise all files under a progress bar.
-
-    Returns how many could not be, and the names of weights with how many files they denoised.
-    """
-    used: Counter[str] = Counter()
-    failures: list[str] = []
-    warnings: list[str] = []
-    job.finished = finished.of(items)
-    if job.finished:
-        print(f"already denoised: {len(job.finished)} file(s), of a run that was stopped")
-    total = sum(_pictures(item, job.topics) for item in items if item.relative not in job.finished)
-    try:
-        with progress_bar(total=total, unit="image", desc="denoising") as bar:
-            job.tick = bar.update
+        with progress_bar(total=images, unit="image", desc="denoising") as job.bar:
             for some in sequences(items):
-                if some[0].kind != "image" and some[0].relative in job.finished:
-                    continue
-                for item, name, said in _denoised(some, job, denoise, points):
-                    if isinstance(said, FrameError):
-                        failures.append(str(said))
-                        bar.set_postfix(failed=len(failures))
-                    else:
-                        finished.add(item)
-                        used[name] += 1
-                        warnings += filter(None, [said])
+                denoise_files(some, job)
     except KeyboardInterrupt:
-        finished.save()
+        job.finished.save()
         print(
-            f"denoised: {used.total()} file(s) in {job.out} before it was stopped; the same "
+            f"denoised: {job.used.total()} file(s) in {job.out} before it was stopped; the same "
             "command goes on with the others",
             file=sys.stderr,
         )
         raise
-    finished.forget()
-    if failures and len(failures) == len(items):
-        more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
-        raise FactoryError(failures[0] + more)
-    for line in failures:
-        print(f"skipped: {line}", file=sys.stderr)
-    for line in warnings:
-        print(f"warning: {line}", file=sys.stderr)
-    return len(failures), used
-
-
-def _pictures(item: Item, topics: Sequence[str]) -> int:
-    """How many pictures a file holds, for the progress bar; 0 for one that cannot be read."""
-    if item.kind == "image":
-        return 1
-    try:
-        if item.kind == "shard":
-            from .shards import opened_shard
-
-            with opened_shard(item) as shard:
-                return len(shard["noisy"])
-        with opened(item, topics) as recording:
-            return len(recording)
-    except FactoryError:
-        return 0
+    job.finished.forget()
+    if job.failures and len(job.failures) == len(items):
+        more = f" (and {len(job.failures) - 1} more)" if len(job.failures) > 1 else ""
+        raise FactoryError(job.failures[0] + more)
+    for word, lines in (("skipped", job.failures), ("warning", job.warnings)):
+        for line in lines:
+            print(f"{word}: {line}", file=sys.stderr)

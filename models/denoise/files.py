@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -10,204 +11,221 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.sonar.geometry import FanGeometry
-from ..recordings import Frame, Recording, open_recording
+from ..pretrained import DEFAULT, POINTS
+from ..recordings import SEQUENCES, Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
-from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
-from ..recordings.pictures import VideoFile, in_unit_range, read_picture
+from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
+from ..recordings.pictures import VideoFile, read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
-from .inputs import Item
-from .pictures import Denoising, Picture, Place, Seen
+from .denoiser import Denoiser
+from .inputs import Finished, Geometries, Item
+from .pictures import Denoising, Picture
 from .temporal.stream import Shot
 from .writers import COMPARED, write_compared, write_frames, write_image
-
-Find = Callable[[Item, Picture], FanGeometry | None]
-"""Where range and bearing are in a picture of an item; None where that is not known."""
 
 _FURTHEST_TURN_DEG = 20.0  # between two frames; a compass that says more is not to be trusted
 
 
 @dataclass
 class Job:
-    """How files are denoised, and into which folder.
+    """How files are denoised, and into which folder; what came of it.
 
-    topics: of bags, whose pictures; none: as `RosBag` says.  finished: of an earlier run.
-    tick: called after every picture.
+    points: gives what denoises shards of the paper's points.  topics: of bags, whose pictures;
+    none: as `RosBag` says.  bar: of progress, in pictures.
+    used: names of weights, with how many files they denoised.
     """
 
     out: Path
+    denoise: Denoiser
+    points: Callable[[], Denoiser]
     denoising: Denoising
-    geometry_of: Find
+    geometries: Geometries
+    finished: Finished
     compare: bool = False
     topics: Sequence[str] = ()
-    finished: frozenset[Path] = frozenset()
-    tick: Callable[[], object] = field(default=lambda: None)
+    bar: Any = None
+    used: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def done(self, item: Item, name: str, *, of_points: bool | None = None) -> None:
+        """A file is denoised by the weights of this name.
+
+        of_points: whether its noise is that of the paper's points; None: not known.
+        """
+        self.finished.add(item)
+        self.used[name] += 1
+        if of_points is None or name != (DEFAULT if of_points else POINTS):
+            return
+        made_for, other = ("real sonars", POINTS) if of_points else ("the paper's points", DEFAULT)
+        self.warnings.append(
+            f"{item.source}: {name} is made for {made_for}; {other} suits this file"
+        )
 
 
-def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, FrameError | None]]:
-    """Denoise picture files that follow each other in time, or one.
+def denoise_files(items: Sequence[Item], job: Job) -> None:
+    """Denoise picture files that follow each other in time, or one other file.
 
-    Gives each when it is written, and those that cannot be read with what is wrong with them.
+    Those of an earlier run are left out.
     """
-    failed: list[tuple[Item, FrameError]] = []
-    left = [number for number, item in enumerate(items) if item.relative not in job.finished]
+    if items[0].kind == "pictures":
+        _denoise_pictures(items, job)
+    elif items[0] not in job.finished:
+        try:
+            if items[0].kind == "shard":
+                from .shards import denoise_shard  # loads h5py, for datasets alone
+
+                denoise_shard(items[0], job)
+            else:
+                _denoise_recording(items[0], job)
+        except FrameError as error:
+            job.failures.append(str(error))
+
+
+def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
+    before = {item for item in items if item in job.finished}
+    left = [number for number, item in enumerate(items) if item not in before]
     if not left:
         return
     # A sequence that was begun goes on from a few frames before.
     first = max(0, left[0] - 2 * job.denoising.frames)
 
-    def read() -> Iterator[Shot[Seen[Item]]]:
+    def read() -> Iterator[Shot]:
         for item in items[first:]:
             try:
                 picture = read_picture(item.source)
-                if picture.dtype == np.float32:
-                    in_unit_range(picture, str(item.source))
-                yield job.denoising.seen(item, picture, partial(job.geometry_of, item))
+                place = partial(job.geometries.of, item)
+                yield job.denoising.shot((item, picture), picture, place)
             except (FactoryError, ValueError) as error:
                 text = str(error)
                 named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
-                failed.append((item, FrameError(named)))
+                job.failures.append(named)
 
-    for seen, denoised in job.denoising.sequence(read(), alone=len(items) < 2):
-        if seen.key.relative in job.finished:
+    for (item, picture), denoised in job.denoising.sequence(read(), alone=len(items) < 2):
+        if item in before:
             continue
-        error = None
+        path = job.out / item.relative
         try:
-            _write_picture(seen.key, denoised, job.out)
+            if item.source.suffix.lower() == ARRAY_SUFFIX:
+                with ArrayFile(item.source) as array:
+                    write_frames(path, [denoised], None, array)
+            else:
+                write_image(path, denoised)
             if job.compare:
-                write_compared(job.out / seen.key.compared, [(seen.original, denoised)])
-        except FrameError as found:
-            error = found
-        job.tick()
-        yield seen.key, error
-        yield from failed
-        failed.clear()
-    yield from failed
+                write_compared(job.out / item.compared, [(picture, denoised)])
+            job.done(item, job.denoise.name)
+        except FrameError as error:
+            job.failures.append(str(error))
+        job.bar.update()
 
 
-def denoise_recording(item: Item, job: Job) -> str:
+def _denoise_recording(item: Item, job: Job) -> None:
     """Denoise a video, a stack, arrays, a bag, or a sonar's own recording, ping by ping.
 
     Pictures become what `write_frames` says.  An ARIS recording and a bag become one, with the same
     headers, stamps and other topics; other recordings a folder of their name with a fan
     (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.  Frames of
     several topics of a bag are denoised one by one.
-    Returns a warning, mostly empty.  FrameError when it cannot be read, or a folder of a bag's name
-    is there already.
+    FrameError when it cannot be read, or a folder of a bag's name is there already.
     """
-    shown: list[tuple[Picture, Picture]] = []
-    path = job.out / item.relative
-    if item.kind == "bag" and path.is_dir():
+    path, is_bag = job.out / item.relative, item.kind == "rosbag"
+    if is_bag and path.is_dir():
         raise FrameError(f"{path}: is there already; remove it, or give another --out")
-    with opened(item, job.topics) as recording:
+    shown: list[tuple[Picture, Picture]] = []
+    with _opened(item, job.topics) as recording:
+        job.bar.total += len(recording)
         topics: tuple[str, ...] = getattr(recording, "topics", ())
-        frames = _shown(_frames(item, recording, job, alone=len(topics) > 1), job, shown)
+        frames = _frames(item, recording, job, shown, alone=len(topics) > 1)
         rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
-        if item.kind == "video":
+        if item.kind in SEQUENCES:
             rate_hz = recording.rate_hz if isinstance(recording, VideoFile) else None
             write_frames(path, (picture for _, picture in frames), rate_hz, recording)
         elif rewrite is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             rewrite((samples for _, samples in frames), path)
         else:
-            _write_pings(frames, path)
+            for frame, samples in frames:
+                fan, full = _view(frame, samples), FULL_SCALE[str(samples.dtype)]
+                fan = np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
+                write_image(path / f"{frame.number:06d}.png", fan)
+                write_image(path / f"{frame.number:06d}_polar.png", samples)
         # How many frames a video says to have is often wrong.
-        warning = "" if item.kind == "video" else recording.warning
-        if len(topics) > 1 and job.denoising.frames > 1 and not warning:
-            warning = (
+        if recording.warning and item.kind != "video":
+            job.warnings.append(recording.warning)
+        elif len(topics) > 1 and job.denoising.frames > 1:
+            job.warnings.append(
                 f"{item.source}: frames of several topics were denoised one by one; choose of "
                 f"{', '.join(topics)} with --topic to denoise them in time"
             )
     if shown:
         write_compared(job.out / item.compared, shown)
-    return warning
+    job.done(item, job.denoise.name, of_points=False)
 
 
-def _write_pings(frames: Iterator[tuple[Frame, Picture]], path: Path) -> None:
-    for frame, samples in frames:
-        full = FULL_SCALE[str(samples.dtype)]
-        fan = _view(frame, samples)
-        fan = np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
-        write_image(path / f"{frame.number:06d}.png", fan)
-        write_image(path / f"{frame.number:06d}_polar.png", samples)
-
-
-def opened(item: Item, topics: Sequence[str] = ()) -> Recording:
-    """The recording of an item.  Raises FrameError when it cannot be read or has no such topics."""
+def _opened(item: Item, topics: Sequence[str]) -> Recording:
     try:
-        if item.kind == "bag":
-            from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
+        if item.kind != "rosbag":
+            return open_recording(item.source)
+        from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
 
-            return RosBag(item.source, topics)
-        return open_recording(item.source)
+        return RosBag(item.source, topics)
     except FactoryError as error:
         raise FrameError(str(error)) from error
 
 
 def _frames(
-    item: Item, recording: Recording, job: Job, *, alone: bool = False
-) -> Iterator[tuple[Seen[Frame], Picture]]:
-    """Each frame and what became of it.  FrameError names a frame that cannot be denoised."""
+    item: Item,
+    recording: Recording,
+    job: Job,
+    shown: list[tuple[Picture, Picture]],
+    *,
+    alone: bool,
+) -> Iterator[tuple[Frame, Picture]]:
+    """Each frame and what became of it; the first are shown to compare.
 
-    def read() -> Iterator[Shot[Seen[Frame]]]:
-        heading = None
+    FrameError names a frame that cannot be denoised.
+    """
+
+    def place(frame: Frame, picture: Picture) -> FanGeometry | None:
+        if frame.beams is not None:
+            return polar_geometry(frame.beams, len(picture))
+        return job.geometries.of(item, picture)
+
+    def read() -> Iterator[Shot]:
+        before = None
         for frame in recording:
-            shift, heading = _turned(frame, heading)
-            place: Place = partial(job.geometry_of, item)
-            if frame.beams is not None:
-                place = _polar(frame.beams)
+            turned_px, before = _turned_px(frame, before), frame
             try:
-                yield job.denoising.seen(frame, frame.samples, place, shift)
+                yield job.denoising.shot(frame, frame.samples, partial(place, frame), turned_px)
             except ValueError as error:
-                what = "message" if item.kind == "bag" else "frame"
+                what = "message" if item.kind == "rosbag" else "frame"
                 raise FrameError(f"{item.source}: {what} {frame.number}: {error}") from error
 
-    return job.denoising.sequence(read(), alone=alone)
-
-
-def _polar(beams: Beams) -> Place:
-    return lambda samples: polar_geometry(beams, len(samples))
-
-
-def _turned(
-    frame: Frame, before_deg: float | None
-) -> tuple[tuple[float, float] | None, float | None]:
-    """How far a scene moved across the beams since a heading, and the heading now."""
-    now_deg = frame.pose.heading_deg
-    if now_deg is None or before_deg is None or frame.beams is None:
-        return None, now_deg
-    azimuths = frame.beams.azimuths_rad
-    turned_deg = (now_deg - before_deg + 180) % 360 - 180
-    if len(azimuths) < 2 or abs(turned_deg) > _FURTHEST_TURN_DEG:
-        return None, now_deg
-    spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
-    return (-math.radians(turned_deg) / spacing, 0.0), now_deg
-
-
-def _shown(
-    frames: Iterator[tuple[Seen[Frame], Picture]], job: Job, shown: list[tuple[Picture, Picture]]
-) -> Iterator[tuple[Frame, Picture]]:
-    """Counts frames, and keeps the first of them to compare."""
-    for seen, samples in frames:
-        frame = seen.key
+    for frame, samples in job.denoising.sequence(read(), alone=alone):
         if job.compare and frame.number < COMPARED:
             shown.append((_view(frame, frame.samples), _view(frame, samples)))
         yield frame, samples
-        job.tick()
+        job.bar.update()
 
 
-def _view(frame: Frame, samples: Picture) -> npt.NDArray[Any]:
+def _turned_px(frame: Frame, before: Frame | None) -> tuple[float, float] | None:
+    """How far a scene moved across the beams since the frame before, by the compass."""
+    now_deg = frame.pose.heading_deg
+    before_deg = before.pose.heading_deg if before is not None else None
+    if now_deg is None or before_deg is None or frame.beams is None:
+        return None
+    azimuths = frame.beams.azimuths_rad
+    turned_deg = (now_deg - before_deg + 180) % 360 - 180
+    if abs(turned_deg) > _FURTHEST_TURN_DEG:
+        return None
+    spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
+    return -math.radians(turned_deg) / spacing, 0.0
+
+
+def _view(frame: Frame, samples: Picture) -> Picture:
     if frame.beams is None:
         return samples
     return fan_of(grey_of(replace(frame, samples=samples)), frame.beams)[0]
-
-
-def _write_picture(item: Item, denoised: Picture, out: Path) -> None:
-    if item.source.suffix.lower() == ARRAY_SUFFIX:
-        with ArrayFile(item.source) as array:
-            write_frames(out / item.relative, [denoised], None, array)
-    else:
-        write_image(out / item.relative, denoised)

@@ -7,10 +7,10 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy.typing as npt
 
@@ -18,24 +18,14 @@ from ...factory.errors import FactoryError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..data.fans import read_fans
-from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, is_bag_folder, kind_of
+from ..recordings import READERS, is_bag_folder, kind_of
 from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
 from ..recordings.arrays import is_table
 from ..recordings.base import ARRAY_SUFFIX
 from ..recordings.fan_finder import find_geometry
 
-PING_KINDS = ("aris", "ddf", "oculus")
-"""Recordings (`simnfnd.models.recordings`) whose frames are pings, not pictures."""
 HDF5_SUFFIXES = (".h5", ".hdf5")
-SUFFIXES = (
-    *PICTURE_SUFFIXES,
-    *HDF5_SUFFIXES,
-    *(
-        suffix
-        for kind in ("video", "stack", "array", "rosbag", *PING_KINDS)
-        for suffix in READERS[kind][1]
-    ),
-)
+SUFFIXES = (*(suffix for _, suffixes in READERS.values() for suffix in suffixes), *HDF5_SUFFIXES)
 
 FIND, POLAR, NONE = "find", "polar", "none"
 NAME = ".denoise-stopped.json"
@@ -48,33 +38,23 @@ class Item:
     """One input file (or a folder that is a bag) and its name below the output folder.
 
     checked: a shard that another process has opened without harm.
-    whole_name: whether its sheet to compare by keeps its suffix, as another has its name without.
     """
 
     source: Path
     relative: Path
     checked: bool = False
-    whole_name: bool = False
 
     @property
     def compared(self) -> Path:
         """Name of the sheet to compare by, below the output folder."""
-        if self.whole_name:
-            return Path("compare") / f"{self.relative}.png"
-        return Path("compare") / self.relative.with_suffix(".png")
+        return Path("compare") / f"{self.relative}.png"
 
     @cached_property
-    def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
-        """By the suffix of its name; a file of several pictures (TIFF, arrays) is a `video`."""
-        suffix = self.source.suffix.lower()
-        if self.checked or suffix in HDF5_SUFFIXES:
+    def kind(self) -> str:
+        """`shard`, or the kind of recording; one picture is of kind `pictures`."""
+        if self.checked or self.source.suffix.lower() in HDF5_SUFFIXES:
             return "shard"
-        kind = kind_of(self.source)
-        if kind in PING_KINDS:
-            return "pings"
-        if kind == "rosbag":
-            return "bag"
-        return "video" if kind in SEQUENCES else "image"
+        return kind_of(self.source) or "pictures"
 
 
 def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> list[Item]:
@@ -86,37 +66,15 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
     Raises FactoryError when there is nothing, and where a file that will be written is an input or
     the same as another.
     """
-    items: dict[tuple[Path, Path], Item] = {}
-    for path in inputs:
-        for item in _of_input(path, out):
-            items.setdefault((item.relative, item.source.resolve()), item)
-    sheets = Counter(item.compared for item in items.values())
-    found_items = [replace(item, whole_name=sheets[item.compared] > 1) for item in items.values()]
-    _check_outputs(found_items, out, compare=compare)
-    return found_items
-
-
-def sequences(items: Sequence[Item]) -> list[list[Item]]:
-    """Picture files that follow each other in time, by their numbers; other files alone.
-
-    A sequence is the pictures of a folder whose names differ in their last number alone.
-    """
-    found: dict[tuple[str, ...], list[tuple[int, Path, Item]]] = {}
-    for item in items:
-        last = _LAST_NUMBER.fullmatch(item.source.name) if item.kind == "image" else None
-        key = (str(item.source.parent), last[1], last[3]) if last else (str(item.source),)
-        number = int(last[2]) if last else 0
-        found.setdefault(key, []).append((number, item.source, item))
-    return [[item for *_, item in sorted(some, key=lambda one: one[:2])] for some in found.values()]
-
-
-def _check_outputs(items: Sequence[Item], out: Path, *, compare: bool) -> None:
-    """No file that is written is an input, or the same as another."""
-    sources = {item.source.resolve() for item in items}
+    items = {
+        (item.relative, item.source.resolve()): item
+        for path in inputs
+        for item in _of_input(path, out)
+    }
+    sources = {source for _, source in items}
     written: dict[Path, Item] = {}
-    for item in items:
-        results = [item.relative, *([item.compared] if compare else [])]
-        for relative in results:
+    for item in items.values():
+        for relative in (item.relative, item.compared) if compare else (item.relative,):
             path = (out / relative).resolve()
             other = written.setdefault(path, item)
             if other is not item:
@@ -126,39 +84,46 @@ def _check_outputs(items: Sequence[Item], out: Path, *, compare: bool) -> None:
                 )
             if path in sources:
                 raise FactoryError(f"--out {out}: would overwrite the input {path}")
+    return list(items.values())
 
 
-def _of_input(path: Path, out: Path) -> Iterator[Item]:
+def sequences(items: Sequence[Item]) -> list[list[Item]]:
+    """Picture files that follow each other in time, by their numbers; other files alone.
+
+    A sequence is the pictures of a folder whose names differ in their last number alone.
+    """
+    found: dict[tuple[str, ...], list[tuple[int, Path, Item]]] = {}
+    for item in items:
+        last = _LAST_NUMBER.fullmatch(item.source.name) if item.kind == "pictures" else None
+        key = (str(item.source.parent), last[1], last[3]) if last else (str(item.source),)
+        number = int(last[2]) if last else 0
+        found.setdefault(key, []).append((number, item.source, item))
+    return [[item for *_, item in sorted(some, key=lambda one: one[:2])] for some in found.values()]
+
+
+def _of_input(path: Path, out: Path) -> list[Item]:
+    known = ", ".join(SUFFIXES)
     if path.is_file():
         if path.suffix.lower() not in SUFFIXES:
             raise FactoryError(
-                f"{path}: neither an image nor a shard nor a video or recording "
-                f"({', '.join(SUFFIXES)})"
+                f"{path}: neither an image nor a shard nor a video or recording ({known})"
             )
-        yield Item(path, _output_of(Path(path.name)))
-    elif not path.is_dir():
+        return [_item(path, path.parent)]
+    if not path.is_dir():
         raise FactoryError(f"{path}: no such file or folder")
-    elif is_bag_folder(path):
-        yield Item(path, Path(path.resolve().name))
-    else:
-        yield from _of_folder(path, out)
-
-
-def _of_folder(path: Path, out: Path) -> Iterator[Item]:
+    if is_bag_folder(path):
+        return [Item(path, Path(path.resolve().name))]
     # These load h5py, which a single picture can do without.
     from ...factory.dataset import PairDataset
     from ...factory.dataset.manifest import MANIFEST_NAME
 
     if (path / MANIFEST_NAME).is_file():
-        for shard in PairDataset(path, "all").paths:
-            yield Item(shard, shard.relative_to(path), checked=True)
-        return
+        shards = PairDataset(path, "all").paths
+        return [Item(shard, shard.relative_to(path), checked=True) for shard in shards]
     found = items_below(path, out)
     if not found:
-        raise FactoryError(
-            f"{path}: holds no image, shard, video or recording ({', '.join(SUFFIXES)})"
-        )
-    yield from found
+        raise FactoryError(f"{path}: holds no image, shard, video or recording ({known})")
+    return found
 
 
 def items_below(folder: Path, out: Path) -> list[Item]:
@@ -177,16 +142,16 @@ def items_below(folder: Path, out: Path) -> list[Item]:
         and not is_table(file)
     ]
     return [
-        Item(file, _output_of(file.relative_to(folder)))
+        _item(file, folder)
         for file in sorted([*bags, *files])
         if not file.resolve().is_relative_to(out.resolve())
     ]
 
 
-def _output_of(relative: Path) -> Path:
-    """The name of what is made of a file: arrays of all formats become .npy files."""
-    arrays = relative.suffix.lower() in ARRAY_SUFFIXES
-    return relative.with_suffix(ARRAY_SUFFIX) if arrays else relative
+def _item(file: Path, folder: Path) -> Item:
+    """A file below a folder: arrays of all formats become .npy files."""
+    relative, is_array = file.relative_to(folder), file.suffix.lower() in ARRAY_SUFFIXES
+    return Item(file, relative.with_suffix(ARRAY_SUFFIX) if is_array else relative)
 
 
 class Geometries:
@@ -203,8 +168,8 @@ class Geometries:
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
         # By the size of the pictures, too: a bag may have several topics.
         self._videos: dict[tuple[Path, tuple[int, ...]], FanGeometry | None] = {}
-        # Folder, video or bag -> pictures with a fan, and all that were looked at.
-        self._counts: dict[Path, tuple[int, int]] = {}
+        self._with_fan: Counter[Path] = Counter()
+        self._searched: Counter[Path] = Counter()
 
     def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
         """The geometry of a picture of `item`; None where it is not known."""
@@ -215,64 +180,55 @@ class Geometries:
         key = item.source, picture.shape
         if key in self._videos:
             return self._videos[key]
-        geometry = find_geometry(picture)
-        video = item.kind in ("video", "bag")
-        if video:
-            self._videos[key] = geometry
-        place = item.source if video else item.source.parent
-        with_fan, looked_at = self._counts.get(place, (0, 0))
-        self._counts[place] = with_fan + (geometry is not None), looked_at + 1
+        geometry, place = find_geometry(picture), item.source.parent
+        if item.kind != "pictures":
+            self._videos[key], place = geometry, item.source
+        self._with_fan[place] += geometry is not None
+        self._searched[place] += 1
         return geometry
 
     def summary(self) -> Iterator[str]:
-        """One line a folder, video or bag whose pictures were looked at."""
-        for place, (with_fan, looked_at) in self._counts.items():
-            yield f"geometry: fan found in {with_fan} of {looked_at} pictures searched ({place})"
+        """One line a folder, video or bag whose pictures were searched."""
+        for place, count in self._searched.items():
+            found = self._with_fan[place]
+            yield f"geometry: fan found in {found} of {count} pictures searched ({place})"
 
 
 class Finished:
-    """Which files are denoised, kept where a run is stopped and for the same command alone."""
+    """Which files are denoised, kept where a run is stopped and for the same command alone.
+
+    digest: of the weights.  arguments: of the command.
+    """
 
     def __init__(self, out: Path, digest: str, arguments: Sequence[str]) -> None:
-        """digest: of the weights.  arguments: of the command."""
-        self._path = out / NAME
-        whole = json.dumps([digest, *arguments])
+        self._out, whole = out, json.dumps([digest, *arguments])
         self._command = hashlib.sha256(whole.encode()).hexdigest()
         self._done: dict[str, list[int]] = {}
-
-    def of(self, items: Sequence[Item]) -> frozenset[Path]:
-        """Results of the run that was stopped, of files that did not change since."""
         try:
-            kept = json.loads(self._path.read_bytes())
-            done = dict(kept["done"]) if kept["command"] == self._command else {}
+            kept = json.loads((out / NAME).read_bytes())
+            self._done = dict(kept["done"]) if kept["command"] == self._command else {}
         except (OSError, ValueError, TypeError, KeyError):
-            return frozenset()
-        found = [
-            item.relative
-            for item in items
-            if done.get(str(item.relative)) == _state(item)
-            and (self._path.parent / item.relative).exists()
-        ]
-        self._done = {str(relative): done[str(relative)] for relative in found}
-        return frozenset(found)
+            pass
+
+    def __contains__(self, item: Item) -> bool:
+        """Whether a file is denoised and did not change since."""
+        done = self._done.get(str(item.relative))
+        return done == _state(item.source) and (self._out / item.relative).exists()
 
     def add(self, item: Item) -> None:
         """A file is denoised."""
-        self._done[str(item.relative)] = _state(item)
+        self._done[str(item.relative)] = _state(item.source)
 
     def save(self) -> None:
         """The run is stopped."""
         content = json.dumps({"command": self._command, "done": self._done})
-        write_atomically(self._path, content.encode(), key="--out")
+        write_atomically(self._out / NAME, content.encode(), key="--out")
 
     def forget(self) -> None:
         """The run came to its end."""
-        self._path.unlink(missing_ok=True)
+        (self._out / NAME).unlink(missing_ok=True)
 
 
-def _state(item: Item) -> list[int]:
-    try:
-        found = item.source.stat()
-    except OSError:
-        return []
+def _state(path: Path) -> list[int]:
+    found = path.stat()
     return [found.st_size, found.st_mtime_ns]

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,43 +17,19 @@ from ...factory.errors import FactoryError
 from ...factory.scheduler.workers.machine import usable_cores
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.base import FULL_SCALE
-from ..recordings.palettes import SUM, Painted, Palette, find_painted
+from ..recordings.palettes import SUM, Palette, find_painted
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot, Tally
 
 Gray = npt.NDArray[np.float32]
 Picture = npt.NDArray[Any]
-Denoise = Callable[..., Gray]
-"""(H, W) float32 in 0..1, and where range and bearing are, if known -> the same, denoised.
-
-`frames` says how many frames count in each pixel of a fused picture, see `Denoiser`.
-"""
 Place = Callable[[Picture], FanGeometry | None]
 """Where range and bearing are in a picture; None where that is not known."""
-
-Key = TypeVar("Key")
-
-
-@dataclass(frozen=True, eq=False)
-class Seen(Generic[Key]):
-    """A picture as the network gets it.
-
-    key: of the caller.  original: as it is stored.  painted: what its colours stand for.
-    """
-
-    key: Key
-    original: Picture
-    painted: Painted | None
-
-    def finished(self, levels: Gray) -> Picture:
-        """Denoised levels, (H, W) or (H, W, C) in 0..1, as a picture of the original's kind."""
-        if self.painted is not None:
-            return self.painted.repainted(levels)
-        return restored(levels, self.original)
 
 
 class Denoising:
     """What a run does to pictures, and what it did.
 
+    network, frames, causal, calibrated: see `InTime`.
     tally: of pictures in time.  maps: colour map -> how many pictures had it.
     """
 
@@ -66,40 +41,42 @@ class Denoising:
         causal: bool = False,
         calibrated: bool = True,
     ) -> None:
-        """See `InTime`.  Raises FactoryError for a number of frames that cannot be."""
-        check_frames(frames)
+        """Raises FactoryError for a number of frames that a window cannot have."""
+        if not (1 <= frames <= MOST_FRAMES and frames % 2):
+            raise FactoryError(
+                f"--frames {frames}: give an odd number up to {MOST_FRAMES}: a picture and as many "
+                "before it as after it"
+            )
         self.network, self.frames = network, frames
         self._causal, self._calibrated = causal, calibrated
         self.tally = Tally()
         self.maps: Counter[str] = Counter()
         self._last_map: Palette | None = None
 
-    def seen(
-        self,
-        key: Key,
-        picture: Picture,
-        place: Place,
-        shift_px: tuple[float, float] | None = None,
-    ) -> Shot[Seen[Key]]:
-        """A picture, its colours read.
+    def shot(
+        self, key: Any, picture: Picture, place: Place, shift_px: tuple[float, float] | None = None
+    ) -> Shot:
+        """A picture of a sequence, its colours read.
 
-        picture: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
+        picture: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.  shift_px: see `Shot`.
         Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
         """
         check(picture)
-        painted = find_painted(picture, self._last_map)
+        plain, painted = picture, find_painted(picture, self._last_map)
         if painted is not None:
-            self._last_map = painted.palette
+            plain, self._last_map = painted.levels, painted.palette
             self.maps[painted.palette.name] += 1
-        plain = picture if painted is None else painted.levels
-        seen = Seen(key, picture, painted)
-        return Shot(seen, levels_of(plain), partial(place, plain), shift_px)
+        return Shot((key, picture, painted), levels_of(plain), partial(place, plain), shift_px)
 
     def sequence(
-        self, pictures: Iterable[Shot[Seen[Key]]], *, alone: bool = False
-    ) -> Iterator[tuple[Seen[Key], Picture]]:
-        """Each picture of a sequence and what became of it, in order."""
-        stream: InTime[Seen[Key]] = InTime(
+        self, shots: Iterable[Shot], *, alone: bool = False
+    ) -> Iterator[tuple[Any, Picture]]:
+        """The key of each picture of a sequence and what became of it, in order.
+
+        Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
+        alone: whether each is denoised by itself.
+        """
+        stream = InTime(
             self.network,
             frames=1 if alone else self.frames,
             causal=self._causal,
@@ -107,15 +84,12 @@ class Denoising:
             tally=self.tally,
             at_once=1 if alone else usable_cores(),
         )
-        for shot in pictures:
-            for done, levels in stream.push(shot):
-                yield done, done.finished(levels)
-        for done, levels in stream.finish():
-            yield done, done.finished(levels)
+        for (key, picture, painted), levels in stream(shots):
+            yield key, restored(levels, picture) if painted is None else painted.repainted(levels)
 
     def one(self, picture: Picture, place: Place) -> Picture:
-        """A picture by itself.  Raises ValueError as `seen` does."""
-        ((_, denoised),) = self.sequence([self.seen(None, picture, place)], alone=True)
+        """A picture by itself, the same shape and dtype out.  Raises ValueError as `shot` does."""
+        ((_, denoised),) = self.sequence([self.shot(None, picture, place)], alone=True)
         return denoised
 
     def summary(self) -> Iterator[str]:
@@ -127,27 +101,6 @@ class Denoising:
                 f"({SUM}: a map that is not known, by the sum of its channels)"
             )
         yield from self.tally.lines(self.frames)
-
-
-def denoise_image(image: Picture, denoise: Denoise, geometry: FanGeometry | None = None) -> Picture:
-    """Denoise (H, W) or (H, W, C) uint8, uint16 or float32 (0..1); same shape and dtype out.
-
-    Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
-    Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
-    """
-    check(image)
-    stream: InTime[None] = InTime(denoise, frames=1)
-    ((_, levels),) = stream.push(Shot(None, levels_of(image), lambda: geometry))
-    return restored(levels, image)
-
-
-def check_frames(frames: int) -> None:
-    """FactoryError for a number of frames that a window cannot have."""
-    if not (1 <= frames <= MOST_FRAMES and frames % 2):
-        raise FactoryError(
-            f"--frames {frames}: give an odd number up to {MOST_FRAMES}: a picture and as many "
-            "before it as after it"
-        )
 
 
 def check(picture: Picture) -> None:
@@ -174,11 +127,9 @@ def restored(levels: Gray, picture: Picture) -> Picture:
     """The reverse of `levels_of`, with the dtype, shape and alpha of a picture."""
     full = FULL_SCALE[str(picture.dtype)]
     found = np.rint(levels.astype(np.float64) * full) if full > 1 else levels
-    found = found.astype(picture.dtype)
-    if picture.ndim == 2:
-        return found
     result = picture.copy()
-    _colours(result)[...] = found if found.ndim == 3 else found[..., None]
+    colours = _colours(result)
+    colours[...] = found if found.ndim == picture.ndim else found[..., None]
     return result
 
 

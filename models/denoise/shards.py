@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import lru_cache
-from pathlib import Path
 
 import h5py
 
@@ -13,31 +11,29 @@ from ...factory.dataset.reader import ImageStack, check_in_isolation, open_shard
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
-from .denoiser import Denoiser
 from .files import Job
 from .inputs import Item
-from .pictures import denoise_image
+from .pictures import Denoising
 from .writers import COMPARED, write_compared
 
 SCHEMA = "simnfnd-denoised/1"
 
 
-def denoise_shard(item: Item, job: Job, denoise: Denoiser) -> None:
+def denoise_shard(item: Item, job: Job) -> None:
     """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along.
 
     Raises FrameError when it is not a shard of this program, or damaged.
     """
-    try:
-        source = opened_shard(item)
-    except FactoryError as error:
-        raise FrameError(str(error)) from error
     # Made in memory and written in one go, like the shards themselves.
     with (
-        source,
+        opened_shard(item) as source,
         h5py.File("denoised.h5", "w", driver="core", backing_store=False) as target,
     ):
+        of_points = made_of_points(source)
+        denoise = job.points() if of_points else job.denoise
         noisy, clean = ImageStack(source["noisy"]), ImageStack(source["clean"])
         form, full = source["noisy"], value_range(source)
+        job.bar.total += len(noisy)
         target.attrs["schema"] = SCHEMA
         target.attrs["config_hash"] = source.attrs["config_hash"]
         target.attrs["weights_sha256"] = denoise.digest
@@ -55,17 +51,16 @@ def denoise_shard(item: Item, job: Job, denoise: Denoiser) -> None:
             track_times=False,
         )
         shown = []
-        geometry = _geometry_of(source)
+        denoising, geometry = Denoising(denoise), _geometry_of(source)
         for row in range(len(noisy)):
             try:
                 image = noisy[row]
-                truth = clean[row] if row < COMPARED else None
-                denoised[row] = denoise_image(image, denoise, geometry(row))
+                denoised[row] = denoising.one(image, lambda _, row=row: geometry(row))
+                if row < COMPARED:
+                    shown.append([one / full for one in (image, denoised[row], clean[row])])
             except FactoryError as error:
                 raise FrameError(f"{item.source}: {error}") from error
-            if truth is not None:
-                shown.append(tuple(x / full for x in (image, denoised[row], truth)))
-            job.tick()
+            job.bar.update()
         target.flush()
         content = target.id.get_file_image()
     path = job.out / item.relative
@@ -73,37 +68,29 @@ def denoise_shard(item: Item, job: Job, denoise: Denoiser) -> None:
     write_atomically(path, content)
     if job.compare and shown:
         write_compared(job.out / item.compared, shown)
+    job.done(item, denoise.name, of_points=of_points)
 
 
 def opened_shard(item: Item) -> h5py.File:
     """The shard, opened; one that nobody has looked at is opened by another process first.
 
-    Raises FactoryError when it is not a shard of this program, or damaged.
-    """
-    if not item.checked:
-        found = item.source.stat() if item.source.exists() else None
-        _look_at(item.source, found and found.st_mtime_ns)
-    return open_shard(item.source)
-
-
-@lru_cache(maxsize=4096)
-def _look_at(path: Path, changed_ns: int | None) -> None:
-    check_in_isolation([path])
-
-
-def made_of_points(item: Item) -> bool:
-    """Whether the pictures of a shard have the paper's noise: acoustics.formation=points.
-
     Raises FrameError when it is not a shard of this program, or damaged.
     """
     try:
-        with opened_shard(item) as shard:
-            config = json.loads(shard.attrs["config"])
-            return config.get("devices") is None and "acoustics" not in config
-    except (KeyError, TypeError, ValueError):
-        return False
+        if not item.checked:
+            check_in_isolation([item.source])
+        return open_shard(item.source)
     except FactoryError as error:
         raise FrameError(str(error)) from error
+
+
+def made_of_points(shard: h5py.File) -> bool:
+    """Whether the pictures of a shard have the paper's noise: acoustics.formation=points."""
+    try:
+        config = json.loads(shard.attrs["config"])
+        return config.get("devices") is None and "acoustics" not in config
+    except (KeyError, TypeError, ValueError):
+        return False
 
 
 def _geometry_of(shard: h5py.File) -> Callable[[int], FanGeometry | None]:

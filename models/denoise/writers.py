@@ -6,6 +6,7 @@ import glob
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,11 @@ from PIL import Image, TiffImagePlugin
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
 from ...factory.quiet import quiet_stderr
-from ..recordings.arrays import ArrayFile, Header, NpyWriter
+from ..recordings.arrays import ArrayFile, NpyWriter
 from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording, swapped
 
-Frames = Iterator[npt.NDArray[Any]]
+Picture = npt.NDArray[Any]
+Frames = Iterator[Picture]
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
@@ -33,7 +35,6 @@ CAPTION_PX = 20
 
 _NAMES = ("noisy", "denoised", "clean")
 _GAP_PX = 4
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 # JPEG is lossy at any quality; at 100 the least.  WebP is without loss above 100.
 _QUALITY = {
@@ -45,7 +46,7 @@ _QUALITY = {
 
 def write_frames(
     path: Path,
-    pictures: Iterable[npt.NDArray[Any]],
+    pictures: Iterable[Picture],
     rate_hz: float | None,
     source: Recording | None = None,
 ) -> None:
@@ -66,20 +67,22 @@ def write_frames(
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove_stale(path)
     partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-    try:
-        if path.suffix.lower() in TIFF_SUFFIXES:
-            _write_pages(partial, frames, path)
-        elif isinstance(source, ArrayFile):
-            _write_array(partial, frames, path, source.header)
-        elif (video := _video(partial, first.shape, rate_hz)) is not None and not path.is_dir():
-            _write_video(partial, frames, path, video)
-        else:
-            _write_pictures(path, frames)
-            return
-        with explain_os_errors(path, "--out"):
+    with explain_os_errors(path, "--out"):
+        try:
+            if path.suffix.lower() in TIFF_SUFFIXES:
+                _write_pages(partial, frames)
+            elif isinstance(source, ArrayFile):
+                with closing(NpyWriter(partial, source.header)) as array:
+                    for picture in frames:
+                        array.add(picture.astype(source.header.dtype))
+            elif (video := _video(partial, first.shape, rate_hz)) is not None and not path.is_dir():
+                _write_video(partial, frames, path, video)
+            else:
+                _write_pictures(path, frames)
+                return
             os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 def _remove_stale(path: Path) -> None:
@@ -90,31 +93,13 @@ def _remove_stale(path: Path) -> None:
             stale.unlink(missing_ok=True)
 
 
-def _write_pages(partial: Path, frames: Frames, path: Path) -> None:
+def _write_pages(partial: Path, frames: Frames) -> None:
     """Pages of a TIFF file, each compressed without loss."""
-    with explain_os_errors(path, "--out"):
-        writer = TiffImagePlugin.AppendingTiffWriter(str(partial), new=True)
-    try:
+    with TiffImagePlugin.AppendingTiffWriter(str(partial), new=True) as writer:
         for picture in frames:
             page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
-            with explain_os_errors(path, "--out"):
-                page.save(writer, format="TIFF", compression="tiff_adobe_deflate")
-                writer.newFrame()
-    finally:
-        with explain_os_errors(path, "--out"):
-            writer.close()
-
-
-def _write_array(partial: Path, frames: Frames, path: Path, header: Header) -> None:
-    with explain_os_errors(path, "--out"):
-        writer = NpyWriter(partial, header)
-    try:
-        for picture in frames:
-            with explain_os_errors(path, "--out"):
-                writer.add(picture.astype(header.dtype))
-    finally:
-        with explain_os_errors(path, "--out"):
-            writer.close()
+            page.save(writer, format="TIFF", compression="tiff_adobe_deflate")
+            writer.newFrame()
 
 
 def _video(partial: Path, shape: tuple[int, ...], rate_hz: float | None) -> cv2.VideoWriter | None:
@@ -154,7 +139,7 @@ def _write_pictures(path: Path, frames: Frames) -> None:
         write_image(path / f"{number:06d}.png", picture)
 
 
-def write_image(path: Path, image: npt.NDArray[Any]) -> None:
+def write_image(path: Path, image: Picture) -> None:
     """A picture by the suffix of its name.  FrameError when the format does not hold it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -166,37 +151,28 @@ def write_image(path: Path, image: npt.NDArray[Any]) -> None:
     write_atomically(path, content.tobytes(), key="--out")
 
 
-def write_compared(path: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
+def write_compared(path: Path, rows: Sequence[Sequence[Picture]]) -> None:
     """Noisy, denoised (and clean) side by side, one row a sample, named on top.
 
     rows: pictures (H, W) or (H, W, C) of one size; uint8, uint16 or float in 0..1.
     """
-    lines = [_side_by_side([_shown(image) for image in images]) for images in rows]
-    first = _shown(rows[0][0])
-    names = [_name(text, first) for text in _NAMES[: len(rows[0])]]
-    write_image(path, np.concatenate([_side_by_side(names), *lines], axis=0))
+    gap = np.full((len(rows[0][0]), _GAP_PX, 3), 128, np.uint8)
+    lines = [
+        np.hstack([part for image in images for part in (gap, _shown(image))][1:])
+        for images in rows
+    ]
+    names = np.full((CAPTION_PX, lines[0].shape[1], 3), 24, np.uint8)
+    width = rows[0][0].shape[1]
+    for number, name in enumerate(_NAMES[: len(rows[0])]):
+        left, font = 3 + number * (width + _GAP_PX), cv2.FONT_HERSHEY_SIMPLEX
+        (long, _), _ = cv2.getTextSize(name, font, 1.0, 1)
+        size = max(0.01, min(0.45, (width - 6) / long))  # no wider than its picture
+        cv2.putText(names, name, (left, CAPTION_PX - 6), font, size, (235,) * 3, 1, cv2.LINE_AA)
+    write_image(path, np.vstack([names, *lines]))
 
 
-def _side_by_side(panels: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:
-    gap = np.full((panels[0].shape[0], _GAP_PX, *panels[0].shape[2:]), 128, np.uint8)
-    return np.concatenate([part for panel in panels for part in (gap, panel)][1:], axis=1)
-
-
-def _name(text: str, like: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """The text, light on dark, as wide as a panel and no wider than fits."""
-    width = like.shape[1]
-    band = np.full((CAPTION_PX, width), 24, np.uint8)
-    (long, _), _ = cv2.getTextSize(text, _FONT, 1.0, 1)
-    size = min(0.45, (width - 6) / long)
-    if size > 0:
-        cv2.putText(band, text, (3, CAPTION_PX - 6), _FONT, size, (235,), 1, cv2.LINE_AA)
-    if like.ndim == 2:
-        return band
-    name = np.full((CAPTION_PX, width, like.shape[2]), 255, np.uint8)  # an alpha stays opaque
-    name[..., :3] = band[..., None]
-    return name
-
-
-def _shown(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+def _shown(image: Picture) -> Picture:
+    """As (H, W, 3) uint8."""
     full = 1.0 if image.dtype.kind == "f" else FULL_SCALE[str(image.dtype)]
-    return np.asarray(np.rint(np.clip(image / full, 0, 1) * 255), dtype=np.uint8)
+    levels = np.rint(np.clip(image / full, 0, 1) * 255).astype(np.uint8)
+    return levels[..., :3] if levels.ndim == 3 else np.repeat(levels[..., None], 3, axis=2)

@@ -52,8 +52,7 @@ class Fusion:
 
     def __init__(self) -> None:
         self._seen = 0
-        self._to_median, self._to_frame = Usual(), Usual()
-        self._wide_to_median, self._wide_to_frame = Usual(), Usual()
+        self._to_median, self._to_frame = _Agreement(_AGREES), _Agreement(_LIKE)
         self.noise = Usual()
 
     def __call__(self, own: Grey, laid: Sequence[Grey], shown: Sequence[Grey | None]) -> Fused:
@@ -62,29 +61,24 @@ class Fusion:
         own, laid: (H, W) or (H, W, C) float32 in 0..1.  shown: (H, W), where a neighbour shows what
         the frame does; None: everywhere.
         """
-        grey = grey_of(own)
+        grey, others = grey_of(own), [grey_of(other) for other in laid]
         one = np.ones(grey.shape, np.float32)
         if not laid:
             return Fused(own, one, one)
-        smalls, masks = self._windows(grey, [grey_of(other) for other in laid], shown)
         # The neighbour that noise is measured with; None: not now.
         now = self._seen < _LEARNED or self._seen % _AGAIN == 0
         which = self._seen % len(laid) if now else None
-        if which is not None:
-            apart = (grey_of(laid[which]) - grey) * np.float32(np.sqrt(0.5))
-            where = shown[which]
-            self.noise.add(apart, grey if where is None else grey * where)
-        weights, agrees = self._weights(smalls, masks, which)
         self._seen += 1
-        down, right = factors(grey.shape)
-        size = smalls[0].shape[1] * right, smalls[0].shape[0] * down
-        odd = grey.shape[0] - size[1], grey.shape[1] - size[0]
+        if which is not None:
+            apart, where = (others[which] - grey) * np.float32(np.sqrt(0.5)), shown[which]
+            self.noise.add(apart, grey if where is None else grey * where)
+        weights, agrees = self._weights(grey, others, shown, which)
+        (height, width), (down, right) = grey.shape, factors(grey.shape)
+        size = width // right * right, height // down * down
 
         def enlarged(plane: Grey) -> Grey:
             found = cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR)
-            if any(odd):
-                found = cv2.copyMakeBorder(found, 0, odd[0], 0, odd[1], cv2.BORDER_REPLICATE)
-            return found
+            return np.pad(found, ((0, height % down), (0, width % right)), mode="edge")
 
         total, count, squares = own.copy(), one.copy(), one.copy()
         for other, mask, weight in zip(laid, shown, weights, strict=True):
@@ -100,62 +94,67 @@ class Fusion:
     def same(self, fused: Grey, outside: Grey, shown: Grey | None) -> npt.NDArray[np.bool_]:
         """Where another frame, (H, W), shows what was fused, as far as noise lets it be seen."""
         small = blurred(reduced(fused), _SMALL)
-        apart = np.abs(blurred(reduced(outside), _SMALL) - small) / self._to_frame.at(small)
+        apart = np.abs(blurred(reduced(outside), _SMALL) - small) / self._to_frame.usual.at(small)
         agrees = (apart < _LIKE) & (small > _DARK)
         size = fused.shape[1], fused.shape[0]
         found = cv2.resize(agrees.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         return np.asarray(found if shown is None else found & (shown > 0))
 
-    def _windows(
-        self, grey: Grey, others: Sequence[Grey], shown: Sequence[Grey | None]
-    ) -> tuple[list[Grey], list[Grey | None]]:
-        """Of each frame the means over the small window, and where a neighbour shows its scene."""
-        smalls = [blurred(reduced(grey), _SMALL)]
-        masks: list[Grey | None] = []
-        for other, where in zip(others, shown, strict=True):
-            small = blurred(reduced(other), _SMALL)
-            mask = None
-            if where is not None:
-                mask = cv2.erode((reduced(where) > 0.99).astype(np.float32), np.ones((5, 5)))
-                small = np.where(mask > 0, small, smalls[0])
-            smalls.append(small)
-            masks.append(mask)
-        return smalls, masks
-
     def _weights(
-        self, smalls: list[Grey], masks: list[Grey | None], which: int | None
+        self, own: Grey, others: Sequence[Grey], shown: Sequence[Grey | None], which: int | None
     ) -> tuple[list[Grey], Grey]:
-        own, middle = smalls[0], median(smalls)
-        near = [small - middle for small in smalls]
-        apart = [small - own for small in smalls[1:]]
-        if which is not None:
-            seen = masks[which]
-            at_middle = middle if seen is None else np.where(seen > 0, middle, np.float32(0))
-            self._to_median.add(near[which + 1], at_middle)
-            self._to_frame.add(apart[which], at_middle)
-        near_sigma, apart_sigma = self._to_median.at(middle), self._to_frame.at(own)
-        near = [one / near_sigma for one in near]
-        apart = [one / apart_sigma for one in apart]
-        wide_near, wide_apart = [_wide(one) for one in near], [_wide(one) for one in apart]
-        if which is not None:
-            self._wide_to_median.add(wide_near[which + 1], at_middle)
-            self._wide_to_frame.add(wide_apart[which], at_middle)
-        near_sigma = self._wide_to_median.at(middle)
-        apart_sigma = self._wide_to_frame.at(own)
-        agree = [
-            _falling(one, wide / near_sigma, _AGREES)
-            for one, wide in zip(near, wide_near, strict=True)
-        ]
-        like = [
-            _falling(one, wide / apart_sigma, _LIKE)
-            for one, wide in zip(apart, wide_apart, strict=True)
-        ]
+        """Of the neighbours, and how far the frame itself agrees with the median; all reduced."""
+        own = blurred(reduced(own), _SMALL)
+        smalls, seen = list[Grey](), None
+        for number, (other, where) in enumerate(zip(others, shown, strict=True)):
+            small = blurred(reduced(other), _SMALL)
+            if where is not None:
+                mask = cv2.erode((reduced(where) > 0.99).astype(np.float32), np.ones((5, 5))) > 0
+                small = np.where(mask, small, own)
+                seen = mask if number == which else seen
+            smalls.append(small)
+        middle = median([*smalls, own])
+        level = middle if seen is None else np.where(seen, middle, np.float32(0))
+        *agree, agrees = self._to_median(
+            [one - middle for one in (*smalls, own)], middle, which, level
+        )
+        like = self._to_frame([one - own for one in smalls], own, which, level)
         weights = []
-        for one, other in zip(agree[1:], like, strict=True):
-            weight = one * agree[0] + (1 - agree[0]) * other
-            least = cv2.erode(weight, np.ones((3, 3), np.uint8))
+        for one, other in zip(agree, like, strict=True):
+            least = cv2.erode(one * agrees + (1 - agrees) * other, np.ones((3, 3), np.uint8))
             weights.append(cv2.blur(least, (3, 3)))
-        return weights, agree[0]
+        return weights, agrees
+
+
+class _Agreement:
+    """How far frames agree in a small window and in a wide one.
+
+    limit: standard deviations that are agreement.  usual: deviations in the small window.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit, self.usual, self._wide = np.float32(limit), Usual(), Usual()
+
+    def __call__(
+        self, apart: Sequence[Grey], grey: Grey, learned: int | None, level: Grey
+    ) -> list[Grey]:
+        """Of deviations from `grey`: 1 up to the limit in both windows, then falling to 0.
+
+        learned: which of them are measured, by grey `level`; None: none.
+        """
+        if learned is not None:
+            self.usual.add(apart[learned], level)
+        sigma = self.usual.at(grey)
+        apart = [one / sigma for one in apart]
+        # A thing that moves nearby must not fill the wide window.
+        wide = [cv2.blur(np.clip(one, -_CLIP, _CLIP), (_WIDE, _WIDE)) for one in apart]
+        if learned is not None:
+            self._wide.add(wide[learned], level)
+        sigma, found = self._wide.at(grey), []
+        for small, large in zip(apart, wide, strict=True):
+            over = np.maximum(np.maximum(np.abs(small), np.abs(large / sigma)) - self._limit, 0)
+            found.append(cv2.exp(-over * over))
+        return found
 
 
 class Usual:
@@ -210,14 +209,3 @@ def median(planes: Sequence[Grey]) -> Grey:
     if count % 2:
         return left[count // 2]
     return (left[count // 2] + left[count // 2 - 1]) / np.float32(2)
-
-
-def _wide(deviation: Grey) -> Grey:
-    """The mean over the wide window; a thing that moves nearby must not fill it."""
-    return cv2.blur(np.clip(deviation, -_CLIP, _CLIP), (_WIDE, _WIDE))
-
-
-def _falling(small: Grey, wide: Grey, limit: float) -> Grey:
-    """1 up to a limit of standard deviations in both windows, then falling to 0."""
-    over = np.maximum(np.maximum(np.abs(small), np.abs(wide)) - np.float32(limit), 0)
-    return np.asarray(cv2.exp(-over * over))

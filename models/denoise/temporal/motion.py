@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -55,27 +55,27 @@ class Motion:
 
     def inverse(self, shape: tuple[int, int]) -> Motion:
         """Where the pixels of the other lie in this one.  shape: of the reduced pictures."""
-        if np.any(self.affine[2:]):
-            back = _affine(np.linalg.inv(_square(_matrix(self.affine, shape)))[:2], shape)
-        else:
-            back = -self.affine
+        back = -self.affine
+        if self.affine[2:].any():
+            back = _affine(np.linalg.inv(_matrix(self.affine, shape)), shape)
         return Motion(back, None if self.flow is None else -self.flow, self.alike)
 
 
 class View:
-    """What alignment keeps of a frame: reduced, its noise made equal, coarse levels taken away."""
+    """What alignment keeps of a frame: reduced, its noise made equal, coarse levels taken away.
 
-    def __init__(self, grey: Grey) -> None:
-        """grey: (H, W) in 0..1."""
-        self.full: tuple[int, ...] = grey.shape
+    grey: (H, W) in 0..1.  shift_px: see `Aligner.add`.
+    """
+
+    def __init__(self, grey: Grey, shift_px: tuple[float, float] | None) -> None:
+        self.full, self.shift_px = grey.shape, shift_px
         small = np.sqrt(np.maximum(reduced(grey), 0))  # noise grows with the level
         lit = (cv2.blur(small, (7, 7)) > np.sqrt(_LIT)).astype(np.float32)
         self.lit: Grey = cv2.erode(
             lit, np.ones((7, 7), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=(1.0,)
         )
-        around = cv2.blur(small * self.lit, (21, 21)) / np.maximum(
-            cv2.blur(self.lit, (21, 21)), 1e-3
-        )
+        share = np.maximum(cv2.blur(self.lit, (21, 21)), 1e-3)
+        around = cv2.blur(small * self.lit, (21, 21)) / share
         self.band: Grey = (blurred(small, 1.0) - around) * self.lit
         self.shape: tuple[int, int] = self.band.shape
 
@@ -90,7 +90,10 @@ class View:
     def steepest(self) -> tuple[Grey, Floats]:
         """Change of each pixel with each number of a motion, (6, pixels), and its Hessian."""
         along, down = self.slopes
-        x, y = _from_middle(self.shape)
+        height, width = self.shape
+        x, y = _pixels(self.shape)
+        half = np.float32(width / 2)
+        x, y = (x - (width - 1) / 2) / half, (y - (height - 1) / 2) / half
         planes = [along, down, along * x, along * y, down * x, down * y]
         change = np.stack(planes).reshape(6, -1)
         # Not by BLAS, whose threads wait actively after such small products.
@@ -101,31 +104,32 @@ class View:
         """Of the band, faded out at the edges."""
         height, width = self.shape
         padded = np.zeros((cv2.getOptimalDFTSize(height), cv2.getOptimalDFTSize(width)), np.float32)
-        padded[:height, :width] = self.band * _faded(self.shape)
+        faded: Grey = np.outer(np.hanning(height), np.hanning(width)).astype(np.float32)
+        padded[:height, :width] = self.band * faded
         return cv2.dft(padded, flags=cv2.DFT_COMPLEX_OUTPUT)
 
 
 class Aligner:
-    """Motions between the last frames of a recording, each found when it is first asked for."""
+    """Motions between the last frames of a recording, each found when it is first asked for.
+
+    kept: how many frames are remembered.
+    """
 
     def __init__(self, kept: int) -> None:
-        """kept: how many frames are remembered."""
         self._kept = kept
         self._views: dict[int, View] = {}
-        self._shifts: dict[int, tuple[float, float] | None] = {}
         self._motions: dict[tuple[int, int], Motion | None] = {}
         self._last = np.zeros(6)
 
     def add(self, number: int, grey: Grey, shift_px: tuple[float, float] | None = None) -> None:
-        """The next frame.
+        """The next frame, (H, W) in 0..1.
 
         shift_px: how far right and down what the frame before saw lies now, where a compass tells
         it; a start, nothing more.
         """
-        self._views[number], self._shifts[number] = View(grey), shift_px
+        self._views[number] = View(grey, shift_px)
         oldest = number - self._kept
-        self._views = {one: view for one, view in self._views.items() if one > oldest}
-        self._shifts = {one: shift for one, shift in self._shifts.items() if one > oldest}
+        self._views.pop(oldest, None)
         self._motions = {pair: found for pair, found in self._motions.items() if pair[1] > oldest}
 
     def motion(self, number: int, other: int) -> Motion | None:
@@ -159,15 +163,12 @@ class Aligner:
             first = self._motions.get((number, between))
             second = self._motions.get((between, other))
             if first and second:
-                both = _square(_matrix(second.affine, view.shape)) @ _square(
-                    _matrix(first.affine, view.shape)
-                )
-                return [_affine(both[:2], view.shape)]
+                matrices = [_matrix(one.affine, view.shape) for one in (second, first)]
+                return [_affine(matrices[0] @ matrices[1], view.shape)]
         starts = [self._last, _phase_shift(view, seen)]
-        shift = self._shifts[number]
-        if shift is not None:
-            down, right = factors(view.full)
-            starts.append(np.array([-shift[0] / right, -shift[1] / down, 0, 0, 0, 0]))
+        if view.shift_px is not None:
+            (right_px, down_px), (down, right) = view.shift_px, factors(view.full)
+            starts.append(np.array([-right_px / right, -down_px / down, 0, 0, 0, 0]))
         return starts
 
 
@@ -178,30 +179,27 @@ def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey | None]:
     """
     height, width = grey.shape
     down, right = factors(grey.shape)
-    moved = motion.affine
-    whole = np.round(moved[:2] * [right, down])
-    if (
-        motion.flow is None
-        and not moved[2:].any()
-        and np.allclose(whole, moved[:2] * [right, down])
-    ):
-        if not whole.any():
-            return grey, None
-        return _copied(grey, int(whole[0]), int(whole[1]))
-    matrix = _enlarged(_matrix(moved, _reduced_shape(grey.shape)), down, right)
-    size, how = (width, height), cv2.INTER_CUBIC
+    if motion.flow is None and not motion.affine.any():
+        return grey, None
+    matrix = _matrix(motion.affine, (height // down, width // right))
+    # Between reduced pictures; enlarged to whole ones.
+    up = np.diag([right, down, 1.0])
+    up[:2, 2] = (right - 1) / 2, (down - 1) / 2
+    matrix = (up @ matrix @ np.linalg.inv(up))[:2]
+    whole = not motion.affine[2:].any() and np.allclose(matrix, np.round(matrix))
+    size, how = (width, height), cv2.INTER_NEAREST if whole else cv2.INTER_CUBIC
     outside: dict[str, Any] = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": -1.0}
     if motion.flow is None:
         laid = cv2.warpAffine(grey, matrix, size, flags=how | cv2.WARP_INVERSE_MAP, **outside)
     else:
-        x, y = _pixels(grey.shape)
+        x, y = _pixels((height, width))
         m = matrix.astype(np.float32)
         flow = cv2.resize(motion.flow, size, interpolation=cv2.INTER_LINEAR)
         laid = cv2.remap(
             grey,
             m[0, 0] * x + m[0, 1] * y + (m[0, 2] + right * flow[..., 0]),
             m[1, 0] * x + m[1, 1] * y + (m[1, 2] + down * flow[..., 1]),
-            how,
+            cv2.INTER_CUBIC,
             **outside,
         )
     return np.clip(laid, 0, 1), (laid > -0.05).astype(np.float32)
@@ -214,10 +212,10 @@ def grey_of(levels: Grey) -> Grey:
 
 def reduced(grey: Grey) -> Grey:
     """Half as large, means of neighbours, along sides long enough."""
-    height, width = _reduced_shape(grey.shape)
-    if (height, width) == grey.shape:
-        return grey
     down, right = factors(grey.shape)
+    if down == right == 1:
+        return grey
+    height, width = grey.shape[0] // down, grey.shape[1] // right
     even = grey[: height * down, : width * right]
     return cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA)
 
@@ -227,15 +225,15 @@ def blurred(grey: Grey, sigma: float) -> Grey:
     return cv2.GaussianBlur(grey, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
 
 
+def length_of(across: Grey, down: Grey) -> Grey:
+    """Of vectors.  OpenCV's own rounds by where the arrays lie in memory: never twice the same."""
+    return np.sqrt(across * across + down * down)
+
+
 def factors(shape: tuple[int, ...]) -> tuple[int, int]:
     """How many rows and columns a reduced pixel stands for."""
     down, right = (2 if side >= _LEAST_HALVED else 1 for side in shape[:2])
     return down, right
-
-
-def _reduced_shape(shape: tuple[int, ...]) -> tuple[int, int]:
-    down, right = factors(shape)
-    return shape[0] // down, shape[1] // right
 
 
 def _whole(view: View, seen: View, starts: Sequence[Floats]) -> tuple[Floats, float]:
@@ -331,7 +329,7 @@ def _dot(one: Grey, two: Grey) -> float:
 def _phase_shift(view: View, seen: View) -> Floats:
     """The shift with the highest phase correlation (Kuglin and Hines 1975), in whole pixels."""
     cross = cv2.mulSpectrums(seen.spectrum, view.spectrum, 0, conjB=True)
-    magnitude = np.maximum(cv2.magnitude(cross[..., 0], cross[..., 1]), 1e-12)
+    magnitude = np.maximum(length_of(cross[..., 0], cross[..., 1]), 1e-12)
     cross = cross / cv2.pow(magnitude, _WHITENED)[..., None]
     peaks = cv2.dft(cross, flags=cv2.DFT_INVERSE | cv2.DFT_REAL_OUTPUT)
     down, right = (min(_FURTHEST, side // 3) for side in peaks.shape)
@@ -343,68 +341,32 @@ def _phase_shift(view: View, seen: View) -> Floats:
 def _moved(band: Grey, affine: Floats, how: int = cv2.INTER_LINEAR) -> Grey:
     if not affine.any():
         return band
-    size = band.shape[1], band.shape[0]
-    return cv2.warpAffine(band, _matrix(affine, band.shape), size, flags=how | cv2.WARP_INVERSE_MAP)
-
-
-def _copied(grey: Grey, right: int, down: int) -> tuple[Grey, Grey]:
-    """Pixel (x + right, y + down) at (x, y)."""
-    height, width = grey.shape
-    laid, shown = np.zeros_like(grey), np.zeros_like(grey)
-    rows = slice(max(0, -down), min(height, height - down))
-    columns = slice(max(0, -right), min(width, width - right))
-    if rows.start < rows.stop and columns.start < columns.stop:
-        source = grey[rows.start + down : rows.stop + down]
-        laid[rows, columns] = source[:, columns.start + right : columns.stop + right]
-        shown[rows, columns] = 1
-    return laid, shown
+    matrix, size = _matrix(affine, band.shape)[:2], (band.shape[1], band.shape[0])
+    return cv2.warpAffine(band, matrix, size, flags=how | cv2.WARP_INVERSE_MAP)
 
 
 def _matrix(affine: Floats, shape: tuple[int, ...]) -> Floats:
-    """(2, 3) pixel -> where it lies in the other frame."""
-    half = shape[1] / 2
-    middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
-    turn = np.eye(2) + affine[2:].reshape(2, 2) / half
-    found: Floats = np.c_[turn, affine[:2] + middle - turn @ middle]
+    """(3, 3) pixel -> where it lies in the other frame."""
+    middle, found = _middle(shape), np.eye(3)
+    turn = np.eye(2) + affine[2:].reshape(2, 2) / (shape[1] / 2)
+    found[:2] = np.c_[turn, affine[:2] + middle - turn @ middle]
     return found
 
 
 def _affine(matrix: Floats, shape: tuple[int, ...]) -> Floats:
     """The reverse of `_matrix`."""
-    half = shape[1] / 2
-    middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
-    shift = matrix[:, 2] - middle + matrix[:, :2] @ middle
-    found: Floats = np.r_[shift, ((matrix[:, :2] - np.eye(2)) * half).ravel()]
+    middle, turn = _middle(shape), matrix[:2, :2]
+    shift = matrix[:2, 2] - middle + turn @ middle
+    found: Floats = np.r_[shift, ((turn - np.eye(2)) * (shape[1] / 2)).ravel()]
     return found
 
 
-def _enlarged(matrix: Floats, down: float, right: float) -> Floats:
-    """A matrix between reduced pictures as one between whole ones."""
-    up = np.diag([right, down, 1.0])
-    up[:2, 2] = (right - 1) / 2, (down - 1) / 2
-    found: Floats = (up @ _square(matrix) @ np.linalg.inv(up))[:2]
-    return found
+def _middle(shape: tuple[int, ...]) -> Floats:
+    return np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
 
 
-def _square(matrix: Floats) -> Floats:
-    found: Floats = np.r_[matrix, [[0.0, 0.0, 1.0]]]
-    return found
-
-
-@lru_cache(maxsize=8)
 def _pixels(shape: tuple[int, int]) -> tuple[Grey, Grey]:
-    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
-    return x, y
-
-
-@lru_cache(maxsize=8)
-def _from_middle(shape: tuple[int, int]) -> tuple[Grey, Grey]:
-    x, y = _pixels(shape)
-    half = np.float32(shape[1] / 2)
-    return (x - (shape[1] - 1) / 2) / half, (y - (shape[0] - 1) / 2) / half
-
-
-@lru_cache(maxsize=8)
-def _faded(shape: tuple[int, int]) -> Grey:
-    window: Grey = np.outer(np.hanning(shape[0]), np.hanning(shape[1])).astype(np.float32)
-    return window
+    """Columns (1, W) and rows (H, 1)."""
+    return np.arange(shape[1], dtype=np.float32)[None], np.arange(shape[0], dtype=np.float32)[
+        :, None
+    ]

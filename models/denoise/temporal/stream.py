@@ -7,36 +7,23 @@ fused frames at once as the caller allows, which changes no pixel.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar
+from typing import Any
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
 from .fusion import Fused, Fusion
 from .motion import Aligner, Grey, grey_of, laid_over
-from .strength import Predictors, Strength, Weights, predictors
+from .strength import Predictors, Strength, Weights
 
 FRAMES, MOST_FRAMES = 7, 31
 
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
 _CALIBRATED_EVERY, _LONGEST = 8, 4
 """Frames from the first measured one to the second; later intervals are up to so many times it."""
-
-_SIDE_PX = 256  # pictures are compared about this large
-_APART, _MOST_APART = 0.03, 0.01
-"""Grey values that differ, and the part of the surroundings that may."""
-_LEAST_AROUND = 0.01  # part of a picture around the fan, else nothing says that it stays
-_RIM = np.ones((9, 9), np.uint8)
-_STILL_LIT = 0.75  # of the rim that was lit when the fan was found
-_WITHOUT = 7  # frames after one without a fan that are believed to have none
-
-Key = TypeVar("Key")
-
 
 Network = Callable[..., Grey]
 """What denoises a picture, (H, W) float32 in 0..1, by its `FanGeometry` or None; see `Denoiser`.
@@ -46,7 +33,7 @@ One with an attribute `knows_frames` that is true is given `frames`, how many co
 
 
 @dataclass(frozen=True, eq=False)
-class Shot(Generic[Key]):
+class Shot:
     """A frame of a sequence.
 
     key: comes back with the result.  levels: (H, W) or (H, W, C) float32 in 0..1.
@@ -54,7 +41,7 @@ class Shot(Generic[Key]):
     shift_px: how far right and down the scene moved since the frame before, where that is known.
     """
 
-    key: Key
+    key: Any
     levels: Grey
     place: Callable[[], FanGeometry | None] = lambda: None
     shift_px: tuple[float, float] | None = None
@@ -69,6 +56,15 @@ class Tally:
     frames: float = 0.0
     moved: float = 0.0
     strengths: list[str] = field(default_factory=list)
+
+    def add(self, fused: Fused) -> None:
+        """A picture is fused."""
+        lit = grey_of(fused.picture) > _DARK
+        lit = lit if lit.any() else np.ones_like(lit)
+        self.pictures += 1
+        self.frames += float(fused.frames[lit].mean())
+        self.moved += 1 - float(fused.agrees[lit].mean())
+        self.alone += bool(fused.frames.max() <= 1)
 
     def lines(self, frames: int) -> Iterator[str]:
         """For the user; nothing where there was no sequence."""
@@ -94,10 +90,13 @@ class _Ready:
     network: Grey | None = None
 
 
-class InTime(Generic[Key]):
+class InTime:
     """Denoises the frames of one sequence.
 
-    strength: chosen so far.
+    network: None: frames are fused, no more.  frames: of a window, odd.  causal: a window ends with
+    its frame.  calibrated: whether the recording chooses the strength; else the usual one is taken.
+    tally: counts what is done.  at_once: networks that run at the same time; with 1 a frame comes
+    out as soon as its window is complete.  strength: chosen so far.
     """
 
     def __init__(
@@ -110,14 +109,6 @@ class InTime(Generic[Key]):
         tally: Tally | None = None,
         at_once: int = 1,
     ) -> None:
-        """network: None: frames are fused, no more.  frames: of a window, odd.
-
-        causal: a window ends with its frame.
-
-        calibrated: whether the recording chooses the strength; else the usual one is taken.
-        tally: counts what is done.  at_once: networks that run at the same time; with 1 a frame
-        comes out of the `push` that completes its window.
-        """
         self._network, self._frames, self._causal = network, frames, causal
         self._before = frames - 1 if causal else frames // 2
         self._after = 0 if causal else frames // 2
@@ -126,28 +117,26 @@ class InTime(Generic[Key]):
         self._aligner, self._fusion = Aligner(2 * frames), Fusion()
         self._told = bool(getattr(network, "knows_frames", False))
         self.strength = Strength(frames, told=self._told)
-        self._held: dict[int, Shot[Key]] = {}
-        self._fan: KeptFan | None = None
+        self._held: dict[int, Shot] = {}
+        self._places: dict[int, FanGeometry | None] = {}
         self._measured: dict[int, _Ready] = {}
         self._newest, self._next = -1, 0
         self._last_fit: int | None = None
         self._pool = ThreadPoolExecutor(at_once) if at_once > 1 else None
-        self._running: deque[tuple[Key, Future[Grey]]] = deque()
+        self._running: deque[tuple[Any, Future[Grey]]] = deque()
         self._at_once = at_once
 
-    def push(self, shot: Shot[Key]) -> Iterator[tuple[Key, Grey]]:
-        """The next frame; gives those that are denoised."""
-        self._newest += 1
-        self._held[self._newest] = shot
-        if self._frames > 1:
-            self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
-            # Motions over several frames start from those between neighbours.
-            self._aligner.motion(self._newest, self._newest - 1)
-        while self._next <= self._newest - self._wait():
-            yield from self._one()
-
-    def finish(self) -> Iterator[tuple[Key, Grey]]:
-        """All that are left."""
+    def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
+        """The key of each frame and its levels, denoised."""
+        for shot in shots:
+            self._newest += 1
+            self._held[self._newest] = shot
+            if self._frames > 1:
+                self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
+                # Motions over several frames start from those between neighbours.
+                self._aligner.motion(self._newest, self._newest - 1)
+            while self._next <= self._newest - self._wait():
+                yield from self._one()
         while self._next <= self._newest:
             yield from self._one()
         yield from self._done(0)
@@ -167,7 +156,7 @@ class InTime(Generic[Key]):
         first = self._next == 0 and self._newest < self._frames
         return self._frames if first else self._after + 1
 
-    def _one(self) -> Iterator[tuple[Key, Grey]]:
+    def _one(self) -> Iterator[tuple[Any, Grey]]:
         """Begin the next frame; gives those that are denoised by then."""
         number = self._next
         if self._calibrated:
@@ -177,45 +166,24 @@ class InTime(Generic[Key]):
             elif number - (self._last_fit or 0) >= due:
                 self._calibrate(number)
         ready = self._measured.pop(number, None) or self._ready(number)
-        self._count(ready.fused)
+        if self._frames > 1:
+            self._tally.add(ready.fused)
         key, weights = self._held[number].key, self.strength.weights
         self._next += 1
-        for old in [one for one in self._held if one < self._next - self._before - 1]:
-            del self._held[old]
+        self._held.pop(number - self._before - 1, None)
         if self._pool is None:
             yield key, self._denoised(ready, weights)
             return
         self._running.append((key, self._pool.submit(self._denoised, ready, weights)))
         yield from self._done(self._at_once)
 
-    def _done(self, most: int) -> Iterator[tuple[Key, Grey]]:
+    def _done(self, most: int) -> Iterator[tuple[Any, Grey]]:
         """What is denoised, in order, until at most so many are under way."""
         while len(self._running) > most:
             key, denoised = self._running.popleft()
             yield key, denoised.result()
 
-    def _place(self, number: int) -> FanGeometry | None:
-        shot = self._held[number]
-        if self._frames == 1:
-            return shot.place()
-        if self._fan is None or not self._fan.stays(shot.levels):
-            self._fan = KeptFan(shot.place(), shot.levels)
-        return self._fan.geometry
-
     def _ready(self, number: int) -> _Ready:
-        fused = self._fused(number)
-        geometry = self._place(number) if self._network is not None else None
-        return _Ready(fused, self._sigma(fused.picture, fused.frames), geometry)
-
-    def _sigma(self, picture: Grey, frames: Grey) -> Grey:
-        """Of the noise that is left in each pixel; none is asked for of frames by themselves."""
-        if self._frames == 1:
-            return picture
-        root: Grey = np.sqrt(frames)
-        left: Grey = root if picture.ndim == 2 else root[..., None]
-        return np.asarray(self._fusion.noise.at(picture) / left)
-
-    def _fused(self, number: int) -> Fused:
         shot = self._held[number]
         laid, shown = [], []
         around = range(max(0, number - self._before), min(self._newest, number + self._after) + 1)
@@ -224,133 +192,82 @@ class InTime(Generic[Key]):
             if found is not None:
                 laid.append(found[0])
                 shown.append(found[1])
-        return self._fusion(shot.levels, laid, shown)
+        fused = self._fusion(shot.levels, laid, shown)
+        geometry = self._place(number) if self._network is not None else None
+        return _Ready(fused, self._sigma(fused.picture, fused.frames), geometry)
 
     def _laid(self, number: int, other: int) -> tuple[Grey, Grey | None] | None:
         """Another frame over this one; None where it shows something else."""
-        if other not in self._held or self._held[other].levels.shape != (
-            self._held[number].levels.shape
-        ):
+        levels = self._held[other].levels if other in self._held else None
+        if levels is None or levels.shape != self._held[number].levels.shape:
             return None
         motion = self._aligner.motion(number, other)
-        return None if motion is None else laid_over(self._held[other].levels, motion)
+        return None if motion is None else laid_over(levels, motion)
+
+    def _place(self, number: int) -> FanGeometry | None:
+        """Where range and bearing are: as in the nearest frame if that shows the same scene.
+
+        To find a fan anew in each frame costs more than the network.
+        """
+        self._places.pop(number - self._frames, None)
+        near = min(self._places, key=lambda one: abs(one - number), default=None)
+        if near is None or self._aligner.motion(number, near) is None:
+            self._places[number] = self._held[number].place()
+        else:
+            self._places[number] = self._places[near]
+        return self._places[number]
+
+    def _sigma(self, picture: Grey, frames: Grey) -> Grey:
+        """Of the noise that is left in each pixel; none is asked for of frames by themselves."""
+        if self._frames == 1:
+            return picture
+        root: Grey = np.sqrt(frames)
+        return self._fusion.noise.at(picture) / (root if picture.ndim == 2 else root[..., None])
 
     def _denoised(self, ready: _Ready, weights: Weights) -> Grey:
-        network, picture = self._network, ready.fused.picture
+        fused, network = ready.fused, self._network
         if network is None:
-            return picture
+            return fused.picture
+        if fused.picture.ndim == 3:
+            planes = [
+                replace(
+                    ready,
+                    fused=replace(fused, picture=np.ascontiguousarray(fused.picture[..., channel])),
+                    sigma=ready.sigma[..., channel],
+                )
+                for channel in range(fused.picture.shape[2])
+            ]
+            return np.stack([self._denoised(plane, weights) for plane in planes], axis=-1)
         if self._frames == 1:
-            return each_plane(picture, lambda grey: network(grey, ready.geometry))
-        if picture.ndim == 2:
-            return weights.applied(self._predictors(ready), ready.fused.frames)
-        planes: list[Grey] = []
-        for channel in range(picture.shape[2]):
-            plane = np.ascontiguousarray(picture[..., channel])
-            fused = Fused(plane, ready.fused.frames, ready.fused.agrees)
-            one = _Ready(fused, ready.sigma[..., channel], ready.geometry)
-            planes.append(weights.applied(self._predictors(one), fused.frames))
-        return np.stack(planes, axis=-1)
+            return network(fused.picture, ready.geometry)
+        return weights.applied(self._predictors(ready), fused.frames)
 
     def _predictors(self, ready: _Ready) -> Predictors:
-        grey, network = ready.fused.picture, ready.network
-        if network is None:
-            network = self._by_network(ready)
-        return predictors(grey, ready.sigma, network)
+        made = ready.network if ready.network is not None else self._by_network(ready)
+        return Predictors.of(ready.fused.picture, ready.sigma, made)
 
     def _by_network(self, ready: _Ready) -> Grey:
         assert self._network is not None
-        if self._told:
-            return self._network(ready.fused.picture, ready.geometry, frames=ready.fused.frames)
-        return self._network(ready.fused.picture, ready.geometry)
+        told = {"frames": ready.fused.frames} if self._told else {}
+        return self._network(ready.fused.picture, ready.geometry, **told)
 
     def _calibrate(self, number: int) -> None:
         """Measure on a frame which strength predicts one outside its window."""
         outside = number - self._before - 1 if self._causal else number + self._after + 1
-        if number - self._before < 0 or outside not in self._held or number > self._newest:
+        if number < self._before or outside not in self._held:
             return
         self._last_fit = number
-        shot = self._held[number]
+        levels = self._held[number].levels
         target = self._laid(number, outside)
-        ready = self._ready(number)
-        self._measured[number] = ready
-        if target is None or shot.levels.ndim != 2:
+        ready = self._measured[number] = self._ready(number)
+        if target is None or levels.ndim != 2:
             return
         fused = ready.fused
         where = self._fusion.same(fused.picture, *target)
         one = np.ones_like(fused.frames)
-        own = _Ready(Fused(shot.levels, one, one), self._sigma(shot.levels, one), ready.geometry)
+        own = _Ready(Fused(levels, one, one), self._sigma(levels, one), ready.geometry)
         self.strength.add(False, self._predictors(own), target[0], where)
-        ready = replace(ready, network=self._by_network(ready))
-        self._measured[number] = ready
+        ready = self._measured[number] = replace(ready, network=self._by_network(ready))
         full = where & (fused.frames > 0.8 * fused.frames.max())
         self.strength.add(True, self._predictors(ready), target[0], full)
         self.strength.fit()
-
-    def _count(self, fused: Fused) -> None:
-        if self._frames == 1:
-            return
-        lit = grey_of(fused.picture) > _DARK
-        some = bool(lit.any())
-        mean = float(fused.frames[lit].mean()) if some else float(fused.frames.mean())
-        self._tally.pictures += 1
-        self._tally.frames += mean
-        self._tally.moved += 1 - float(fused.agrees[lit].mean()) if some else 0.0
-        self._tally.alone += bool(fused.frames.max() <= 1)
-
-
-def each_plane(levels: Grey, work: Callable[[Grey], Grey]) -> Grey:
-    """`work` on each colour of (H, W, C), or on (H, W); equal colours are worked on once."""
-    if levels.ndim == 2:
-        return work(levels)
-    planes: list[Grey] = []
-    for channel in range(levels.shape[2]):
-        plane = np.ascontiguousarray(levels[..., channel])
-        same = channel and np.array_equal(plane, levels[..., 0])
-        planes.append(planes[0] if same else work(plane))
-    return np.stack(planes, axis=-1)
-
-
-class KeptFan:
-    """Where range and bearing were found in a frame, and whether they are there in another.
-
-    Finding a fan anew in each frame costs more than the network.  It stays while what lies around
-    it stays as it was and what lies along its edges stays lit; a frame without any fan is believed
-    for a few more.
-    """
-
-    def __init__(self, geometry: FanGeometry | None, levels: Grey) -> None:
-        """levels: (H, W) or (H, W, C) in 0..1, the frame in which `geometry` was found."""
-        self.geometry = geometry
-        self._shape, self._left = levels.shape, _WITHOUT
-        if geometry is None:
-            return
-        inside = geometry.sector_mask(*levels.shape[:2]).astype(np.float32)
-        small = _small(inside)
-        sector = (small > 0).astype(np.uint8)
-        self._seen = _small(grey_of(levels))
-        self._around = cv2.dilate(sector, _RIM) == 0
-        self._rim: npt.NDArray[np.bool_] = (small > 0.99) & (cv2.erode(sector, _RIM) == 0)
-        ground = self._seen[self._around]
-        self._level = (float(np.median(ground)) if ground.size else 0.0) + _APART
-        self._lit = float((self._seen[self._rim] > self._level).mean()) if self._rim.any() else 0.0
-        self._tells = bool(self._around.mean() >= _LEAST_AROUND) and self._lit > 0
-
-    def stays(self, levels: Grey) -> bool:
-        """Whether the geometry is that of another frame of the recording, too."""
-        if levels.shape != self._shape:
-            return False
-        if self.geometry is None:
-            self._left -= 1
-            return self._left >= 0
-        if not self._tells:
-            return False
-        now = _small(grey_of(levels))
-        apart = np.abs(now - self._seen)[self._around] > _APART
-        lit = float((now[self._rim] > self._level).mean())
-        return bool(apart.mean() <= _MOST_APART) and lit >= _STILL_LIT * self._lit
-
-
-def _small(plane: Grey) -> Grey:
-    scale = max(1, max(plane.shape) // _SIDE_PX)
-    size = -(-plane.shape[1] // scale), -(-plane.shape[0] // scale)
-    return cv2.resize(plane, size, interpolation=cv2.INTER_AREA)

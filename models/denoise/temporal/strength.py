@@ -9,16 +9,13 @@ between it and a whole window the logarithm of how many frames count interpolate
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .motion import Grey, blurred
-
-Floats = npt.NDArray[np.float64]
+from .motion import Floats, Grey, blurred, length_of
 
 _VARIATION, _VARIATION_STEPS = 0.9, 5
 """Weight of the total variation, standard deviations of the noise that is left; its iterations."""
@@ -33,8 +30,9 @@ _AROUND = 2.2  # sigma of the window in which it varies, pixels
 _LEVELS = 64  # of how much it varies, in a table
 _KNOWN, _SURE = 300.0, 1e-3
 """Pixels that count for the usual weights, and their part whatever is measured."""
-_FINENESS = 20  # parts of a frame alone that are tried: twentieths
-_LEAST_NETWORK = 0.3  # of a frame alone: it also removes what is no noise in time
+_PARTS = np.array([(tv, net) for tv in range(21) for net in range(6, 21 - tv)]) / 20
+"""Of total variation and network that are tried for a frame alone.  The network has its part, as it
+also removes what is no noise in time; the rest of the frame stays as it is."""
 _LEAST_PIXELS = 500
 
 
@@ -50,14 +48,14 @@ class Predictors:
     changes: list[Grey]
     varies: npt.NDArray[np.uint8]
 
-
-def predictors(grey: Grey, sigma: Grey, network: Grey) -> Predictors:
-    """Of a picture (H, W).  sigma: (H, W) of its noise.  network: what that makes of it."""
-    planes = [total_variation(grey, sigma), network, *(blurred(grey, one) for one in _BLURS)]
-    spread = blurred(grey * grey, _AROUND) - blurred(grey, _AROUND) ** 2
-    varies = np.sqrt(np.maximum(spread, 0)) / np.maximum(sigma, 1e-4)
-    level = np.clip(varies * np.float32(_LEVELS / _VARIES[-1]), 0, _LEVELS - 1)
-    return Predictors(grey, [plane - grey for plane in planes], level.astype(np.uint8))
+    @classmethod
+    def of(cls, grey: Grey, sigma: Grey, network: Grey) -> Predictors:
+        """sigma: (H, W) of the picture's noise.  network: what that makes of it."""
+        planes = [total_variation(grey, sigma), network, *(blurred(grey, one) for one in _BLURS)]
+        spread = blurred(grey * grey, _AROUND) - blurred(grey, _AROUND) ** 2
+        varies = np.sqrt(np.maximum(spread, 0)) / np.maximum(sigma, 1e-4)
+        level = np.clip(varies * np.float32(_LEVELS / _VARIES[-1]), 0, _LEVELS - 1)
+        return cls(grey, [plane - grey for plane in planes], level.astype(np.uint8))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +73,11 @@ class Weights:
     def applied(self, found: Predictors, frames: Grey) -> Grey:
         """All of it together, (H, W) in 0..1.  frames: how many count in each pixel."""
         along = np.clip(cv2.log(frames) / np.float32(np.log(max(self.frames, 2))), 0, 1)
-        table = _between_classes(self.whole)
+        levels = np.minimum(np.arange(256), _LEVELS - 1) * _VARIES[-1] / _LEVELS
         whole, alone = np.zeros_like(found.grey), np.zeros_like(found.grey)
-        for number, change in enumerate(found.changes):
-            whole += cv2.LUT(found.varies, table[:, number]) * change
+        for column, change in zip(self.whole.T, found.changes, strict=True):
+            table = np.interp(levels, _VARIES, column).astype(np.float32)
+            whole += cv2.LUT(found.varies, table) * change
         for part, change in zip(self.alone, found.changes[:2], strict=True):
             if part:
                 alone += np.float32(part) * change
@@ -121,8 +120,7 @@ class Strength:
             self._alone_sums = squares + changes @ changes.T, products + changes @ target
             return
         middles = np.array(_VARIES) * _LEVELS / _VARIES[-1]
-        edges = (middles[1:] + middles[:-1]) / 2
-        classes = np.digitize(found.varies[where], edges)
+        classes = np.digitize(found.varies[where], (middles[1:] + middles[:-1]) / 2)
         for number in range(len(_VARIES)):
             here = classes == number
             some = changes[:, here]
@@ -134,9 +132,8 @@ class Strength:
         """Choose the weights that predict best."""
         self.measured += 1
         squares, products = self._alone_sums
-        tried = _all_parts()
-        error = np.einsum("ni,ij,nj->n", tried, squares, tried) - 2 * tried @ products
-        alone = tried[int(np.argmin(error))] if error.any() else self.weights.alone
+        error = np.einsum("ni,ij,nj->n", _PARTS, squares, _PARTS) - 2 * _PARTS @ products
+        alone = _PARTS[int(np.argmin(error))] if error.any() else self.weights.alone
         whole = self.weights.whole.copy()
         for number, pixels in enumerate(self._pixels):
             power = self._squares[number]
@@ -157,23 +154,6 @@ class Strength:
         )
 
 
-def _between_classes(weights: Floats) -> Grey:
-    """(256, predictors) for each level of how much a picture varies."""
-    levels = np.minimum(np.arange(256), _LEVELS - 1) * _VARIES[-1] / _LEVELS
-    columns = [np.interp(levels, _VARIES, column) for column in weights.T]
-    return np.ascontiguousarray(np.stack(columns, axis=1), np.float32)
-
-
-def _all_parts() -> Floats:
-    """Of total variation and network, which leave a part of the frame as it is, or none."""
-    parts = [
-        (first, second)
-        for first, second in itertools.product(range(_FINENESS + 1), repeat=2)
-        if first + second <= _FINENESS and second >= _LEAST_NETWORK * _FINENESS
-    ]
-    return np.array(parts, np.float64) / _FINENESS
-
-
 def total_variation(grey: Grey, sigma: Grey) -> Grey:
     """The picture with less total variation, by how much noise is left in each pixel.
 
@@ -191,7 +171,7 @@ def total_variation(grey: Grey, sigma: Grey) -> Grey:
         new_across, new_down = across.copy(), down.copy()
         new_across[:, :-1] += (now[:, 1:] - now[:, :-1]) * step[:, :-1]
         new_down[:-1] += (now[1:] - now[:-1]) * step[:-1]
-        length = np.maximum(cv2.magnitude(new_across, new_down), 1)
+        length = np.maximum(length_of(new_across, new_down), 1)
         new_across /= length
         new_down /= length
         following = (1 + np.sqrt(1 + 4 * momentum * momentum)) / 2

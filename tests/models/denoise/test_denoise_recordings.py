@@ -36,7 +36,7 @@ def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None
     assert told is not None
     assert (told.layout, told.range_bins, len(told.beam_azimuths_rad)) == ("polar", 40, 48)
     assert told.range_min_m == pytest.approx(2.0, abs=0.01)
-    assert (out / "compare" / "a.png").is_file()
+    assert (out / "compare" / "a.aris.png").is_file()
     assert sorted(path.name for path in out.iterdir()) == ["a.aris", "compare"]
 
 
@@ -63,7 +63,7 @@ def test_stacks_and_arrays_become_the_same(tmp_path: Path, halving: Halving, dty
         pages = np.array([frame.samples for frame in after])
     assert pages.dtype == dtype
     assert np.abs(pages - given / 2.0).max() <= 0.5
-    assert (out / "compare" / "a.png").is_file()
+    assert (out / "compare" / "a.tif.png").is_file()
 
 
 @pytest.mark.parametrize("name", ["a.npz", "b.mat"])

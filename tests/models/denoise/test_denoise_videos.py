@@ -44,7 +44,7 @@ def test_videos_become_videos_or_folders(weights: Path, tmp_path: Path, name: st
     for original, result in zip(originals, results, strict=True):
         assert result.shape == original.shape
         assert np.abs(result - through_network(weights, original / 255.0) * 255).max() <= 0.51
-    assert (out / "compare" / "dive.png").is_file()
+    assert (out / "compare" / f"{name}.png").is_file()
     assert sorted(entry.name for entry in out.iterdir()) == sorted(["compare", name])
 
 

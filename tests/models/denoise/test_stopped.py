@@ -111,19 +111,21 @@ def test_a_video_that_is_stopped_leaves_nothing(
     assert [path.name for path in out.iterdir()] == ["a.avi"]
 
 
-@pytest.mark.parametrize("compare", [False, True])
-def test_no_input_is_overwritten(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: bool
-) -> None:
-    folder = tmp_path / "in" / ("compare" if compare else "")
-    write(folder / "a.png", scene(0))
-    before = (folder / "a.png").read_bytes()
+def test_no_input_is_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By no result, and by no sheet to compare by."""
+    folder = tmp_path / "in/compare"
+    pictures = [folder / "a.png", folder / "a.png.png"]
+    for picture in pictures:
+        write(picture, scene(0))
+    before = pictures[0].read_bytes()
     use(monkeypatch, None)
-    words = [str(folder / "a.png"), "--out", str(tmp_path / "in"), *["--compare"] * compare]
-    with pytest.raises(FactoryError, match="would overwrite the input"):
-        command.main(words)
-    assert (folder / "a.png").read_bytes() == before
-    assert [path.name for path in folder.iterdir()] == ["a.png"]
+    for out, compare in ((folder, []), (folder.parent, ["--compare"])):
+        words = [*map(str, pictures), "--out", str(out), *compare]
+        with pytest.raises(FactoryError, match="would overwrite the input"):
+            command.main(words)
+    assert [picture.read_bytes() for picture in pictures] == [before] * 2
+    assert sorted(folder.iterdir()) == pictures
+    assert list(folder.parent.iterdir()) == [folder]
 
 
 def test_sheets_of_one_name_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

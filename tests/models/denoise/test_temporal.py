@@ -15,7 +15,7 @@ from simnfnd import denoise
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.inputs import find_items, sequences
-from simnfnd.models.denoise.pictures import check_frames
+from simnfnd.models.denoise.pictures import Denoising
 from simnfnd.models.denoise.temporal.fusion import Fusion
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, Shot, Tally
@@ -65,15 +65,16 @@ def as_it_is(gray: Grey, geometry: FanGeometry | None = None) -> Grey:
     return gray
 
 
+def shots(frames: list[Grey]) -> Iterator[Shot]:
+    return (Shot(number, frame) for number, frame in enumerate(frames))
+
+
 def through(
     frames: list[Grey], *, window: int = 7, causal: bool = False, calibrated: bool = True
 ) -> tuple[list[Grey], Tally]:
     tally = Tally()
-    stream: InTime[int] = InTime(
-        as_it_is, frames=window, causal=causal, calibrated=calibrated, tally=tally
-    )
-    found = [one for n, frame in enumerate(frames) for one in stream.push(Shot(n, frame))]
-    found += stream.finish()
+    stream = InTime(as_it_is, frames=window, causal=causal, calibrated=calibrated, tally=tally)
+    found = list(stream(shots(frames)))
     assert [key for key, _ in found] == list(range(len(frames)))
     return [picture for _, picture in found], tally
 
@@ -104,9 +105,7 @@ def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
         return gray / 2
 
     tally = Tally()
-    stream: InTime[int] = InTime(halving, tally=tally)
-    found = [one for n, frame in enumerate(frames) for one in stream.push(Shot(n, frame))]
-    for number, picture in [*found, *stream.finish()]:
+    for number, picture in InTime(halving, tally=tally)(shots(frames)):
         np.testing.assert_allclose(picture, frames[number] / 2, atol=1e-6)
     assert tally.alone == len(frames)
     assert next(tally.lines(7)).endswith("9 of 9 frames matched no neighbour")
@@ -170,18 +169,14 @@ def test_order_and_window(causal: bool) -> None:
 
 
 def test_memory_stays_flat() -> None:
-    def endless(count: int) -> Iterator[Shot[int]]:
+    def endless(count: int) -> Iterator[Shot]:
         truth = view(scene())
         for number in range(count):
             yield Shot(number, noisy(truth, number))
 
     def peak(count: int) -> int:
-        stream: InTime[int] = InTime(as_it_is)
         tracemalloc.start()
-        for shot in endless(count):
-            for _ in stream.push(shot):
-                pass
-        for _ in stream.finish():
+        for _ in InTime(as_it_is)(endless(count)):
             pass
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
@@ -207,10 +202,8 @@ def test_the_recording_chooses_the_strength() -> None:
             return self.clean
 
     def chosen(clean: Grey) -> Strength:
-        stream: InTime[int] = InTime(Knows(clean))
-        for number, frame in enumerate(frames):
-            list(stream.push(Shot(number, frame)))
-        list(stream.finish())
+        stream = InTime(Knows(clean))
+        list(stream(shots(frames)))
         return stream.strength
 
     perfect, spoiling = chosen(truth), chosen(np.zeros_like(truth))
@@ -222,7 +215,7 @@ def test_the_recording_chooses_the_strength() -> None:
 @pytest.mark.parametrize("frames", [0, 2, -1, 33])
 def test_windows_that_cannot_be(frames: int) -> None:
     with pytest.raises(FactoryError, match=r"--frames .*odd number up to 31"):
-        check_frames(frames)
+        Denoising(as_it_is, frames=frames)
 
 
 def test_sequences_are_pictures_that_differ_in_their_last_number(tmp_path: Path) -> None:
