@@ -101,8 +101,6 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
         yield Need("acoustics.formation=field", "scipy", "acoustics=points noise=simnfnd")
     if "pose" in config.dataset.columns:
         yield Need("dataset.columns=[pose]", "scipy", "dataset.columns=[]")
-    if config.resample.kind == "voxel":
-        yield Need("resample=voxel", "open3d", "resample=random")
     if config.scheduler.backend == "dask":
         yield Need("scheduler=dask", "distributed", "scheduler=local")
     if (config.dataset.dir or "").startswith("s3://"):

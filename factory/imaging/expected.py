@@ -23,7 +23,7 @@ from ..sonar import transfer
 from ..sonar.settings import TransferSettings
 from .contract import Floats
 from .effect import DrawnEffect
-from .signal import Ping, sounds
+from .signal import Ping, averaged, sounds
 
 # The table of expected grey values: levels over full scale, dB, and their fluctuation.
 _BEYOND_DB, _STEPS_PER_DB, _VARIANCES, _QUANTILES, _SHIFTS = 30.0, 2, 9, 512, 33
@@ -60,8 +60,6 @@ class Expected:
 
     def averaged(self, kernel: Floats, samples: int) -> Expected:
         """The expected intensities of range bins, from those of raw samples."""
-        if samples == 1:
-            return self
         planes = (averaged(p, samples) for p in (self.echo, self.noise, self.steady, self.textured))
         echo, noise, steady, textured = planes
         more = self.looks * looks(kernel, samples)
@@ -70,13 +68,6 @@ class Expected:
     def total(self) -> Floats:
         """(range_bins, beams) expected intensity."""
         return self.echo + self.noise + self.steady
-
-
-def averaged(intensity: Floats, samples: int) -> Floats:
-    """(rows, beams) float32: the mean of each `samples` rows of (samples * rows, beams)."""
-    rows, beams = intensity.shape
-    mean = intensity.reshape(rows // samples, samples, beams).mean(axis=1, dtype=np.float32)
-    return np.ascontiguousarray(mean)
 
 
 def looks(kernel: Floats, samples: int) -> float:
@@ -97,16 +88,10 @@ def looks(kernel: Floats, samples: int) -> float:
 
 
 def expected(
-    ping: Ping,
-    effects: Sequence[DrawnEffect],
-    *,
-    systematic: bool = True,
-    realised: bool = False,
-    standing: float = 0.0,
+    ping: Ping, effects: Sequence[DrawnEffect], *, realised: bool = False, standing: float = 0.0
 ) -> Expected:
     """The expected intensities after time-varying gain.
 
-    systematic: whether the systematic ones of the effects act, or the random ones alone.
     realised: whether random effects act as they do in this one sample, where that can be told, or
         on average.
     standing: part of the speckle's power that averaging leaves, as it is in this sample.
@@ -117,7 +102,7 @@ def expected(
         if stage == "picture":
             state.scale(ping.gain[:, None])
         for effect in effects:
-            if effect.stage == stage and (systematic or not effect.effect.systematic):
+            if effect.stage == stage:
                 (effect.realise if realised else effect.expect)(state, ping)
     return state
 
@@ -142,13 +127,6 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
         grey.ravel(),
     )  # fmt: skip
     return grey
-
-
-def between(table: Floats, place: Floats) -> Floats:
-    """Values of a table at fractional places, linear in between."""
-    step = np.minimum(place.astype(np.intp), len(table) - 2)
-    low, high = np.take(table, step), np.take(table, step + 1)
-    return np.asarray(low + (place - step.astype(np.float32)) * (high - low), np.float32)
 
 
 def _power(settings: TransferSettings) -> float:

@@ -72,16 +72,19 @@ class AcousticsSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class ResampleSettings:
-    """Keys of the `resample` group.  rate: fraction of the points kept, in (0, 1]."""
+    """Keys of the `resample` group.
 
-    kind: Literal["random", "voxel"] = "random"
+    kind: how points are chosen.  rate: fraction of the points kept, in (0, 1].
+    """
+
+    kind: Literal["random"] = "random"
     rate: PositiveFraction = uniform(0.35, 0.9)
 
     @property
     def is_default(self) -> bool:
         """Whether nothing else was asked for."""
         usual = ResampleSettings.__dataclass_fields__["rate"].default
-        return (self.kind, self.rate.kind, self.rate.values) == ("random", usual.kind, usual.values)
+        return (self.rate.kind, self.rate.values) == (usual.kind, usual.values)
 
 
 def with_materials(

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from ..sonar import array
+from ..sonar import array, polar, transfer
 from ..sonar.array import WaterSettings, thermal_noise_db
 from ..sonar.settings import SonarSettings
+from ..sonar.surface import LitSurface
 from ..sonar.window import Window
-from .scatterers import Scatterers, bin_centres_m
+from .scatterers import Scatterers, bin_centres_m, scatterers
+from .settings import AcousticsSettings
 
 Floats = npt.NDArray[np.float32]
 Matrix = npt.NDArray[np.float64]
@@ -39,12 +41,34 @@ class Signal:
 
 
 @dataclass(frozen=True, eq=False)
-class Receiver:
-    """The device in the water, set to a range window."""
+class Ping:
+    """One ping of the device at one frame, at its raw samples; no randomness.
 
-    window: Window
-    sonar: SonarSettings
+    surface: what it looks at; the sonar of it has the range bins of the picture.
+    """
+
+    surface: LitSurface
     water: WaterSettings
+    acoustics: AcousticsSettings
+
+    @property
+    def window(self) -> Window:
+        """The range window."""
+        return self.surface.window
+
+    @cached_property
+    def sonar(self) -> SonarSettings:
+        """The device with a range bin for each raw sample."""
+        sonar = self.surface.sonar
+        bins = sonar.samples_per_bin * sonar.range_bins
+        return replace(sonar, range_bins=bins, samples_per_bin=1)
+
+    @cached_property
+    def scatterers(self) -> Scatterers:
+        """All that echoes; raises FrameError when nothing does."""
+        surface = self.surface
+        place = surface.frame, surface.rendered, surface.window
+        return scatterers(*place, self.sonar, self.water, self.acoustics)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -71,7 +95,7 @@ class Receiver:
         """One way."""
         return self.water.absorption_db_per_m(self.sonar.frequency_khz)
 
-    @cached_property
+    @property
     def mixing(self) -> Floats:
         """See `simnfnd.factory.sonar.array.beam_mixing`."""
         return mixing(self.sonar)
@@ -107,22 +131,47 @@ class Receiver:
         level_db -= array.directivity_db(device, self.sonar.vfov_deg) + device.source_level_db
         return float(10 ** (level_db / 10))
 
+    @cached_property
+    def gain(self) -> Floats:
+        """(range_bins,) time-varying gain on intensity: k log10 r + 2 a r, `AcousticsSettings`."""
+        range_m = np.maximum(self.range_m.astype(np.float64), 1e-3)
+        gain_db = self.acoustics.tvg_log * np.log10(range_m)
+        if self.acoustics.tvg_absorption:
+            gain_db += 2 * self.absorption_db_per_m * range_m
+        return np.asarray(10 ** (gain_db / 10), np.float32)
 
-@dataclass(frozen=True, eq=False)
-class Ping(Receiver):
-    """One ping of the device at one frame; no randomness.
+    @cached_property
+    def expected(self) -> Floats:
+        """(range_bins, beams) expected intensity without noise, before that gain."""
+        return beamform_power(self.scatterers.power, self)
 
-    gain: (range_bins,) float32, time-varying gain on intensity.
-    full_scale: intensity, after that gain, which the picture shows as grey value 1.
-    strongest: the largest expected intensity of the frame, before that gain.
-    expected: (range_bins, beams) float32, expected intensity without noise, before that gain.
-    """
+    @cached_property
+    def strongest(self) -> float:
+        """The largest of them."""
+        return float((self.expected * polar.seen_beams(self.window, self.sonar)).max())
 
-    scatterers: Scatterers
-    gain: Floats
-    full_scale: float
-    strongest: float
-    expected: Floats
+    @cached_property
+    def full_scale(self) -> float:
+        """Intensity, after that gain, which the picture shows as grey value 1."""
+        curve = self.sonar.transfer
+        if curve.full_scale_db is not None:
+            return float((10 ** (curve.full_scale_db / 20)) ** 2)
+        # Bins that hold an echo alone say how bright the picture is shown.
+        holding = (self.scatterers.power > 0) & polar.seen_beams(self.window, self.sonar)
+        level = np.where(holding, np.sqrt(self.expected * self.gain[:, None]), np.float32(0))
+        return transfer.full_scale(self.averaged(level), curve) ** 2
+
+    def averaged(self, amplitude: Floats) -> Floats:
+        """(rows, beams) of the picture: the root of the mean intensity of its raw samples."""
+        samples = self.surface.sonar.samples_per_bin
+        return amplitude if samples == 1 else np.sqrt(averaged(amplitude**2, samples))
+
+
+def averaged(intensity: Floats, samples: int) -> Floats:
+    """(rows, beams) float32: the mean of each `samples` rows of (samples * rows, beams)."""
+    rows, beams = intensity.shape
+    mean = intensity.reshape(rows // samples, samples, beams).mean(axis=1, dtype=np.float32)
+    return np.ascontiguousarray(mean)
 
 
 def sounds(plane: Floats) -> bool:
@@ -130,14 +179,14 @@ def sounds(plane: Floats) -> bool:
     return bool((plane != 0).any())
 
 
-def beamform(field: Floats, receiver: Receiver) -> Floats:
+def beamform(field: Floats, ping: Ping) -> Floats:
     """The complex field after pulse compression and beamforming; same shape."""
-    return blurred(field, receiver.kernel, receiver.sonar, power=False)
+    return blurred(field, ping.kernel, ping.sonar, power=False)
 
 
-def beamform_power(power: Floats, receiver: Receiver) -> Floats:
+def beamform_power(power: Floats, ping: Ping) -> Floats:
     """(range_bins, beams) expected intensity after both: what `beamform` does to speckle's mean."""
-    made = blurred(power, receiver.kernel**2, receiver.sonar, power=True)
+    made = blurred(power, ping.kernel**2, ping.sonar, power=True)
     # Differences of mirrored beams round to below zero where there is next to nothing.
     return np.asarray(np.maximum(made, 0, out=made))
 
