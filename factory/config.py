@@ -121,7 +121,7 @@ class FactoryConfig:
                 "acoustics.formation=field set render.bounces=0 (noise.bottom_multipath and "
                 "noise.surface_multipath have the delay)"
             )
-        if not self.resample.is_default:
+        if self.resample != ResampleSettings():
             raise ValueError(
                 "resample thins points, and acoustics.formation=field has none; leave "
                 "resample.kind and resample.rate at their defaults, or set acoustics=points"

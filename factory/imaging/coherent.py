@@ -106,9 +106,9 @@ class FieldSample(Sample):
         """See `Sample`."""
         if "speckle" not in artefacts:
             return super().without(artefacts)
-        kept = {e.name for e in self.effects if e.artefact not in artefacts}
+        kept = {e.name for e in self.effects if e.effect.artefact not in artefacts}
         # Speckle is not switched off but averaged: its mean lifts and lowers a display of levels.
-        acting = [e for e in self.effects if e.name in kept or e.artefact == "speckle"]
+        acting = [e for e in self.effects if e.name in kept or e.effect.artefact == "speckle"]
         ping = self.scene.ping
         state = expected(ping, acting, realised=True, standing=ping.acoustics.standing)
         return self._displayed(state, kept)

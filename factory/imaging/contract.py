@@ -80,7 +80,9 @@ class Sample(ABC):
 
         Without speckle it is the expected displayed picture: what averages out is averaged.
         """
-        return self.noisy({one.name for one in self.effects if one.artefact not in artefacts})
+        return self.noisy(
+            {one.name for one in self.effects if one.effect.artefact not in artefacts}
+        )
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
         """Those of the layers that say what was received, with those of the drawn effects."""

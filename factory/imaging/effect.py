@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 from functools import cached_property
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass as validated
 
 from .. import seeds
-from ..distribution import Distribution, number
+from ..distribution import parse
 from ..settings import STRICT
 
 Names = tuple[str | int, ...]
@@ -41,27 +41,17 @@ class EffectSettings:
     enabled: bool = True
 
 
-def parameter(default: float | Distribution, unit: str) -> Any:
+def parameter(default: float | dict[str, list[float]], unit: str) -> Any:
     """A field of an effect's settings that may be a distribution; its draws are recorded.
 
     unit: of the record's column; "1" for none.
     """
-    value = default if isinstance(default, Distribution) else number(default)
-    return field(default=value, metadata={"unit": unit, "type": float})
+    return field(default=parse(default), metadata={"unit": unit, "type": float})
 
 
 def option(default: str) -> Any:
     """A field of an effect's settings that is one of several words."""
     return field(default=default, metadata={"unit": "1", "type": str})
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter of an effect.  type: float or str."""
-
-    name: str
-    type: type
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -98,13 +88,9 @@ class Effect:
     realised: Callable[..., None] | None = None
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, in the order of the settings."""
-        return tuple(
-            Parameter(item.name, item.metadata["type"], item.metadata["unit"])
-            for item in fields(self.settings)
-            if item.name != "enabled"
-        )
+    def parameters(self) -> tuple[Field[Any], ...]:
+        """The fields that `parameter` and `option` made, in the order of the settings."""
+        return tuple(item for item in fields(self.settings) if item.metadata)
 
 
 @dataclass(frozen=True)
@@ -125,24 +111,13 @@ class DrawnEffect:
         """When it acts."""
         return self.effect.stage
 
-    @property
-    def artefact(self) -> Artefact | None:
-        """See `Effect`."""
-        return self.effect.artefact
-
-    def realise(self, expected: Any, context: Any) -> None:
-        """Change expected intensities as the effect does in this sample.  See `Effect`."""
-        self._change(self.effect.realised or self.effect.expected, expected, context)
-
-    def expect(self, expected: Any, context: Any) -> None:
-        """Change expected intensities as the effect does on average.  See `Effect`."""
-        self._change(self.effect.expected, expected, context)
-
     def apply(self, subject: Any, context: Any) -> Any:
         """What the effect makes of `subject`; equal calls give equal results.  See `Effect`."""
         return self.effect.function(subject, context, self.stream(), **self.parameters)
 
-    def _change(self, change: Callable[..., None] | None, expected: Any, context: Any) -> None:
+    def expect(self, expected: Any, context: Any, *, realised: bool = False) -> None:
+        """Change expected intensities as it does on average or, realised, in this sample."""
+        change = (realised and self.effect.realised) or self.effect.expected
         if change is not None:
             change(expected, context, self.stream(), **self.parameters)
 

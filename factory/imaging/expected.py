@@ -103,7 +103,7 @@ def expected(
             state.scale(ping.gain[:, None])
         for effect in effects:
             if effect.stage == stage:
-                (effect.realise if realised else effect.expect)(state, ping)
+                effect.expect(state, ping, realised=realised)
     return state
 
 
