@@ -65,7 +65,8 @@ def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: 
     """
     scene = ping.scatterers
     names, shares = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
-    return scattered(ping, rng, looks, (scene.bins, np.sqrt(scene.powers), names), shares)
+    points = scene.bins, np.sqrt(scene.powers), names, shares, np.empty(0, np.uint16)
+    return scattered(ping, rng, looks, points)
 
 
 def expect_speckle(
@@ -145,7 +146,7 @@ def path_speckle(
     grid = grid_of(ping.window, ping.sonar)
     count = kernels.locate(table, cell_m, _sonar_from_world(ping), grid, waves_per_m, found)
     bins, roots, kept, phases = (values[:count] for values in found)
-    return scattered(ping, rng, looks, (bins, roots, kept), phases=phases)
+    return scattered(ping, rng, looks, (bins, roots, kept, np.empty(0, np.float32), phases))
 
 
 def edge_m(ping: Ping) -> float:
