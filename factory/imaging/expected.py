@@ -112,21 +112,31 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
 
     full_scale: intensity that is shown as grey value 1.
     """
-    from . import kernels  # loads numba
-
     # E[x^p]^(1/p) of a log-normal x of median 1.
     full_scale /= float(np.exp(_power(settings) * state.scintillation_nepers2 / 2))
     if not (sounds(state.echo) or sounds(state.noise)):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
-    total, grey = state.total() + _FAINTEST, np.empty_like(state.echo)
+    one, total = np.float32(1), state.total() + _FAINTEST
     level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))
+    # What texture does to the level goes by the variance that it brings.
+    part = np.minimum(state.textured / total, one)
     shifts_db = _texture_shifts_db(state.shape, _power(settings))
-    kernels.displayed(
-        level_db.ravel(), total.ravel(), state.steady.ravel(), state.textured.ravel(), state.looks,
-        shifts_db, _table(settings), _lowest_db(settings), _STEPS_PER_DB,
-        grey.ravel(),
-    )  # fmt: skip
-    return grey
+    level_db += between(shifts_db, part * part * np.float32(_SHIFTS - 1))
+    level = (level_db - np.float32(_lowest_db(settings))) * np.float32(_STEPS_PER_DB)
+    fixed, table = np.minimum(state.steady / total, one), _table(settings)
+    variance = (one - fixed * fixed) * (one / np.float32(state.looks)) * np.float32(_VARIANCES - 1)
+    row = np.minimum(variance.astype(np.intp), _VARIANCES - 2)
+    levels = table.shape[1]
+    place = np.clip(level, np.float32(0), np.float32(levels - 1.001))
+    calm, lively = (between(table.ravel(), place, (row + more) * levels) for more in (0, 1))
+    return np.asarray(calm + (variance - row.astype(np.float32)) * (lively - calm), np.float32)
+
+
+def between(table: Floats, place: Floats, first: npt.NDArray[np.intp] | int = 0) -> Floats:
+    """Values of a table at fractional places, linear in between; first: where it begins."""
+    step = np.minimum(place.astype(np.intp), len(table) - 2)
+    low, high = np.take(table, first + step), np.take(table, first + step + 1)
+    return np.asarray(low + (place - step.astype(np.float32)) * (high - low), np.float32)
 
 
 def _power(settings: TransferSettings) -> float:

@@ -534,43 +534,6 @@ def lattice(
         normal[i] = level * np.sqrt(_TWO / squares)
 
 
-# --- expectations -----------------------------------------------------------------------------
-
-
-@compiled(
-    "void(float32[::1], float32[::1], float32[::1], float32[::1], float32,"
-    f" {_TABLE}, {_MATRIX}, float32, float32, float32[::1])"
-)
-def displayed(
-    level_db: Floats, total: Floats, steady: Floats, textured: Floats, looks: float,
-    shifts_db: Floats, table: Floats, low_db: float, steps_per_db: float, grey: Floats,
-) -> None:  # fmt: skip
-    """Look up the expected grey value of each bin; see `expected.Expected` and `expected.display`.
-
-    level_db: of the total intensity over full scale.
-    shifts_db: what texture does to a level, at equal steps of the variance that it brings, from
-    none to that of a bin of textured echo alone.  table: grey values at equal steps of the variance
-    of the rest, 0 to 1, and of the level from `low_db` on.
-    """
-    shift_steps, last_shift = np.float32(len(shifts_db) - 1), np.int32(len(shifts_db) - 2)
-    variance_steps, last_row = np.float32(len(table) - 1), np.int32(len(table) - 2)
-    last_level, per_look = np.float32(table.shape[1] - 1.001), _ONE / np.float32(looks)
-    for i in range(grey.shape[0]):
-        part, fixed = min(textured[i] / total[i], _ONE), min(steady[i] / total[i], _ONE)
-        away = part * part * shift_steps
-        step = min(np.int32(away), last_shift)
-        low, high = shifts_db[step], shifts_db[step + 1]
-        shift_db = low + (away - np.float32(step)) * (high - low)
-        level = (level_db[i] + shift_db - low_db) * steps_per_db
-        level = min(max(level, _ZERO), last_level)
-        variance = (_ONE - fixed * fixed) * per_look * variance_steps
-        row, column = min(np.int32(variance), last_row), np.int32(level)
-        calm, lively, away = table[row], table[row + 1], level - np.float32(column)
-        first = calm[column] + away * (calm[column + 1] - calm[column])
-        other = lively[column] + away * (lively[column + 1] - lively[column])
-        grey[i] = first + (variance - np.float32(row)) * (other - first)
-
-
 # --- ghosts -----------------------------------------------------------------------------------
 
 # Weakest amplitude of the straight way that a mirrored one is compared with.

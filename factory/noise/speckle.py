@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass
 from ..distribution import AnyNumber, NonNegative, Positive
 from ..errors import FrameError
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
-from ..imaging.expected import Expected
+from ..imaging.expected import Expected, between
 from ..imaging.scatterers import camera_of, grid_of
 from ..imaging.signal import (
     Floats,
@@ -256,10 +256,7 @@ def gamma_of_normal(normal: Floats, shape: float) -> Floats:
     """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
     steps = np.float32((_STEPS - 1) / (2 * _REACH))
     reach = np.float32(_REACH)
-    place = (np.clip(normal, -reach, reach) + reach) * steps
-    step = np.minimum(place.astype(np.intp), _STEPS - 2)
-    low, high = np.take(_quantiles(shape), step), np.take(_quantiles(shape), step + 1)
-    return np.asarray(low + (place - step.astype(np.float32)) * (high - low), np.float32)
+    return between(_quantiles(shape), (np.clip(normal, -reach, reach) + reach) * steps)
 
 
 @lru_cache(maxsize=64)
