@@ -80,7 +80,7 @@ class FieldSample(Sample):
         ping, acoustics = self.scene.ping, self.scene.ping.acoustics
         effects = self.effects
         if acoustics.target == "restored":
-            effects = [effect for effect in effects if not effect.effect.systematic]
+            effects = [effect for effect in effects if effect.effect.systematic is None]
         return self._displayed(expected(ping, effects, standing=acoustics.standing), ())
 
     def noisy(self, effects: Collection[str]) -> Floats:

@@ -63,28 +63,27 @@ class Effect:
     function: pure, `(subject, context, rng, **parameters) -> subject`.  Stage points: subject and
         result are Echoes, the context is the Window.  Stage echo: a Signal and the Ping; stages
         beam and picture: the complex field and the Ping.  These may change the field in place.
+    artefact: what it shows in a picture and what a denoiser may be asked to remove; None: it is a
+        property of the scene, which a denoiser keeps.
     scope: what shares one draw and one random stream: a sample; all frames of a recording (the
         device's own effects); or "world", a recording whose frames have poses, else a sample.
     moves: of stage points, displaces the scene's own echoes; the others add echoes to them.
-    systematic: it is there in every picture of a scene and device, and target mean_log keeps it;
-        the others are random and average out.
-    expected: of the field's effects, what it does on average: changes a `field.expected.Expected`
-        in place, `(expected, ping, rng, **parameters)`, with the random stream of `function`.
-        None: nothing.
-    artefact: what it shows in a picture and what a denoiser may be asked to remove; None: it is a
-        property of the scene, which a denoiser keeps.
-    realised: of random effects of the field, the same as `expected` for what it does in this one
-        sample, where a picture without speckle still shows it.  None: as `expected`.
+    systematic: of the field's effects that are there in every picture of a scene and device, which
+        target mean_log keeps, what they do on average: changes an `expected.Expected` in place,
+        `(expected, ping, rng, **parameters)`, with the random stream of `function`.
+    expected: the same of random ones, which average out.  None: nothing.
+    realised: of random effects, the same for what they do in this one sample, where a picture
+        without speckle still shows it.  None: as `expected`.
     """
 
     settings: type[EffectSettings]
     function: Callable[..., Any]
     stage: Stage
+    artefact: Artefact | None = None
     scope: Scope = "sample"
     moves: bool = False
-    systematic: bool = False
+    systematic: Callable[..., None] | None = None
     expected: Callable[..., None] | None = None
-    artefact: Artefact | None = None
     realised: Callable[..., None] | None = None
 
     @cached_property
@@ -117,7 +116,8 @@ class DrawnEffect:
 
     def expect(self, expected: Any, context: Any, *, realised: bool = False) -> None:
         """Change expected intensities as it does on average or, realised, in this sample."""
-        change = (realised and self.effect.realised) or self.effect.expected
+        effect = self.effect
+        change = (realised and effect.realised) or effect.expected or effect.systematic
         if change is not None:
             change(expected, context, self.stream(), **self.parameters)
 

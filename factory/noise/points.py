@@ -59,9 +59,7 @@ def range_spreading(scene: Echoes, window: Window, rng: Rng, *, mode: str, alpha
     return replace(scene, range_m=range_m, strength=strength)
 
 
-RANGE_SPREADING = Effect(
-    RangeSpreadingSettings, range_spreading, "points", moves=True, artefact="blur"
-)
+RANGE_SPREADING = Effect(RangeSpreadingSettings, range_spreading, "points", "blur", moves=True)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -121,7 +119,7 @@ def multipath(
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
 
 
-MULTIPATH = Effect(MultipathSettings, multipath, "points", artefact="ghosts")
+MULTIPATH = Effect(MultipathSettings, multipath, "points", "ghosts")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -157,7 +155,7 @@ def azimuth(
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
 
 
-AZIMUTH = Effect(AzimuthSettings, azimuth, "points", artefact="spokes")
+AZIMUTH = Effect(AzimuthSettings, azimuth, "points", "spokes")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -199,7 +197,7 @@ def range_arc(
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
 
 
-RANGE_ARC = Effect(RangeArcSettings, range_arc, "points", artefact="spokes")
+RANGE_ARC = Effect(RangeArcSettings, range_arc, "points", "spokes")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -230,4 +228,4 @@ def background(
     return in_plane(range_m, azimuth_rad, strength * rng.random(count, dtype=np.float32))
 
 
-BACKGROUND = Effect(BackgroundSettings, background, "points", artefact="speckle")
+BACKGROUND = Effect(BackgroundSettings, background, "points", "speckle")

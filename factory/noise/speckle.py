@@ -93,9 +93,7 @@ def expect_speckle(
         expected.steady[:] = part * np.asarray(standing, np.float32)
 
 
-SPECKLE = Effect(
-    SpeckleSettings, speckle, "echo", "world", expected=expect_speckle, artefact="speckle"
-)
+SPECKLE = Effect(SpeckleSettings, speckle, "echo", "speckle", "world", expected=expect_speckle)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -167,7 +165,7 @@ def _sonar_from_world(ping: Ping) -> npt.NDArray[np.float64]:
 
 
 PATH_SPECKLE = Effect(
-    PathSpeckleSettings, path_speckle, "echo", "world", expected=expect_speckle, artefact="speckle"
+    PathSpeckleSettings, path_speckle, "echo", "speckle", "world", expected=expect_speckle
 )
 
 
@@ -212,9 +210,7 @@ def expect_volume(expected: Expected, ping: Ping, rng: Rng, *, strength_db: floa
     expected.echo += along[:, None] * across
 
 
-VOLUME = Effect(
-    VolumeSettings, volume, "echo", systematic=True, expected=expect_volume, artefact="haze"
-)
+VOLUME = Effect(VolumeSettings, volume, "echo", "haze", systematic=expect_volume)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -289,7 +285,13 @@ def realise_texture(
 
 
 TEXTURE = Effect(
-    TextureSettings, texture, "beam", "world", expected=expect_texture, realised=realise_texture
+    TextureSettings,
+    texture,
+    "beam",
+    None,
+    "world",
+    expected=expect_texture,
+    realised=realise_texture,
 )
 
 
@@ -322,6 +324,5 @@ def expect_scintillation(expected: Expected, ping: Ping, rng: Rng, *, sigma_db: 
 
 
 SCINTILLATION = Effect(
-    ScintillationSettings, scintillation, "picture", expected=expect_scintillation,
-    artefact="speckle",
-)  # fmt: skip
+    ScintillationSettings, scintillation, "picture", "speckle", expected=expect_scintillation
+)
