@@ -18,7 +18,8 @@ from benchmarks.shared import Options, Section, Table, cpu_seconds, frame_words
 from simnfnd.factory import pairs, seeds
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.imaging import pointwise
-from simnfnd.factory.imaging.pointwise import effect_clouds, noisy_cloud
+from simnfnd.factory.imaging.contract import effect_clouds
+from simnfnd.factory.imaging.pointwise import noisy_cloud
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.view import decode, encode, view_of
@@ -51,7 +52,7 @@ def _table(options: Options) -> Table:
     echoes = insonified(frame, rendered, window, sonar).echoes
     kept = pointwise.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
     draws = draw(config.noise, config.seed, names)
-    made = effect_clouds(draws.effects, kept, kept, window)
+    made = effect_clouds(draws.effects, kept, window)
     cloud = join(*noisy_cloud(kept, made, 1.0))
     level = polar.accumulate(cloud, window, sonar)
     full_scale = transfer.full_scale(level, sonar.transfer)
@@ -72,7 +73,7 @@ def _table(options: Options) -> Table:
         ),
     }
     for effect in draws.effects:
-        stages[f"noise: {effect.name}"] = partial(effect_clouds, (effect,), kept, kept, window)
+        stages[f"noise: {effect.name}"] = partial(effect_clouds, (effect,), kept, window)
     stages |= {
         "join the layers": lambda: join(*noisy_cloud(kept, made, full_scale)),
         "accumulate in bins": lambda: polar.accumulate(cloud, window, sonar),

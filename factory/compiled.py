@@ -12,16 +12,20 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from filelock import FileLock
+
 from .progress import stage_if_slow
 
-PICTURES = ("elementary", "render.kernels", "sonar.kernels")
-SEABED = ("scenes.seabed.kernels",)
-FIELD = ("imaging.kernels",)
-LOOPS = PICTURES + SEABED + FIELD
+PICTURES = tuple(
+    f"{__package__}.{name}" for name in ("elementary", "render.kernels", "sonar.kernels")
+)
+SEABED = f"{__package__}.scenes.seabed.kernels"
+FIELD = f"{__package__}.imaging.kernels"
+LOOPS = (*PICTURES, SEABED, FIELD)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -32,16 +36,6 @@ class NotCompiled(ImportError):
 
 class _Mode:
     loading = False
-
-
-@contextmanager
-def only_loaded() -> Iterator[None]:
-    """Modules imported in the block load their loops from disk, or raise NotCompiled."""
-    _Mode.loading = True
-    try:
-        yield
-    finally:
-        _Mode.loading = False
 
 
 def compiled(*signatures: str) -> Callable[[Function], Function]:
@@ -81,42 +75,37 @@ def compile_needed(*, scenes: str = "", field: bool = False) -> None:
     scenes: the kind whose frames it makes.  field: whether it forms pictures by the complex field.
     One process of a machine at a time does it: many workers would compile the same loops at once.
     """
-    names: tuple[str, ...] = PICTURES
+    names = [*PICTURES]
     if scenes in ("seabed", "mesh"):
-        names += SEABED
+        names.append(SEABED)
     if field:
-        names += FIELD
-    if all(_module(name) in sys.modules for name in names):
+        names.append(FIELD)
+    if all(name in sys.modules for name in names):
         return
     with (
         _alone(),
         stage_if_slow("compiling kernels, once per machine, about 20 s", after_s=2.0),
     ):
         for name in names:
-            importlib.import_module(_module(name))
+            importlib.import_module(name)
 
 
 def load_compiled() -> None:
     """Load what has a compiled form on disk, for processes that are forked from this one."""
-    with only_loaded():
-        for name in LOOPS:
-            with suppress(NotCompiled):
-                importlib.import_module(_module(name))
-
-
-def _module(name: str) -> str:
-    return f"{__package__}.{name}"
+    _Mode.loading = True
+    for name in LOOPS:
+        with suppress(NotCompiled):
+            importlib.import_module(name)
+    _Mode.loading = False
 
 
 @contextmanager
 def _alone() -> Iterator[None]:
+    user = getattr(os, "getuid", int)()
+    lock = FileLock(Path(tempfile.gettempdir()) / f"simnfnd-kernels-{user}.lock")
+    with suppress(OSError):  # a full or closed folder keeps nobody from compiling
+        lock.acquire()
     try:
-        import fcntl
-    except ImportError:  # Windows: whoever comes, compiles
         yield
-        return
-    path = Path(tempfile.gettempdir()) / f"simnfnd-kernels-{os.getuid()}.lock"
-    with ExitStack() as open_files:
-        with suppress(OSError):  # a full or closed folder keeps nobody from compiling
-            fcntl.flock(open_files.enter_context(path.open("a")), fcntl.LOCK_EX)
-        yield
+    finally:
+        lock.release()

@@ -115,7 +115,7 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
                 f"noise.{of_field[0]} acts on the complex field; set acoustics=field, or "
                 "leave it out (noise=simnfnd)"
             )
-        if on_field and not config.resample.is_default:
+        if on_field and config.resample != ResampleSettings():
             yield (
                 "resample thins points, and acoustics.formation=field has none; leave "
                 "resample.kind and resample.rate at their defaults, or set acoustics=points"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -60,14 +60,13 @@ def parse(value: Any, low: float = -math.inf, high: float = math.inf) -> Distrib
     elif isinstance(value, Mapping):
         present = {str(kind): given for kind, given in value.items() if given is not None}
         if len(present) > 1:
-            first, second = list(present)[:2]
             raise ValueError(
-                f"{first} and {second} are both given; where one file overrides another, "
-                f"set the form that goes to null: {{{first}: null, {second}: [...]}}"
+                f"{' and '.join(present)} are both given; where one file overrides another, set "
+                "the form that goes to null"
             )
-        if not present or next(iter(present)) not in _KINDS:
+        kind, given = next(iter(present.items()), ("", 0))
+        if kind not in _KINDS:
             raise ValueError(f"must be {_FORMS}")
-        kind, given = next(iter(present.items()))
         if isinstance(given, str) or not hasattr(given, "__iter__"):
             raise ValueError(f"{kind} takes a list; write {_FORMS}")
         numbers = tuple(_number(item) for item in given)
@@ -81,10 +80,11 @@ def parse(value: Any, low: float = -math.inf, high: float = math.inf) -> Distrib
         raise ValueError(f"uniform takes [low, high], got low {numbers[0]:g} > high {numbers[1]:g}")
     if kind == "normal" and numbers[1] < 0:
         raise ValueError(f"normal takes [mean, std] with std >= 0, got {numbers[1]:g}")
-    checked = numbers[:1] if kind == "normal" else numbers
-    for number in checked:
+    for number in numbers[:1] if kind == "normal" else numbers:
         if not low <= number <= high:
-            raise ValueError(f"must lie in {_interval(low, high)}, got {number:g}")
+            left = "(-inf" if math.isinf(low) else f"[{low:g}"
+            right = "inf)" if math.isinf(high) else f"{high:g}]"
+            raise ValueError(f"must lie in {left}, {right}, got {number:g}")
     return Distribution(kind, numbers, low, high)
 
 
@@ -96,39 +96,23 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def _interval(low: float, high: float) -> str:
-    left = "(-inf" if math.isinf(low) else f"[{low:g}"
-    right = "inf)" if math.isinf(high) else f"{high:g}]"
-    return f"{left}, {right}"
-
-
-def _within(low: float, high: float) -> Callable[[Any], Distribution]:
-    return lambda value: parse(value, low, high)
+def _within(low: float, high: float) -> BeforeValidator:
+    return BeforeValidator(lambda value: parse(value, low, high))
 
 
 _plain = PlainSerializer(lambda distribution: distribution.plain())
 
-AnyNumber = Annotated[Distribution, BeforeValidator(_within(-math.inf, math.inf)), _plain]
-NonNegative = Annotated[Distribution, BeforeValidator(_within(0.0, math.inf)), _plain]
-Fraction = Annotated[Distribution, BeforeValidator(_within(0.0, 1.0)), _plain]
-Positive = Annotated[Distribution, BeforeValidator(_within(1e-6, math.inf)), _plain]
+AnyNumber = Annotated[Distribution, _within(-math.inf, math.inf), _plain]
+NonNegative = Annotated[Distribution, _within(0.0, math.inf), _plain]
+Fraction = Annotated[Distribution, _within(0.0, 1.0), _plain]
+Positive = Annotated[Distribution, _within(1e-6, math.inf), _plain]
 # A rate of 0 would keep no point at all; the limit is far below any use.
-PositiveFraction = Annotated[Distribution, BeforeValidator(_within(1e-6, 1.0)), _plain]
+PositiveFraction = Annotated[Distribution, _within(1e-6, 1.0), _plain]
 
 
 def number(value: float) -> Distribution:
     """The distribution that always gives `value`; for defaults."""
     return Distribution("number", (float(value),))
-
-
-def uniform(low: float, high: float) -> Distribution:
-    """Any number from `low` to `high`; for defaults."""
-    return Distribution("uniform", (float(low), float(high)))
-
-
-def choice(*values: float) -> Distribution:
-    """One of `values`; for defaults."""
-    return Distribution("choice", tuple(map(float, values)))
 
 
 def as_override(word: str) -> str:
@@ -137,14 +121,10 @@ def as_override(word: str) -> str:
     Hydra merges mappings: `density={normal: [1, 2]}` on a configured `{uniform: ...}` would be
     refused, or leave both.  The other forms are set to null, which `parse` takes as absent.
     """
-    if "=" not in word or not re.search(r"\{\s*(uniform|choice|normal)\s*:", word):
-        return word
-    key, value = word.split("=", 1)
-    value = re.sub(
-        r"\{\s*(uniform|choice|normal)\s*:",
-        lambda found: "".join(
-            ["{", *(f"{other}:null," for other in _KINDS if other != found[1]), f"{found[1]}:"]
-        ),
-        value,
-    )
-    return f"++{key.lstrip('+')}={value}"
+
+    def alone(found: re.Match[str]) -> str:
+        return "{" + "".join(f"{one}:null," for one in _KINDS if one != found[1]) + f"{found[1]}:"
+
+    key, _, value = word.partition("=")
+    replaced = re.sub(rf"\{{\s*({'|'.join(_KINDS)})\s*:", alone, value)
+    return word if replaced == value else f"++{key.lstrip('+')}={replaced}"

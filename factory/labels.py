@@ -6,27 +6,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, get_args
 
 ObjectName = Literal[
-    "Bottle",
-    "Can",
-    "Chain",
-    "Drink-carton",
-    "Hook",
-    "Propeller",
-    "Shampoo-bottle",
-    "Standing-bottle",
-    "Tire",
-    "Valve",
-    "Wall",
-    "Boulder",
-    "Pipe",
-    "Pillar",
-    "Frame",
-    "Anchor",
-    "Block",
-    "Coral",
-    "Plant",
-    "Barrel",
-]
+    "Bottle", "Can", "Chain", "Drink-carton", "Hook", "Propeller", "Shampoo-bottle",
+    "Standing-bottle", "Tire", "Valve", "Wall", "Boulder", "Pipe", "Pillar", "Frame", "Anchor",
+    "Block", "Coral", "Plant", "Barrel",
+]  # fmt: skip
 
 # 0 to 11 are those of the Marine Debris Dataset; ground is 0.
 CLASSES: tuple[str, ...] = ("Background", *get_args(ObjectName))

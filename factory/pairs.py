@@ -22,7 +22,7 @@ from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging import coherent, pointwise
 from .imaging import layers as truth
-from .imaging.contract import Floats, Formation, Scene
+from .imaging.contract import Floats, Scene
 from .noise.draws import StreamNames, draw
 from .sample_table import Camera, columns, image_axes, record, requested, requested_row
 from .sonar import polar, surface, transfer
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from .noise.registry import NoiseSettings
     from .render.base import Rendered
 
-FORMATIONS: Mapping[str, Formation] = {"points": pointwise.observe, "field": coherent.observe}
-"""By the values of `acoustics.formation`."""
 _DRAWS = 40
 """Devices that may be drawn for a picture until one sees some of the frame."""
 
@@ -135,7 +133,11 @@ def observe(
     if cones:
         window = conical(window, sonar)
     lit = surface.LitSurface(frame, rendered, window, sonar, cones)
-    scene = FORMATIONS[config.acoustics.formation](lit, config)
+    scene: Scene = (
+        coherent.observe(lit, config.water, config.acoustics)
+        if cones
+        else pointwise.observe(lit, config.seed, config.resample)
+    )
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
     behind = truth.pictures(config.dataset.layers, lit)
     return ObservedFrame(
@@ -214,7 +216,7 @@ def make_pair(
     """
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names)
-    sample = observed.scene.sample(variant, draws.effects, config)
+    sample = observed.scene.sample(variant, draws.effects)
     plain = device is None and config.sonar.image.plain
 
     def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:

@@ -89,7 +89,6 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
         (drawn, "devices=any_sonar", "scipy"),
         (field, "acoustics.formation=field", "scipy", "acoustics=points noise=simnfnd"),
         ("pose" in config.dataset.columns, "dataset.columns=[pose]", "scipy"),
-        (config.resample.kind == "voxel", "resample=voxel", "open3d", "resample=random"),
         (config.scheduler.backend == "dask", "scheduler=dask", "distributed", "scheduler=local"),
         (to_s3, "dataset.dir=s3://...", "s3fs", "a folder of this machine"),
     ):

@@ -10,200 +10,131 @@ The clean picture comes through the same device, gain and transfer curve without
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from ..errors import FrameError
 from ..sonar import polar, transfer
-from ..sonar.settings import SonarSettings
+from ..sonar.array import WaterSettings
 from ..sonar.surface import LitSurface
-from .contract import Floats, Layers
+from .contract import EffectCloud, Floats, Layers, Sample, effect_clouds
 from .effect import DrawnEffect
-from .expected import Expected, averaged, display, expected
-from .pointwise import EffectCloud, effect_clouds
-from .scatterers import scatterers
+from .expected import Expected, display, expected
 from .settings import AcousticsSettings
-from .signal import Ping, Receiver, Signal, beamform, beamform_power, sounds
-
-if TYPE_CHECKING:
-    from .contract import ImagingSettings
+from .signal import Ping, Signal, averaged, beamform, beamform_power, sounds
 
 
 @dataclass(frozen=True, eq=False)
 class FieldScene:
-    """A frame as the device receives it; a `contract.Scene`.
+    """A frame as the device receives it; a `contract.Scene`."""
 
-    ping: at the raw samples.  geometry: grey values and full scale of the clean picture where
-    `acoustics.target` is that.  sonar: the device with the range bins of the picture.
-    """
-
-    surface: LitSurface
     ping: Ping
-    geometry: tuple[Floats, float] | None
-    sonar: SonarSettings
-
-    @property
-    def samples(self) -> int:
-        """Raw samples whose intensities a range bin averages."""
-        return self.sonar.samples_per_bin
 
     @property
     def filled(self) -> npt.NDArray[np.bool_]:
         """See `contract.Scene`."""
         rows, beams = self.ping.shape
-        by_bin = self.ping.scatterers.in_beam.reshape(rows // self.samples, self.samples, beams)
+        samples = self.ping.surface.sonar.samples_per_bin
+        by_bin = self.ping.scatterers.in_beam.reshape(rows // samples, samples, beams)
         return np.asarray(by_bin.any(axis=1))
 
-    def sample(
-        self, variant: int, effects: Sequence[DrawnEffect], config: ImagingSettings
-    ) -> FieldSample:
+    @cached_property
+    def geometry(self) -> tuple[Floats, float] | None:
+        """Where it is the target the paper's T, of the points: grey values and full scale."""
+        surface = self.ping.surface
+        window, sonar, curve = surface.window, surface.sonar, surface.sonar.transfer
+        if self.ping.acoustics.target != "geometry":
+            return None
+        points = polar.accumulate(surface.insonified.echoes, window, sonar)
+        level = polar.spread_points(points, sonar)
+        intensity = transfer.full_scale(level, curve, "intensity")
+        grey = transfer.grey(level, intensity, curve, "intensity")
+        return polar.where_seen(grey, window, sonar), intensity
+
+    def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> FieldSample:
         """See `contract.Scene`."""
-        acoustics, full_scale = config.acoustics, self.ping.full_scale
-        return FieldSample(
-            self,
-            effects,
-            acoustics.target,
-            acoustics.standing,
-            len(self.ping.scatterers.bins),
-            full_scale,
-            full_scale if self.geometry is None else self.geometry[1],
-        )
+        ping, surface = self.ping, self.ping.surface
+        full_scale = ping.full_scale if self.geometry is None else self.geometry[1]
+        on_points = [effect for effect in effects if effect.stage == "points"]
+        clouds: tuple[EffectCloud, ...] = ()
+        if on_points:
+            clouds = effect_clouds(on_points, surface.insonified.echoes, surface.window)
+        many = len(ping.scatterers.bins)
+        return FieldSample(effects, clouds, 1.0, many, ping.full_scale, full_scale, self)
 
 
 @dataclass(frozen=True, eq=False)
-class FieldSample:
-    """A scene with the effects of one sample, all of its scatterers kept; a `contract.Sample`."""
+class FieldSample(Sample):
+    """A scene with the effects of one sample, all of its scatterers kept."""
 
     scene: FieldScene
-    effects: Sequence[DrawnEffect]
-    target: str
-    standing: float
-    points: int
-    full_scale: float
-    clean_full_scale: float
-    rate: float = 1.0
 
     @property
     def clean(self) -> Floats:
-        """See `contract.Sample`."""
+        """See `Sample`."""
         if self.scene.geometry is not None:
             return self.scene.geometry[0]
-        systematic = self.target == "mean_log"
-        ping = self.scene.ping
-        return self._displayed(
-            expected(ping, self.effects, systematic=systematic, standing=self.standing)
-        )
-
-    def _displayed(self, state: Expected, clouds: Sequence[EffectCloud] = ()) -> Floats:
-        """The expected picture of intensities at the raw samples, and the clouds' echoes."""
-        ping = self.scene.ping
-        state = state.averaged(ping.kernel, self.scene.samples)
-        for cloud in clouds:
-            extra = polar.accumulate(cloud.echoes, ping.window, self.scene.sonar)
-            state.steady += np.float32(ping.full_scale) * extra**2
-        grey = display(state, ping.full_scale, ping.sonar.transfer)
-        return polar.where_seen(grey, ping.window, ping.sonar)
-
-    @cached_property
-    def clouds(self) -> tuple[EffectCloud, ...]:
-        """What the effects of stage points add."""
-        effects = [effect for effect in self.effects if effect.stage == "points"]
-        if not effects:
-            return ()
-        echoes = self.scene.surface.insonified.echoes
-        return effect_clouds(effects, echoes, echoes, self.scene.ping.window)
-
-    @cached_property
-    def added(self) -> Mapping[str, int]:
-        """See `contract.Sample`."""
-        return {cloud.name: len(cloud.echoes) for cloud in self.clouds}
+        ping, acoustics = self.scene.ping, self.scene.ping.acoustics
+        effects = self.effects
+        if acoustics.target == "restored":
+            effects = [effect for effect in effects if effect.effect.systematic is None]
+        return self._displayed(expected(ping, effects, standing=acoustics.standing), ())
 
     def noisy(self, effects: Collection[str]) -> Floats:
-        """See `contract.Sample`."""
+        """See `Sample`."""
         ping = self.scene.ping
         level = received(ping, [effect for effect in self.effects if effect.name in effects])
-        level = _averaged_amplitude(level, self.scene.samples)
+        level = ping.averaged(level)
         # The strengths of the points are fractions of full scale.
         full_scale = np.sqrt(ping.full_scale)
-        for cloud in self.clouds:
-            if cloud.name in effects:
-                extra = np.float32(full_scale) * polar.accumulate(
-                    cloud.echoes, ping.window, self.scene.sonar
-                )
-                level = np.sqrt(level**2 + extra**2)
+        for extra in self._added(effects):
+            level = np.sqrt(level**2 + (np.float32(full_scale) * extra) ** 2)
         grey = transfer.grey(level, float(full_scale), ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
-        """See `contract.Sample`."""
+        """See `Sample`."""
         if not {"intensity_db", "field"}.intersection(layers):
             return {}
         acting = [effect for effect in self.effects if effect.name in effects]
-        return calibrated(self.scene.ping, acting, layers, self.scene.samples)
+        return calibrated(self.scene.ping, acting, layers)
 
     def without(self, artefacts: Collection[str]) -> Floats:
-        """See `contract.Sample`."""
-        ping = self.scene.ping
-        kept = {e.name for e in self.effects if e.artefact not in artefacts}
+        """See `Sample`."""
         if "speckle" not in artefacts:
-            return self.noisy(kept)
+            return super().without(artefacts)
+        kept = {e.name for e in self.effects if e.effect.artefact not in artefacts}
         # Speckle is not switched off but averaged: its mean lifts and lowers a display of levels.
-        acting = [e for e in self.effects if e.name in kept or e.artefact == "speckle"]
-        state = expected(ping, acting, realised=True, standing=self.standing)
-        return self._displayed(state, [cloud for cloud in self.clouds if cloud.name in kept])
+        acting = [e for e in self.effects if e.name in kept or e.effect.artefact == "speckle"]
+        ping = self.scene.ping
+        state = expected(ping, acting, realised=True, standing=ping.acoustics.standing)
+        return self._displayed(state, kept)
+
+    def _displayed(self, state: Expected, effects: Collection[str]) -> Floats:
+        """The expected picture of intensities at the raw samples, and the clouds' echoes."""
+        ping = self.scene.ping
+        state = state.averaged(ping.kernel, ping.surface.sonar.samples_per_bin)
+        for extra in self._added(effects):
+            state.steady += np.float32(ping.full_scale) * extra**2
+        grey = display(state, ping.full_scale, ping.sonar.transfer)
+        return polar.where_seen(grey, ping.window, ping.sonar)
+
+    def _added(self, effects: Collection[str]) -> list[Floats]:
+        """(range_bins, beams) echo level of the cloud of each of the named effects."""
+        surface = self.scene.ping.surface
+        return [
+            polar.accumulate(cloud.echoes, surface.window, surface.sonar)
+            for cloud in self.clouds
+            if cloud.name in effects
+        ]
 
 
-def observe(surface: LitSurface, config: ImagingSettings) -> FieldScene:
-    """See `contract.Formation`."""
-    water, acoustics, samples = config.water, config.acoustics, config.sonar.samples_per_bin
-    # The device with a range bin for each raw sample.
-    bins = samples * config.sonar.range_bins
-    sonar = replace(config.sonar, range_bins=bins, samples_per_bin=1)
-    window = surface.window
-    found = scatterers(surface.frame, surface.rendered, window, sonar, water, acoustics)
-    receiver = Receiver(window, sonar, water)
-    gain = time_varying_gain(receiver, acoustics)
-    power = beamform_power(found.power, receiver)
-    seen = polar.seen_beams(window, sonar)
-    # That of the bins that hold an echo alone says how bright the picture is shown.
-    echoing = np.where((found.power > 0) & seen, np.sqrt(power * gain[:, None]), np.float32(0))
-    fixed_db = sonar.transfer.full_scale_db
-    if fixed_db is None:
-        echoing = _averaged_amplitude(echoing, samples)
-        full_scale = transfer.full_scale(echoing, sonar.transfer)
-    else:
-        full_scale = 10 ** (fixed_db / 20)
-    strongest = float((power * seen).max())
-    ping = Ping(window, sonar, water, found, gain, full_scale**2, strongest, power)
-    geometry = _geometry(surface, config.sonar) if acoustics.target == "geometry" else None
-    return FieldScene(surface, ping, geometry, config.sonar)
-
-
-def _geometry(surface: LitSurface, sonar: SonarSettings) -> tuple[Floats, float]:
-    """The paper's T, of the points: (range_bins, beams) grey values, and the full scale."""
-    points = polar.accumulate(surface.insonified.echoes, surface.window, sonar)
-    level = polar.spread_points(points, sonar)
-    intensity = transfer.full_scale(level, sonar.transfer, "intensity")
-    grey = transfer.grey(level, intensity, sonar.transfer, "intensity")
-    return polar.where_seen(grey, surface.window, sonar), intensity
-
-
-def _averaged_amplitude(amplitude: Floats, samples: int) -> Floats:
-    """The root of the mean intensity of each `samples` rows."""
-    return amplitude if samples == 1 else np.sqrt(averaged(amplitude**2, samples))
-
-
-def time_varying_gain(receiver: Receiver, acoustics: AcousticsSettings) -> Floats:
-    """(range_bins,) float32 gain on intensity, k log10 r + 2 a r in dB; see `AcousticsSettings`."""
-    range_m = np.maximum(receiver.range_m.astype(np.float64), 1e-3)
-    gain_db = acoustics.tvg_log * np.log10(range_m)
-    if acoustics.tvg_absorption:
-        gain_db += 2 * receiver.absorption_db_per_m * range_m
-    return np.asarray(10 ** (gain_db / 10), np.float32)
+def observe(surface: LitSurface, water: WaterSettings, acoustics: AcousticsSettings) -> FieldScene:
+    """The frame as its sonar receives it; `filled` raises FrameError when nothing echoes."""
+    return FieldScene(Ping(surface, water, acoustics))
 
 
 def received(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
@@ -239,12 +170,11 @@ def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
 
 
 def calibrated(
-    ping: Ping, effects: Sequence[DrawnEffect], layers: Collection[str], samples: int
+    ping: Ping, effects: Sequence[DrawnEffect], layers: Collection[str]
 ) -> Mapping[str, Layers]:
     """Of layers intensity_db, field: (range_bins, beams) float32 dB re 1 uPa, complex64 uPa.
 
     What saturates and what the device adds is in them as it is in the picture.
-    samples: raw samples whose intensities a range bin averages.
     Raises FrameError for the field of several looks.
     """
     field = received_field(ping, effects)
@@ -254,7 +184,7 @@ def calibrated(
     made: dict[str, Layers] = {}
     if "intensity_db" in layers:
         intensity = (field**2).sum(axis=1).mean(axis=0)
-        intensity = averaged(intensity, samples)
+        intensity = averaged(intensity, ping.surface.sonar.samples_per_bin)
         with np.errstate(divide="ignore"):
             level_db = 10 * np.log10(intensity)
         known = seen & (intensity > 0)

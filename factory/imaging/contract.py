@@ -1,51 +1,25 @@
 """What an image formation is: from a frame's surface to clean and noisy polar pictures.
 
-`simnfnd.factory.pairs` assembles pairs with it and knows no more; each `Formation` is one line
-there.
+`simnfnd.factory.pairs` assembles pairs with it and knows no more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from ..sonar.polar import Echoes
+from ..sonar.window import Window
 from .effect import DrawnEffect
-
-if TYPE_CHECKING:
-    from ..sonar.array import WaterSettings
-    from ..sonar.settings import SonarSettings
-    from ..sonar.surface import LitSurface
-    from .settings import AcousticsSettings, ResampleSettings
 
 Floats = npt.NDArray[np.float32]
 Layers = npt.NDArray[np.generic]
-
-
-class ImagingSettings(Protocol):
-    """The groups of the configuration that pictures are formed by."""
-
-    @property
-    def seed(self) -> int:
-        """Root of all random streams."""
-
-    @property
-    def sonar(self) -> SonarSettings:
-        """The device."""
-
-    @property
-    def water(self) -> WaterSettings:
-        """What the sound goes through."""
-
-    @property
-    def acoustics(self) -> AcousticsSettings:
-        """How the field is formed."""
-
-    @property
-    def resample(self) -> ResampleSettings:
-        """How points are thinned."""
 
 
 class Scene(Protocol):
@@ -55,42 +29,49 @@ class Scene(Protocol):
     def filled(self) -> npt.NDArray[np.bool_]:
         """(range_bins, beams) bool: bins in which insonified surface lies."""
 
-    def sample(
-        self, variant: int, effects: Sequence[DrawnEffect], config: ImagingSettings
-    ) -> Sample:
-        """One sample; config is that of the scene but for the noise.  Equal calls, equal bytes."""
+    def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> Sample:
+        """One sample; equal calls, equal bytes."""
 
 
-class Sample(Protocol):
+class EffectCloud(NamedTuple):
+    """What one effect makes: echoes of its own, or (moves) the scene's, displaced."""
+
+    name: str
+    echoes: Echoes
+    moves: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Sample(ABC):
     """One sample of a scene.
 
     Pictures are (range_bins, beams) float32 grey values, 0 to 1, and 0 in beams without data.
+
+    effects: those drawn for it.  clouds: of each of stage points.
+    rate: fraction of the scene's points that resampling has kept.  points: number of scene points
+        in the pictures.
+    full_scale: echo intensity, after time-varying gain, that the noisy picture shows as grey value
+        1.  clean_full_scale: the same of the clean picture, in the unit of its target.
     """
 
-    @property
-    def rate(self) -> float:
-        """Fraction of the scene's points that resampling has kept."""
+    effects: Sequence[DrawnEffect]
+    clouds: tuple[EffectCloud, ...]
+    rate: float
+    points: int
+    full_scale: float
+    clean_full_scale: float
 
-    @property
-    def points(self) -> int:
-        """Number of scene points in the pictures."""
-
-    @property
+    @cached_property
     def added(self) -> Mapping[str, int]:
         """Points that each effect of stage points has added or moved, by its name."""
+        return {cloud.name: len(cloud.echoes) for cloud in self.clouds}
 
     @property
-    def full_scale(self) -> float:
-        """Echo intensity, after time-varying gain, that the noisy picture shows as grey value 1."""
-
-    @property
-    def clean_full_scale(self) -> float:
-        """The same of the clean picture, in the unit of its target."""
-
-    @property
+    @abstractmethod
     def clean(self) -> Floats:
         """The clean picture."""
 
+    @abstractmethod
     def noisy(self, effects: Collection[str]) -> Floats:
         """The picture with those of the drawn effects that are named."""
 
@@ -99,10 +80,21 @@ class Sample(Protocol):
 
         Without speckle it is the expected displayed picture: what averages out is averaged.
         """
+        return self.noisy(
+            {one.name for one in self.effects if one.effect.artefact not in artefacts}
+        )
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
         """Those of the layers that say what was received, with those of the drawn effects."""
+        return {}
 
 
-Formation = Callable[["LitSurface", ImagingSettings], Scene]
-"""The frame as the sonar observes it; raises FrameError when no surface lies in its sector."""
+def effect_clouds(
+    effects: Sequence[DrawnEffect], scene: Echoes, window: Window
+) -> tuple[EffectCloud, ...]:
+    """The cloud of each effect of stage points; densities are fractions of the scene's points."""
+    return tuple(
+        EffectCloud(effect.name, effect.apply(scene, window), effect.effect.moves)
+        for effect in effects
+        if effect.stage == "points"
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 from functools import cached_property
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass as validated
 
 from .. import seeds
-from ..distribution import Distribution, number
+from ..distribution import parse
 from ..settings import STRICT
 
 Names = tuple[str | int, ...]
@@ -41,27 +41,17 @@ class EffectSettings:
     enabled: bool = True
 
 
-def parameter(default: float | Distribution, unit: str) -> Any:
+def parameter(default: float | dict[str, list[float]], unit: str) -> Any:
     """A field of an effect's settings that may be a distribution; its draws are recorded.
 
     unit: of the record's column; "1" for none.
     """
-    value = default if isinstance(default, Distribution) else number(default)
-    return field(default=value, metadata={"unit": unit, "type": float})
+    return field(default=parse(default), metadata={"unit": unit, "type": float})
 
 
 def option(default: str) -> Any:
     """A field of an effect's settings that is one of several words."""
     return field(default=default, metadata={"unit": "1", "type": str})
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter of an effect.  type: float or str."""
-
-    name: str
-    type: type
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -73,38 +63,33 @@ class Effect:
     function: pure, `(subject, context, rng, **parameters) -> subject`.  Stage points: subject and
         result are Echoes, the context is the Window.  Stage echo: a Signal and the Ping; stages
         beam and picture: the complex field and the Ping.  These may change the field in place.
+    artefact: what it shows in a picture and what a denoiser may be asked to remove; None: it is a
+        property of the scene, which a denoiser keeps.
     scope: what shares one draw and one random stream: a sample; all frames of a recording (the
         device's own effects); or "world", a recording whose frames have poses, else a sample.
     moves: of stage points, displaces the scene's own echoes; the others add echoes to them.
-    systematic: it is there in every picture of a scene and device, and target mean_log keeps it;
-        the others are random and average out.
-    expected: of the field's effects, what it does on average: changes a `field.expected.Expected`
-        in place, `(expected, ping, rng, **parameters)`, with the random stream of `function`.
-        None: nothing.
-    artefact: what it shows in a picture and what a denoiser may be asked to remove; None: it is a
-        property of the scene, which a denoiser keeps.
-    realised: of random effects of the field, the same as `expected` for what it does in this one
-        sample, where a picture without speckle still shows it.  None: as `expected`.
+    systematic: of the field's effects that are there in every picture of a scene and device, which
+        target mean_log keeps, what they do on average: changes an `expected.Expected` in place,
+        `(expected, ping, rng, **parameters)`, with the random stream of `function`.
+    expected: the same of random ones, which average out.  None: nothing.
+    realised: of random effects, the same for what they do in this one sample, where a picture
+        without speckle still shows it.  None: as `expected`.
     """
 
     settings: type[EffectSettings]
     function: Callable[..., Any]
     stage: Stage
+    artefact: Artefact | None = None
     scope: Scope = "sample"
     moves: bool = False
-    systematic: bool = False
+    systematic: Callable[..., None] | None = None
     expected: Callable[..., None] | None = None
-    artefact: Artefact | None = None
     realised: Callable[..., None] | None = None
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, in the order of the settings."""
-        return tuple(
-            Parameter(item.name, item.metadata["type"], item.metadata["unit"])
-            for item in fields(self.settings)
-            if item.name != "enabled"
-        )
+    def parameters(self) -> tuple[Field[Any], ...]:
+        """The fields that `parameter` and `option` made, in the order of the settings."""
+        return tuple(item for item in fields(self.settings) if item.metadata)
 
 
 @dataclass(frozen=True)
@@ -125,24 +110,14 @@ class DrawnEffect:
         """When it acts."""
         return self.effect.stage
 
-    @property
-    def artefact(self) -> Artefact | None:
-        """See `Effect`."""
-        return self.effect.artefact
-
-    def realise(self, expected: Any, context: Any) -> None:
-        """Change expected intensities as the effect does in this sample.  See `Effect`."""
-        self._change(self.effect.realised or self.effect.expected, expected, context)
-
-    def expect(self, expected: Any, context: Any) -> None:
-        """Change expected intensities as the effect does on average.  See `Effect`."""
-        self._change(self.effect.expected, expected, context)
-
     def apply(self, subject: Any, context: Any) -> Any:
         """What the effect makes of `subject`; equal calls give equal results.  See `Effect`."""
         return self.effect.function(subject, context, self.stream(), **self.parameters)
 
-    def _change(self, change: Callable[..., None] | None, expected: Any, context: Any) -> None:
+    def expect(self, expected: Any, context: Any, *, realised: bool = False) -> None:
+        """Change expected intensities as it does on average or, realised, in this sample."""
+        effect = self.effect
+        change = (realised and effect.realised) or effect.expected or effect.systematic
         if change is not None:
             change(expected, context, self.stream(), **self.parameters)
 

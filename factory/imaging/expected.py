@@ -23,7 +23,7 @@ from ..sonar import transfer
 from ..sonar.settings import TransferSettings
 from .contract import Floats
 from .effect import DrawnEffect
-from .signal import Ping, sounds
+from .signal import Ping, averaged, sounds
 
 # The table of expected grey values: levels over full scale, dB, and their fluctuation.
 _BEYOND_DB, _STEPS_PER_DB, _VARIANCES, _QUANTILES, _SHIFTS = 30.0, 2, 9, 512, 33
@@ -60,8 +60,6 @@ class Expected:
 
     def averaged(self, kernel: Floats, samples: int) -> Expected:
         """The expected intensities of range bins, from those of raw samples."""
-        if samples == 1:
-            return self
         planes = (averaged(p, samples) for p in (self.echo, self.noise, self.steady, self.textured))
         echo, noise, steady, textured = planes
         more = self.looks * looks(kernel, samples)
@@ -70,13 +68,6 @@ class Expected:
     def total(self) -> Floats:
         """(range_bins, beams) expected intensity."""
         return self.echo + self.noise + self.steady
-
-
-def averaged(intensity: Floats, samples: int) -> Floats:
-    """(rows, beams) float32: the mean of each `samples` rows of (samples * rows, beams)."""
-    rows, beams = intensity.shape
-    mean = intensity.reshape(rows // samples, samples, beams).mean(axis=1, dtype=np.float32)
-    return np.ascontiguousarray(mean)
 
 
 def looks(kernel: Floats, samples: int) -> float:
@@ -97,16 +88,10 @@ def looks(kernel: Floats, samples: int) -> float:
 
 
 def expected(
-    ping: Ping,
-    effects: Sequence[DrawnEffect],
-    *,
-    systematic: bool = True,
-    realised: bool = False,
-    standing: float = 0.0,
+    ping: Ping, effects: Sequence[DrawnEffect], *, realised: bool = False, standing: float = 0.0
 ) -> Expected:
     """The expected intensities after time-varying gain.
 
-    systematic: whether the systematic ones of the effects act, or the random ones alone.
     realised: whether random effects act as they do in this one sample, where that can be told, or
         on average.
     standing: part of the speckle's power that averaging leaves, as it is in this sample.
@@ -117,8 +102,8 @@ def expected(
         if stage == "picture":
             state.scale(ping.gain[:, None])
         for effect in effects:
-            if effect.stage == stage and (systematic or not effect.effect.systematic):
-                (effect.realise if realised else effect.expect)(state, ping)
+            if effect.stage == stage:
+                effect.expect(state, ping, realised=realised)
     return state
 
 
@@ -127,27 +112,30 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
 
     full_scale: intensity that is shown as grey value 1.
     """
-    from . import kernels  # loads numba
-
     # E[x^p]^(1/p) of a log-normal x of median 1.
     full_scale /= float(np.exp(_power(settings) * state.scintillation_nepers2 / 2))
     if not (sounds(state.echo) or sounds(state.noise)):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
-    total, grey = state.total() + _FAINTEST, np.empty_like(state.echo)
+    one, total = np.float32(1), state.total() + _FAINTEST
     level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))
+    # What texture does to the level goes by the variance that it brings.
+    part = np.minimum(state.textured / total, one)
     shifts_db = _texture_shifts_db(state.shape, _power(settings))
-    kernels.displayed(
-        level_db.ravel(), total.ravel(), state.steady.ravel(), state.textured.ravel(), state.looks,
-        shifts_db, _table(settings), _lowest_db(settings), _STEPS_PER_DB,
-        grey.ravel(),
-    )  # fmt: skip
-    return grey
+    level_db += between(shifts_db, part * part * np.float32(_SHIFTS - 1))
+    level = (level_db - np.float32(_lowest_db(settings))) * np.float32(_STEPS_PER_DB)
+    fixed, table = np.minimum(state.steady / total, one), _table(settings)
+    variance = (one - fixed * fixed) * (one / np.float32(state.looks)) * np.float32(_VARIANCES - 1)
+    row = np.minimum(variance.astype(np.intp), _VARIANCES - 2)
+    levels = table.shape[1]
+    place = np.clip(level, np.float32(0), np.float32(levels - 1.001))
+    calm, lively = (between(table.ravel(), place, (row + more) * levels) for more in (0, 1))
+    return np.asarray(calm + (variance - row.astype(np.float32)) * (lively - calm), np.float32)
 
 
-def between(table: Floats, place: Floats) -> Floats:
-    """Values of a table at fractional places, linear in between."""
+def between(table: Floats, place: Floats, first: npt.NDArray[np.intp] | int = 0) -> Floats:
+    """Values of a table at fractional places, linear in between; first: where it begins."""
     step = np.minimum(place.astype(np.intp), len(table) - 2)
-    low, high = np.take(table, step), np.take(table, step + 1)
+    low, high = np.take(table, first + step), np.take(table, first + step + 1)
     return np.asarray(low + (place - step.astype(np.float32)) * (high - low), np.float32)
 
 

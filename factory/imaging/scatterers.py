@@ -33,9 +33,6 @@ Floats = npt.NDArray[np.float32]
 
 _BEAM_STEPS = 16_384
 _PATTERN_STEPS = 4096
-# Of one part of the table of cells: what the second cache of a core holds, in so few parts that
-# sorting into them is fast.
-_SLOTS = 131_072
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +40,8 @@ class Scatterers:
     """N scatterers of one frame.
 
     bins: (N,) int32 flat polar bin.  powers: (N,) float32 intensity over the source level, without
-    absorption.  pixels: (N,) int32 flat camera pixel; parts: (N,) float32, how far towards the one
-    below it lies, 0 to 1.  row_ends: (H,) int32, how many there are up to the end of each camera
-    row.
+    absorption.  pixels: (N,) int32 flat camera pixel, in order; parts: (N,) float32, how far
+    towards the one below it lies, 0 to 1.
     power: (range_bins, beams) float32, their sum a bin, with absorption: the sonar equation.
     owner: (range_bins, beams) int32, a pixel that lies in the bin, -1 where none does.
     in_beam: (range_bins, beams) bool, whether one within vfov_deg does.
@@ -57,7 +53,6 @@ class Scatterers:
     powers: Floats
     pixels: npt.NDArray[np.int32]
     parts: Floats
-    row_ends: npt.NDArray[np.int32]
     power: Floats
     owner: npt.NDArray[np.int32]
     in_beam: npt.NDArray[np.bool_]
@@ -77,11 +72,13 @@ class Scatterers:
             from . import kernels  # loads numba
 
             pose = np.ascontiguousarray(self.world_from_camera[:3])
-            names, places = np.empty((2, len(self.pixels)), np.uint32)
-            where = (self.pixels, self.parts), self.row_ends, camera_of(self.frame), pose
-            kernels.cells(*where, edge_m, names, places)
+            many = len(self.pixels)
+            names, shares = np.empty(many, np.uint32), np.empty(many, np.float32)
+            table = np.zeros((1 << (1 + many.bit_length()), 2), np.uint32)
+            where = (self.pixels, self.parts), camera_of(self.frame), pose
+            kernels.cells(*where, edge_m, table, names, shares)
             self._cells.clear()
-            self._cells[edge_m] = names, shares(names, places)
+            self._cells[edge_m] = names, shares
         return self._cells[edge_m]
 
     @cached_property
@@ -98,20 +95,6 @@ class Scatterers:
         depth_m, across, down = camera_of(self.frame)
         z = depth_m.ravel()[pixel]
         return bins, np.stack([across[column] * z, down[row] * z, z])
-
-
-def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Floats:
-    """(N,) float32: see `world_cells`; the arguments are what `kernels.cells` gives."""
-    from . import kernels  # loads numba
-
-    made, work = np.empty(len(names), np.float32), np.empty((len(names), 2), np.uint32)
-    slots = 1 << (2 + len(names).bit_length())
-    parts = max(slots // _SLOTS, 1)
-    while not kernels.count_cells(
-        names, places, parts, np.empty((slots // parts, 2), np.uint32), work, made
-    ):
-        parts //= 2
-    return made
 
 
 def scatterers(
@@ -134,12 +117,11 @@ def scatterers(
     most = 2 * frame.depth_m.size
     bins, of = np.empty((2, most), np.int32)
     powers, parts = np.empty((2, most), np.float32)
-    row_ends = np.empty(len(frame.depth_m), np.int32)
     count = kernels.place(
         camera_of(frame), rendered.radiance, _labels(frame), _factor(frame, sonar, acoustics),
         _reflectivity(frame, acoustics), sonar.mount.axes(), grid_of(window, sonar),
         vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
-        (power, owner, in_beam), (bins, powers, of, parts), row_ends,
+        (power, owner, in_beam), (bins, powers, of, parts),
     )  # fmt: skip
     if not count:
         raise FrameError(f"{frame.ref.name}: no echo inside the sonar's sector; check sonar.mount")
@@ -152,7 +134,6 @@ def scatterers(
         powers[:count],
         of[:count],
         parts[:count],
-        row_ends,
         power.reshape(sonar.range_bins, sonar.beams) * loss[:, None],
         owner.reshape(sonar.range_bins, sonar.beams),
         in_beam.reshape(sonar.range_bins, sonar.beams),

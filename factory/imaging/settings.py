@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from ..distribution import PositiveFraction, uniform
+from ..distribution import PositiveFraction, parse
 from ..errors import FactoryError
 from ..labels import CLASSES, class_names
 from ..scenes.base import OwnClass
@@ -19,10 +19,6 @@ from ..settings import STRICT
 from ..small_files import one_line, read_regular
 
 Decibel = Annotated[float, Field(ge=-80, le=20)]
-
-
-def _default_reflectivity() -> dict[str, float]:
-    return {"Background": -25.0}
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -49,7 +45,7 @@ class AcousticsSettings:
     target: Literal["mean_log", "restored", "geometry"] = "mean_log"
     standing: Annotated[float, Field(ge=0, le=1)] = 0.0
     lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
-    reflectivity_db: dict[str, Decibel] = field(default_factory=_default_reflectivity)
+    reflectivity_db: dict[str, Decibel] = field(default_factory=lambda: {"Background": -25.0})
     lambert_exponents: dict[str, Annotated[float, Field(ge=0, le=8)]] = field(default_factory=dict)
     materials: str | None = None
     tvg_log: Annotated[float, Field(ge=0, le=80)] = 30.0
@@ -72,16 +68,13 @@ class AcousticsSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class ResampleSettings:
-    """Keys of the `resample` group.  rate: fraction of the points kept, in (0, 1]."""
+    """Keys of the `resample` group.
 
-    kind: Literal["random", "voxel"] = "random"
-    rate: PositiveFraction = uniform(0.35, 0.9)
+    kind: how points are chosen.  rate: fraction of the points kept, in (0, 1].
+    """
 
-    @property
-    def is_default(self) -> bool:
-        """Whether nothing else was asked for."""
-        usual = ResampleSettings.__dataclass_fields__["rate"].default
-        return (self.kind, self.rate.kind, self.rate.values) == ("random", usual.kind, usual.values)
+    kind: Literal["random"] = "random"
+    rate: PositiveFraction = parse({"uniform": [0.35, 0.9]}, 1e-6, 1.0)
 
 
 def with_materials(

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..sonar import array
+from ..sonar import array, polar, transfer
 from ..sonar.array import WaterSettings, thermal_noise_db
 from ..sonar.settings import SonarSettings
+from ..sonar.surface import LitSurface
 from ..sonar.window import Window
-from .scatterers import Scatterers, bin_centres_m
+from .scatterers import Scatterers, bin_centres_m, scatterers
+from .settings import AcousticsSettings
 
 Floats = npt.NDArray[np.float32]
 Matrix = npt.NDArray[np.float64]
@@ -39,12 +42,34 @@ class Signal:
 
 
 @dataclass(frozen=True, eq=False)
-class Receiver:
-    """The device in the water, set to a range window."""
+class Ping:
+    """One ping of the device at one frame, at its raw samples; no randomness.
 
-    window: Window
-    sonar: SonarSettings
+    surface: what it looks at; the sonar of it has the range bins of the picture.
+    """
+
+    surface: LitSurface
     water: WaterSettings
+    acoustics: AcousticsSettings
+
+    @property
+    def window(self) -> Window:
+        """The range window."""
+        return self.surface.window
+
+    @cached_property
+    def sonar(self) -> SonarSettings:
+        """The device with a range bin for each raw sample."""
+        sonar = self.surface.sonar
+        bins = sonar.samples_per_bin * sonar.range_bins
+        return replace(sonar, range_bins=bins, samples_per_bin=1)
+
+    @cached_property
+    def scatterers(self) -> Scatterers:
+        """All that echoes; raises FrameError when nothing does."""
+        surface = self.surface
+        place = surface.frame, surface.rendered, surface.window
+        return scatterers(*place, self.sonar, self.water, self.acoustics)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -71,7 +96,7 @@ class Receiver:
         """One way."""
         return self.water.absorption_db_per_m(self.sonar.frequency_khz)
 
-    @cached_property
+    @property
     def mixing(self) -> Floats:
         """See `simnfnd.factory.sonar.array.beam_mixing`."""
         return mixing(self.sonar)
@@ -107,22 +132,47 @@ class Receiver:
         level_db -= array.directivity_db(device, self.sonar.vfov_deg) + device.source_level_db
         return float(10 ** (level_db / 10))
 
+    @cached_property
+    def gain(self) -> Floats:
+        """(range_bins,) time-varying gain on intensity: k log10 r + 2 a r, `AcousticsSettings`."""
+        range_m = np.maximum(self.range_m.astype(np.float64), 1e-3)
+        gain_db = self.acoustics.tvg_log * np.log10(range_m)
+        if self.acoustics.tvg_absorption:
+            gain_db += 2 * self.absorption_db_per_m * range_m
+        return np.asarray(10 ** (gain_db / 10), np.float32)
 
-@dataclass(frozen=True, eq=False)
-class Ping(Receiver):
-    """One ping of the device at one frame; no randomness.
+    @cached_property
+    def expected(self) -> Floats:
+        """(range_bins, beams) expected intensity without noise, before that gain."""
+        return beamform_power(self.scatterers.power, self)
 
-    gain: (range_bins,) float32, time-varying gain on intensity.
-    full_scale: intensity, after that gain, which the picture shows as grey value 1.
-    strongest: the largest expected intensity of the frame, before that gain.
-    expected: (range_bins, beams) float32, expected intensity without noise, before that gain.
-    """
+    @cached_property
+    def strongest(self) -> float:
+        """The largest of them."""
+        return float((self.expected * polar.seen_beams(self.window, self.sonar)).max())
 
-    scatterers: Scatterers
-    gain: Floats
-    full_scale: float
-    strongest: float
-    expected: Floats
+    @cached_property
+    def full_scale(self) -> float:
+        """Intensity, after that gain, which the picture shows as grey value 1."""
+        curve = self.sonar.transfer
+        if curve.full_scale_db is not None:
+            return float((10 ** (curve.full_scale_db / 20)) ** 2)
+        # Bins that hold an echo alone say how bright the picture is shown.
+        holding = (self.scatterers.power > 0) & polar.seen_beams(self.window, self.sonar)
+        level = np.where(holding, np.sqrt(self.expected * self.gain[:, None]), np.float32(0))
+        return transfer.full_scale(self.averaged(level), curve) ** 2
+
+    def averaged(self, amplitude: Floats) -> Floats:
+        """(rows, beams) of the picture: the root of the mean intensity of its raw samples."""
+        samples = self.surface.sonar.samples_per_bin
+        return amplitude if samples == 1 else np.sqrt(averaged(amplitude**2, samples))
+
+
+def averaged(intensity: Floats, samples: int) -> Floats:
+    """(rows, beams) float32: the mean of each `samples` rows of (samples * rows, beams)."""
+    rows, beams = intensity.shape
+    mean = intensity.reshape(rows // samples, samples, beams).mean(axis=1, dtype=np.float32)
+    return np.ascontiguousarray(mean)
 
 
 def sounds(plane: Floats) -> bool:
@@ -130,14 +180,14 @@ def sounds(plane: Floats) -> bool:
     return bool((plane != 0).any())
 
 
-def beamform(field: Floats, receiver: Receiver) -> Floats:
+def beamform(field: Floats, ping: Ping) -> Floats:
     """The complex field after pulse compression and beamforming; same shape."""
-    return blurred(field, receiver.kernel, receiver.sonar, power=False)
+    return blurred(field, ping.kernel, ping.sonar, power=False)
 
 
-def beamform_power(power: Floats, receiver: Receiver) -> Floats:
+def beamform_power(power: Floats, ping: Ping) -> Floats:
     """(range_bins, beams) expected intensity after both: what `beamform` does to speckle's mean."""
-    made = blurred(power, receiver.kernel**2, receiver.sonar, power=True)
+    made = blurred(power, ping.kernel**2, ping.sonar, power=True)
     # Differences of mirrored beams round to below zero where there is next to nothing.
     return np.asarray(np.maximum(made, 0, out=made))
 
@@ -165,17 +215,12 @@ def add_white_noise(
 
 
 def scattered(
-    ping: Ping,
-    rng: np.random.Generator,
-    looks: float,
-    points: tuple[npt.NDArray[np.int32], Floats, npt.NDArray[np.uint32]],
-    shares: Floats = np.empty(0, np.float32),  # noqa: B008
-    phases: npt.NDArray[np.uint16] = np.empty(0, np.uint16),  # noqa: B008
+    ping: Ping, rng: np.random.Generator, looks: float, points: tuple[npt.NDArray[Any], ...]
 ) -> Signal:
     """Speckle: the complex field of points instead of the mean power of the echoes.
 
     looks: independent fields (rounded).  points: flat polar bin, root of the power without
-    absorption and cell of each of N.  shares, phases: see `kernels.scatter`.
+    absorption, cell, share and phase of each of N; see `kernels.scatter`.
     """
     from . import kernels
 
@@ -183,9 +228,8 @@ def scattered(
     amplitude = np.sqrt(ping.scatterers.loss)[:, None]
     field = np.empty((max(round(looks), 1), 2, rows, beams), np.float32)
     for look in field:
-        bins = np.zeros((rows * beams, 2), np.float32)
-        key = int(rng.integers(2**32))
-        kernels.scatter(*points, shares, phases, key, (gaussian_table(), _turns()), bins)
+        bins, key = np.zeros((rows * beams, 2), np.float32), int(rng.integers(2**32))
+        kernels.scatter(*points, key, (gaussian_table(), _turns()), bins)
         np.multiply(bins.reshape(rows, beams, 2).transpose(2, 0, 1), amplitude, out=look)
     return Signal(np.zeros(ping.shape, np.float32), field)
 
@@ -223,37 +267,28 @@ def mixing(sonar: SonarSettings) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def halves(sonar: SonarSettings, power: bool) -> tuple[Floats, Floats]:
-    """The mixing of amplitudes or, squared, of intensities, in two parts.
+def matrices(sonar: SonarSettings, power: bool) -> tuple[tuple[Floats, ...], ...]:
+    """The mixing of amplitudes or, squared, of intensities: matrices whose product it is.
 
     A device whose left is the mirror of its right mixes the sums of mirrored beams with one matrix
-    and their differences with another, each of half the size: together half the work.  Returns both
-    (rows filled up with zeros to a multiple of 4).  Other devices: the whole matrix, and (0, 0).
-
-    A beam so gets the rounding errors of its mirror image: 2e-7 of the row's strongest number.
-    """
-    even, odd = _split(mixing(sonar).astype(np.float64) ** (2 if power else 1))
-    return _filled_up(even), _filled_up(odd)
-
-
-@lru_cache(maxsize=16)
-def modes(sonar: SonarSettings) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """Factors of the halves of the mixing of amplitudes: even, odd, even, odd; or None.
+    and their differences with another, each of half the size: together half the work.  Other
+    devices have the whole matrix alone.  A beam so gets the rounding errors of its mirror image:
+    2e-7 of the row's strongest number.
 
     The beams are no more independent than the aperture is long: an aperture of L wavelengths tells
-    apart about 2 L sin(hfov / 2) directions.  With more beams than that, half of them even and half
-    odd, each half is (beams / 2, modes) times (modes, beams / 2).  None where this saves no work.
+    apart about 2 L sin(hfov / 2) directions.  With more beams than that, each half is (beams / 2,
+    modes) times (modes, beams / 2), of amplitudes, where this saves work.  A beam then gets errors
+    of up to 1e-5 of its row's strongest number.
 
-    A beam gets errors of up to 1e-5 of its row's strongest number.
+    Rows and columns are filled up with zeros to multiples of 4.
     """
-    split = _split(mixing(sonar).astype(np.float64))
-    if not split[1].size:
-        return None
-    made = [factors(half, int(_WORTH_IT * len(half))) for half in split]
-    if made[0] is None or made[1] is None:
-        return None
-    (even, even_out), (odd, odd_out) = made[0], made[1]
-    return _squared_up(even), _squared_up(odd), _filled_up(even_out), _filled_up(odd_out)
+    halves = _halves(mixing(sonar).astype(np.float64) ** (2 if power else 1))
+    parts: list[tuple[Matrix, ...]] = [(half,) for half in halves]
+    if len(halves) == 2 and not power:
+        found = [factors(half, int(_WORTH_IT * len(half))) for half in halves]
+        parts = [both for both in found if both is not None]
+        parts = parts if len(parts) == 2 else [(half,) for half in halves]
+    return tuple(tuple(map(_filled_up, part)) for part in parts)
 
 
 def factors(matrix: Matrix, most: int) -> tuple[Matrix, Matrix] | None:
@@ -277,23 +312,18 @@ def factors(matrix: Matrix, most: int) -> tuple[Matrix, Matrix] | None:
     return None
 
 
-def _split(matrix: Matrix) -> tuple[Matrix, Matrix]:
+def _halves(matrix: Matrix) -> list[Matrix]:
     turned = matrix[::-1, ::-1]
     if np.abs(matrix - turned).max() > 1e-6 * matrix.max():
-        return matrix, np.empty((0, 0))
+        return [matrix]
     middle = (len(matrix) + 1) // 2  # of an odd number that beam is its own mirror
     matrix = (matrix + turned) / 2
     upper, lower = matrix[:middle, :middle], matrix[::-1][:middle, :middle]
-    return (upper + lower) / 2, (upper - lower) / 2
-
-
-def _squared_up(matrix: Matrix) -> Floats:
-    rows, columns = matrix.shape
-    return np.pad(matrix, ((0, -rows % 4), (0, -columns % 4))).astype(np.float32)
+    return [(upper + lower) / 2, (upper - lower) / 2]
 
 
 def _filled_up(matrix: Matrix) -> Floats:
-    return np.pad(matrix, ((0, -len(matrix) % 4), (0, 0))).astype(np.float32)
+    return np.pad(matrix, [(0, -side % 4) for side in matrix.shape]).astype(np.float32)
 
 
 def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool) -> Floats:
@@ -301,27 +331,20 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
 
     kernel: range response.  power: whether the planes are intensities, and not amplitudes.
     """
-    factors = None if power else modes(sonar)
     rows, beams = planes.shape[-2:]
-    out = np.empty_like(planes)
+    parts, out = matrices(sonar, power), np.empty_like(planes)
+    pairs = beams // 2 if len(parts) == 2 else 0
     for plane, made in zip(
         planes.reshape(-1, rows, beams), out.reshape(-1, rows, beams), strict=True
     ):
-        if factors is None:
-            even, odd = halves(sonar, power)
-            pairs = beams // 2 if odd.size else 0
-            sums, differences = _fold(along_range(plane, kernel), pairs, len(even))
-            alike = _times(sums, even)
-            unlike = _times(differences, odd) if pairs else alike
-        else:
-            # There are fewer modes than beams, so the pulse goes between.
-            pairs = beams // 2
-            folded = _fold(plane, pairs, len(factors[0]))
-            alike, unlike = (
-                _times(along_range(_times(part, into), kernel), out_of)
-                for part, into, out_of in zip(folded, factors[:2], factors[2:], strict=True)
-            )
-        alike, unlike = alike[:rows], unlike[:rows, :pairs]
+        # There are fewer modes than beams, so the pulse goes between their factors.
+        given = along_range(plane, kernel) if len(parts[0]) == 1 else plane
+        mixed = []
+        folded = _fold(given, pairs, len(parts[0][0]))
+        for part, (into, *out_of) in zip(folded, parts, strict=True):
+            found = _times(part, into)
+            mixed.append(_times(along_range(found, kernel), out_of[0]) if out_of else found)
+        alike, unlike = mixed[0][:rows], mixed[-1][:rows, :pairs]
         made[:, :pairs] = alike[:, :pairs] + unlike
         made[:, beams - pairs :] = (alike[:, :pairs] - unlike)[:, ::-1]
         made[:, pairs : beams - pairs] = alike[:, pairs : beams - pairs]
@@ -341,14 +364,14 @@ def along_range(plane: Floats, kernel: Floats) -> Floats:
     return out
 
 
-def _fold(plane: Floats, pairs: int, width: int) -> tuple[Floats, Floats]:
+def _fold(plane: Floats, pairs: int, width: int) -> list[Floats]:
     """Sums (the middle beam as it is) and differences of mirrored beams, filled up with zeros."""
     rows, beams = plane.shape
     sums, differences = (np.zeros((rows + -rows % 4, width), np.float32) for _ in range(2))
     left, right = plane[:, :pairs], plane[:, beams - pairs :][:, ::-1]
     sums[:rows, :pairs], differences[:rows, :pairs] = left + right, left - right
     sums[:rows, pairs : beams - pairs] = plane[:, pairs : beams - pairs]
-    return sums, differences
+    return [sums, differences] if pairs else [sums]
 
 
 def _times(rows: Floats, matrix: Floats) -> Floats:

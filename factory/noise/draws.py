@@ -8,18 +8,18 @@ sample.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import Field, dataclass
+from typing import Any, NamedTuple
 
 from .. import seeds
 from ..dataset.schema import Column
 from ..distribution import Distribution
 from ..frame import FrameRef
-from ..imaging.effect import DrawnEffect, Names, Parameter, Scope, Value
+from ..imaging.effect import DrawnEffect, Names, Value
 from .registry import EFFECTS, NoiseSettings, blocks
 
 
-@dataclass(frozen=True)
-class StreamNames:
+class StreamNames(NamedTuple):
     """What the random streams are named by, for each `Scope` of an effect."""
 
     sample: Names
@@ -38,10 +38,6 @@ class StreamNames:
         """One name for all scopes: a sample that belongs to no recording."""
         return cls(names, names, names)
 
-    def of_scope(self, scope: Scope) -> Names:
-        """The names for effects of this scope."""
-        return {"sample": self.sample, "recording": self.recording, "world": self.world}[scope]
-
 
 @dataclass(frozen=True)
 class Draws:
@@ -58,10 +54,6 @@ class Draws:
         """The names of the effects."""
         return tuple(effect.name for effect in self.effects)
 
-    def __getitem__(self, name: str) -> DrawnEffect:
-        """The effect of this name.  Raises KeyError when it is off."""
-        return {effect.name: effect for effect in self.effects}[name]
-
     def row(self, added: Mapping[str, int]) -> dict[str, Value]:
         """The values of `columns`; NaN or "" for the parameters of an effect that is off.
 
@@ -69,11 +61,12 @@ class Draws:
         """
         drawn = {effect.name: effect.parameters for effect in self.effects}
         row: dict[str, Value] = {
-            _count(name): added.get(name, 0) for name in _making(self.settings)
+            f"points.{name}": added.get(name, 0) for name in _making(self.settings)
         }
         for effect, parameter in _recorded(self.settings):
-            missing = "" if parameter.type is str else float("nan")
-            row[_column(effect, parameter)] = drawn.get(effect, {}).get(parameter.name, missing)
+            missing = "" if parameter.metadata["type"] is str else float("nan")
+            value = drawn.get(effect, {}).get(parameter.name, missing)
+            row[f"noise.{effect}.{parameter.name}"] = value
         return row
 
 
@@ -83,12 +76,10 @@ def draw(settings: NoiseSettings, seed: int, names: StreamNames) -> Draws:
     for name, block in blocks(settings).items():
         if block.enabled:
             effect = EFFECTS[name]
-            own = names.of_scope(effect.scope)
+            own: Names = getattr(names, effect.scope)
             values = {
-                parameter.name: _value(
-                    getattr(block, parameter.name), seed, name, parameter.name, *own
-                )
-                for parameter in effect.parameters
+                one.name: _value(getattr(block, one.name), seed, name, one.name, *own)
+                for one in effect.parameters
             }
             drawn.append(DrawnEffect(name, effect, values, seed, own))
     return Draws(settings, tuple(drawn))
@@ -105,14 +96,17 @@ def _value(configured: Distribution | str, seed: int, *names: str | int) -> Valu
 def columns(settings: NoiseSettings) -> tuple[Column, ...]:
     """Columns of the sample table: points of each effect that makes some, then all parameters."""
     counts = tuple(
-        Column(_count(name), "i8", "1", f"points that {name} added or moved")
+        Column(f"points.{name}", "i8", "1", f"points that {name} added or moved")
         for name in _making(settings)
     )
-    parameters = tuple(
-        Column(_column(effect, parameter), "S16" if parameter.type is str else "f8", parameter.unit)
-        for effect, parameter in _recorded(settings)
+    return counts + tuple(
+        Column(
+            f"noise.{effect}.{one.name}",
+            "S16" if one.metadata["type"] is str else "f8",
+            one.metadata["unit"],
+        )
+        for effect, one in _recorded(settings)
     )
-    return counts + parameters
 
 
 def _making(settings: NoiseSettings) -> list[str]:
@@ -120,14 +114,6 @@ def _making(settings: NoiseSettings) -> list[str]:
     return [name for name in blocks(settings) if EFFECTS[name].stage == "points"]
 
 
-def _recorded(settings: NoiseSettings) -> list[tuple[str, Parameter]]:
+def _recorded(settings: NoiseSettings) -> list[tuple[str, Field[Any]]]:
     """(effect, parameter) of every parameter that a configuration has."""
     return [(name, one) for name in blocks(settings) for one in EFFECTS[name].parameters]
-
-
-def _count(effect: str) -> str:
-    return f"points.{effect}"
-
-
-def _column(effect: str, parameter: Parameter) -> str:
-    return f"noise.{effect}.{parameter.name}"

@@ -90,7 +90,7 @@ def _of_plane(settings: type[EffectSettings], height_m: Callable[..., float]) ->
             unspeckled = Signal(plane, np.empty((0, 2, *plane.shape), np.float32))
             plane[:] = apply(unspeckled, ping, rng, **parameters).power
 
-    return Effect(settings, apply, "echo", systematic=True, expected=expect, artefact="ghosts")
+    return Effect(settings, apply, "echo", "ghosts", systematic=expect)
 
 
 SURFACE_MULTIPATH = _of_plane(SurfaceMultipathSettings, lambda ping: ping.water.depth_m)
@@ -140,9 +140,8 @@ def expect_sidelobe_arcs(expected: Expected, ping: Ping, rng: Rng, *, level_db: 
 
 
 SIDELOBE_ARCS = Effect(
-    SidelobeArcsSettings, sidelobe_arcs, "beam", systematic=True, expected=expect_sidelobe_arcs,
-    artefact="ghosts",
-)  # fmt: skip
+    SidelobeArcsSettings, sidelobe_arcs, "beam", "ghosts", systematic=expect_sidelobe_arcs
+)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -191,10 +190,7 @@ def expect_crosstalk(
         np.maximum(leaked + in_phase, 0, out=plane)
 
 
-CROSSTALK = Effect(
-    CrosstalkSettings, crosstalk, "beam", systematic=True, expected=expect_crosstalk,
-    artefact="haze",
-)  # fmt: skip
+CROSSTALK = Effect(CrosstalkSettings, crosstalk, "beam", "haze", systematic=expect_crosstalk)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -247,4 +243,4 @@ def _each(
         yield slice(first, last), noise, amplitude.astype(np.float32)
 
 
-SPOKES = Effect(SpokesSettings, spokes, "picture", artefact="spokes", realised=realise_spokes)
+SPOKES = Effect(SpokesSettings, spokes, "picture", "spokes", realised=realise_spokes)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from ..distribution import Fraction, NonNegative, choice, uniform
+from ..distribution import Fraction, NonNegative
 from ..imaging.effect import Effect, EffectSettings, Rng, option, parameter
 from ..settings import STRICT
 from ..sonar import polar
@@ -29,7 +29,7 @@ class RangeSpreadingSettings(EffectSettings):
     """
 
     mode: Literal["paper", "radial", "exponential"] = option("radial")
-    alpha: NonNegative = parameter(uniform(0.004, 0.040), "1")
+    alpha: NonNegative = parameter({"uniform": [0.004, 0.040]}, "1")
 
 
 def range_spreading(scene: Echoes, window: Window, rng: Rng, *, mode: str, alpha: float) -> Echoes:
@@ -42,35 +42,24 @@ def range_spreading(scene: Echoes, window: Window, rng: Rng, *, mode: str, alpha
     direction stays.  `exponential` delays by e ~ Exp(alpha * d) and weakens the echo by
     exp(-e / (alpha * d)) (Potokar et al. 2022, HoloOcean).
     """
+    from .. import elementary  # loads numba
+
     if mode == "paper":
         # Along x right, y down, z forward; sonar axes are x forward, y left, z up.
         offset = np.abs(rng.standard_normal((len(scene), 3))) * (alpha * scene.range_m[:, None])
         forward, right, down = offset.T
         return from_xyz(scene.xyz_m() + np.stack([forward, -right, -down], axis=1), scene.strength)
-    scale_m = np.float32(alpha) * scene.range_m
-    if mode == "radial":
-        delay_m = _half_normal(rng, len(scene))
-        delay_m *= scale_m
-        strength = scene.strength
+    strength, delay = scene.strength, np.empty(len(scene), np.float32)
+    if mode == "radial":  # |N(0, 1)| by the inverse of its distribution
+        elementary.half_normal(rng.random(len(scene), dtype=np.float32), delay)
     else:
-        unit_delay = rng.standard_exponential(len(scene), dtype=np.float32)
-        delay_m = unit_delay * scale_m
-        strength = scene.strength * np.exp(-unit_delay)
-    return Echoes(scene.range_m + delay_m, scene.azimuth_rad, scene.elevation_rad, strength)
+        rng.standard_exponential(out=delay, dtype=np.float32)
+        strength = strength * np.exp(-delay)
+    range_m = scene.range_m + delay * (np.float32(alpha) * scene.range_m)
+    return replace(scene, range_m=range_m, strength=strength)
 
 
-def _half_normal(rng: Rng, count: int) -> npt.NDArray[np.float32]:
-    """(count,) float32 draws of |N(0, 1)|, by the inverse of its distribution."""
-    from .. import elementary  # loads numba
-
-    size = np.empty(count, np.float32)
-    elementary.half_normal(rng.random(count, dtype=np.float32), size)
-    return size
-
-
-RANGE_SPREADING = Effect(
-    RangeSpreadingSettings, range_spreading, "points", moves=True, artefact="blur"
-)
+RANGE_SPREADING = Effect(RangeSpreadingSettings, range_spreading, "points", "blur", moves=True)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -85,12 +74,12 @@ class MultipathSettings(EffectSettings):
     strength: strongest ghost point; 1 alone fills a bin to full scale.
     """
 
-    count: NonNegative = parameter(choice(1, 2, 3), "1")
-    density: NonNegative = parameter(uniform(0.005, 0.04), "1")
+    count: NonNegative = parameter({"choice": [1, 2, 3]}, "1")
+    density: NonNegative = parameter({"uniform": [0.005, 0.04]}, "1")
     quantile: Fraction = parameter(0.9, "1")
-    delay: NonNegative = parameter(uniform(0.01, 0.06), "1")
-    spread: NonNegative = parameter(uniform(0.01, 0.03), "1")
-    strength: NonNegative = parameter(uniform(0.1, 0.6), "1")
+    delay: NonNegative = parameter({"uniform": [0.01, 0.06]}, "1")
+    spread: NonNegative = parameter({"uniform": [0.01, 0.03]}, "1")
+    strength: NonNegative = parameter({"uniform": [0.1, 0.6]}, "1")
 
 
 def multipath(
@@ -130,7 +119,7 @@ def multipath(
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
 
 
-MULTIPATH = Effect(MultipathSettings, multipath, "points", artefact="ghosts")
+MULTIPATH = Effect(MultipathSettings, multipath, "points", "ghosts")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -143,10 +132,10 @@ class AzimuthSettings(EffectSettings):
     strength: strongest spoke point; 1 alone fills a bin to full scale.
     """
 
-    count: NonNegative = parameter(choice(1, 2), "1")
-    density: NonNegative = parameter(uniform(0.003, 0.02), "1")
-    sigma_deg: NonNegative = parameter(uniform(0.1, 0.4), "deg")
-    strength: NonNegative = parameter(uniform(0.1, 0.6), "1")
+    count: NonNegative = parameter({"choice": [1, 2]}, "1")
+    density: NonNegative = parameter({"uniform": [0.003, 0.02]}, "1")
+    sigma_deg: NonNegative = parameter({"uniform": [0.1, 0.4]}, "deg")
+    strength: NonNegative = parameter({"uniform": [0.1, 0.6]}, "1")
 
 
 def azimuth(
@@ -166,7 +155,7 @@ def azimuth(
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
 
 
-AZIMUTH = Effect(AzimuthSettings, azimuth, "points", artefact="spokes")
+AZIMUTH = Effect(AzimuthSettings, azimuth, "points", "spokes")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -208,7 +197,7 @@ def range_arc(
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
 
 
-RANGE_ARC = Effect(RangeArcSettings, range_arc, "points", artefact="spokes")
+RANGE_ARC = Effect(RangeArcSettings, range_arc, "points", "spokes")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -219,8 +208,8 @@ class BackgroundSettings(EffectSettings):
     strength: strongest noise point; 1 alone fills a bin to full scale.
     """
 
-    density: NonNegative = parameter(uniform(0.002, 0.045), "1")
-    strength: NonNegative = parameter(uniform(0.05, 0.35), "1")
+    density: NonNegative = parameter({"uniform": [0.002, 0.045]}, "1")
+    strength: NonNegative = parameter({"uniform": [0.05, 0.35]}, "1")
 
 
 def background(
@@ -239,4 +228,4 @@ def background(
     return in_plane(range_m, azimuth_rad, strength * rng.random(count, dtype=np.float32))
 
 
-BACKGROUND = Effect(BackgroundSettings, background, "points", artefact="speckle")
+BACKGROUND = Effect(BackgroundSettings, background, "points", "speckle")

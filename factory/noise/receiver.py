@@ -63,9 +63,7 @@ def expect_receiver(
     expected.noise += _floor(ping, level_db).astype(np.float32)
 
 
-RECEIVER = Effect(
-    ReceiverSettings, receiver, "beam", systematic=True, expected=expect_receiver, artefact="haze"
-)
+RECEIVER = Effect(ReceiverSettings, receiver, "beam", "haze", systematic=expect_receiver)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -142,9 +140,7 @@ def _of_gain(
     def expect(expected: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
         expected.scale(10 ** (gain_db(ping, rng, **parameters) / 10))
 
-    return Effect(
-        settings, apply, "picture", scope, systematic=True, expected=expect, artefact="gains"
-    )
+    return Effect(settings, apply, "picture", "gains", scope, systematic=expect)
 
 
 BEAM_GAIN = _of_gain(BeamGainSettings, beam_gain_db, "recording")
@@ -187,10 +183,7 @@ def expect_ring_down(
     expected.noise += loud.astype(np.float32)[:, None]
 
 
-RING_DOWN = Effect(
-    RingDownSettings, ring_down, "picture", systematic=True, expected=expect_ring_down,
-    artefact="spokes",
-)  # fmt: skip
+RING_DOWN = Effect(RingDownSettings, ring_down, "picture", "spokes", systematic=expect_ring_down)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -239,9 +232,8 @@ def _lines(
 
 
 COMB_LINES = Effect(
-    CombLinesSettings, comb_lines, "picture", systematic=True, expected=expect_comb_lines,
-    artefact="spokes",
-)  # fmt: skip
+    CombLinesSettings, comb_lines, "picture", "spokes", systematic=expect_comb_lines
+)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -282,6 +274,5 @@ def _limit(ping: Ping, level_db: float) -> Floats:
 
 
 SATURATION = Effect(
-    SaturationSettings, saturation, "picture", systematic=True, expected=expect_saturation,
-    artefact="gains",
-)  # fmt: skip
+    SaturationSettings, saturation, "picture", "gains", systematic=expect_saturation
+)

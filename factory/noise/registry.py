@@ -15,58 +15,9 @@ from pydantic.dataclasses import dataclass
 
 from ..imaging.effect import Effect, EffectSettings
 from ..settings import STRICT
-from .paths import (
-    BOTTOM_MULTIPATH,
-    CROSSTALK,
-    SIDELOBE_ARCS,
-    SPOKES,
-    SURFACE_MULTIPATH,
-    BottomMultipathSettings,
-    CrosstalkSettings,
-    SidelobeArcsSettings,
-    SpokesSettings,
-    SurfaceMultipathSettings,
-)
-from .points import (
-    AZIMUTH,
-    BACKGROUND,
-    MULTIPATH,
-    RANGE_ARC,
-    RANGE_SPREADING,
-    AzimuthSettings,
-    BackgroundSettings,
-    MultipathSettings,
-    RangeArcSettings,
-    RangeSpreadingSettings,
-)
-from .receiver import (
-    BEAM_GAIN,
-    COMB_LINES,
-    RECEIVER,
-    RING_DOWN,
-    SATURATION,
-    SECTOR_EDGES,
-    TVG_ERROR,
-    BeamGainSettings,
-    CombLinesSettings,
-    ReceiverSettings,
-    RingDownSettings,
-    SaturationSettings,
-    SectorEdgesSettings,
-    TvgErrorSettings,
-)
-from .speckle import (
-    PATH_SPECKLE,
-    SCINTILLATION,
-    SPECKLE,
-    TEXTURE,
-    VOLUME,
-    PathSpeckleSettings,
-    ScintillationSettings,
-    SpeckleSettings,
-    TextureSettings,
-    VolumeSettings,
-)
+from . import paths, points
+from . import receiver as device
+from . import speckle as grain
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -76,28 +27,34 @@ class NoiseSettings:
     A configuration that names none of the field's effects does not have them.
     """
 
-    range_spreading: Annotated[RangeSpreadingSettings, RANGE_SPREADING] = RangeSpreadingSettings()
-    multipath: Annotated[MultipathSettings, MULTIPATH] = MultipathSettings()
-    azimuth: Annotated[AzimuthSettings, AZIMUTH] = AzimuthSettings()
-    range_arc: Annotated[RangeArcSettings, RANGE_ARC] = RangeArcSettings()
-    background: Annotated[BackgroundSettings, BACKGROUND] = BackgroundSettings()
-    speckle: Annotated[SpeckleSettings | None, SPECKLE] = None
-    path_speckle: Annotated[PathSpeckleSettings | None, PATH_SPECKLE] = None
-    volume: Annotated[VolumeSettings | None, VOLUME] = None
-    surface_multipath: Annotated[SurfaceMultipathSettings | None, SURFACE_MULTIPATH] = None
-    bottom_multipath: Annotated[BottomMultipathSettings | None, BOTTOM_MULTIPATH] = None
-    texture: Annotated[TextureSettings | None, TEXTURE] = None
-    sidelobe_arcs: Annotated[SidelobeArcsSettings | None, SIDELOBE_ARCS] = None
-    crosstalk: Annotated[CrosstalkSettings | None, CROSSTALK] = None
-    receiver: Annotated[ReceiverSettings | None, RECEIVER] = None
-    tvg_error: Annotated[TvgErrorSettings | None, TVG_ERROR] = None
-    scintillation: Annotated[ScintillationSettings | None, SCINTILLATION] = None
-    beam_gain: Annotated[BeamGainSettings | None, BEAM_GAIN] = None
-    sector_edges: Annotated[SectorEdgesSettings | None, SECTOR_EDGES] = None
-    spokes: Annotated[SpokesSettings | None, SPOKES] = None
-    ring_down: Annotated[RingDownSettings | None, RING_DOWN] = None
-    comb_lines: Annotated[CombLinesSettings | None, COMB_LINES] = None
-    saturation: Annotated[SaturationSettings | None, SATURATION] = None
+    range_spreading: Annotated[points.RangeSpreadingSettings, points.RANGE_SPREADING] = (
+        points.RangeSpreadingSettings()
+    )
+    multipath: Annotated[points.MultipathSettings, points.MULTIPATH] = points.MultipathSettings()
+    azimuth: Annotated[points.AzimuthSettings, points.AZIMUTH] = points.AzimuthSettings()
+    range_arc: Annotated[points.RangeArcSettings, points.RANGE_ARC] = points.RangeArcSettings()
+    background: Annotated[points.BackgroundSettings, points.BACKGROUND] = (
+        points.BackgroundSettings()
+    )
+    speckle: Annotated[grain.SpeckleSettings | None, grain.SPECKLE] = None
+    path_speckle: Annotated[grain.PathSpeckleSettings | None, grain.PATH_SPECKLE] = None
+    volume: Annotated[grain.VolumeSettings | None, grain.VOLUME] = None
+    surface_multipath: Annotated[paths.SurfaceMultipathSettings | None, paths.SURFACE_MULTIPATH] = (
+        None
+    )
+    bottom_multipath: Annotated[paths.BottomMultipathSettings | None, paths.BOTTOM_MULTIPATH] = None
+    texture: Annotated[grain.TextureSettings | None, grain.TEXTURE] = None
+    sidelobe_arcs: Annotated[paths.SidelobeArcsSettings | None, paths.SIDELOBE_ARCS] = None
+    crosstalk: Annotated[paths.CrosstalkSettings | None, paths.CROSSTALK] = None
+    receiver: Annotated[device.ReceiverSettings | None, device.RECEIVER] = None
+    tvg_error: Annotated[device.TvgErrorSettings | None, device.TVG_ERROR] = None
+    scintillation: Annotated[grain.ScintillationSettings | None, grain.SCINTILLATION] = None
+    beam_gain: Annotated[device.BeamGainSettings | None, device.BEAM_GAIN] = None
+    sector_edges: Annotated[device.SectorEdgesSettings | None, device.SECTOR_EDGES] = None
+    spokes: Annotated[paths.SpokesSettings | None, paths.SPOKES] = None
+    ring_down: Annotated[device.RingDownSettings | None, device.RING_DOWN] = None
+    comb_lines: Annotated[device.CombLinesSettings | None, device.COMB_LINES] = None
+    saturation: Annotated[device.SaturationSettings | None, device.SATURATION] = None
 
     @model_serializer(mode="wrap")
     def _present(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -110,7 +67,7 @@ def _registered() -> dict[str, Effect]:
     return {name: hint.__metadata__[0] for name, hint in hints.items()}
 
 
-EFFECTS: dict[str, Effect] = _registered()
+EFFECTS = _registered()
 POINT_EFFECTS = tuple(name for name, effect in EFFECTS.items() if effect.stage == "points")
 FIELD_EFFECTS = tuple(name for name in EFFECTS if name not in POINT_EFFECTS)
 

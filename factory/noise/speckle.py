@@ -65,7 +65,8 @@ def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: 
     """
     scene = ping.scatterers
     names, shares = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
-    return scattered(ping, rng, looks, (scene.bins, np.sqrt(scene.powers), names), shares)
+    points = scene.bins, np.sqrt(scene.powers), names, shares, np.empty(0, np.uint16)
+    return scattered(ping, rng, looks, points)
 
 
 def expect_speckle(
@@ -92,9 +93,7 @@ def expect_speckle(
         expected.steady[:] = part * np.asarray(standing, np.float32)
 
 
-SPECKLE = Effect(
-    SpeckleSettings, speckle, "echo", "world", expected=expect_speckle, artefact="speckle"
-)
+SPECKLE = Effect(SpeckleSettings, speckle, "echo", "speckle", "world", expected=expect_speckle)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -145,7 +144,7 @@ def path_speckle(
     grid = grid_of(ping.window, ping.sonar)
     count = kernels.locate(table, cell_m, _sonar_from_world(ping), grid, waves_per_m, found)
     bins, roots, kept, phases = (values[:count] for values in found)
-    return scattered(ping, rng, looks, (bins, roots, kept), phases=phases)
+    return scattered(ping, rng, looks, (bins, roots, kept, np.empty(0, np.float32), phases))
 
 
 def edge_m(ping: Ping) -> float:
@@ -166,7 +165,7 @@ def _sonar_from_world(ping: Ping) -> npt.NDArray[np.float64]:
 
 
 PATH_SPECKLE = Effect(
-    PathSpeckleSettings, path_speckle, "echo", "world", expected=expect_speckle, artefact="speckle"
+    PathSpeckleSettings, path_speckle, "echo", "speckle", "world", expected=expect_speckle
 )
 
 
@@ -211,9 +210,7 @@ def expect_volume(expected: Expected, ping: Ping, rng: Rng, *, strength_db: floa
     expected.echo += along[:, None] * across
 
 
-VOLUME = Effect(
-    VolumeSettings, volume, "echo", systematic=True, expected=expect_volume, artefact="haze"
-)
+VOLUME = Effect(VolumeSettings, volume, "echo", "haze", systematic=expect_volume)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -288,7 +285,13 @@ def realise_texture(
 
 
 TEXTURE = Effect(
-    TextureSettings, texture, "beam", "world", expected=expect_texture, realised=realise_texture
+    TextureSettings,
+    texture,
+    "beam",
+    None,
+    "world",
+    expected=expect_texture,
+    realised=realise_texture,
 )
 
 
@@ -321,6 +324,5 @@ def expect_scintillation(expected: Expected, ping: Ping, rng: Rng, *, sigma_db: 
 
 
 SCINTILLATION = Effect(
-    ScintillationSettings, scintillation, "picture", expected=expect_scintillation,
-    artefact="speckle",
-)  # fmt: skip
+    ScintillationSettings, scintillation, "picture", "speckle", expected=expect_scintillation
+)

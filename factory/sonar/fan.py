@@ -39,14 +39,9 @@ class FanTable:
         from . import kernels  # loads numba
 
         fan = np.zeros(self.inside.shape, np.float32)
-        kernels.bilinear(
-            np.ascontiguousarray(polar, dtype=np.float32),
-            self.pixel,
-            self.corner,
-            self.down,
-            self.across,
-            fan.reshape(-1),
-        )
+        given = np.ascontiguousarray(polar, dtype=np.float32)
+        places = self.pixel, self.corner, self.down, self.across
+        kernels.bilinear(given, *places, fan.reshape(-1))
         return fan
 
     def nearest(self, polar: npt.NDArray[AnyNumber], outside: float = 0) -> npt.NDArray[AnyNumber]:
@@ -90,7 +85,8 @@ def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
     inside = (range_fraction >= near_fraction) & (range_fraction < 1)
     inside &= np.abs(azimuth_rad) <= np.deg2rad(sonar.hfov_deg) / 2
     row = (range_fraction[inside] - near_fraction) / (1 - near_fraction) * sonar.range_bins - 0.5
-    beam = _fractional_beam(azimuth_rad[inside], sonar)
+    # Clamped at the outermost beams.
+    beam = np.interp(azimuth_rad[inside], sonar.beam_centres_rad(), np.arange(sonar.beams))
     row = np.clip(row, 0, sonar.range_bins - 1)
     row0 = np.minimum(row.astype(np.int32), sonar.range_bins - 2)
     beam0 = np.minimum(beam.astype(np.int32), sonar.beams - 2)
@@ -102,13 +98,6 @@ def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
         inside,
         sonar.beams,
     )
-
-
-def _fractional_beam(
-    azimuth_rad: npt.NDArray[np.float64], sonar: SonarSettings
-) -> npt.NDArray[np.float64]:
-    """Position between beam centres; clamped at the outermost ones."""
-    return np.interp(azimuth_rad, sonar.beam_centres_rad(), np.arange(sonar.beams))
 
 
 def lay_out(

@@ -76,27 +76,15 @@ class FanGeometry:
 
         azimuth_min_rad, azimuth_max_rad: the part of the sector that the camera saw.
         """
-        half = math.radians(sonar.hfov_deg) / 2
+        half, image = math.radians(sonar.hfov_deg) / 2, sonar.image
         near_fraction = range_min_m / range_max_m
-        geometry = cls(
-            sonar.image.layout,
-            near_fraction,
-            2 * half,
-            max(azimuth_min_rad, -half),
-            min(azimuth_max_rad, half),
-            range_min_m,
-            range_max_m,
-        )
-        if geometry.layout == "polar":
-            bearings = tuple(float(value) for value in sonar.beam_centres_rad())
-            return replace(geometry, range_bins=sonar.range_bins, beam_azimuths_rad=bearings)
-        pixel = pixel_size(sonar, near_fraction)
-        return replace(
-            geometry,
-            apex_x_px=sonar.image.width_px / 2 - 0.5,
-            apex_y_px=1 / pixel - 0.5,
-            far_px=1 / pixel,
-        )
+        seen = max(azimuth_min_rad, -half), min(azimuth_max_rad, half)
+        given = (image.layout, near_fraction, 2 * half, *seen, range_min_m, range_max_m)
+        if image.layout == "polar":
+            bearings = tuple(sonar.beam_centres_rad().tolist())
+            return cls(*given, range_bins=sonar.range_bins, beam_azimuths_rad=bearings)
+        far_px = 1 / pixel_size(sonar, near_fraction)
+        return cls(*given, image.width_px / 2 - 0.5, far_px - 0.5, far_px)
 
     @classmethod
     def from_record(cls, sonar: SonarSettings, record: Mapping[str, Any] | np.void) -> FanGeometry:
@@ -104,63 +92,27 @@ class FanGeometry:
 
         Raises KeyError or ValueError for a row without its window.
         """
-        return cls.from_sonar(
-            sonar,
-            float(record["range_min_m"]),
-            float(record["range_max_m"]),
-            math.radians(float(record["azimuth_min_deg"])),
-            math.radians(float(record["azimuth_max_deg"])),
-        )
+        window = (float(record[name]) for name in ("range_min_m", "range_max_m"))
+        seen = (math.radians(float(record[f"azimuth_{end}_deg"])) for end in ("min", "max"))
+        return cls.from_sonar(sonar, *window, *seen)
 
     @classmethod
-    def fan(
-        cls,
-        sector_rad: float,
-        *,
-        apex_x_px: float,
-        apex_y_px: float,
-        near_px: float,
-        far_px: float,
-        x_scale: float = 1.0,
-        range_min_m: float | None = None,
-        range_max_m: float | None = None,
-    ) -> FanGeometry:
+    def fan(cls, sector_rad: float, *, near_px: float, far_px: float, **place: Any) -> FanGeometry:
         """A fan picture measured in pixels, its whole sector with data.
 
         near_px, far_px: radii of range_min and range_max along y.
+        place: apex_x_px, apex_y_px, and where they are known x_scale, range_min_m, range_max_m.
         """
         half = sector_rad / 2
-        return cls(
-            "fan",
-            near_px / far_px,
-            sector_rad,
-            -half,
-            half,
-            range_min_m,
-            range_max_m,
-            apex_x_px,
-            apex_y_px,
-            far_px,
-            x_scale,
-        )
+        return cls("fan", near_px / far_px, sector_rad, -half, half, far_px=far_px, **place)
 
     @classmethod
-    def polar(
-        cls,
-        sector_rad: float = math.radians(_UNKNOWN_SECTOR_DEG),
-        range_min_m: float | None = None,
-        range_max_m: float | None = None,
-    ) -> FanGeometry:
-        """A polar picture whose rows and columns divide its window and its sector evenly.
+    def polar(cls, sector_rad: float = math.radians(_UNKNOWN_SECTOR_DEG)) -> FanGeometry:
+        """A polar picture from range 0 on, whose rows and columns divide it evenly.
 
-        Where the window is unknown the first row is taken to begin at range 0.  `with_size` says
-        how many rows and columns there are.
+        `with_size` says how many rows and columns there are.
         """
-        half = sector_rad / 2
-        near_fraction = 0.0
-        if range_min_m is not None and range_max_m is not None:
-            near_fraction = range_min_m / range_max_m
-        return cls("polar", near_fraction, sector_rad, -half, half, range_min_m, range_max_m)
+        return cls("polar", 0.0, sector_rad, -sector_rad / 2, sector_rad / 2)
 
     def with_size(self, rows: int, columns: int) -> FanGeometry:
         """The geometry for a picture of this size; another one only where polar sizes were open."""

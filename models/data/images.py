@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from ...factory.errors import FactoryError
 from ...factory.files import sha256_of
-from ...factory.imaging.pointwise import effect_clouds, noisy_cloud
+from ...factory.imaging.contract import effect_clouds
+from ...factory.imaging.pointwise import noisy_cloud
 from ...factory.noise.draws import Draws, StreamNames, draw
 from ...factory.noise.registry import NoiseSettings
 from ...factory.sonar.geometry import FanGeometry
@@ -162,7 +163,7 @@ def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
         geometry.azimuth_min_rad,
         geometry.azimuth_max_rad,
     )
-    moved, *added = noisy_cloud(scene, effect_clouds(draws.effects, scene, scene, window), 1.0)
+    moved, *added = noisy_cloud(scene, effect_clouds(draws.effects, scene, window), 1.0)
     picture = _gathered(moved, geometry, clean.shape)
     for echoes in added:
         points = _gathered(echoes, geometry, clean.shape)

@@ -184,7 +184,7 @@ class DeviceSource:
         draws = draw(config.noise, self.seed, StreamNames.single(ref.name, *names))
         # Points are thinned by a variant's stream: any number that no other picture has.
         variant = int(stream(self.seed, "variant", *names).integers(2**31))
-        sample = observed.scene.sample(variant, draws.effects, config)
+        sample = observed.scene.sample(variant, draws.effects)
         noisy, clean = (
             rasterised(grey, observed.window, config.sonar, noisy=noisy)
             for grey, noisy in (

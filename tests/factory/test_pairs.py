@@ -83,9 +83,8 @@ def test_the_post_is_where_it_stands_and_casts_a_shadow(projection):
     assert middle[behind].mean() < 2
 
 
-@pytest.mark.parametrize("kind", ["random", "voxel"])
-def test_resampling_keeps_the_asked_fraction_and_repeats(kind):
-    settings = config(resample={"kind": kind, "rate": 0.25})
+def test_resampling_keeps_the_asked_fraction_and_repeats():
+    settings = config(resample={"rate": 0.25})
     scene = observed(settings)
     pair = pairs.make_pair(scene, 0, settings)
     assert pair.record["points.scene"] == pytest.approx(0.25 * len(scene.scene.echoes), rel=0.05)

@@ -127,13 +127,13 @@ def test_every_verb_stops_alike(number: int, code: int, kept: str, monkeypatch, 
 
 
 def test_all_that_is_absent_is_said_at_once(monkeypatch, tmp_path: Path, capsys) -> None:
-    for module in ("bpy", "open3d"):
+    for module in ("bpy", "distributed"):
         monkeypatch.setitem(sys.modules, module, None)
-    assert run(monkeypatch, "demo", "resample=voxel", f"dataset.dir={tmp_path / 'out'}") == 2
+    assert run(monkeypatch, "demo", "scheduler=dask", f"dataset.dir={tmp_path / 'out'}") == 2
     assert capsys.readouterr().err == (
-        "error: render=cycles needs bpy, resample=voxel needs open3d: "
-        'pip install "simnfnd[blender,open3d]", or choose render=analytic or render=embree; '
-        "resample=random\n"
+        "error: render=cycles needs bpy, scheduler=dask needs distributed: "
+        'pip install "simnfnd[blender,cluster]", or choose render=analytic or render=embree; '
+        "scheduler=local\n"
     )
 
 

@@ -35,12 +35,12 @@ def averaged(settings: Any) -> tuple[np.ndarray, np.ndarray]:
     """Mean of many noisy pictures with the same parameters, and the clean one."""
     made = observe(*ground(), settings)
     effects = effects_of(settings, made)
-    clean = made.scene.sample(0, effects, settings).clean
+    clean = made.scene.sample(0, effects).clean
     total = np.zeros(clean.shape)
     for seed in range(PICTURES):
         others = [e if e.name in CONSTANT else replace(e, seed=seed) for e in effects]
         chosen = {effect.name for effect in others}
-        total += made.scene.sample(0, others, settings).noisy(chosen)
+        total += made.scene.sample(0, others).noisy(chosen)
     return total / PICTURES, clean
 
 
@@ -123,7 +123,7 @@ def sampled(noise: dict[str, dict[str, Any]]) -> Any:
     """A sample of the ground with these effects."""
     settings = config(noise=noise)
     made = observe(*ground(), settings)
-    return made.scene.sample(0, effects_of(settings, made), settings)
+    return made.scene.sample(0, effects_of(settings, made))
 
 
 def test_every_effect_says_what_it_shows_and_texture_is_part_of_the_scene() -> None:

@@ -170,7 +170,7 @@ WIDE_EDGE = (slice(12, -12), slice(20, -20))
 def grey_of(settings, variant):
     made = observed(settings)
     effects = effects_of(settings, made, variant)
-    sample = scene_of(made).sample(variant, effects, settings)
+    sample = scene_of(made).sample(variant, effects)
     return sample.noisy([effect.name for effect in effects]), sample.clean
 
 
@@ -281,7 +281,7 @@ def pictures(standing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         sonar={"transfer": {"kind": "linear", "reference": 0.1, "percentile": 50}},
     )
     made = observe(*constant_field(), settings)
-    sample = made.scene.sample(0, effects_of(settings, made), settings)
+    sample = made.scene.sample(0, effects_of(settings, made))
     noisy, clean, bare = sample.noisy({"speckle"}), sample.clean, sample.without({"speckle"})
     return noisy[8:-8, 8:-8], clean[8:-8, 8:-8], bare[8:-8, 8:-8]
 

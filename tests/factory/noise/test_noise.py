@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simnfnd.factory.imaging.pointwise import effect_clouds
+from simnfnd.factory.imaging.contract import effect_clouds
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.points import azimuth, background, multipath, range_arc, range_spreading
 from simnfnd.factory.noise.registry import EFFECTS, POINT_EFFECTS, NoiseSettings
@@ -21,7 +21,7 @@ def drawn(settings: NoiseSettings, seed: int, *names: str | int):
 
 def clouds(scene: Echoes, settings: NoiseSettings, seed: int, *names: str | int):
     """Name -> echoes of every enabled effect."""
-    made = effect_clouds(drawn(settings, seed, *names).effects, scene, scene, window())
+    made = effect_clouds(drawn(settings, seed, *names).effects, scene, window())
     return {cloud.name: cloud.echoes for cloud in made}
 
 

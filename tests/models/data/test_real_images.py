@@ -90,7 +90,8 @@ def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
             assert (noisy - clean).min() > -1e-6, "echoes are added, never taken away"
     assert all(error > 0 for name, error in errors.items() if name != "range_arc")
     # Range spreading moves echoes along their bearing and loses few.
-    spread = with_noise(clean, fan, Draws(config, (draws["range_spreading"],)))
+    moving = tuple(effect for effect in draws.effects if effect.effect.moves)
+    spread = with_noise(clean, fan, Draws(config, moving))
     assert spread.sum() == pytest.approx(clean.sum(), rel=0.1)
 
 
