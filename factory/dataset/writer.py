@@ -23,8 +23,7 @@ from isal import isal_zlib
 from ..errors import FactoryError, FrameError
 from ..files import explain_os_errors, write_atomically
 from ..labels import classes_of
-from .checksums import crc32, write_checksums
-from .layout import config_of, image_axes, optional_layers
+from .layout import config_of, crc32, image_axes, optional_layers, write_checksums
 from .manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
 from .reader import reading
 from .schema import (
@@ -40,12 +39,9 @@ from .schema import (
     Provenance,
     check_pair,
     config_text,
-    image_of,
-    layer_attributes,
     layers,
     root_attributes,
     stored_image,
-    stores_grey,
     table_dtype,
 )
 from .settings import DatasetSettings
@@ -94,17 +90,17 @@ def write_shard(
             row = check_pair(pair, axes, columns, name)
             wanted = layers(settings.dtype, pair.layers, classes_of(provenance.config))
             if not rows:
-                shapes = {layer: image_of(pair, layer.name).shape for layer in wanted}
+                shapes = {layer: pair.image(layer.name).shape for layer in wanted}
                 stacks = _create_stacks(file, axes, shapes, settings)
             elif tuple(stacks) != wanted:
                 raise FrameError(f"{name}: has other layers than the samples before it")
             rows.append(row)
             for layer, stack in stacks.items():
                 stack.resize(len(rows), axis=0)
-                image = image_of(pair, layer.name)
+                image = pair.image(layer.name)
                 if image.shape != stack.shape[1:]:
                     raise FrameError(f"{name}: {layer.name} has another size than before it")
-                if stores_grey(layer):
+                if layer.grey:
                     image = stored_image(image, layer.dtype)
                 sums.setdefault(layer.name, []).append(crc32(image))
                 if settings.compression == "gzip":
@@ -172,7 +168,7 @@ def _write_axis(file: h5py.File, axis: Axis) -> None:
 
 def _describe(stack: h5py.Dataset, layer: Layer, axes: tuple[Axis, Axis]) -> None:
     """Attributes and dimensions of an image stack; its axes are in the file."""
-    for key, value in layer_attributes(layer).items():
+    for key, value in layer.attributes().items():
         stack.attrs[key] = value
     for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
         stack.dims[dimension].label = label

@@ -17,7 +17,7 @@ import numpy as np
 
 from simnfnd.factory.dataset import PairDataset, validate
 from simnfnd.factory.dataset import reader as shard_reader
-from simnfnd.factory.dataset.checksums import crc32, write_checksums
+from simnfnd.factory.dataset.layout import crc32, write_checksums
 from simnfnd.factory.dataset.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.schema import Pair, Provenance, config_hash
 from simnfnd.factory.dataset.writer import write_index

@@ -72,7 +72,7 @@ def test_bytes_repeat_in_another_second(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"noisy": np.zeros((24, 21), np.uint8)}, "noisy is (24, 21), its axes say (24, 20)"),
+        ({"noisy": np.zeros((24, 21), np.uint8)}, "noisy is (24, 21); expected (24, 20)"),
         ({"clean": np.zeros((24, 20), np.float64)}, "clean is float64"),
         ({"clean": np.full((24, 20), np.nan, np.float32)}, "or NaN"),
         ({"noisy": np.full((24, 20), 1.5, np.float32)}, "outside 0..1"),
