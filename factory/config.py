@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
-from .dataset.schema import CAMERA_LAYERS
 from .dataset.settings import DatasetSettings
 from .errors import FactoryError
 from .imaging.settings import AcousticsSettings, ResampleSettings, with_materials
@@ -139,16 +138,6 @@ class FactoryConfig:
             raise ValueError(
                 f"dataset.layers: segmentation needs labelled frames and scenes={self.scenes.kind} "
                 "has none; leave it out or use scenes=seabed"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _frames_at_hand(self) -> Self:
-        asked = [name for name in self.dataset.layers if name in CAMERA_LAYERS]
-        if asked and self.scenes.kind == "pack":
-            raise ValueError(
-                f"dataset.layers: {asked[0]} is of the camera, and a pack holds renders alone; "
-                "leave it out, or use the scenes that the pack was made of"
             )
         return self
 
