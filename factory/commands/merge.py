@@ -68,7 +68,7 @@ def merge(
     if len(manifests) < len(directories):
         raise FactoryError("merge: a dataset is named twice")
     sources = {directory: PairDataset(directory, "all") for directory in directories}
-    _check_alike(manifests, sources)
+    _check_alike(manifests)
     _check_samples(sources)
     settings = DatasetSettings(name=name, licence=licence or _common_licence(directories))
     provenance = _provenance(manifests)
@@ -89,7 +89,7 @@ def _whole(directory: Path) -> Manifest:
     return manifest
 
 
-def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, PairDataset]) -> None:
+def _check_alike(manifests: Mapping[Path, Manifest]) -> None:
     first, *others = manifests
     for other in others:
         one, two = manifests[first], manifests[other]
@@ -104,12 +104,6 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Pair
             raise FactoryError(
                 f"merge: {first} and {other} were made with different settings "
                 f"({list_differences(changes)}); merge only what differs in frames and seed"
-            )
-        # Layers of the camera are as large as the pictures of the scenes, which may differ.
-        if sources[first].form.sizes != sources[other].form.sizes:
-            raise FactoryError(
-                f"merge: {first} and {other} differ in their picture sizes; make them with the "
-                "same settings"
             )
 
 

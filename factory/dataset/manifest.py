@@ -195,7 +195,7 @@ def damage(directory: Path, info: ShardInfo) -> str | None:
         return f"cannot be read ({error.strerror})"
 
 
-Lines = Sequence[Mapping[str, str]]
+Lines = list[dict[str, str]]
 """Of failed.jsonl, one for each frame that gave no sample."""
 
 
@@ -213,7 +213,7 @@ def save_outcome(
         "config_hash": config_hash,
         "path": shard,
         "shard": asdict(info) if info else None,
-        "failures": list(failures),
+        "failures": failures,
     }
     path = (directory / shard).with_suffix(".json")
     with explain_os_errors(path):
@@ -276,7 +276,7 @@ class Failure:
 
 def failure_lines(
     failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]
-) -> list[dict[str, str]]:
+) -> Lines:
     """What failed.jsonl and the results beside shards say of failures.
 
     `rerun_command(ref)` is the command line that tries that one frame again.
@@ -300,7 +300,7 @@ def save_failures(directory: Path, lines: Lines) -> None:
     write_atomically(directory / FAILURES_NAME, text.encode())
 
 
-def load_failures(directory: Path) -> list[Mapping[str, str]]:
+def load_failures(directory: Path) -> Lines:
     """The lines of failed.jsonl, and what runs have settled since.
 
     Raises FactoryError when one is damaged.

@@ -6,7 +6,7 @@ import os
 import stat
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +19,7 @@ from ..errors import FactoryError
 from ..isolated import look_at
 from ..storage.copies import fetched, url_of
 from .layout import DEFLATE, check_shard, check_texts, crc32, inside, picture_sums
-from .manifest import Manifest
+from .manifest import Manifest, ShardInfo
 from .schema import SPLITS, VALUE_RANGES
 
 Split = Literal["train", "test", "all"]
@@ -29,45 +29,46 @@ _LIMIT_S = 30.0
 _TRIES = 3
 
 
-def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[Path, ...]:
-    """The shard files of one split, in the order of their names.
+def listed_shards(
+    root: Path, split: Split, manifest: Manifest | None
+) -> dict[Path, ShardInfo | None]:
+    """The shard files of one split in the order of their names, and what the manifest says of them.
 
-    `manifest` says which shards belong to the dataset; without one, every `*.h5` in the folders
-    train/ and test/ does.  Raises FactoryError when the folder is no dataset, a listed shard is
-    absent, of another size or outside the folder, or the split is empty.
+    Without a manifest every `*.h5` in the folders train/ and test/ is one.  Raises FactoryError
+    when the folder is no dataset, a listed shard is absent, of another size or outside the folder,
+    or the split is empty.
     """
     if not root.is_dir():
         raise FactoryError(f"dataset={root}: no such folder; give one that `simnfnd make` made")
-    found: dict[Path, int | None]
+    found: dict[Path, ShardInfo | None]
     if manifest is None:
         found = {path: None for name in SPLITS for path in sorted((root / name).glob("*.h5"))}
     else:
-        shards = (info for name in SPLITS for info in manifest.of_split(name))
-        found = {root / info.path: info.bytes for info in shards}
+        found = {root / one.path: one for name in SPLITS for one in manifest.of_split(name)}
     if not found:
         raise FactoryError(f"dataset={root}: no shards in train/ or test/; is it a dataset folder?")
-    paths = tuple(path for path in found if split in ("all", path.parent.name))
-    if not paths:
+    chosen = {path: info for path, info in found.items() if split in ("all", path.parent.name)}
+    if not chosen:
         other = next(iter(found)).parent.name
         raise FactoryError(
             f"dataset={root}: the {split} split is empty; it has {len(found)} shard(s) in "
             f"{other} (split={other})"
         )
     # What lies at a URL is fetched, and looked at, when it is opened.
-    for path in () if url_of(root) else paths:
+    for path, info in () if url_of(root) else chosen.items():
         if not path.exists():
             problem = "listed in the manifest but absent"
         elif not inside(root, path):
             raise FactoryError(f"{path}: leads out of the dataset's folder; not read")
-        elif found[path] in (None, size := path.stat().st_size):
+        elif info is None or info.bytes == (size := path.stat().st_size):
             continue
         else:
-            problem = f"{size} bytes, the manifest says {found[path]}"
+            problem = f"{size} bytes, the manifest says {info.bytes}"
         raise FactoryError(f"{path}: {problem}; run the command that made the dataset again")
-    return paths
+    return chosen
 
 
-def check_in_isolation(paths: Sequence[Path]) -> None:
+def check_in_isolation(paths: Iterable[Path]) -> None:
     """Have another process open every shard first: a damaged file can make HDF5 crash or hang.
 
     Whatever opens files that may be a stranger's goes through here.  Takes a third of a second

@@ -365,12 +365,11 @@ def check_pair(
     for layer in layers(str(pair.noisy.dtype), pair.layers):
         image = pair.image(layer.name)
         kinds = tuple(VALUE_RANGES) if layer.grey else (layer.dtype,)
+        problem = layer.value_problem(image) if layer.grey else None
         if image.shape != shape:
             problem = f"is {image.shape}, its axes say {shape}"
         elif str(image.dtype) not in kinds:
             problem = f"is {image.dtype}, expected {' or '.join(kinds)}"
-        else:
-            problem = layer.value_problem(image) if layer.grey else None
         if problem:
             raise FrameError(f"{name}: {layer.name} {problem}")
     return row

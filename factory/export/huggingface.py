@@ -89,7 +89,7 @@ def _schema(pairs: PairDataset) -> Any:
         else:
             values = pyarrow.from_numpy_dtype(dtype)
             fields.append((name, pyarrow.list_(pyarrow.list_(values))))
-            shape = list(pairs.form.sizes[layer])
+            shape = list(pairs.shape)
             features[name] = {"_type": "Array2D", "shape": shape, "dtype": str(dtype)}
     if {"instance", "segmentation"} <= set(pairs.layers):
         number, integer = pyarrow.int32(), {"_type": "Value", "dtype": "int32"}

@@ -66,8 +66,7 @@ def samples(pairs: PairDataset, split: str) -> Iterator[Sample]:
         for row in rows if path.parent.name == split else ():
             images = pairs[index + number]
             for name, image in images.items():
-                like = pairs.form.sizes[name], pairs.form.layers[name]
-                if (image.shape, image.dtype) != like:
+                if (image.shape, image.dtype) != (pairs.shape, pairs.form.layers[name]):
                     raise FactoryError(f"{path}: {name} differs in form from the other shards'")
             values = {name: row[name].item() for name in rows.dtype.names or ()}
             yield Sample(
