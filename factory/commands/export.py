@@ -5,19 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..cli import Parser
-from ..cli.extras import Need, require
 from ..dataset.schema import SPLITS
 from ..export import FORMATS, export
 from ..storage.copies import local_folder
-
-# Format -> the modules that write it, of the extras `export` and `sonar`.
-_NEEDS = {
-    "webdataset": ("webdataset", "cv2"),
-    "huggingface": ("pyarrow", "cv2"),
-    "png": ("cv2",),
-    "coco": ("cv2",),
-    "yolo": ("cv2",),
-}
 
 
 def main(words: list[str]) -> None:
@@ -28,10 +18,6 @@ def main(words: list[str]) -> None:
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")
     given = parser.parse_args(words)
-    needs = [(f"--to {given.to}", module) for module in _NEEDS.get(given.to, ())]
-    # pyarrow is of `report`, too.
-    others = {"pyarrow": "export"}
-    require([Need(what, module, extra=others.get(module, "")) for what, module in needs])
     print(f"export: {export(local_folder(given.dir), given.to, given.out, given.split)}")
     print(f"folder: {given.out}")
     if given.to == "huggingface":

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -274,9 +274,7 @@ class Failure:
     shard: str
 
 
-def failure_lines(
-    failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]
-) -> Lines:
+def failure_lines(failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]) -> Lines:
     """What failed.jsonl and the results beside shards say of failures.
 
     `rerun_command(ref)` is the command line that tries that one frame again.
