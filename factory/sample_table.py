@@ -1,4 +1,4 @@
-"""The sample table: how a pair was made, and what `dataset.columns` and `dataset.layers` ask for.
+"""The sample table: how a pair was made, and what `dataset.columns` asks for.
 
 World axes are the recording's; of `scenes=seabed` z is up.  Camera axes: x right, y down, z
 forward; sonar axes: x forward, y left, z up (REP 103).  A quaternion (x, y, z, w) turns directions
@@ -11,15 +11,14 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from . import seeds
-from .dataset.schema import CAMERA_LAYERS, Axis, Column
-from .errors import FactoryError, FrameError
+from .dataset.schema import Axis, Column
+from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging.contract import Sample
 from .labels import class_names
@@ -35,30 +34,22 @@ from .sonar.window import Window
 
 if TYPE_CHECKING:
     from .config import FactoryConfig
-    from .scenes import Reader
 
 Matrix = npt.NDArray[np.float64]
-Picture = npt.NDArray[np.generic]
-Frames = tuple[FrameRef, ...]
-Choose = Callable[[Frames, "FactoryConfig"], Frames]
 
 _NAME = "S96"
 
-_WHAT = (
+_SAMPLE = (
     Column("location", _NAME, "", "area of the recording"),
     Column("scene", _NAME, "", "recording; train and test are split by it"),
     Column("frame", _NAME, "", "frame within the scene"),
     Column("variant", "i4", "1", "number of the noise draw of this frame"),
     Column("seed_key", "S32", "", "blake2b spawn key of the sample's random streams, hexadecimal"),
-)
-_WINDOW = (
     Column("range_min_m", "f8", "m", "range at the near edge of the picture"),
     Column("range_max_m", "f8", "m", "range at the far edge of the picture"),
     Column("azimuth_min_deg", "f8", "deg", "left edge of the sector that the camera saw"),
     Column("azimuth_max_deg", "f8", "deg", "right edge of the sector that the camera saw"),
     Column("metres_per_pixel", "f8", "m", "edge of a fan pixel, or length of a range bin"),
-)
-_SCENE = (
     Column("resample.rate", "f8", "1", "fraction of the scene points kept"),
     Column("points.scene", "i8", "1", "scene points in the pictures"),
     Column("full_scale", "f8", "1", "echo level shown as grey value 1"),
@@ -78,7 +69,7 @@ def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ..
     formation: acoustics.formation; pictures of points have one scale for clean and noisy.
     """
     target = (_TARGET,) if formation == "field" else ()
-    return _WHAT + _WINDOW + _SCENE + target + tuple(map(_described, drawn.columns(noise)))
+    return _SAMPLE + target + tuple(map(_described, drawn.columns(noise)))
 
 
 def _described(column: Column) -> Column:
@@ -103,26 +94,26 @@ def record(
     sample: Sample,
     draws: Draws,
     formation: str = "points",
-) -> dict[str, float | int | str]:
+) -> dict[str, float | str]:
     """The row of one sample."""
-    key = seeds.spawn_key(ref.location, ref.scene, ref.frame, variant)
-    return {
-        "location": ref.location,
-        "scene": ref.scene,
-        "frame": ref.frame,
-        "variant": variant,
-        "seed_key": "".join(f"{word:08x}" for word in key),
-        "range_min_m": window.range_min_m,
-        "range_max_m": window.range_max_m,
-        "azimuth_min_deg": float(np.rad2deg(window.azimuth_min_rad)),
-        "azimuth_max_deg": float(np.rad2deg(window.azimuth_max_rad)),
-        "metres_per_pixel": metres_per_pixel(window, sonar),
-        "resample.rate": sample.rate,
-        "points.scene": sample.points,
-        "full_scale": sample.full_scale,
-        **({"clean_full_scale": sample.clean_full_scale} if formation == "field" else {}),
-        **draws.row(sample.added),
-    }
+    row = _row(
+        _SAMPLE,
+        *(ref.location, ref.scene, ref.frame, variant),
+        "".join(
+            f"{word:08x}" for word in seeds.spawn_key(ref.location, ref.scene, ref.frame, variant)
+        ),
+        *(window.range_min_m, window.range_max_m),
+        *(float(np.rad2deg(rad)) for rad in (window.azimuth_min_rad, window.azimuth_max_rad)),
+        metres_per_pixel(window, sonar),
+        *(sample.rate, sample.points, sample.full_scale),
+    )
+    if formation == "field":
+        row[_TARGET.name] = sample.clean_full_scale
+    return row | draws.row(sample.added)
+
+
+def _row(columns: Sequence[Column], *values: float | str) -> dict[str, float | str]:
+    return {column.name: value for column, value in zip(columns, values, strict=True)}
 
 
 def metres_per_pixel(window: Window, sonar: SonarSettings) -> float:
@@ -143,13 +134,12 @@ def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
     rows, columns_ = (np.arange(size) + 0.5 for size in sonar.shape())
     near, far = sonar.range.min_m, sonar.range.max_m
     if sonar.image.layout == "polar":
-        azimuth = Axis(
-            "azimuth", "deg", np.rad2deg(sonar.beam_centres_rad()), "0 is straight ahead"
-        )
-        if not sonar.range.fixed:
-            fraction = rows / sonar.range_bins
-            return Axis("range", "1", fraction, "0 at range_min_m, 1 at range_max_m"), azimuth
-        return Axis("range", "m", near + rows / sonar.range_bins * (far - near)), azimuth
+        fraction = rows / sonar.range_bins
+        down = Axis("range", "1", fraction, "0 at range_min_m, 1 at range_max_m")
+        if sonar.range.fixed:
+            down = Axis("range", "m", near + fraction * (far - near))
+        bearings = np.rad2deg(sonar.beam_centres_rad())
+        return down, Axis("azimuth", "deg", bearings, "0 is straight ahead")
     right = columns_ - sonar.image.width_px / 2
     if not sonar.range.fixed:
         return (
@@ -162,35 +152,21 @@ def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
 
 # --- what is asked for
 
-_PARTS = (
-    *((f"{axis}_m", "m", f"position along the world's {axis}") for axis in "xyz"),
-    *((f"q{part}", "1", f"quaternion to world axes, {part}") for part in "xyzw"),
-)
 # NaN where the recording does not say.
 _POSE = (
     *(
         Column(f"{device}.{name}", "f8", unit, f"of the {device}: {what}")
         for device in ("camera", "sonar")
-        for name, unit, what in _PARTS
+        for name, unit, what in (
+            *((f"{axis}_m", "m", f"position along the world's {axis}") for axis in "xyz"),
+            *((f"q{part}", "1", f"quaternion to world axes, {part}") for part in "xyzw"),
+        )
     ),
     Column("time_s", "f8", "s", "when the frame was taken, from any beginning"),
     Column("sonar.tilt_deg", "f8", "deg", "how far the sonar looks below the horizon"),
     Column("sonar.heading_deg", "f8", "deg", "where it looks, from the world's x towards its y"),
     Column("sonar.roll_deg", "f8", "deg", "how far its left side is up"),
     Column("sonar.altitude_m", "f8", "m", "height above the ground right under the camera"),
-)
-# Of the picture in rgb and depth; distortion is 0 where it was taken out or is not known.
-_LENS = tuple(
-    Column(f"camera.{name}{'_px' * (unit == 'px')}", "f8", unit, f"{what}, as OpenCV defines it")
-    for name, unit, what in (
-        *(("fx", "px", "focal length across"), ("fy", "px", "focal length down")),
-        *(
-            ("cx", "px", "column of the principal point"),
-            ("cy", "px", "row of the principal point"),
-        ),
-        *(("k1", "1", "radial distortion r^2"), ("k2", "1", "radial distortion r^4")),
-        *(("p1", "1", "tangential distortion"), ("p2", "1", "tangential distortion")),
-    )
 )
 # What turns grey values into sound pressure: level at the receiver = full scale of the picture, its
 # transfer curve backwards, less the gain, plus the source level; layer intensity_db is the result.
@@ -230,34 +206,31 @@ def requested_row(lit: LitSurface, config: FactoryConfig) -> dict[str, float | s
     return made
 
 
-def pose_row(frame: Frame, mount: Mount) -> dict[str, float]:
+def pose_row(frame: Frame, mount: Mount) -> dict[str, float | str]:
     """The values of `pose` for a frame and the sonar mounted at its camera."""
-    values = dict.fromkeys((column.name for column in _POSE), float("nan"))
+    row: dict[str, float | str] = dict.fromkeys((column.name for column in _POSE), float("nan"))
     if frame.time_s is not None:
-        values["time_s"] = frame.time_s
+        row["time_s"] = frame.time_s
     if frame.world_from_camera is None:
-        return values
+        return row
     camera = np.asarray(frame.world_from_camera, np.float64)
-    sonar = _world_from_sonar(camera, mount)
-    for device, pose in (("camera", camera), ("sonar", sonar)):
-        numbers = (*pose[:3, 3].tolist(), *_quaternion(pose[:3, :3]).tolist())
-        for (name, _, _), number in zip(_PARTS, numbers, strict=True):
-            values[f"{device}.{name}"] = number
-    forward, left = sonar[:3, 0], sonar[:3, 1]
-    values["sonar.tilt_deg"] = float(np.rad2deg(np.arcsin(np.clip(-forward[2], -1, 1))))
-    values["sonar.heading_deg"] = float(np.rad2deg(np.arctan2(forward[1], forward[0])))
-    values["sonar.roll_deg"] = float(np.rad2deg(np.arcsin(np.clip(left[2], -1, 1))))
-    if frame.altitude_m is not None:
-        values["sonar.altitude_m"] = float(frame.altitude_m + sonar[2, 3] - camera[2, 3])
-    return values
-
-
-def _world_from_sonar(world_from_camera: Matrix, mount: Mount) -> Matrix:
-    """(4, 4) pose of the sonar."""
     camera_from_sonar = np.eye(4)
     camera_from_sonar[:3, :3] = mount.rotation_sonar_from_camera().T
     camera_from_sonar[:3, 3] = mount.position_camera_m()
-    return np.asarray(world_from_camera @ camera_from_sonar)
+    sonar = np.asarray(camera @ camera_from_sonar)
+    numbers = [
+        number
+        for pose in (camera, sonar)
+        for number in (*pose[:3, 3].tolist(), *_quaternion(pose[:3, :3]).tolist())
+    ]
+    row |= _row(_POSE[: len(numbers)], *numbers)
+    forward, left = sonar[:3, 0], sonar[:3, 1]
+    row["sonar.tilt_deg"] = float(np.rad2deg(np.arcsin(np.clip(-forward[2], -1, 1))))
+    row["sonar.heading_deg"] = float(np.rad2deg(np.arctan2(forward[1], forward[0])))
+    row["sonar.roll_deg"] = float(np.rad2deg(np.arcsin(np.clip(left[2], -1, 1))))
+    if frame.altitude_m is not None:
+        row["sonar.altitude_m"] = float(frame.altitude_m + sonar[2, 3] - camera[2, 3])
+    return row
 
 
 def _quaternion(rotation: Matrix) -> Matrix:
@@ -268,23 +241,17 @@ def _quaternion(rotation: Matrix) -> Matrix:
     return -found if found[3] < 0 else found
 
 
-def _lens_row(frame: Frame) -> dict[str, float]:
-    lens = frame.intrinsics
-    numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion, 0.0, 0.0, 0.0, 0.0)
-    return {column.name: float(n) for column, n in zip(_LENS, numbers, strict=False)}
-
-
-def _calibration_row(config: FactoryConfig) -> dict[str, float]:
+def _calibration_row(config: FactoryConfig) -> dict[str, float | str]:
     sonar, water, acoustics = config.sonar, config.water, config.acoustics
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
-    values = (
+    return _row(
+        _CALIBRATION,
         sonar.array.source_level_db,
         water.sound_speed_m_s(),
         absorption,
         acoustics.tvg_log,
         2 * absorption if acoustics.tvg_absorption else 0.0,
     )
-    return {column.name: value for column, value in zip(_CALIBRATION, values, strict=True)}
 
 
 def _boxes_row(lit: LitSurface, classes: Sequence[str]) -> dict[str, str]:
@@ -298,20 +265,20 @@ def _boxes_row(lit: LitSurface, classes: Sequence[str]) -> dict[str, str]:
     of, range_m = number[pixel[heard]], echoes.range_m[heard]
     bearing_deg = np.rad2deg(echoes.azimuth_rad[heard])
     dark = number[(lit.rendered.surface & (lit.rendered.radiance <= 0)).ravel()]
-    found = []
+    found: list[tuple[int, dict[str, object]]] = []
     for instance, label, *box, alone_px, hidden_px in frame.boxes.tolist():
         own = of == instance
-        count, shadowed = int(own.sum()), hidden_px + np.count_nonzero(dark == instance)
+        heard_px, dark_px = int(own.sum()), hidden_px + np.count_nonzero(dark == instance)
         entry = {
             "instance": int(instance),
             "class": classes[int(label)],
             **_of_sonar(np.array(box), lit),
             "range_m": _limits(range_m[own]),
             "bearing_deg": _limits(bearing_deg[own]),
-            "insonified": round(min(count / max(alone_px, 1), 1.0), 3),
-            "shadowed": round(min(shadowed / max(alone_px, 1), 1.0), 3),
+            "insonified": round(min(heard_px / max(alone_px, 1), 1.0), 3),
+            "shadowed": round(min(dark_px / max(alone_px, 1), 1.0), 3),
         }
-        found.append((-count, entry))
+        found.append((-heard_px, entry))
     kept = [entry for _, entry in sorted(found, key=lambda one: one[0])]
     while len(text := json.dumps(kept, separators=(",", ":"))) > _MOST_BYTES:
         kept.pop()
@@ -334,64 +301,15 @@ def _of_sonar(box: npt.NDArray[np.float64], lit: LitSurface) -> dict[str, object
     return {"centre_m": centre, "size_m": size, "yaw_deg": round(float(np.rad2deg(yaw)), 1)}
 
 
-_Row = Callable[[LitSurface, "FactoryConfig"], Mapping[str, float | str]]
-_REQUESTED: dict[str, tuple[tuple[Column, ...], _Row]] = {
+# What `dataset.columns` can ask for: columns, and their values for a frame as the sonar sees it.
+_REQUESTED: dict[
+    str,
+    tuple[tuple[Column, ...], Callable[[LitSurface, FactoryConfig], Mapping[str, float | str]]],
+] = {
     "pose": (_POSE, lambda lit, config: pose_row(lit.frame, config.sonar.mount)),
-    "intrinsics": (_LENS, lambda lit, _: _lens_row(lit.frame)),
     "calibration": (_CALIBRATION, lambda _, config: _calibration_row(config)),
     "boxes": (
         _BOXES,
         lambda lit, config: _boxes_row(lit, class_names(config.scenes.own_classes())),
     ),
 }
-
-
-class Camera:
-    """The layers rgb and depth of frames.
-
-    A render has lost the colour and rounds the depth, so frames whose pictures are asked for are
-    read, or made, once more.
-    """
-
-    def __init__(self, config: FactoryConfig, chosen: Choose) -> None:
-        """Reads nothing where `dataset.layers` asks for none.  chosen: frames of those found."""
-        self._config, self._chosen = config, chosen
-        self._requested = CAMERA_LAYERS.intersection(config.dataset.layers)
-
-    def layers(self, ref: FrameRef) -> Mapping[str, Picture]:
-        """The requested of rgb (H, W, 3) uint8 and depth (H, W) float32, m, NaN where unknown.
-
-        Raises FrameError when the frame is bad, or of another size than the first frame of the
-        dataset: its pictures have one size.
-        """
-        if not self._requested:
-            return {}
-        frame = self._reader.load(ref)
-        # Procedural frames are as large as the settings say, and take long to make.
-        if self._config.scenes.kind != "seabed" and frame.depth_m.shape != self._first[1]:
-            name, size = self._first
-            own, other = ("x".join(map(str, reversed(one))) for one in (frame.depth_m.shape, size))
-            raise FrameError(
-                f"{ref.name}: its picture is {own}, that of {name} {other}; "
-                "make one dataset of each size (scenes, frames.only), or leave "
-                f"{', '.join(sorted(self._requested))} out of dataset.layers"
-            )
-        depth_m = np.where(frame.valid, frame.depth_m, np.float32(np.nan))
-        pictures: dict[str, Picture] = {"rgb": frame.rgb, "depth": depth_m}
-        return {name: picture for name, picture in pictures.items() if name in self._requested}
-
-    @cached_property
-    def _reader(self) -> Reader:
-        from .scenes import open_reader
-
-        return open_reader(self._config.scenes)
-
-    @cached_property
-    def _first(self) -> tuple[str, tuple[int, ...]]:
-        """Name and (H, W) of the first frame that can be read; of all processes the same."""
-        for ref in self._chosen(self._reader.discover().frames, self._config):
-            try:
-                return ref.name, self._reader.load(ref).depth_m.shape
-            except FrameError:
-                continue
-        raise FactoryError("dataset.layers: no frame of the recordings can be read")  # one was

@@ -10,7 +10,6 @@ import csv
 import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +27,6 @@ _RESULT = "result.json"
 # Of noisy against clean: mean and spread over the pairs.
 _FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
 _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
-# On the contact sheet.
-_FRAMES = 3
 # Folder and points (the words of each) of the sweep of this process, until its table is written.
 _open: list[tuple[Path, list[list[str]]]] = []
 
@@ -107,6 +104,8 @@ class SweepTable(Callback):
 
 def write_table() -> None:
     """Write and print the table of the sweep that this process has made, if it has."""
+    from ..dataset.preview import side_by_side
+
     if not _open:
         return
     folder, points = _open.pop()
@@ -129,32 +128,9 @@ def write_table() -> None:
     (folder / "sweep.md").write_text(table)
     print(table, end="")
     labels = [", ".join(f"{name}={row.get(name, '')}" for name in names) for row in rows]
-    made = [
-        (label, row["dataset"]) for label, row in zip(labels, rows, strict=True) if "pairs" in row
-    ]
+    told = zip(labels, rows, strict=True)
+    made = [(label, Path(row["dataset"])) for label, row in told if "pairs" in row]
     with suppress(FactoryError, OSError):
-        if len(made) > 1 and (sheet := contact_sheet(made, folder / "sweep.png")):
+        if len(made) > 1 and side_by_side(made, sheet := folder / "sweep.png"):
             print(f"sweep: {sheet}: the same frames of every point, clean and noisy")
     print(f"sweep: {folder / 'sweep.md'}")
-
-
-def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
-    """Draw the same frames of every point, the first of them clean, too; the path, or None.
-
-    points: label and folder of each dataset.  None where no sample is in all of them.
-    """
-    from ..dataset.preview import draw, in_common, load
-    from ..files import write_atomically
-
-    common = in_common([Path(folder) for _, folder in points])
-    if not common:
-        return None
-    chosen = dict.fromkeys(common[k * len(common) // _FRAMES] for k in range(_FRAMES))
-    rows = []
-    for (label, _), samples in zip(points, zip(*chosen, strict=True), strict=True):
-        first, *others = map(load, samples)
-        images = {name: first.images[name] for name in ("clean", "noisy")}
-        images |= {f"noisy, {k + 2}": one.images["noisy"] for k, one in enumerate(others)}
-        rows.append(replace(first, heading=label, images=images))
-    write_atomically(out, draw(rows, f"{len(points)} points", "the same frames of each"))
-    return out

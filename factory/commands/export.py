@@ -5,13 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..cli import Parser
-from ..cli.extras import Need, require
 from ..dataset.schema import SPLITS
 from ..export import FORMATS, export
 from ..storage.copies import local_folder
-
-# Beside OpenCV, by format.
-_NEEDS = {"webdataset": ("webdataset",), "huggingface": ("pyarrow",)}
 
 
 def main(words: list[str]) -> None:
@@ -22,7 +18,6 @@ def main(words: list[str]) -> None:
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")
     given = parser.parse_args(words)
-    require(Need(f"--to {given.to}", module) for module in (*_NEEDS.get(given.to, ()), "cv2"))
     print(f"export: {export(local_folder(given.dir), given.to, given.out, given.split)}")
     print(f"folder: {given.out}")
     if given.to == "huggingface":

@@ -61,6 +61,6 @@ def demo(words: Sequence[str]) -> int:
     from ..dataset.preview import side_by_side
 
     picture = Path(f"{points.rstrip('/')}-profiles.png")
-    side_by_side({"points": Path(points), "sonar equation": Path(physical)}, picture)
+    side_by_side([("points", Path(points)), ("sonar equation", Path(physical))], picture)
     print(f"both, side by side: {picture}")
     return 0

@@ -152,7 +152,7 @@ def _config_text(config: Mapping[str, Any], provenance: Provenance) -> str:
     return f"# {SCHEMA}, {provenance.generator}, config hash {provenance.config_hash}\n{body}"
 
 
-def dataset_settings(directory: Path) -> dict[str, object]:
+def dataset_settings(directory: Path) -> dict[str, Any]:
     """The `dataset` block of config.yaml; empty when there is none.
 
     Raises FactoryError when the file cannot be read, or when name or licence are not what the

@@ -1,37 +1,58 @@
-"""Is a shard laid out as the schema says, and does everything in it lie in the file itself?
+"""Is a shard laid out as the schema says, whole, and does everything in it lie in the file itself?
 
 A dataset may come from a stranger or a dying disk.  What is checked here reads no image: links,
 types, sizes, filters and attributes.  A file that passes names no other file and has one chunk for
 each picture; its checksum says whether that is the right one.
+
+HDF5 has no checksums for what it keeps in one piece (/meta, /axes, plain pictures), for texts, and
+for the tables that say where a chunk lies.  So a shard has
+
+- `/checksums`, one row a sample and one column a layer: CRC-32 of the picture's bytes;
+- the root attribute `checksum`, of the other root attributes, /meta, the axes and `/checksums`;
+- the root attribute `text_checksum`, of what the layers, columns and axes say of themselves.
+
+The latter two are BLAKE2b (digest of 16 bytes, hexadecimal) of a JSON text that `_contents` and
+`_texts` write.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import zlib
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from importlib import import_module
 from math import prod
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..small_files import parse_json
 from .schema import (
-    CAMERA_LAYERS,
-    CHANNELS,
     CHECKSUMS,
+    CORE,
     EFFECT_FOLDER,
     MAX_PIXELS,
     OPTIONAL_LAYERS,
     REQUIRED_COLUMNS,
+    ROOT_ATTRIBUTES,
     SCHEMA,
+    SEALS,
     SPLITS,
     VALUE_RANGES,
     Axis,
-    Layer,
     layers,
 )
+
+DEFLATE: Any = zlib
+with suppress(ImportError):
+    DEFLATE = import_module("isal.isal_zlib")
+"""isal's zlib, in a third to two thirds of the time; readers may have numpy and h5py alone."""
 
 ECHO_PLACE = "echoes/place"
 
@@ -91,15 +112,7 @@ def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
     if scale.shape != (size,) or scale.dtype.kind not in "iuf":
         raise FactoryError(f"/axes/{name} does not have the {size} numbers of {stack.name}")
     units, about = (str(scale.attrs.get(key, "")) for key in ("units", "description"))
-    return Axis(name, units, np.asarray(scale[()], dtype=np.float64), about)
-
-
-def axis_names(stack: h5py.Dataset) -> tuple[str, ...]:
-    """Of rows and columns; pictures of the camera and lists of echoes have none."""
-    name = str(stack.name).lstrip("/")
-    if name in CAMERA_LAYERS or name.startswith("echoes/"):
-        return ()
-    return str(stack.dims[1].label), str(stack.dims[2].label)
+    return Axis(name, units, scale[()].astype(np.float64), about)
 
 
 def optional_layers(file: h5py.File) -> tuple[str, ...]:
@@ -130,9 +143,9 @@ def config_of(file: h5py.File) -> dict[str, Any]:
 
     Raises FactoryError (without the file's name) when they are absent or damaged.
     """
-    text, config = _text_attribute(file, "config"), None
+    config = None
     with suppress(ValueError):
-        config = parse_json(text)
+        config = parse_json(_text_attribute(file, "config"))
     if not isinstance(config, dict):
         raise FactoryError("attribute config is no JSON object; generate the shard again")
     return config
@@ -162,14 +175,21 @@ def check_shard(file: h5py.File) -> None:
         )
     noisy = dataset_inside(file, "noisy", chunks=True)
     shape, dtype = noisy.shape, str(noisy.dtype)
-    if len(shape) != 3 or dtype not in VALUE_RANGES:
+    size = prod(shape[1:]) if len(shape) == 3 else 0
+    if not 0 < size <= MAX_PIXELS or dtype not in VALUE_RANGES:
         raise FactoryError(
             f"/noisy is {shape} {dtype}; expected samples, rows and columns of "
-            f"{' or '.join(VALUE_RANGES)}"
+            f"{' or '.join(VALUE_RANGES)}, at most {MAX_PIXELS} pixels"
         )
     for layer in layers(dtype, optional_layers(file)):
         stack = dataset_inside(file, layer.name, chunks=True)
-        _check_stack(stack, layer, shape)
+        # Of the same layer in other shards, too: grey values are all of one dtype.
+        form = stack.shape, str(stack.dtype), stack.chunks
+        if form != (shape, layer.dtype, (1, *shape[1:])):
+            raise FactoryError(
+                f"/{layer.name} is {form[0]} {form[1]} in chunks {form[2]}; expected {shape} "
+                f"{layer.dtype}, one chunk for each picture"
+            )
         _check_chunks(stack)
     _check_table(dataset_inside(file, "meta"), shape[0])
     for name in ("generator", "config_hash"):
@@ -177,26 +197,7 @@ def check_shard(file: h5py.File) -> None:
     config_of(file)
     if (split := _text_attribute(file, "split")) not in SPLITS:
         raise FactoryError(f"attribute split is {split[:40]!r}; expected {' or '.join(SPLITS)}")
-
-
-def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> None:
-    """A stack has the shape, type and chunks of its layer.  shape: of /noisy."""
-    name, picture = f"/{layer.name}", stack.shape[1:]
-    fits = stack.shape == shape
-    if layer.of_camera:
-        fits = stack.shape[:1] == shape[:1] and picture[2:] in ((), (CHANNELS,))
-        fits = fits and len(picture) == len(layer.of_camera)
-    if not fits or not 0 < picture[0] * picture[1] <= MAX_PIXELS:
-        expected = ", ".join(layer.of_camera) or shape
-        raise FactoryError(
-            f"{name} is {stack.shape}; expected {expected} and at most {MAX_PIXELS} pixels"
-        )
-    # Of the same layer in other shards, too: grey values are all of one dtype.
-    if str(stack.dtype) != layer.dtype or stack.chunks != (1, *picture):
-        raise FactoryError(
-            f"{name} is {stack.dtype} in chunks {stack.chunks}; expected {layer.dtype}, one chunk "
-            "for each picture"
-        )
+    _check_contents(file)
 
 
 def _check_chunks(stack: h5py.Dataset) -> None:
@@ -277,3 +278,109 @@ def _text_attribute(file: h5py.File, name: str) -> str:
             value.encode()
             return value
     raise FactoryError(f"attribute {name} is absent or no text; generate the shard again")
+
+
+# --- checksums
+
+_CONTENTS, _TEXTS = SEALS
+# Addresses in the file; what they lead to is in `_texts` by name.
+_REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
+
+
+def crc32(values: npt.NDArray[Any]) -> int:
+    """CRC-32 of an array's bytes in C order."""
+    return int(DEFLATE.crc32(np.ascontiguousarray(values).data))
+
+
+def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
+    """Write /checksums and seal the file, in which everything else stands already.
+
+    sums: layer -> `crc32` of each of its pictures.
+    """
+    rows = len(next(iter(sums.values())))
+    table = np.empty(rows, dtype=[(name, "<u4") for name in sums])
+    for name, values in sums.items():
+        table[name] = values
+    file.create_dataset(CHECKSUMS, data=table, track_times=False)
+    file.attrs[_CONTENTS] = _digest(_contents(file))
+    file.attrs[_TEXTS] = _digest(_texts(file, tuple(sums)))
+
+
+def _check_contents(file: h5py.File) -> None:
+    """Compare `checksum` in a file of sound layout.  Raises FactoryError when it differs.
+
+    A row a sample and a column a layer must be in /checksums.
+    """
+    if not exists(file, CHECKSUMS) or not set(SEALS) <= set(file.attrs):
+        raise FactoryError(
+            "its checksums are absent; generate the shard again (versions before 0.3 wrote none)"
+        )
+    table, names = dataset_inside(file, CHECKSUMS), _summed(file)
+    columns = table.dtype.names or ()
+    numbers = all(table.dtype[name] == np.dtype("<u4") for name in columns)
+    if table.shape != file["meta"].shape or sorted(columns) != sorted(names) or not numbers:
+        raise FactoryError(f"/{CHECKSUMS} does not fit the layers; generate the shard again")
+    if file.attrs[_CONTENTS] != _digest(_contents(file)):
+        raise FactoryError("/meta, /axes or attributes differ from their checksum; damaged")
+
+
+def check_texts(file: h5py.File) -> None:
+    """Read all attributes and axes and compare `text_checksum`, which may raise any exception.
+
+    Raises FactoryError when it differs.
+    """
+    dict(file.attrs)
+    if file.attrs[_TEXTS] != _digest(_texts(file, _summed(file))):
+        raise FactoryError("units or descriptions differ from their checksum; damaged")
+
+
+def picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
+    """(samples,) `crc32` of each picture, a column a layer."""
+    sums: npt.NDArray[np.void] = file[CHECKSUMS][()]
+    return sums
+
+
+def _summed(file: h5py.File) -> tuple[str, ...]:
+    return (*CORE, *optional_layers(file), *echo_names(file))
+
+
+def _digest(document: Any) -> str:
+    text = json.dumps(document, separators=(",", ":"))
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _contents(file: h5py.File) -> list[Any]:
+    tables = (file["meta"][()], file[CHECKSUMS][()])
+    return [
+        [[name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS],
+        [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])],
+        *([["echoes", crc32(file[ECHO_PLACE][()])]] if echo_names(file) else []),
+        *([[[n, t.dtype[n].str] for n in t.dtype.names or ()], crc32(t)] for t in tables),
+    ]
+
+
+def _texts(file: h5py.File, names: Sequence[str]) -> list[Any]:
+    # Lists of echoes have no axes.
+    pictures = [name for name in names if not name.startswith("echoes/")]
+    axes = {name: [str(file[name].dims[k].label) for k in (1, 2)] for name in pictures}
+    scales = sorted({axis for both in axes.values() for axis in both})
+    return [
+        [[name, axes.get(name, [])] for name in names],
+        *(
+            [name, [[key, _value(value)] for key, value in sorted(_attributes(file[name]))]]
+            for name in (*names, "meta", *(f"axes/{axis}" for axis in scales))
+        ),
+    ]
+
+
+def _attributes(item: h5py.Dataset) -> list[tuple[str, Any]]:
+    return [(name, item.attrs[name]) for name in item.attrs if name not in _REFERENCES]
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, np.ndarray | np.generic):
+        listed = value.tolist()
+        return [value.dtype.str, listed.hex() if isinstance(listed, bytes) else listed]
+    return value

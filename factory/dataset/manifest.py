@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -33,7 +34,6 @@ FAILURE_KEYS = ("frame", "shard", "kind", "reason", "command")
 MAX_SHARDS = 200_000
 _MAX_BYTES = 1 << 27
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/[A-Za-z0-9_-]+\.h5")
-_OUTCOME = re.compile(r"shard-\d{5,}\.json")
 
 
 @dataclass(frozen=True)
@@ -56,15 +56,13 @@ class ShardInfo:
     config_hash: str = ""
 
     def __post_init__(self) -> None:
-        counts = (self.samples, self.bytes)
         texts = (self.path, self.split, self.sha256, self.plan, self.config_hash, *self.failed)
-        if not all(type(count) is int and count >= 0 for count in counts):
-            raise ValueError(f"samples and bytes must be counts, got {counts}")
-        # Every sample takes some bytes: no count may be what no file can hold.
-        if self.samples > self.bytes:
-            raise ValueError(f"{self.samples} samples in {self.bytes} bytes")
         if not all(isinstance(text, str) for text in texts):
             raise ValueError("path, split, sha256, plan, failed and config_hash must be text")
+        # Every sample takes some bytes: no count may be what no file can hold.
+        counts = (self.samples, self.bytes)
+        if not all(type(count) is int for count in counts) or not 0 <= self.samples <= self.bytes:
+            raise ValueError(f"samples and bytes must be counts, got {counts}")
         # Nothing outside the dataset's folder may be named, whoever wrote the file.
         if not _PATH.fullmatch(self.path) or self.path.split("/")[0] != self.split:
             raise ValueError(f"{self.path!r} is no shard of split {self.split!r}")
@@ -119,23 +117,22 @@ class Manifest:
 
 def save_manifest(directory: Path, manifest: Manifest) -> None:
     """Write manifest.json atomically; equal manifests give equal bytes."""
-    shards = [manifest.shards[path] for path in sorted(manifest.shards)]
-    totals = {
-        split: {
-            "samples": manifest.samples(split),
-            "shards": len(manifest.of_split(split)),
-            "bytes": sum(s.bytes for s in manifest.of_split(split)),
-        }
-        for split in SPLITS
-    }
+    by_split = {split: manifest.of_split(split) for split in SPLITS}
     document = {
         "schema": SCHEMA,
         "generator": manifest.generator,
         "config_hash": manifest.config_hash,
         "config": manifest.config,
-        "totals": totals,
+        "totals": {
+            split: {
+                "samples": sum(shard.samples for shard in shards),
+                "shards": len(shards),
+                "bytes": sum(shard.bytes for shard in shards),
+            }
+            for split, shards in by_split.items()
+        },
         **({"index_sha256": manifest.index_sha256} if manifest.index_sha256 else {}),
-        "shards": [asdict(shard) for shard in shards],
+        "shards": [asdict(manifest.shards[path]) for path in sorted(manifest.shards)],
     }
     text = json.dumps(document, indent=1) + "\n"
     write_atomically(directory / MANIFEST_NAME, text.encode())
@@ -152,33 +149,35 @@ def load_manifest(directory: Path) -> Manifest | None:
         if document["schema"] != SCHEMA:
             raise ValueError(f"schema is {document['schema']!r}, expected {SCHEMA!r}")
         shards = [ShardInfo.of(item) for item in document["shards"]]
-        found = {shard.path: shard for shard in shards}
-        if len(found) != len(shards):
+        read = Manifest(
+            document["config_hash"],
+            document["generator"],
+            document["config"],
+            {shard.path: shard for shard in shards},
+            document.get("index_sha256", ""),
+        )
+        if len(read.shards) != len(shards):
             raise ValueError("a shard is listed twice")
-        hash_, generator = document["config_hash"], document["generator"]
-        config, index = document["config"], document.get("index_sha256", "")
-        if not all(isinstance(text, str) for text in (hash_, generator, index)):
-            raise ValueError("config_hash, generator and index_sha256 must be text")
-        if not isinstance(config, dict):
-            raise ValueError("config must be an object")
-        if config_hash(config) != hash_:
-            raise ValueError(f"its config does not give its config_hash {hash_[:40]!r}")
+        texts = (read.config_hash, read.generator, read.index_sha256)
+        if not all(isinstance(text, str) for text in texts) or not isinstance(read.config, dict):
+            raise ValueError("config_hash, generator and index_sha256 are texts, config an object")
+        if config_hash(read.config) != read.config_hash:
+            raise ValueError(f"its config does not give its config_hash {read.config_hash[:40]!r}")
     except FileNotFoundError:
         return None
     except OSError as error:
         raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
     except (ValueError, KeyError, TypeError) as error:
-        reason = one_line(error)
         raise FactoryError(
-            f"{path}: damaged ({reason}); delete it and run again, the shards are then made anew"
+            f"{path}: damaged ({one_line(error)}); delete it and run again, the shards are then "
+            "made anew"
         ) from error
-    before = dict(found)
-    for name, outcome in outcomes(directory, hash_).items():
-        if outcome.info is None:
-            found.pop(name, None)
-        else:
-            found[name] = outcome.info
-    return Manifest(hash_, generator, config, found, index if found == before else "")
+    found = dict(read.shards)
+    for name, (info, _) in outcomes(directory, read.config_hash).items():
+        found.pop(name, None)
+        if info is not None:
+            found[name] = info
+    return read if found == read.shards else replace(read, shards=found, index_sha256="")
 
 
 def damage(directory: Path, info: ShardInfo) -> str | None:
@@ -196,57 +195,49 @@ def damage(directory: Path, info: ShardInfo) -> str | None:
         return f"cannot be read ({error.strerror})"
 
 
-@dataclass(frozen=True)
-class ShardOutcome:
-    """What became of one shard.
+Lines = list[dict[str, str]]
+"""Of failed.jsonl, one for each frame that gave no sample."""
 
-    config_hash: of the settings that it was made with.
+
+def save_outcome(
+    directory: Path, shard: str, config_hash: str, info: ShardInfo | None, failures: Lines
+) -> None:
+    """Write what became of a shard beside it, atomically.
+
+    shard: its path.  config_hash: of the settings that it was made with.
     info: the finished shard; None when no frame gave a sample.
-    failures: a line of failed.jsonl for each frame that gave none.
+    Raises FactoryError when that is impossible.
     """
-
-    path: str
-    config_hash: str
-    info: ShardInfo | None
-    failures: Sequence[Mapping[str, str]]
-
-
-def save_outcome(directory: Path, outcome: ShardOutcome) -> None:
-    """Write it beside its shard, atomically.  Raises FactoryError when that is impossible."""
     document = {
         "schema": SCHEMA,
-        "config_hash": outcome.config_hash,
-        "path": outcome.path,
-        "shard": asdict(outcome.info) if outcome.info else None,
-        "failures": list(outcome.failures),
+        "config_hash": config_hash,
+        "path": shard,
+        "shard": asdict(info) if info else None,
+        "failures": failures,
     }
-    path = (directory / outcome.path).with_suffix(".json")
+    path = (directory / shard).with_suffix(".json")
     with explain_os_errors(path):
         path.parent.mkdir(exist_ok=True)
     write_atomically(path, json.dumps(document).encode())
 
 
-def outcomes(directory: Path, config_hash: str | None = None) -> dict[str, ShardOutcome]:
-    """Path of the shard -> its outcome, of all that lie in a dataset.
+def outcomes(
+    directory: Path, config_hash: str | None = None
+) -> dict[str, tuple[ShardInfo | None, Lines]]:
+    """Path of the shard -> what `save_outcome` wrote, of all that lie in a dataset.
 
     config_hash: of those that count; None: all.  A damaged one is passed over: its shard is made
     again.
     """
-    found = {}
+    found: dict[str, tuple[ShardInfo | None, Lines]] = {}
     for path in _outcome_files(directory):
-        try:
+        with suppress(OSError, ValueError, KeyError, TypeError):
             document = parse_json(read_regular(path))
-            if document["schema"] != SCHEMA:
-                continue
             info = ShardInfo.of(document["shard"]) if document["shard"] else None
-            failures = [
-                {key: str(item[key]) for key in FAILURE_KEYS} for item in document["failures"]
-            ]
-            hash_, name = str(document["config_hash"]), str(document["path"])
-        except (OSError, ValueError, KeyError, TypeError):
-            continue
-        if name == f"{path.parent.name}/{path.stem}.h5" and config_hash in (None, hash_):
-            found[name] = ShardOutcome(name, hash_, info, failures)
+            failures, name = _lines(document["failures"]), document["path"]
+            known = document["schema"] == SCHEMA and name == f"{path.parent.name}/{path.stem}.h5"
+            if known and config_hash in (None, document["config_hash"]):
+                found[name] = info, failures
     return found
 
 
@@ -258,12 +249,11 @@ def forget_outcomes(directory: Path) -> None:
 
 
 def _outcome_files(directory: Path) -> list[Path]:
-    return [
-        path
-        for split in SPLITS
-        for path in sorted((directory / split).glob("shard-*.json"))
-        if _OUTCOME.fullmatch(path.name)
-    ]
+    return [path for split in SPLITS for path in sorted(directory.glob(f"{split}/shard-*.json"))]
+
+
+def _lines(items: Iterable[Any]) -> Lines:
+    return [{key: str(item[key]) for key in FAILURE_KEYS} for item in items]
 
 
 FailureKind = Literal["frame", "error", "crash", "timeout"]
@@ -284,22 +274,11 @@ class Failure:
     shard: str
 
 
-def save_failures(
-    directory: Path, failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]
-) -> None:
-    """Write failed.jsonl, one JSON object a line in the order of shards and frames.
+def failure_lines(failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]) -> Lines:
+    """What failed.jsonl and the results beside shards say of failures.
 
     `rerun_command(ref)` is the command line that tries that one frame again.
     """
-    found = sorted(failures, key=lambda item: (item.shard, item.ref.name))
-    lines = [json.dumps(line) for line in failure_lines(found, rerun_command)]
-    write_atomically(directory / FAILURES_NAME, "".join(f"{line}\n" for line in lines).encode())
-
-
-def failure_lines(
-    failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]
-) -> list[dict[str, str]]:
-    """What failed.jsonl and the results beside shards say of failures."""
     return [
         {
             "frame": failure.ref.name,
@@ -312,17 +291,22 @@ def failure_lines(
     ]
 
 
-def load_failures(directory: Path) -> list[dict[str, str]]:
+def save_failures(directory: Path, lines: Lines) -> None:
+    """Write failed.jsonl, one JSON object a line in the order of shards and frames."""
+    found = sorted(lines, key=lambda line: (line["shard"], line["frame"]))
+    text = "".join(f"{json.dumps(line)}\n" for line in found)
+    write_atomically(directory / FAILURES_NAME, text.encode())
+
+
+def load_failures(directory: Path) -> Lines:
     """The lines of failed.jsonl, and what runs have settled since.
 
-    A last line without an end, as earlier versions left it when they were killed, is passed over.
     Raises FactoryError when one is damaged.
     """
     path = directory / FAILURES_NAME
     try:
         content = read_regular(path, _MAX_BYTES) if path.exists() else b""
-        read = [parse_json(line) for line in content.decode().split("\n")[:-1]]
-        items = [{key: str(item[key]) for key in FAILURE_KEYS} for item in read]
+        items = _lines(parse_json(line) for line in content.decode().split("\n")[:-1])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FactoryError(
             f"{path}: cannot be read ({one_line(error)}); run the dataset's command again, it is "
@@ -330,4 +314,4 @@ def load_failures(directory: Path) -> list[dict[str, str]]:
         ) from error
     settled = outcomes(directory)
     kept = [item for item in items if item["shard"] not in settled]
-    return kept + [dict(line) for path in sorted(settled) for line in settled[path].failures]
+    return kept + [line for shard in sorted(settled) for line in settled[shard][1]]

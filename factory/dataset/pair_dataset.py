@@ -20,24 +20,9 @@ from ..errors import FactoryError
 from ..seeds import stream
 from ..storage.copies import local_folder
 from .layout import config_of, image_axes, optional_layers
-from .manifest import INDEX_NAME, load_manifest
-from .reader import (
-    Image,
-    OpenShards,
-    Split,
-    check_in_isolation,
-    listed_shards,
-    reading,
-)
-from .schema import (
-    CORE,
-    EFFECT_FOLDER,
-    REQUIRED_COLUMNS,
-    VALUE_RANGES,
-    Axis,
-    Column,
-    layers,
-)
+from .manifest import load_manifest
+from .reader import Image, OpenShards, Split, check_in_isolation, listed_shards, reading
+from .schema import CORE, EFFECT_FOLDER, REQUIRED_COLUMNS, VALUE_RANGES, Axis, Column, layers
 
 WINDOW = 16
 THREADS = 4
@@ -49,12 +34,11 @@ Sample = dict[str, Image]
 class Form:
     """What all shards of a dataset share, as the first one says it.
 
-    layers, sizes: dtype and shape of the images of each layer, the core ones first.
+    layers: dtype of the images of each layer, the core ones first.
     axes: of rows and columns.  columns: of /meta.  config: the settings.
     """
 
     layers: Mapping[str, np.dtype[Any]]
-    sizes: Mapping[str, tuple[int, ...]]
     axes: tuple[Axis, Axis]
     columns: tuple[Column, ...]
     config: Mapping[str, Any]
@@ -77,8 +61,8 @@ class SampleName:
 class PairDataset:
     """Random access to the samples of one split, without a copy of the dataset in memory.
 
-    `pairs[i]` is a dict of the asked layers, each (H, W), rgb (H, W, 3); `pairs[a:b]` and
-    `pairs[[i, j, ...]]` have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8
+    `pairs[i]` is a dict of the asked layers, each (H, W); `pairs[a:b]` and `pairs[[i, j, ...]]`
+    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8
     and (0.0, 1.0) for float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are
     float32 in 0..1.  The arrays are new ones at every read.
 
@@ -86,8 +70,8 @@ class PairDataset:
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
     `with` block, closes what this process has open.
 
-    folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
-    from where shards are fetched when they are needed (`factory.storage.copies`).
+    folder: of the dataset, or its URL on a storage (s3://bucket/folder), from where shards are
+    fetched when they are needed (`factory.storage.copies`).
     layers: as `format.schema` names them; None: all that the first shard has.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
@@ -108,20 +92,17 @@ class PairDataset:
         scaled: bool = False,
         trusted: bool = False,
     ) -> None:
-        given = local_folder(folder)
-        self.folder = given.parent if given.name == INDEX_NAME else given
+        self.folder = local_folder(folder)
         self.split, self.scaled = split, scaled
         if layers is not None:
             _check_names(tuple(layers))
         manifest = load_manifest(self.folder)
-        self.paths = listed_shards(self.folder, split, manifest)
+        found = listed_shards(self.folder, split, manifest)
+        self.paths = tuple(found)
         self._config_hash = manifest.config_hash if manifest else ""
-        infos = {
-            self.folder / name: info for name, info in (manifest.shards if manifest else {}).items()
-        }
         if not trusted:
             check_in_isolation(self.paths)
-        self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
+        self._counts = [info.samples if info else _count(path) for path, info in found.items()]
         self._ends = list(accumulate(self._counts))
         self._shards = OpenShards()
         self.layers = tuple(self.form.layers if layers is None else layers)
@@ -135,9 +116,10 @@ class PairDataset:
     ) -> Sample:
         """One sample, or several stacked.  Raises IndexError beyond the end."""
         if isinstance(item, slice):
-            return self._several(range(len(self))[item])
+            item = range(len(self))[item]
         if isinstance(item, Sequence | np.ndarray):
-            return self._several([self._index(number) for number in item])
+            samples = [self[number] for number in item]
+            return {name: np.stack([one[name] for one in samples]) for name in self.layers}
         path, row = self.place(item)
         images = self._shards.read(path, self.layers, row)
         return {
@@ -154,14 +136,16 @@ class PairDataset:
         Shards come in random order, `window` of them at a time, and the samples of a window in
         random order, so that one at a URL is fetched once.
         """
-        counts = zip(self.paths, self._counts, strict=True)
-        places = [path for path, count in counts for _ in range(count)]
+        places = [self.place(index)[0] for index in range(len(self))]
         for index in mixed_order(places, stream(seed, "shuffled", epoch), window):
             yield self[index]
 
     def place(self, index: SupportsIndex) -> tuple[Path, int]:
         """The shard that holds a sample, and its row there."""
-        number = self._index(index)
+        number = operator.index(index)
+        if isinstance(index, bool | np.bool_) or not -len(self) <= number < len(self):
+            raise IndexError(f"sample {index} of {len(self)}")
+        number %= len(self)
         shard = bisect_right(self._ends, number)
         return self.paths[shard], number - self._ends[shard] + self._counts[shard]
 
@@ -169,22 +153,15 @@ class PairDataset:
     def form(self) -> Form:
         """Of the dataset."""
         with reading(self.paths[0]) as file:
-            stacks = {name: file[name] for name in (*CORE, *optional_layers(file))}
-            table = file["meta"]
+            table, columns = file["meta"], []
             about = {key: str(value) for key, value in table.attrs.items()}
+            for name in table.dtype.names:
+                told = (about.get(f"{name}.{what}", "") for what in ("units", "description"))
+                columns.append(Column(name, table.dtype[name].str, *told))
             return Form(
-                {name: stack.dtype for name, stack in stacks.items()},
-                {name: stack.shape[1:] for name, stack in stacks.items()},
+                {name: file[name].dtype for name in (*CORE, *optional_layers(file))},
                 image_axes(file["noisy"]),
-                tuple(
-                    Column(
-                        name,
-                        table.dtype[name].str,
-                        about.get(f"{name}.units", ""),
-                        about.get(f"{name}.description", ""),
-                    )
-                    for name in table.dtype.names
-                ),
+                tuple(columns),
                 config_of(file),
                 str(file.attrs["config_hash"]),
             )
@@ -192,8 +169,8 @@ class PairDataset:
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W) of the images, those of the first shard."""
-        height, width = self.form.sizes["noisy"]
-        return height, width
+        rows, columns = self.axes
+        return len(rows.values), len(columns.values)
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -270,25 +247,6 @@ class PairDataset:
     def __repr__(self) -> str:
         return f"PairDataset({str(self.folder)!r}, {self.split!r}, {len(self)} samples)"
 
-    def _index(self, item: Any) -> int:
-        if isinstance(item, bool | np.bool_):
-            raise TypeError("a sample has a number, not a truth value")
-        index = operator.index(item)
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"sample {index} of {len(self)}")
-        return index % len(self)
-
-    def _several(self, numbers: Sequence[int]) -> Sample:
-        samples = [self[number] for number in numbers]
-        if not samples:
-            return {name: image[None][:0] for name, image in self[0].items()}
-        try:
-            return {name: np.stack([one[name] for one in samples]) for name in self.layers}
-        except ValueError as error:
-            raise FactoryError(
-                f"{self.folder}: images of several sizes; read them one by one"
-            ) from error
-
     def _scaled(self, name: str, image: Image) -> Image:
         grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)
         return in_unit_range(image) if self.scaled and grey else image
@@ -303,8 +261,7 @@ def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
 
 def _check_names(names: tuple[str, ...]) -> None:
     """Raise FactoryError for a layer that the format does not know."""
-    always = {layer.name for layer in layers("uint8")}
-    layers("uint8", [name for name in names if name not in always])
+    layers("uint8", names)
     if not names or len(set(names)) != len(names):
         raise FactoryError(f"layers={list(names)}: name at least one, and none twice")
 

@@ -1,4 +1,4 @@
-"""preview.png: a contact sheet of a dataset, read back from its shards and drawn with Pillow.
+"""Contact sheets of datasets, read back from their shards and drawn with Pillow.
 
 Pillow takes a tenth of a second where a plotting library takes three, and every install has it.
 """
@@ -9,21 +9,24 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from ..errors import FactoryError
 from ..files import write_atomically
 from .folder import PREVIEW_NAME
 from .pair_dataset import PairDataset, SampleName
-from .reader import ImageStack, reading
-from .schema import CORE, VALUE_RANGES
+from .reader import ImageStack, reading, value_range
+from .schema import CORE
+
+Anything = TypeVar("Anything")
 
 _BACKGROUND, _TEXT, _FAINT = "#0d1117", "#e6edf3", "#8b949e"
 # Black over amber to near white, as imaging sonars show echoes; shadows in the opposite hue.
-_ECHO = ("#000000", "#3a1c08", "#8c4a12", "#d98f2b", "#f7d488", "#fffdf2")
+_ECHO = ("#000000", "#fffdf2", "#b26c1e")
 _SHADOW = ("#000000", "#39a0c8")
 
 _PANEL, _GAP = 340, 12  # pixels: a panel's width, and between panels
@@ -69,36 +72,30 @@ def preview(
     return path
 
 
-def side_by_side(directories: Mapping[str, Path], out: Path, pairs: int = 4) -> None:
-    """Draw `pairs` frames of two datasets, just made, both in one row.
+def side_by_side(points: Sequence[tuple[str, Path]], out: Path, frames: int = 3) -> bool:
+    """Draw the same frames of several datasets, a row each, the first frame clean, too.
 
-    directories: the name of each, and its folder.
-    """
-    rows = {row[0]: row for row in in_common(list(directories.values()), trusted=True)}
-    shown = []
-    for first in spread(list(rows), pairs):
-        for name, sample in zip(directories, rows[first], strict=True):
-            one = load(sample)
-            shown.append(replace(one, heading=f"{name}   {one.heading}"))
-    write_atomically(out, draw(shown, " and ".join(directories), ""), key="dataset.dir")
-
-
-def in_common(
-    directories: Sequence[Path], *, trusted: bool = False
-) -> list[tuple[SampleName, ...]]:
-    """What all datasets have of the same frame and variant, one of each, in order.
-
-    trusted: as of `preview`.
+    points: label and folder of each, just made.  False where no sample is in all of them.
     """
     tables = [
         {(one.location, one.scene, one.frame, one.variant): one for one in pairs.names()}
-        for pairs in (PairDataset(folder, "all", trusted=trusted) for folder in directories)
+        for pairs in (PairDataset(folder, "all", trusted=True) for _, folder in points)
     ]
     common = [name for name in tables[0] if all(name in table for table in tables)]
-    return [tuple(table[name] for table in tables) for name in common]
+    shown = []
+    for (label, _), table in zip(points, tables, strict=True):
+        samples = [load(table[name]) for name in spread(common, frames)]
+        images = {f"noisy, {k + 1}": one.images["noisy"] for k, one in enumerate(samples)}
+        if samples:
+            images = {"clean, 1": samples[0].images["clean"], **images}
+            shown.append(replace(samples[0], heading=label, images=images))
+    if shown:
+        sheet = draw(shown, f"{len(shown)} datasets", "the same frames of each", wide=1)
+        write_atomically(out, sheet)
+    return bool(shown)
 
 
-def spread(samples: Sequence[SampleName], count: int) -> list[SampleName]:
+def spread(samples: Sequence[Anything], count: int) -> list[Anything]:
     """`count` samples (or all), evenly spread, in their order."""
     count = min(count, len(samples))
     return [samples[(2 * k + 1) * len(samples) // (2 * count)] for k in range(count)]
@@ -108,50 +105,43 @@ def load(name: SampleName) -> Shown:
     """One sample with its images read."""
     with reading(name.path) as file:
         images = {panel: ImageStack(file[panel])[name.row] for panel in CORE}
-        record = file["meta"][name.row]
+        record, full_scale = file["meta"][name.row], value_range(file)
     place = " / ".join(part for part in (name.location, name.scene, name.frame) if part)
     heading = f"{name.split}   {place}   variant {name.variant}"
     if {"range_min_m", "range_max_m"} <= set(record.dtype.names):
         heading += f"   {record['range_min_m']:.3g} to {record['range_max_m']:.3g} m"
-    return Shown(heading, images, VALUE_RANGES[str(images["noisy"].dtype)][1])
+    return Shown(heading, images, full_scale)
 
 
-def draw(shown: Sequence[Shown], title: str, note: str) -> bytes:
-    """PNG of the samples, two side by side, under a title, with a small note beside it."""
-    wide = 2 if len(shown) > 1 else 1
-    tall = -(-len(shown) // wide)
+def draw(shown: Sequence[Shown], title: str, note: str, wide: int = 2) -> bytes:
+    """PNG of the samples, `wide` side by side, under a title, with a small note beside it."""
+    wide = min(len(shown), wide)
     first = next(iter(shown[0].images.values()))
     height = round(_PANEL * min(max(first.shape[0] / first.shape[1], 0.5), 1.6))
     block = (len(shown[0].images) * (_PANEL + _GAP) + _EDGE, _OVER + height + _GAP)
-    sheet = Image.new("RGB", (wide * block[0] + _EDGE, _HEAD + tall * block[1]), _BACKGROUND)
+    size = (wide * block[0] + _EDGE, _HEAD + -(-len(shown) // wide) * block[1])
+    sheet = Image.new("RGB", size, _BACKGROUND)
     pen = ImageDraw.Draw(sheet)
-    pen.text((_EDGE, _HEAD // 2), title, _TEXT, ImageFont.load_default(26), anchor="lm")
-    right = (sheet.width - _EDGE, _HEAD // 2)
-    pen.text(right, note, _FAINT, ImageFont.load_default(18), anchor="rm")
+
+    def write(place: tuple[int, int], text: str, colour: str, font: int, anchor: str) -> None:
+        pen.text(place, text, colour, ImageFont.load_default(font), anchor=anchor)
+
+    write((_EDGE, _HEAD // 2), title, _TEXT, 26, "lm")
+    write((sheet.width - _EDGE, _HEAD // 2), note, _FAINT, 18, "rm")
     for number, sample in enumerate(shown):
         row, column = divmod(number, wide)
         left, top = column * block[0] + _EDGE, _HEAD + row * block[1] + _OVER
-        pen.text((left, top - 24), sample.heading, _TEXT, ImageFont.load_default(18), anchor="lb")
+        write((left, top - 24), sample.heading, _TEXT, 18, "lb")
         for name, image in sample.images.items():
-            pen.text((left, top - 4), name, _FAINT, ImageFont.load_default(15), anchor="lb")
+            write((left, top - 4), name, _FAINT, 15, "lb")
             full, colours = (1.0, _SHADOW) if name == "shadow" else (sample.full_scale, _ECHO)
-            sheet.paste(_panel(image, full, colours, height), (left, top))
+            share = np.nan_to_num(np.asarray(image, np.float32) / np.float32(full))
+            grey = Image.fromarray(np.clip(np.rint(share * 255), 0, 255).astype(np.uint8))
+            smaller = grey.width > _PANEL or height < grey.height
+            way = Image.Resampling.BOX if smaller else Image.Resampling.NEAREST
+            panel = ImageOps.colorize(grey.resize((_PANEL, height), way), *colours)
+            sheet.paste(panel, (left, top))
             left += _PANEL + _GAP
     buffer = io.BytesIO()
     sheet.save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()
-
-
-def _panel(
-    image: npt.NDArray[np.generic], full_scale: float, colours: Sequence[str], height: int
-) -> Image.Image:
-    """A picture in colours, as large as a panel."""
-    share = np.nan_to_num(np.asarray(image, dtype=np.float32) / np.float32(full_scale))
-    picture = Image.fromarray(np.clip(np.rint(share * 255), 0, 255).astype(np.uint8))
-    smaller = picture.width > _PANEL or height < picture.height
-    way = Image.Resampling.BOX if smaller else Image.Resampling.NEAREST
-    fitting = picture.resize((_PANEL, height), way)
-    stops = np.array([ImageColor.getrgb(colour)[:3] for colour in colours], dtype=np.float64)
-    where, even = np.linspace(0, 1, 256), np.linspace(0, 1, len(stops))
-    table = np.stack([np.interp(where, even, stops[:, k]) for k in range(3)], axis=-1)
-    return Image.fromarray(np.rint(table).astype(np.uint8)[np.asarray(fitting)])

@@ -1,9 +1,8 @@
-"""What a finished dataset looks like in figures, for tables, messages and `simnfnd inspect`."""
+"""How noisy the pictures of a dataset are: PSNR, SSIM, GMSD; and how much of them is lit."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,13 +11,17 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError
-from .pair_dataset import PairDataset
-from .preview import load, spread
-from .reader import reading
+Values = npt.NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
+
+SIGMA_PX = 1.5
+RADIUS_PX = 5
+"""Of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
+
+_K1, _K2 = 0.01, 0.03
 
 
 def noisiness(directory: Path, most: int = 200) -> dict[str, float]:
@@ -63,7 +66,7 @@ def gmsd(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
     return float(((2 * one * other + 170) / (one**2 + other**2 + 170)).std())
 
 
-def _gradient(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _gradient(image: Values) -> Values:
     height, width = image.shape
     image = np.pad(image, ((0, height % 2), (0, width % 2)))
     image = image.reshape(len(image) // 2, 2, -1, 2).mean(axis=(1, 3))
@@ -77,36 +80,24 @@ def _gradient(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def seen_sector_deg(directory: Path) -> tuple[float, float]:
     """Smallest and largest horizontal sector, degrees, that the camera saw of a sample."""
     tables = (shard["meta"][()] for shard in _shards(directory))
-    joined = np.concatenate([t["azimuth_max_deg"] - t["azimuth_min_deg"] for t in tables])
-    return float(joined.min()), float(joined.max())
+    seen = np.concatenate([t["azimuth_max_deg"] - t["azimuth_min_deg"] for t in tables])
+    return float(seen.min()), float(seen.max())
 
 
 def lit_share(directory: Path, most: int = 64) -> float:
     """Share of the pixels of (at most `most`) clean pictures that show an echo, 0 to 1."""
     pictures = (picture for shard in _shards(directory) for picture in shard["clean"])
-    found = [float((picture > 0).mean()) for picture in islice(pictures, most)]
-    return float(np.mean(found)) if found else 0.0
+    return float(np.mean([(picture > 0).mean() for picture in islice(pictures, most)] or [0.0]))
 
 
-def _unit(image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    scale = 255.0 if image.dtype == np.uint8 else 1.0
-    return np.asarray(image.astype(np.float64) / scale)
+def _unit(image: npt.NDArray[Any]) -> Values:
+    return np.asarray(image.astype(np.float64) / (255.0 if image.dtype == np.uint8 else 1.0))
 
 
 def _shards(directory: Path) -> Iterator[h5py.File]:
     for path in sorted(directory.glob("*/shard-*.h5")):
         with h5py.File(path) as shard:
             yield shard
-
-
-Values = npt.NDArray[np.float64]
-Scalar = TypeVar("Scalar", bound=np.generic)
-
-SIGMA_PX = 1.5
-RADIUS_PX = 5
-"""Of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
-
-_K1, _K2 = 0.01, 0.03
 
 
 class SsimReference:
@@ -146,81 +137,13 @@ def window(values: Values) -> Values:
     try:
         import cv2  # of the extra sonar
     except ImportError:
-        return _plain_window(values)
+        # The same to rounding, and slower.
+        weights = np.exp(-0.5 * (np.arange(-RADIUS_PX, RADIUS_PX + 1) / SIGMA_PX) ** 2)
+        wide = np.pad(values, RADIUS_PX, mode="symmetric")
+        for axis in (0, 1):
+            views = np.lib.stride_tricks.sliding_window_view(wide, len(weights), axis=axis)
+            wide = views @ (weights / weights.sum())
+        return wide
     size = (2 * RADIUS_PX + 1,) * 2
     means = cv2.GaussianBlur(values, size, SIGMA_PX, borderType=cv2.BORDER_REFLECT)
     return np.asarray(means, np.float64)
-
-
-def _plain_window(values: Values) -> Values:
-    """The same without OpenCV, to rounding."""
-    weights = np.exp(-0.5 * (np.arange(-RADIUS_PX, RADIUS_PX + 1) / SIGMA_PX) ** 2)
-    wide = np.pad(values, RADIUS_PX, mode="symmetric")
-    for axis in (0, 1):
-        views = np.lib.stride_tricks.sliding_window_view(wide, len(weights), axis=axis)
-        wide = views @ (weights / weights.sum())
-    return wide
-
-
-@dataclass(frozen=True, eq=False)
-class DatasetSummary:
-    """Figures about a dataset.
-
-    generator: as the first shard states it.
-    table: (samples,) structured array, the rows of /meta of all shards.
-    splits: (samples,) the split of each row.
-    stored_bytes: of all files.  image_bytes: of the images without compression.
-    psnr_db, ssim: noisy against clean, of `measured` samples spread evenly.
-    """
-
-    pairs: PairDataset
-    generator: str
-    compression: str
-    table: npt.NDArray[np.void]
-    splits: npt.NDArray[np.str_]
-    stored_bytes: int
-    image_bytes: int
-    psnr_db: npt.NDArray[np.float64]
-    ssim: npt.NDArray[np.float64]
-
-    def numbers(self, name: str) -> npt.NDArray[np.float64]:
-        """The finite values of one numeric column."""
-        values = self.table[name].astype(np.float64)
-        return np.asarray(values[np.isfinite(values)])
-
-
-def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
-    """Read a dataset folder, or its index.h5; `pairs` images at most are decoded.
-
-    Raises FactoryError when there is nothing of the kind, or a file is damaged.
-    """
-    if pairs < 1:
-        raise FactoryError(f"--pairs must be at least 1, got {pairs}")
-    found = PairDataset(path, "all")
-    with reading(found.paths[0]) as file:
-        generator = str(file.attrs["generator"])
-        compression = compression_of(file["noisy"])
-    names = list(found.names())
-    images = [load(one).images for one in spread(names, pairs)]
-    a_sample = sum(
-        int(np.prod(found.form.sizes[name])) * dtype.itemsize
-        for name, dtype in found.form.layers.items()
-    )
-    return DatasetSummary(
-        found,
-        generator,
-        compression,
-        found.meta(),
-        np.array([one.split for one in names]),
-        sum(shard.stat().st_size for shard in found.paths),
-        a_sample * len(found),
-        np.array([psnr_db(one["clean"], one["noisy"]) for one in images]),
-        np.array([ssim(one["clean"], one["noisy"]) for one in images]),
-    )
-
-
-def compression_of(stack: h5py.Dataset) -> str:
-    """The filters of a dataset in words, for example `gzip 1, fletcher32`."""
-    level = "" if stack.compression_opts is None else f" {stack.compression_opts}"
-    names = [f"{stack.compression}{level}"] if stack.compression else []
-    return ", ".join(names + ["fletcher32"] * bool(stack.fletcher32)) or "none"

@@ -6,7 +6,7 @@ import os
 import stat
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -18,10 +18,9 @@ import numpy.typing as npt
 from ..errors import FactoryError
 from ..isolated import look_at
 from ..storage.copies import fetched, url_of
-from .checksums import DEFLATE, check_contents, check_texts, crc32, picture_sums
-from .layout import check_shard, inside
-from .manifest import Manifest
-from .schema import SPLITS
+from .layout import DEFLATE, check_shard, check_texts, crc32, inside, picture_sums
+from .manifest import Manifest, ShardInfo
+from .schema import SPLITS, VALUE_RANGES
 
 Split = Literal["train", "test", "all"]
 
@@ -30,48 +29,46 @@ _LIMIT_S = 30.0
 _TRIES = 3
 
 
-def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[Path, ...]:
-    """The shard files of one split, in the order of their names.
+def listed_shards(
+    root: Path, split: Split, manifest: Manifest | None
+) -> dict[Path, ShardInfo | None]:
+    """The shard files of one split in the order of their names, and what the manifest says of them.
 
-    `manifest` says which shards belong to the dataset; without one, every `*.h5` in the folders
-    train/ and test/ does.  Raises FactoryError when the folder is no dataset, a listed shard is
-    absent, of another size or outside the folder, or the split is empty.
+    Without a manifest every `*.h5` in the folders train/ and test/ is one.  Raises FactoryError
+    when the folder is no dataset, a listed shard is absent, of another size or outside the folder,
+    or the split is empty.
     """
     if not root.is_dir():
         raise FactoryError(f"dataset={root}: no such folder; give one that `simnfnd make` made")
-    found: dict[Path, int | None]
+    found: dict[Path, ShardInfo | None]
     if manifest is None:
         found = {path: None for name in SPLITS for path in sorted((root / name).glob("*.h5"))}
     else:
-        shards = (info for name in SPLITS for info in manifest.of_split(name))
-        found = {root / info.path: info.bytes for info in shards}
+        found = {root / one.path: one for name in SPLITS for one in manifest.of_split(name)}
     if not found:
         raise FactoryError(f"dataset={root}: no shards in train/ or test/; is it a dataset folder?")
-    paths = tuple(path for path in found if split in ("all", path.parent.name))
-    if not paths:
+    chosen = {path: info for path, info in found.items() if split in ("all", path.parent.name)}
+    if not chosen:
         other = next(iter(found)).parent.name
         raise FactoryError(
             f"dataset={root}: the {split} split is empty; it has {len(found)} shard(s) in "
             f"{other} (split={other})"
         )
     # What lies at a URL is fetched, and looked at, when it is opened.
-    for path in () if url_of(root) else paths:
+    for path, info in () if url_of(root) else chosen.items():
         if not path.exists():
-            raise FactoryError(
-                f"{path}: listed in the manifest but absent; run the command that made the "
-                "dataset again"
-            )
-        if not inside(root, path):
+            problem = "listed in the manifest but absent"
+        elif not inside(root, path):
             raise FactoryError(f"{path}: leads out of the dataset's folder; not read")
-        if found[path] not in (None, size := path.stat().st_size):
-            raise FactoryError(
-                f"{path}: {size} bytes, the manifest says {found[path]}; run the command that "
-                "made the dataset again"
-            )
-    return paths
+        elif info is None or info.bytes == (size := path.stat().st_size):
+            continue
+        else:
+            problem = f"{size} bytes, the manifest says {info.bytes}"
+        raise FactoryError(f"{path}: {problem}; run the command that made the dataset again")
+    return chosen
 
 
-def check_in_isolation(paths: Sequence[Path]) -> None:
+def check_in_isolation(paths: Iterable[Path]) -> None:
     """Have another process open every shard first: a damaged file can make HDF5 crash or hang.
 
     Whatever opens files that may be a stranger's goes through here.  Takes a third of a second
@@ -83,9 +80,9 @@ def check_in_isolation(paths: Sequence[Path]) -> None:
             look_at(path, check_readable, path, limit_s=_LIMIT_S)
 
 
-def check_readable(path: str) -> None:
+def check_readable(path: Path) -> None:
     """Read everything of a shard but its pictures.  Raises FactoryError when it is damaged."""
-    with reading(Path(path)) as file:
+    with reading(path) as file:
         file["meta"][()]
         check_texts(file)
 
@@ -98,8 +95,8 @@ def bring(path: Path) -> None:
             look_at(aside, check_readable, aside, limit_s=_LIMIT_S)
         except FactoryError as error:
             raise FactoryError(str(error).replace(str(aside), str(path))) from error
-        # It keeps its state when it gets its name.
-        _note_sound(path, _state_of(aside), ours=True)
+        # It keeps its state when it gets its name, and nobody else writes it.
+        _sound[path] = _state_of(aside)
 
     fetched(path, look)
 
@@ -134,7 +131,6 @@ def open_shard(path: Path) -> h5py.File:
     try:
         with _explained(path):
             check_shard(file)
-            check_contents(file)
             split = str(file.attrs["split"])
             if path.parent.name in SPLITS and path.parent.name != split:
                 raise FactoryError(
@@ -144,7 +140,8 @@ def open_shard(path: Path) -> h5py.File:
     except FactoryError:
         file.close()
         raise
-    _note_sound(path, state)
+    if time.time_ns() - state[2] >= _SETTLED_NS:
+        _sound[path] = state
     return file
 
 
@@ -180,15 +177,9 @@ def _state_of(path: Path) -> _State:
     return now.st_ino, now.st_size, now.st_mtime_ns
 
 
-def _note_sound(path: Path, state: _State, *, ours: bool = False) -> None:
-    """The file was checked in this state.  ours: nobody else writes it."""
-    if ours or time.time_ns() - state[2] >= _SETTLED_NS:
-        _sound[path] = state
-
-
 def value_range(file: h5py.File) -> float:
     """The value of full scale: 255 for uint8 shards, 1 for float32 ones."""
-    return 255.0 if file["noisy"].dtype == np.uint8 else 1.0
+    return VALUE_RANGES[str(file["noisy"].dtype)][1]
 
 
 # --- pictures
@@ -202,7 +193,6 @@ _MOST_FILES = 64
 class ImageStack:
     """`stack[row]` is one (H, W) picture, as stored and writable.
 
-    Pictures in colour have a third dimension.
     sums: (samples,) `crc32` of each picture, where they were read already.
     Raises FactoryError (without the file's name) for a picture that is damaged.
     """
@@ -260,11 +250,13 @@ class OpenShards:
 
         Raises FactoryError when the shard cannot be opened or a chunk is damaged.
         """
-        if self._process != os.getpid():
-            # After a fork: HDF5's state and a lock that another thread holds stay behind.
-            self._forget()
+        self._forget_parent()
         with self._lock:
-            stacks = self._open.pop(path, None) or self._opened(path)
+            stacks = self._open.pop(path, None)
+            if stacks is None:
+                while len(self._open) >= _MOST_FILES:
+                    self._close_oldest()
+                stacks = _Stacks(open_shard(path))
             self._open[path] = stacks
             try:
                 return [stacks[name][row] for name in layers]
@@ -278,19 +270,18 @@ class OpenShards:
 
     def close(self) -> None:
         """Close every file; the next read opens what it needs."""
-        if self._process != os.getpid():
-            self._forget()
+        self._forget_parent()
         with self._lock:
             while self._open:
                 self._close_oldest()
 
-    def _opened(self, path: Path) -> _Stacks:
-        while len(self._open) >= _MOST_FILES:
-            self._close_oldest()
-        return _Stacks(open_shard(path))
-
     def _close_oldest(self) -> None:
         self._open.pop(next(iter(self._open))).file.close()
+
+    def _forget_parent(self) -> None:
+        """After a fork: HDF5's state and a lock that another thread holds stay behind."""
+        if self._process != os.getpid():
+            self._forget()
 
     def _forget(self) -> None:
         self._open: dict[Path, _Stacks] = {}
@@ -310,6 +301,5 @@ class _Stacks(dict[str, ImageStack]):
         self._sums = picture_sums(file)
 
     def __missing__(self, name: str) -> ImageStack:
-        stack = self.file[name]
-        self[name] = ImageStack(stack, self._sums[name])
+        self[name] = ImageStack(self.file[name], self._sums[name])
         return self[name]

@@ -26,8 +26,6 @@ from ..labels import CLASSES
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
 SAMPLE_DIMENSION = "sample"
-# Layers of every shard.
-CORE = ("noisy", "clean", "shadow")
 # What a dataset may be called.
 DATASET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -67,8 +65,7 @@ class Layer:
     """One image stack of a shard: (samples, rows, columns), chunked one image at a time.
 
     classes: what the values 0, 1, 2, ... mean, for labels.  least, most: limits of real numbers.
-    of_camera: names of the dimensions of a picture that is the camera's; it has a size of its own
-        and no axes.  Empty for the sonar's.
+    grey: whether it holds grey values, stored as uint8 or float32 as the user chose.
     """
 
     name: str
@@ -78,16 +75,56 @@ class Layer:
     classes: tuple[str, ...] = ()
     least: float = 0.0
     most: float = math.inf
-    of_camera: tuple[str, ...] = ()
+    grey: bool = False
+
+    def attributes(self) -> dict[str, Any]:
+        """Attribute name -> value of the image stack."""
+        attributes: dict[str, Any] = {"description": self.description}
+        if self.grey:
+            attributes["value_range"] = np.asarray(VALUE_RANGES[self.dtype], dtype=self.dtype)
+        attributes["units"] = self.units
+        if self.classes:
+            attributes["classes"] = list(self.classes)
+        return attributes
+
+    def value_problem(self, picture: npt.NDArray[np.generic]) -> str | None:
+        """What is wrong with the values of a picture of the right type."""
+        kind = picture.dtype.kind
+        if self.classes and picture.max() >= len(self.classes):
+            return f"has class {picture.max()}; the schema knows {len(self.classes)}"
+        if kind == "b" and not np.isin(picture.view(np.uint8), (0, 1)).all():
+            return "has values that are neither true nor false"
+        if kind == "c" and not np.isfinite(picture).all():
+            return "has NaN or infinite values"
+        if kind != "f":
+            return None
+        low, high = self.least, np.float32(self.most)
+        known = picture if self.grey else picture[~np.isnan(picture)]
+        # Also false for NaN, which compares as neither.
+        inside = not known.size or (known.min() >= low and known.max() <= high)
+        if inside and np.isfinite(known).all():
+            return None
+        return f"has values outside {low:g}..{high:g}{', or NaN' if self.grey else ''}"
 
 
 _RIGHT_ANGLE = math.pi / 2
+
+
+def _grey(name: str, description: str) -> Layer:
+    return Layer(name, "uint8", description, most=1.0, grey=True)
 
 
 def _angle(name: str, description: str) -> Layer:
     return Layer(name, "float32", description, "rad", least=-_RIGHT_ANGLE, most=_RIGHT_ANGLE)
 
 
+_CORE_LAYERS = (
+    _grey("noisy", "sonar image with noise; input of a denoiser"),
+    _grey("clean", "ideal sonar image of the same points; target of a denoiser"),
+    Layer("shadow", "bool", "inside the sector, where no echo arrives in the ideal image"),
+)
+# Of every shard.
+CORE = tuple(layer.name for layer in _CORE_LAYERS)
 # Written where `dataset.layers` asks for them.
 OPTIONAL_LAYERS = (
     Layer("range", "float32", "slant range of the strongest echo; NaN where there is none", "m"),
@@ -111,23 +148,7 @@ OPTIONAL_LAYERS = (
         "beamformed field of the noisy picture before time-varying gain; 0 without data",
         "uPa",
     ),
-    Layer(
-        "rgb",
-        "uint8",
-        "the camera's picture of the frame that the pair was made of: red, green, blue, 0..255",
-        of_camera=("camera_row", "camera_column", "channel"),
-    ),
-    Layer(
-        "depth",
-        "float32",
-        "of that frame, registered to rgb: distance along the camera's optical axis (z, not slant "
-        "range); NaN where none was measured",
-        "m",
-        of_camera=("camera_row", "camera_column"),
-    ),
 )
-CHANNELS = 3
-CAMERA_LAYERS = frozenset(layer.name for layer in OPTIONAL_LAYERS if layer.of_camera)
 EFFECT_FOLDER = "layers/"
 _EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
 
@@ -141,30 +162,23 @@ def layers(
     classes: of the dataset, see `simnfnd.factory.labels.classes_of`.
     Raises FactoryError for one that the format does not know.
     """
-    known = {
-        layer.name: replace(layer, classes=classes) if layer.classes else layer
-        for layer in OPTIONAL_LAYERS
-    }
-    further = []
-    place = {layer.name: number for number, layer in enumerate(OPTIONAL_LAYERS)}
-    for name in sorted(optional, key=lambda name: (place.get(name, len(place)), name)):
-        if _EFFECT.fullmatch(name):
-            effect = name.removeprefix(EFFECT_FOLDER)
-            known[name] = Layer(name, dtype, f"noisy image with {effect} as its only noise")
-        if name not in known:
-            raise FactoryError(f"/{name}: no layer of the format")
-        further.append(known[name])
-    return (
-        Layer("noisy", dtype, "sonar image with noise; input of a denoiser"),
-        Layer("clean", dtype, "ideal sonar image of the same points; target of a denoiser"),
-        Layer("shadow", "bool", "inside the sector, where no echo arrives in the ideal image"),
-        *further,
+    wanted = sorted(optional)
+    effects = (
+        _grey(name, f"noisy image with {name.removeprefix(EFFECT_FOLDER)} as its only noise")
+        for name in filter(_EFFECT.fullmatch, wanted)
     )
-
-
-def stores_grey(layer: Layer) -> bool:
-    """Whether a layer holds grey values, stored as uint8 or float32 as the user chose."""
-    return layer.name in ("noisy", "clean") or layer.name.startswith(EFFECT_FOLDER)
+    known = {layer.name: layer for layer in (*_CORE_LAYERS, *OPTIONAL_LAYERS, *effects)}
+    if unknown := [name for name in wanted if name not in known]:
+        raise FactoryError(f"/{unknown[0]}: no layer of the format")
+    return tuple(
+        replace(
+            layer,
+            dtype=dtype if layer.grey else layer.dtype,
+            classes=classes if layer.classes else (),
+        )
+        for name, layer in known.items()
+        if name in CORE or name in wanted
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +208,7 @@ class Pair:
     noisy, clean: (H, W) uint8, or float32 in [0, 1].
     shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
     record: column name -> value, everything needed to make this very sample again.
-    layers: name -> (H, W) optional picture (rgb: (H, W, 3)), as `OPTIONAL_LAYERS` describes them.
+    layers: name -> (H, W) optional picture, as `OPTIONAL_LAYERS` describes them.
     """
 
     noisy: npt.NDArray[np.generic]
@@ -202,6 +216,10 @@ class Pair:
     shadow: npt.NDArray[np.bool_]
     record: Mapping[str, float | int | str] = field(default_factory=dict)
     layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+
+    def image(self, layer: str) -> npt.NDArray[np.generic]:
+        """The (H, W) picture that goes to a layer."""
+        return np.asarray(getattr(self, layer)) if layer in CORE else self.layers[layer]
 
 
 @dataclass(frozen=True)
@@ -284,7 +302,7 @@ def config_hash(config: Mapping[str, Any]) -> str:
 
 def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str, Any]:
     """Root attribute name -> value, in the order of ROOT_ATTRIBUTES, without the checksums."""
-    values = {
+    return {
         "schema": SCHEMA,
         "generator": provenance.generator,
         "config": config_text(provenance.config),
@@ -293,7 +311,6 @@ def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str,
         "value_range": np.asarray(VALUE_RANGES[dtype], dtype=dtype),
         "value_meaning": VALUE_MEANING,
     }
-    return {name: values[name] for name in ROOT_ATTRIBUTES if name not in SEALS}
 
 
 def table_dtype(columns: Sequence[Column]) -> np.dtype[np.void]:
@@ -346,48 +363,16 @@ def check_pair(
     row = table_row(columns, pair.record, name)
     shape = tuple(len(axis.values) for axis in axes)
     for layer in layers(str(pair.noisy.dtype), pair.layers):
-        image = image_of(pair, layer.name)
-        if layer.of_camera:
-            _check_camera_picture(image, layer, name)
-        elif image.shape != shape:
-            raise FrameError(f"{name}: {layer.name} is {image.shape}, its axes say {shape}")
-        if not stores_grey(layer):
-            if image.dtype != layer.dtype:
-                raise FrameError(f"{name}: {layer.name} is {image.dtype}, expected {layer.dtype}")
-        elif image.dtype == np.float32:
-            # Also false for NaN, which compares as neither.
-            if not (image.min() >= 0 and image.max() <= 1):
-                raise FrameError(f"{name}: {layer.name} has values outside 0..1, or NaN")
-        elif image.dtype != np.uint8:
-            raise FrameError(f"{name}: {layer.name} is {image.dtype}, expected uint8 or float32")
+        image = pair.image(layer.name)
+        kinds = tuple(VALUE_RANGES) if layer.grey else (layer.dtype,)
+        problem = layer.value_problem(image) if layer.grey else None
+        if image.shape != shape:
+            problem = f"is {image.shape}, its axes say {shape}"
+        elif str(image.dtype) not in kinds:
+            problem = f"is {image.dtype}, expected {' or '.join(kinds)}"
+        if problem:
+            raise FrameError(f"{name}: {layer.name} {problem}")
     return row
-
-
-def _check_camera_picture(image: npt.NDArray[np.generic], layer: Layer, name: str) -> None:
-    fits = image.ndim == len(layer.of_camera) and image.shape[2:] in ((), (CHANNELS,))
-    if not fits or not 0 < image.shape[0] * image.shape[1] <= MAX_PIXELS:
-        raise FrameError(
-            f"{name}: {layer.name} is {image.shape}; expected {', '.join(layer.of_camera)}, "
-            f"{MAX_PIXELS} pixels at most; leave it out of dataset.layers"
-        )
-
-
-def layer_attributes(layer: Layer) -> dict[str, Any]:
-    """Attribute name -> value of a layer's image stack."""
-    attributes: dict[str, Any] = {"description": layer.description}
-    if stores_grey(layer):
-        attributes["value_range"] = np.asarray(VALUE_RANGES[layer.dtype], dtype=layer.dtype)
-    attributes["units"] = layer.units
-    if layer.classes:
-        attributes["classes"] = list(layer.classes)
-    return attributes
-
-
-def image_of(pair: Pair, layer: str) -> npt.NDArray[np.generic]:
-    """The picture of a pair that goes to a layer: (H, W), of rgb (H, W, 3)."""
-    if layer in ("noisy", "clean", "shadow"):
-        return np.asarray(getattr(pair, layer))
-    return pair.layers[layer]
 
 
 def stored_image(image: npt.NDArray[np.generic], dtype: str) -> npt.NDArray[np.generic]:

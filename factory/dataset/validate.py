@@ -15,17 +15,15 @@ from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..files import sha256_of
 from ..isolated import LASTING
 from ..labels import classes_of
-from .checksums import check_texts
-from .layout import config_of, echo_names, image_axes, inside, optional_layers
+from .layout import check_texts, config_of, echo_names, image_axes, inside, optional_layers
 from .manifest import INDEX_NAME, MANIFEST_NAME, Manifest, damage, load_manifest
 from .reader import ImageStack, reading
-from .schema import REQUIRED_COLUMNS, SPLITS, VALUE_RANGES, Layer, layers, stores_grey
+from .schema import REQUIRED_COLUMNS, SPLITS, layers
 
 _LIMIT_S = 60.0
 # Slower than any disk: a shard that takes longer is not read but stuck.
@@ -188,8 +186,8 @@ def _leaks(facts: Mapping[str, ShardFacts]) -> Iterator[Finding]:
 # --- in the isolated process
 
 
-def _told(path: str, deep: bool) -> dict[str, Any]:
-    return asdict(shard_facts(Path(path), deep))
+def _told(path: Path, deep: bool) -> dict[str, Any]:
+    return asdict(shard_facts(path, deep))
 
 
 def shard_facts(path: Path, deep: bool) -> ShardFacts:
@@ -204,7 +202,6 @@ def shard_facts(path: Path, deep: bool) -> ShardFacts:
 def _facts(file: h5py.File, deep: bool) -> ShardFacts:
     noisy = file["noisy"]
     known = layers(str(noisy.dtype), optional_layers(file), classes_of(config_of(file)))
-    sizes = [f"{layer.name} {file[layer.name].shape[1:]}" for layer in known if layer.of_camera]
     table = file["meta"][()]
     axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
     check_texts(file)
@@ -222,7 +219,7 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
             except FactoryError as error:
                 problems.append(str(error))
                 continue
-            if problem := _picture_problem(picture, layer):
+            if problem := layer.value_problem(picture):
                 problems.append(f"sample {row}: /{layer.name} {problem}")
             if layer.name in digests:
                 content = hashlib.blake2b(picture.tobytes(), digest_size=16)
@@ -230,7 +227,7 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         if len(problems) >= _MOST_PROBLEMS:
             break
     names = [*(layer.name for layer in known), *echo_names(file)]
-    form = f"{' '.join((str(noisy.shape[1:]), *sizes))} {noisy.dtype}, layers {', '.join(names)}, "
+    form = f"{noisy.shape[1:]} {noisy.dtype}, layers {', '.join(names)}, "
     return ShardFacts(
         problems[:_MOST_PROBLEMS],
         str(file.attrs["config_hash"])[:200],
@@ -242,22 +239,3 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         ],
         {} if problems else digests,
     )
-
-
-def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | None:
-    """What is wrong with the values of one picture."""
-    if layer.classes and picture.max() >= len(layer.classes):
-        return f"has class {picture.max()}; the schema knows {len(layer.classes)}"
-    if picture.dtype.kind == "b" and not np.isin(picture.view(np.uint8), (0, 1)).all():
-        return "has values that are neither true nor false"
-    if picture.dtype.kind == "c":
-        return None if np.isfinite(picture).all() else "has NaN or infinite values"
-    if picture.dtype.kind != "f":
-        return None
-    grey = stores_grey(layer)
-    low, high = VALUE_RANGES[str(picture.dtype)] if grey else (layer.least, np.float32(layer.most))
-    known = picture if grey else picture[~np.isnan(picture)]
-    # Also false for NaN, which compares as neither.
-    if known.size and not (known.min() >= low and known.max() <= high and np.isfinite(known).all()):
-        return f"has values outside {low:g}..{high:g}{', or NaN' if grey else ''}"
-    return None

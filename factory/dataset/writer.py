@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import struct
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,7 @@ from isal import isal_zlib
 from ..errors import FactoryError, FrameError
 from ..files import explain_os_errors, write_atomically
 from ..labels import classes_of
-from .checksums import crc32, write_checksums
-from .layout import config_of, image_axes, optional_layers
+from .layout import config_of, crc32, image_axes, optional_layers, write_checksums
 from .manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
 from .reader import reading
 from .schema import (
@@ -40,12 +39,9 @@ from .schema import (
     Provenance,
     check_pair,
     config_text,
-    image_of,
-    layer_attributes,
     layers,
     root_attributes,
     stored_image,
-    stores_grey,
     table_dtype,
 )
 from .settings import DatasetSettings
@@ -94,17 +90,14 @@ def write_shard(
             row = check_pair(pair, axes, columns, name)
             wanted = layers(settings.dtype, pair.layers, classes_of(provenance.config))
             if not rows:
-                shapes = {layer: image_of(pair, layer.name).shape for layer in wanted}
-                stacks = _create_stacks(file, axes, shapes, settings)
+                stacks = _create_stacks(file, axes, wanted, settings)
             elif tuple(stacks) != wanted:
                 raise FrameError(f"{name}: has other layers than the samples before it")
             rows.append(row)
             for layer, stack in stacks.items():
                 stack.resize(len(rows), axis=0)
-                image = image_of(pair, layer.name)
-                if image.shape != stack.shape[1:]:
-                    raise FrameError(f"{name}: {layer.name} has another size than before it")
-                if stores_grey(layer):
+                image = pair.image(layer.name)
+                if layer.grey:
                     image = stored_image(image, layer.dtype)
                 sums.setdefault(layer.name, []).append(crc32(image))
                 if settings.compression == "gzip":
@@ -135,18 +128,18 @@ def write_shard(
 def _create_stacks(
     file: h5py.File,
     axes: tuple[Axis, Axis],
-    shapes: Mapping[Layer, tuple[int, ...]],
+    wanted: Sequence[Layer],
     settings: DatasetSettings,
 ) -> dict[Layer, h5py.Dataset]:
-    """Empty, growing image stacks with their axes attached.  shapes: layer -> of its pictures."""
+    """Empty, growing image stacks with their axes attached."""
     for axis in axes:
         _write_axis(file, axis)
     filters: dict[str, Any] = {}
     if settings.compression == "gzip":
         level = settings.compression_level
         filters = {"fletcher32": True, "compression": "gzip", "compression_opts": level}
-    stacks = {}
-    for layer, shape in shapes.items():
+    stacks, shape = {}, tuple(len(axis.values) for axis in axes)
+    for layer in wanted:
         stack = file.create_dataset(
             layer.name,
             shape=(0, *shape),
@@ -172,11 +165,10 @@ def _write_axis(file: h5py.File, axis: Axis) -> None:
 
 def _describe(stack: h5py.Dataset, layer: Layer, axes: tuple[Axis, Axis]) -> None:
     """Attributes and dimensions of an image stack; its axes are in the file."""
-    for key, value in layer_attributes(layer).items():
+    for key, value in layer.attributes().items():
         stack.attrs[key] = value
-    for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
-        stack.dims[dimension].label = label
-    for dimension, axis in enumerate(() if layer.of_camera else axes, start=1):
+    stack.dims[0].label = SAMPLE_DIMENSION
+    for dimension, axis in enumerate(axes, start=1):
         stack.dims[dimension].label = axis.name
         stack.dims[dimension].attach_scale(stack.file[f"axes/{axis.name}"])
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
+from ..cli.extras import Need, require
 from ..dataset.pair_dataset import PairDataset
 from ..dataset.reader import Split
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
 # Format -> the module whose `write_FORMAT(pairs, folder)` fills an empty folder and returns one
-# line that says what it wrote.
+# line that says what it wrote, and the libraries that it needs.
 FORMATS = {
-    "webdataset": "pictures",
-    "huggingface": "huggingface",
-    "png": "pictures",
-    "coco": "objects",
-    "yolo": "objects",
+    "webdataset": ("pictures", "webdataset", "cv2"),
+    "huggingface": ("huggingface", "pyarrow", "cv2"),
+    "png": ("pictures", "cv2"),
+    "coco": ("objects", "cv2"),
+    "yolo": ("objects", "cv2"),
 }
 
 
@@ -30,7 +31,9 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
     """
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
-    write = getattr(import_module(f".{FORMATS[to]}", __package__), f"write_{to}")
+    module, *libraries = FORMATS[to]
+    require(Need(f"--to {to}", library) for library in libraries)
+    write = getattr(import_module(f".{module}", __package__), f"write_{to}")
     folder = Path(out)
     refuse_files(folder)
     with PairDataset(dataset, split, layers=None) as pairs, whole_folder(folder) as unfinished:

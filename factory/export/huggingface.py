@@ -30,12 +30,11 @@ _SAMPLES_PER_GROUP = 100
 
 def write_huggingface(pairs: PairDataset, folder: Path) -> str:
     """Fill `folder` with data/SPLIT-NNNNN-of-NNNNN.parquet and the card that names them."""
-    try:
-        import pyarrow  # noqa: F401  (an extra)
-    except ImportError as error:
+    if received := [name for name, dtype in pairs.form.layers.items() if dtype.kind == "c"]:
         raise FactoryError(
-            "--to huggingface needs the pyarrow package: pip install 'simnfnd[export]'"
-        ) from error
+            f"--to huggingface: parquet holds no complex numbers ({received[0]}); export with "
+            "--to webdataset"
+        )
     (folder / "data").mkdir()
     files = 0
     for split, count in pairs.splits.items():
@@ -79,38 +78,34 @@ def _schema(pairs: PairDataset) -> Any:
     import pyarrow
 
     image = pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
-    fields: list[tuple[str, Any]] = []
-    features: dict[str, dict[str, Any]] = {}
+    columns: dict[str, tuple[Any, dict[str, Any]]] = {}
     for layer, dtype in pairs.form.layers.items():
-        name = named(layer)
-        if is_picture(dtype):
-            fields.append((name, image))
-            features[name] = {"_type": "Image"}
-        else:
-            values = pyarrow.from_numpy_dtype(dtype)
-            fields.append((name, pyarrow.list_(pyarrow.list_(values))))
-            shape = list(pairs.form.sizes[layer])
-            features[name] = {"_type": "Array2D", "shape": shape, "dtype": str(dtype)}
+        columns[named(layer)] = image, {"_type": "Image"}
+        if not is_picture(dtype):
+            values = pyarrow.list_(pyarrow.list_(pyarrow.from_numpy_dtype(dtype)))
+            feature = {"_type": "Array2D", "shape": list(pairs.shape), "dtype": str(dtype)}
+            columns[named(layer)] = values, feature
     if {"instance", "segmentation"} <= set(pairs.layers):
         number, integer = pyarrow.int32(), {"_type": "Value", "dtype": "int32"}
         one = {"bbox": pyarrow.list_(number), "category": pyarrow.int64(), "area": number}
-        fields.append(("objects", pyarrow.list_(pyarrow.struct(list(one.items())))))
         names = {"_type": "ClassLabel", "names": list(classes_of(pairs.form.config))}
         kinds = {"bbox": {"_type": "List", "feature": integer}, "category": names, "area": integer}
-        features["objects"] = {"_type": "List", "feature": kinds}
+        objects = pyarrow.list_(pyarrow.struct(list(one.items())))
+        columns["objects"] = objects, {"_type": "List", "feature": kinds}
     for column in pairs.form.columns:
         dtype = np.dtype(column.dtype)
         text = dtype.kind == "S"
-        fields.append((column.name, pyarrow.string() if text else pyarrow.from_numpy_dtype(dtype)))
-        features[column.name] = {"_type": "Value", "dtype": "string" if text else str(dtype)}
-    described = json.dumps({"info": {"features": features}})
-    return pyarrow.schema(fields).with_metadata({"huggingface": described})
+        kind = pyarrow.string() if text else pyarrow.from_numpy_dtype(dtype)
+        feature = {"_type": "Value", "dtype": "string" if text else str(dtype)}
+        columns[column.name] = kind, feature
+    features = {name: feature for name, (_, feature) in columns.items()}
+    schema = pyarrow.schema([(name, kind) for name, (kind, _) in columns.items()])
+    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
 
 
 def _write_card(pairs: PairDataset, folder: Path) -> None:
     settings = dataset_settings(pairs.folder)
-    name, licence = str(settings.get("name") or "dataset"), settings.get("licence")
-    fields = hub_fields(name, str(licence) if licence else None, len(pairs))
+    fields = hub_fields(settings.get("name") or "dataset", settings.get("licence"), len(pairs))
     files = [{"split": split, "path": f"data/{split}-*.parquet"} for split in pairs.splits]
     configs = yaml.safe_dump({"configs": [{"config_name": "default", "data_files": files}]})
     write_notes(pairs, folder, _NOTES, front=f"---\n{fields}\n{configs}---\n\n")

@@ -91,44 +91,41 @@ def write_coco(pairs: PairDataset, folder: Path) -> str:
     """
     height, width = pairs.shape
     (folder / "annotations").mkdir()
-    images: dict[str, list[dict[str, Any]]] = {split: [] for split in pairs.splits}
-    annotations: dict[str, list[dict[str, Any]]] = {split: [] for split in pairs.splits}
-
-    def take(split: str, key: str, found: list[Shown]) -> None:
-        number = len(images[split]) + 1
-        size = {"width": width, "height": height}
-        images[split].append({"id": number, "file_name": f"{key}.png", **size})
-        for shown in found:
-            annotations[split].append(_annotation(shown, len(annotations[split]) + 1, number))
-
-    said = _pictures(pairs, "coco", folder, take)
+    documents: dict[str, dict[str, Any]] = {}
     for split in pairs.splits:
-        document = {
+        documents[split] = {
             "info": {"description": f"SimNFND, {split}", "version": "1.0"},
-            "images": images[split],
-            "annotations": annotations[split],
+            "images": [],
+            "annotations": [],
             "categories": [
                 {"id": label, "name": name, "supercategory": "object"}
                 for label, name in enumerate(classes_of(pairs.form.config))
                 if label
             ],
         }
+
+    def take(split: str, key: str, found: list[Shown]) -> None:
+        images, annotations = (documents[split][name] for name in ("images", "annotations"))
+        size = {"width": width, "height": height}
+        images.append({"id": len(images) + 1, "file_name": f"{key}.png", **size})
+        for shown in found:
+            one = {
+                "id": len(annotations) + 1,
+                "image_id": len(images),
+                "category_id": shown.label,
+                "bbox": shown.box,
+                "area": int(shown.mask.sum()),
+                "segmentation": run_lengths(shown.mask),
+                "iscrowd": 0,
+            }
+            annotations.append(one)
+
+    said = _pictures(pairs, "coco", folder, take)
+    for split, document in documents.items():
         text = json.dumps(document, separators=(",", ":"))
         (folder / "annotations" / f"instances_{split}.json").write_text(text + "\n")
     write_notes(pairs, folder, _COCO_NOTES)
     return said
-
-
-def _annotation(shown: Shown, number: int, image: int) -> dict[str, Any]:
-    return {
-        "id": number,
-        "image_id": image,
-        "category_id": shown.label,
-        "bbox": shown.box,
-        "area": int(shown.mask.sum()),
-        "segmentation": run_lengths(shown.mask),
-        "iscrowd": 0,
-    }
 
 
 def run_lengths(mask: npt.NDArray[np.bool_]) -> dict[str, list[int]]:
@@ -153,7 +150,12 @@ def write_yolo(pairs: PairDataset, folder: Path) -> str:
         (folder / "labels" / split).mkdir(parents=True)
 
     def take(split: str, key: str, found: list[Shown]) -> None:
-        lines = [line for shown in found for line in _lines(shown)]
+        lines = []
+        for shown in found:
+            for ring in outlines(shown.mask):
+                corners = (ring / shown.mask.shape[::-1]).ravel()
+                places = " ".join(f"{value:.6f}" for value in corners)
+                lines.append(f"{shown.label - 1} {places}\n")
         (folder / "labels" / split / f"{key}.txt").write_text("".join(lines))
 
     said = _pictures(pairs, "yolo", folder, take)
@@ -169,15 +171,6 @@ def write_yolo(pairs: PairDataset, folder: Path) -> str:
     return said
 
 
-def _lines(shown: Shown) -> list[str]:
-    height, width = shown.mask.shape
-    rings = [ring / (width, height) for ring in outlines(shown.mask)]
-    return [
-        f"{shown.label - 1} {' '.join(f'{value:.6f}' for value in ring.ravel())}\n"
-        for ring in rings
-    ]
-
-
 def outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
     """(H, W) -> (corners, 2) columns and rows of each part whose pixels touch, also at corners.
 
@@ -186,14 +179,14 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
     # Of pixels of twice the number, the outer ones say which side of their pixel lies outside.
     double = np.repeat(np.repeat(mask.astype(np.uint8), 2, axis=0), 2, axis=1)
     found, _ = cv2.findContours(double, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return [_corners((contour[:, 0].astype(np.int64) + 1) // 2) for contour in found]
-
-
-def _corners(ring: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Of straight lines the ends alone."""
-    ring = ring[np.any(ring != np.roll(ring, 1, axis=0), axis=1)]
-    step = ring - np.roll(ring, 1, axis=0)
-    return np.asarray(ring[np.any(step != np.roll(step, -1, axis=0), axis=1)])
+    rings = []
+    for contour in found:
+        ring = (contour[:, 0].astype(np.int64) + 1) // 2
+        ring = ring[np.any(ring != np.roll(ring, 1, axis=0), axis=1)]
+        # Of straight lines the ends alone.
+        step = ring - np.roll(ring, 1, axis=0)
+        rings.append(np.asarray(ring[np.any(step != np.roll(step, -1, axis=0), axis=1)]))
+    return rings
 
 
 _COCO_NOTES = f"""\

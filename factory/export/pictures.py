@@ -33,9 +33,7 @@ class Sample:
     """One sample.
 
     key: SPLIT-NUMBER, which counts from 0 within the split; sorts as the dataset does.
-    images: name -> (H, W) array as it is stored, rgb (H, W, 3); the optional `layers/<effect>` are
-        called `layers_<effect>`.
-    record: its row of /meta.
+    images: `named` layer -> (H, W) array as it is stored.  record: its row of /meta.
     """
 
     key: str
@@ -51,7 +49,7 @@ class Sample:
 
 
 def named(layer: str) -> str:
-    """A layer's name without a slash."""
+    """A layer's name without a slash: `layers/<effect>` is called `layers_<effect>`."""
     return layer.replace("/", "_")
 
 
@@ -60,23 +58,21 @@ def samples(pairs: PairDataset, split: str) -> Iterator[Sample]:
 
     Raises FactoryError where a shard has other layers, columns or sizes than the first.
     """
-    index = number = 0
+    start = number = 0
     for path in pairs.paths:
         rows = pairs.table(path)
-        for row in rows if path.parent.name == split else ():
-            images = pairs[index + number]
-            for name, image in images.items():
-                like = pairs.form.sizes[name], pairs.form.layers[name]
-                if (image.shape, image.dtype) != like:
-                    raise FactoryError(f"{path}: {name} differs in form from the other shards'")
-            values = {name: row[name].item() for name in rows.dtype.names or ()}
+        for row, record in enumerate(rows if path.parent.name == split else ()):
+            images = pairs[start + row]
+            if any(image.dtype != pairs.form.layers[name] for name, image in images.items()):
+                raise FactoryError(f"{path}: its layers differ in type from the other shards'")
+            values = {name: record[name].item() for name in rows.dtype.names or ()}
             yield Sample(
                 f"{split}-{number:06d}",
                 {named(name): image for name, image in images.items()},
                 {name: v.decode() if isinstance(v, bytes) else v for name, v in values.items()},
             )
             number += 1
-        index += 0 if path.parent.name == split else len(rows)
+        start += len(rows)
 
 
 def write_png(pairs: PairDataset, folder: Path) -> str:
@@ -99,9 +95,8 @@ def write_png(pairs: PairDataset, folder: Path) -> str:
                     (folder / split / name / picture).write_bytes(png(sample.images[name]))
                 rows.writerow([picture, *sample.json_record().values()])
     write_notes(pairs, folder, _PNG_NOTES)
-    left_out = [name for name in layers if name not in drawn]
     written = f"{len(pairs)} samples as PNG ({', '.join(drawn)})"
-    if left_out:
+    if left_out := [name for name in layers if name not in drawn]:
         written += f"; left out, as no PNG holds them: {', '.join(left_out)}"
     return written
 
@@ -111,12 +106,8 @@ def write_webdataset(pairs: PairDataset, folder: Path) -> str:
 
     What no PNG holds without loss is `.npy`.
     """
-    try:
-        from webdataset import TarWriter  # an extra
-    except ImportError as error:
-        raise FactoryError(
-            "--to webdataset needs the webdataset package: pip install 'simnfnd[export]'"
-        ) from error
+    from webdataset import TarWriter  # an extra
+
     tars = 0
     for split, count in pairs.splits.items():
         found = samples(pairs, split)
@@ -151,13 +142,11 @@ def is_picture(dtype: np.dtype[np.generic]) -> bool:
 
 
 def png(image: npt.NDArray[Any]) -> bytes:
-    """(H, W) uint8, uint16, bool (as 0 and 255) or float in 0..1 (16 bits), or RGB uint8 -> PNG."""
+    """(H, W) uint8, uint16, bool (as 0 and 255) or float in 0..1 (16 bits) -> PNG."""
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     elif not is_picture(image.dtype):
         image = np.rint(image.astype(np.float64) * 65535).astype(np.uint16)
-    if image.ndim == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     done, encoded = cv2.imencode(".png", image, _PNG)
     assert done  # only unknown types and empty images fail
     return encoded.tobytes()
@@ -166,19 +155,24 @@ def png(image: npt.NDArray[Any]) -> bytes:
 def write_notes(pairs: PairDataset, folder: Path, reading: str, *, front: str = "") -> None:
     """Write README.md; `reading` says in Markdown what the files are, `front` comes before all."""
     settings = dataset_settings(pairs.folder)
-    name, licence = str(settings.get("name") or "dataset"), settings.get("licence") or "not stated"
     counts = "".join(f"- {split}: {count} samples\n" for split, count in pairs.splits.items())
     rows, columns = pairs.shape
-    text = (
-        "Pairs of simulated forward-looking-sonar images, exported from a SimNFND dataset (config "
-        f"hash `{pairs.config_hash}`). {rows} x {columns} pixels, {pairs.dtype}, "
-        f"{pairs.layout} layout.\n\n{counts}"
-    )
-    terms = f"{licence}. The terms of the source images hold for what is derived from them."
-    (folder / "README.md").write_text(
-        f"{front}# {name}\n\n{text}\n## What the files are\n\n{reading}\n## Licence\n\n{terms}\n",
-        encoding="utf-8",
-    )
+    text = f"""\
+{front}# {settings.get("name") or "dataset"}
+
+Pairs of simulated forward-looking-sonar images, exported from a SimNFND dataset (config hash \
+`{pairs.config_hash}`). {rows} x {columns} pixels, {pairs.dtype}, {pairs.layout} layout.
+
+{counts}
+## What the files are
+
+{reading}
+## Licence
+
+{settings.get("licence") or "not stated"}. The terms of the source images hold for what is derived \
+from them.
+"""
+    (folder / "README.md").write_text(text, encoding="utf-8")
 
 
 _PNG_NOTES = """\

@@ -17,7 +17,6 @@ from ..dataset.manifest import (
     Failure,
     Manifest,
     ShardInfo,
-    ShardOutcome,
     damage,
     failure_lines,
     forget_outcomes,
@@ -124,8 +123,8 @@ class Results:
             self._shards[task.path] = info
         self._failures[task.path] = result.failures
         told = failure_lines(result.failures, self._job.rerun_command)
-        outcome = ShardOutcome(task.path, self._manifest.config_hash, info, told)
-        save_outcome(self._job.directory, outcome)
+        hash_ = self._manifest.config_hash
+        save_outcome(self._job.directory, task.path, hash_, info, told)
 
     def put_together(self) -> None:
         """Write manifest.json and failed.jsonl of all that is settled; the results beside go.
@@ -136,7 +135,7 @@ class Results:
         if self._job.shard.part:
             return
         directory = self._job.directory
-        save_failures(directory, self.failures, self._job.rerun_command)
+        save_failures(directory, failure_lines(self.failures, self._job.rerun_command))
         save_manifest(directory, _with_shards(self._manifest, self._shards))
         forget_outcomes(directory)
 

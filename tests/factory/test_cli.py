@@ -153,7 +153,7 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
     table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()
     assert len(table) == 2 + 4
     sheet = cv2.imread(str(next(tmp_path.glob("outputs/sweeps/*/sweep.png"))))
-    assert sheet.shape[0] > 2 * 340, "two points a row"
+    assert sheet.shape[0] > 4 * 340, "a point a row"
     assert sheet.std() > 10
     assert all(str(folder.name) in "".join(table) for folder in datasets)
     noisy = {

@@ -98,7 +98,7 @@ def test_both_profiles_of_the_demo_show_the_same_frames(folder: Path) -> None:
         with h5py.File(folder / "outputs" / name / "train/shard-00000.h5") as shard:
             tables.append(shard["meta"]["scene", "frame"])
     np.testing.assert_array_equal(*tables)
-    # Frames below each other, both profiles of a frame in one row.
+    # A row a profile, a column a frame.
     rows, columns, _ = cv2.imread(str(folder / "outputs/demo-profiles.png")).shape
     assert columns > rows > 500
 

@@ -13,7 +13,7 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.factory.commands.inspect import report
-from simnfnd.factory.dataset.quality import PSNR_CAP_DB, psnr_db, ssim, summarize
+from simnfnd.factory.dataset.quality import PSNR_CAP_DB, psnr_db, ssim
 from simnfnd.factory.errors import FactoryError
 from tests import small_dataset
 from tests.factory.export.export_dataset import write
@@ -39,56 +39,38 @@ def test_quality_is_what_evaluation_reports(dtype) -> None:
     assert np.isnan(ssim(clean[:8, :8], noisy[:8, :8]))
 
 
-def test_figures_are_those_of_the_files(dataset) -> None:
-    found = summarize(dataset)
-    shards = sorted(dataset.glob("*/*.h5"), key=lambda path: (path.parent.name != "train", path))
-    tables, pairs = [], []
-    for path in shards:
-        with h5py.File(path) as file:
-            tables.append(file["meta"][:])
-            pairs += list(zip(file["clean"][:], file["noisy"][:], strict=True))
-    table = np.concatenate(tables)
-    assert found.stored_bytes == sum(path.stat().st_size for path in shards)
-    # noisy, clean, shadow, segmentation: a byte a pixel; instance two, range four.
-    assert found.image_bytes == 12 * 20 * 16 * (4 + 2 + 4)
-    assert list(found.splits) == ["train"] * 9 + ["test"] * 3
-    np.testing.assert_array_equal(found.table["range_max_m"], table["range_max_m"])
-    assert found.numbers("noise.background.density").size < 12  # some were not drawn
-    assert found.psnr_db == pytest.approx([psnr_db(*pair) for pair in pairs])
-
-
 def test_the_report_says_it_in_words(dataset) -> None:
-    text = "\n".join(report(summarize(dataset), "little"))
-    lines = text.splitlines()
+    lines = list(report(dataset, "little"))
+    text = "\n".join(lines)
     assert lines[0].startswith("little: simnfnd/1, made by simnfnd 0.1.0, config hash ")
     assert "9 train, 3 test, in 3 file(s)" in text
     assert "20 x 16 uint8 (0..255), fan" in text
-    assert "gzip 1, fletcher32" in text
     assert "CC-BY-4.0" in text
-    scene = next(line for line in lines if line.startswith("| test ") and "reef" in line)
-    assert scene.replace("|", "").split() == ["test", "reef", "reef-test", "3"]
-    values = summarize(dataset).numbers("range_max_m")
-    row = next(line for line in lines if line.startswith("| range_max_m")).replace("|", "").split()
+    tables, psnr = [], []
+    for path in sorted(dataset.glob("*/*.h5")):
+        with h5py.File(path) as file:
+            tables.append(file["meta"]["range_max_m", "noise.background.density"])
+            psnr += map(psnr_db, file["clean"][:], file["noisy"][:])
+    values, density = (np.concatenate(tables)[name] for name in tables[0].dtype.names)
+    table = [line.replace("|", "").split() for line in text.splitlines() if line[:1] == "|"]
+    assert ["test", "reef", "reef-test", "3"] in table
+    rows = {line[0]: line for line in table}
     figures = (f"{value:.6g}" for value in (values.min(), values.mean(), values.max()))
-    assert row == ["range_max_m", *figures, "m", "12"]
-    assert lines[-2].startswith(f"PSNR, dB: mean {np.mean(summarize(dataset).psnr_db):.3f}, std ")
-
-
-def test_the_index_can_be_given(dataset) -> None:
-    (dataset / "index.h5").touch()  # only its place matters
-    try:
-        assert summarize(dataset / "index.h5").pairs.splits == {"train": 9, "test": 3}
-    finally:
-        (dataset / "index.h5").unlink()
+    assert rows["range_max_m"] == ["range_max_m", *figures, "m", "12"]
+    drawn = np.count_nonzero(np.isfinite(density))
+    assert drawn < 12, "some were not drawn"
+    assert rows["noise.background.density"][-1] == str(drawn)
+    assert lines[-2].startswith(f"PSNR, dB: mean {np.mean(psnr):.3f}, std ")
 
 
 def test_what_is_no_dataset_is_said(tmp_path, dataset) -> None:
-    with pytest.raises(FactoryError, match="no such folder"):
-        summarize(tmp_path / "nothing")
-    with pytest.raises(FactoryError, match="no shards"):
-        summarize(tmp_path)
-    with pytest.raises(FactoryError, match="--pairs"):
-        summarize(dataset, pairs=0)
+    for path, most, words in (
+        (tmp_path / "nothing", 1, "no such folder"),
+        (tmp_path, 1, "no shards"),
+        (dataset, 0, "--pairs"),
+    ):
+        with pytest.raises(FactoryError, match=words):
+            list(report(path, "it", most))
 
 
 def test_the_preview_of_a_recording(

@@ -17,7 +17,7 @@ import numpy as np
 
 from simnfnd.factory.dataset import PairDataset, validate
 from simnfnd.factory.dataset import reader as shard_reader
-from simnfnd.factory.dataset.checksums import crc32, write_checksums
+from simnfnd.factory.dataset.layout import crc32, write_checksums
 from simnfnd.factory.dataset.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.schema import Pair, Provenance, config_hash
 from simnfnd.factory.dataset.writer import write_index
@@ -46,8 +46,6 @@ def with_layers(pair: Pair) -> Pair:
             "segmentation": number,
             "instance": number.astype(np.uint16),
             "layers/background": pair.noisy,
-            "rgb": np.indices((6, 8, 3), np.uint8).sum(axis=0, dtype=np.uint8),
-            "depth": np.where(seen[:6, :8], np.float32(2), np.float32(np.nan)),
         },
     )
 

@@ -57,21 +57,14 @@ def test_a_flipped_bit_is_refused(folder: Path, part: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "words"),
-    [
-        (("checksums",), "some of its checksums are absent"),
-        (("text_checksum",), "some of its checksums are absent"),
-        (("checksums", "checksum", "text_checksum"), "versions before 0.3 wrote none"),
-    ],
+    "names", [("checksums",), ("text_checksum",), ("checksums", "checksum", "text_checksum")]
 )
-def test_a_shard_without_its_checksums_is_refused(
-    folder: Path, names: tuple[str, ...], words: str
-) -> None:
+def test_a_shard_without_its_checksums_is_refused(folder: Path, names: tuple[str, ...]) -> None:
     with h5py.File(folder / SHARD, "r+") as file:
         for name in names:
             del (file if name in file else file.attrs)[name]
     admit(folder)
-    with pytest.raises(FactoryError, match=rf"shard-00000\.h5: .*{words}"):
+    with pytest.raises(FactoryError, match=r"shard-00000\.h5: its checksums are absent"):
         given_out(folder)
 
 

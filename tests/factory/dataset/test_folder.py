@@ -25,7 +25,6 @@ from simnfnd.factory.dataset.manifest import (
     Failure,
     Manifest,
     ShardInfo,
-    ShardOutcome,
     damage,
     forget_outcomes,
     load_failures,
@@ -215,7 +214,7 @@ def begun(folder: Path) -> None:
 def settle(folder: Path, number: int, shard: ShardInfo | None, hash_: str = HASH) -> Path:
     """The file of the result beside a shard."""
     path = info(number).path
-    save_outcome(folder, ShardOutcome(path, hash_, shard, [FAILURE] if shard is None else []))
+    save_outcome(folder, path, hash_, shard, [FAILURE] if shard is None else [])
     return (folder / path).with_suffix(".json")
 
 

@@ -46,7 +46,7 @@ def test_every_sample_is_what_was_written(sound: Path) -> None:
 
 @pytest.mark.parametrize(
     "item",
-    [slice(None), slice(2, 7), slice(7, 1, -2), slice(3, 3), [5, 0, 5, -1], np.array([3, 4, 5])],
+    [slice(None), slice(2, 7), slice(7, 1, -2), [5, 0, 5, -1], np.array([3, 4, 5])],
 )
 def test_several_samples_at_once_are_stacked(sound: Path, item: Any) -> None:
     noisy = np.stack([pair.noisy for pair in PAIRS])
@@ -71,7 +71,7 @@ def test_values_are_in_the_range_that_is_stated(tmp_path: Path, dtype: str, scal
 
 
 def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
-    pairs = opened(sound / "index.h5", split="all")
+    pairs = opened(sound, split="all")
     table = pairs.meta()
     assert [row["scene"].decode() for row in table] == ["alpha"] * 4 + ["beta"] * 4 + ["gamma"] * 4
     rows, columns = pairs.axes

@@ -104,7 +104,7 @@ PYTHON = [step for step in steps(ROOT / "docs" / "dataset.md") if step.kind == "
 def test_every_layer_column_and_attribute_is_documented() -> None:
     """By its name, and with its type, unit and meaning in the same line of a table."""
     lines = [line for line in PAGE.splitlines() if line.startswith("| ")]
-    asked = requested(("pose", "intrinsics", "calibration", "boxes"))
+    asked = requested(("pose", "calibration", "boxes"))
     expected = [
         *((f"/{one.name}", one.units, one.description) for one in layers("uint8")),
         *((f"/{one.name}", one.dtype, one.units, one.description) for one in OPTIONAL_LAYERS),

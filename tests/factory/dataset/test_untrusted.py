@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 
+from simnfnd.factory.commands.inspect import report
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.preview import preview
-from simnfnd.factory.dataset.quality import summarize
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
 from tests.factory.dataset.hostile import admit, reseal
@@ -35,7 +35,7 @@ def open_trusted(folder: Path) -> None:
 READERS: dict[str, Callable[[Path], Any]] = {
     "read": read,
     "export": lambda folder: export(folder, "png", folder.parent / "out"),
-    "inspect": lambda folder: summarize(folder),
+    "inspect": lambda folder: list(report(folder, "it")),
     "preview": lambda folder: preview(folder, folder.parent / "sheet.png"),
 }
 

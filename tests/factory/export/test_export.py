@@ -161,7 +161,7 @@ def test_the_same_dataset_gives_the_same_bytes(to, tmp_path, fans) -> None:
 )
 def test_an_absent_library_is_named_with_its_cure(to, package, monkeypatch, tmp_path, fans) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(FactoryError, match=rf"{package}.*pip install 'simnfnd\[export\]'"):
+    with pytest.raises(FactoryError, match=rf'{package}.*pip install "simnfnd\[export\]"'):
         export(fans, to, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
