@@ -158,8 +158,8 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
     working = with_cache(config, work_folder(directory, config.shard))
     return Job(
-        directory,
-        plan_shards(splits, *how),
+        directory=directory,
+        tasks=plan_shards(splits, *how),
         source=pair_maker,
         preparer=None if config.scenes.kind == "pack" else ViewMaker,
         config=working,

@@ -9,6 +9,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Iterator
+from contextlib import closing
 from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
@@ -16,16 +17,13 @@ from typing import Any
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import local, template, workers_of
-from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
-from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
+from simnfnd.factory.scheduler.workers import Pool, WorkerDied, local, template
+from simnfnd.factory.scheduler.workers.local import LocalBackend
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT
 from tests.run_fake import make
 from tests.worker_processes import workers_of as processes_of
-
-FORKED = WorkerSettings((Pool("all", 2),), preload=("simnfnd.factory.scheduler.worker",))
 
 
 def template_pid() -> int:
@@ -52,7 +50,7 @@ def test_a_stopped_worker_costs_the_limit_and_some_seconds(tmp_path: Path) -> No
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_workers_outlive_their_template_and_not_the_backend(number: int) -> None:
     template.kill()
-    backend = LocalBackend(FORKED)
+    backend = LocalBackend((Pool(("all",), 2),), preload=("simnfnd.factory.scheduler.worker",))
     workers = []
     try:
         futures = [backend.submit(nap, 0.0, 60.0, "all") for _ in range(2)]
@@ -63,13 +61,13 @@ def test_workers_outlive_their_template_and_not_the_backend(number: int) -> None
         assert {future.result(60) for future in again} == pids, "one was taken for dead"
         backend.submit(nap, 60.0, 90.0, "all")
     finally:
-        backend.stop()
+        backend.close()
         template.kill()
     _, alive = psutil.wait_procs(workers, timeout=10)
     assert not alive
 
 
-HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
+HEAVY, LIGHT = Pool(("heavy", "light"), 1), Pool(("light",), 1)
 
 
 def task(name: str) -> tuple[str, int]:
@@ -106,7 +104,7 @@ def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(local, "_BEGIN_S", 2.0)
-    workers = LocalBackend(WorkerSettings((LIGHT,)))
+    workers = LocalBackend((LIGHT,))
     try:
         assert workers.submit(task, "a", 60.0, "light").result(60)[0] == "a"
         (process,) = children()
@@ -118,12 +116,12 @@ def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
         (other,) = children()
         assert other.pid != process.pid
     finally:
-        workers.stop()
+        workers.close()
     assert not children()
 
 
 def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
-    workers = LocalBackend(WorkerSettings((LIGHT,)))
+    workers = LocalBackend((LIGHT,))
     try:
         _, pid = workers.submit(task, "a", 60.0, "light").result(60)
         os.kill(pid, signal.SIGKILL)
@@ -137,11 +135,11 @@ def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
             workers.submit(open, os.devnull, 60.0, "light").result(60)
         assert workers.submit(task, "c", 60.0, "light").result(60)[0] == "c"
     finally:
-        workers.stop()
+        workers.close()
 
 
 def test_a_pool_that_takes_others_tasks_prefers_its_own() -> None:
-    with workers_of(WorkerSettings((HEAVY, LIGHT))) as workers:
+    with closing(LocalBackend((HEAVY, LIGHT))) as workers:
         first = workers.submit(task, "a", 60.0, "heavy")
         assert not workers.free("heavy")
         assert workers.free("light")
@@ -151,7 +149,6 @@ def test_a_pool_that_takes_others_tasks_prefers_its_own() -> None:
         assert workers.submit(task, "c", 60.0, "heavy").result(60) == ("c", heavy)
 
 
-POOL = Pool("light", 1)
 # A module of the standard library that nothing here imports.
 LOADED = "wave"
 
@@ -173,11 +170,11 @@ def none_before() -> Iterator[None]:
 
 def asked() -> tuple[int, int, bool, str]:
     """(process, parent, whether LOADED is, OMP_NUM_THREADS) of a worker."""
-    backend = LocalBackend(WorkerSettings((POOL,), preload=(LOADED,)))
+    backend = LocalBackend((LIGHT,), preload=(LOADED,))
     try:
-        found = backend.submit(seen, "OMP_NUM_THREADS", 60.0, POOL.name).result(60)
+        found = backend.submit(seen, "OMP_NUM_THREADS", 60.0, "light").result(60)
     finally:
-        backend.stop()
+        backend.close()
     assert found[3] is not None
     return found[0], found[1], found[2], found[3]
 
@@ -199,13 +196,13 @@ def test_environment_and_folder_are_those_of_now(
     monkeypatch.delenv("SIMNFND_TEST_GONE")
     monkeypatch.setenv("SIMNFND_TEST_NEW", "2")
     monkeypatch.chdir(str(tmp_path))
-    backend = LocalBackend(WorkerSettings((POOL,), preload=(LOADED,)))
+    backend = LocalBackend((LIGHT,), preload=(LOADED,))
     try:
         for name, value in (("SIMNFND_TEST_GONE", None), ("SIMNFND_TEST_NEW", "2")):
-            *_, loaded, told, folder = backend.submit(seen, name, 60.0, POOL.name).result(60)
+            *_, loaded, told, folder = backend.submit(seen, name, 60.0, "light").result(60)
             assert (loaded, told, folder) == (True, value, str(tmp_path))
     finally:
-        backend.stop()
+        backend.close()
 
 
 @pytest.mark.usefixtures("none_before")
