@@ -12,14 +12,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..dataset.folder import WORK_NAME
 from ..dataset.schema import SPLITS, PairSource, Preparer, Provenance
 from ..dataset.settings import DatasetSettings
 from ..frame import FrameRef
-from ..storage.publish import Publication
 from .settings import SchedulerSettings, ShardSlice
+
+if TYPE_CHECKING:
+    from .publish import Publication
 
 FrameVariants = tuple[FrameRef, tuple[int, ...]]
 

@@ -15,11 +15,11 @@ from ..dataset.writer import write_index
 from ..errors import FactoryError
 from ..files import explain_os_errors, remove_file, remove_stale_temporaries
 from ..progress import stage
-from ..storage.publish import publishing
-from .lock import Lock
+from .lock import locked
 from .loop import Loop
 from .plan import Job, work_folder
 from .progress import ProgressBar
+from .publish import publishing
 from .results import Results, RunReport
 from .settings import Crew
 from .workers import Backend
@@ -45,7 +45,7 @@ def make_dataset(job: Job) -> RunReport:
     apart = job.scheduler.address is not None
     with (
         stop_signals(),
-        Lock(job.directory, job.shard.part),
+        locked(job.directory, job.shard.part),
         publishing(job.directory, job.shard.part, apart=apart) as publication,
     ):
         manifest = open_folder(job.directory, job.config_values, job.provenance)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from ..dataset.manifest import Failure, ShardInfo
@@ -15,7 +16,6 @@ from ..dataset.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered
 from ..files import outlet
 from ..frame import FrameRef
-from ..storage.publish import apart_copy
 from .plan import FrameVariants, Recipe, ShardTask
 from .workers import tell
 
@@ -79,12 +79,12 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
     """
     recipe = attempt.recipe
     with ExitStack() as here:
-        # Who shares no folder has one of its own.
-        if recipe.publication and recipe.publication.apart:
-            own = here.enter_context(apart_copy(recipe.publication))
-            recipe = replace(recipe, directory=own.folder, publication=own)
-        elif recipe.publication:
-            here.enter_context(outlet(recipe.publication))
+        if (publication := recipe.publication) is not None:
+            if publication.apart:  # who shares no folder has one of its own
+                folder = here.enter_context(TemporaryDirectory(prefix="simnfnd-shard-"))
+                publication = replace(publication, folder=Path(folder).resolve())
+            recipe = replace(recipe, directory=publication.folder)
+            here.enter_context(outlet(publication.folder, publication.pass_on))
         return _Shard(attempt, recipe).result()
 
 
