@@ -21,7 +21,7 @@ from .progress import ProgressBar
 from .results import Results
 from .settings import NOISE, RENDER
 from .worker import ShardAttempt, ShardResult, make_shard, prepare_frame
-from .workers import Backend, WorkerDied
+from .workers import Backend, Task, WorkerDied
 
 _POLL_S = 0.2
 # So many workers that die without having begun a frame, one after another, are no accident.
@@ -89,14 +89,12 @@ class Loop:
         limit_s = self._job.scheduler.frame_timeout_s
         while self._ready and self._free(NOISE):
             shard, told = self._ready.popleft(), _Told(maxlen=1)
-            future: Future[Any]
-            future = self._backend.submit(make_shard, shard, limit_s, NOISE, told.append)
-            self._running[future] = shard, told
+            task = Task(make_shard, shard, NOISE, limit_s, told.append)
+            self._running[self._backend.submit(task)] = shard, told
         while self._preparing and self._free(RENDER):
             frame, told = self._preparing.popleft(), _Told(maxlen=1)
-            work = frame.ref, self._recipe
-            future = self._backend.submit(prepare_frame, work, limit_s, RENDER, told.append)
-            self._running[future] = frame, told
+            task = Task(prepare_frame, (frame.ref, self._recipe), RENDER, limit_s, told.append)
+            self._running[self._backend.submit(task)] = frame, told
 
     def _free(self, kind: str) -> bool:
         # Each result is on record before more begins: in this process all would be done first.

@@ -11,12 +11,10 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
 from .machine import keep_freed_memory
 
-T = TypeVar("T")
 Hear = Callable[[Any], None]
 
 RESULT, ERROR = "result", "error"
@@ -29,8 +27,7 @@ class WorkerDied(Exception):
     """The worker of a task ended, or had to be ended, before it answered."""
 
 
-@dataclass(frozen=True)
-class Pool:
+class Pool(NamedTuple):
     """Workers of one sort.
 
     kinds: of tasks that they run; for the first kind they are taken before others.
@@ -41,6 +38,25 @@ class Pool:
     kinds: tuple[str, ...]
     workers: int
     tasks_per_worker: int = 0
+
+
+class Task(NamedTuple):
+    """`function(argument)`, for workers that run tasks of this kind.
+
+    silence_s: longest time between two things that it tells (`tell`); a worker that says nothing
+        for longer is killed.
+    hear: called with what it tells, from any thread.
+    """
+
+    function: Callable[[Any], Any]
+    argument: Any
+    kind: str
+    silence_s: float
+    hear: Hear = lambda message: None
+
+    def request(self) -> bytes:
+        """What `answered` takes."""
+        return pickle.dumps((self.function, self.argument))
 
 
 class Backend:
@@ -57,24 +73,12 @@ class Backend:
         """Whether a task of this kind would start at once."""
         return True
 
-    def submit(
-        self,
-        function: Callable[[Any], T],
-        argument: Any,
-        silence_s: float,
-        kind: str,
-        hear: Hear | None = None,
-    ) -> Future[T]:
-        """Run `function(argument)`; the future of a task that lost its worker has a WorkerDied.
-
-        silence_s: longest time between two things that the task tells (`tell`); a worker that says
-            nothing for longer is killed, and the future has a TimeoutError.
-        hear: called with what the task tells, from any thread.
-        """
-        future: Future[T] = Future()
-        _listeners[:] = [hear] if hear else []
+    def submit(self, task: Task) -> Future[Any]:
+        """Run it: its result, its error, TimeoutError of a silent worker, WorkerDied of a dead."""
+        future: Future[Any] = Future()
+        _listeners[:] = [task.hear]
         try:
-            future.set_result(function(argument))
+            future.set_result(task.function(task.argument))
         except Exception as error:
             future.set_exception(error)
         finally:

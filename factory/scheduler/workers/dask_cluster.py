@@ -11,17 +11,14 @@ import pickle
 import threading
 import time
 import uuid
-from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from ...errors import FactoryError
-from . import ERROR, Backend, Hear, WorkerDied, answered
+from . import ERROR, Backend, Task, WorkerDied, answered
 from .template import THREAD_VARIABLES
-
-T = TypeVar("T")
 
 _CONNECT_S = 20.0
 _STOP_S = 4.0
@@ -33,11 +30,10 @@ _RESTART_S = 30
 
 
 @dataclass(eq=False)
-class _Task:
+class _Sent:
+    task: Task
     future: Future[Any]
     remote: Any
-    silence_s: float
-    hear: Hear | None
     heard_at: float
 
 
@@ -51,9 +47,9 @@ class DaskBackend(Backend):
         self._distributed: Any = distributed
         self._cluster: Any = None
         self._client: Any = None
-        self._tasks: dict[str, _Task] = {}
+        self._tasks: dict[str, _Sent] = {}
         # Their workers are being restarted.
-        self._late: list[_Task] = []
+        self._late: list[_Sent] = []
         self._topic = f"simnfnd-{uuid.uuid4().hex}"
         self._lock = threading.Lock()
         self._stopped = threading.Event()
@@ -112,36 +108,28 @@ class DaskBackend(Backend):
         with self._lock:
             return len(self._tasks) + len(self._late) < self._workers
 
-    def submit(
-        self,
-        function: Callable[[Any], T],
-        argument: Any,
-        silence_s: float,
-        kind: str,
-        hear: Hear | None = None,
-    ) -> Future[T]:
-        """Send `function(argument)` to a worker."""
+    def submit(self, task: Task) -> Future[Any]:
+        """Send it to a worker."""
         name = uuid.uuid4().hex
-        request = pickle.dumps((function, argument))
         remote = self._client.submit(
-            _run, request, self._topic, name, key=f"task-{name}", pure=False, retries=0
+            _run, task.request(), self._topic, name, key=f"task-{name}", pure=False, retries=0
         )
-        future: Future[T] = Future()
+        future: Future[Any] = Future()
         # Until it is heard of, its worker may still be starting.
         heard_at = time.monotonic() + _START_S
         with self._lock:
-            self._tasks[name] = _Task(future, remote, silence_s, hear, heard_at)
+            self._tasks[name] = _Sent(task, future, remote, heard_at)
         remote.add_done_callback(lambda _: self._done(name, remote))
         return future
 
     def _heard(self, event: tuple[float, Any]) -> None:
         name, message = event[1]
         with self._lock:
-            task = self._tasks.get(name)
-        if task is not None:
-            task.heard_at = time.monotonic()
-            if task.hear and message:
-                task.hear(tuple(message))
+            sent = self._tasks.get(name)
+        if sent is not None:
+            sent.heard_at = time.monotonic()
+            if message:
+                sent.task.hear(tuple(message))
 
     def _done(self, name: str, remote: Any) -> None:
         kind = ERROR
@@ -163,9 +151,9 @@ class DaskBackend(Backend):
         except Exception as error:
             value = error
         with self._lock:
-            task = self._tasks.pop(name, None)
-        if task is not None:
-            (task.future.set_exception if kind == ERROR else task.future.set_result)(value)
+            sent = self._tasks.pop(name, None)
+        if sent is not None:
+            (sent.future.set_exception if kind == ERROR else sent.future.set_result)(value)
 
     def _watch(self) -> None:
         while not self._stopped.wait(_LOOK_S):
@@ -176,14 +164,14 @@ class DaskBackend(Backend):
         """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         now = time.monotonic()
         with self._lock:
-            gone = [k for k, one in self._tasks.items() if now > one.heard_at + one.silence_s]
+            gone = [k for k, one in self._tasks.items() if now > one.heard_at + one.task.silence_s]
             self._late = [self._tasks.pop(name) for name in gone]
-        for task in self._late:
+        for sent in self._late:
             with suppress(Exception):
                 processing = self._asked("processing", workers=None)
-                where = [worker for worker, keys in processing.items() if task.remote.key in keys]
+                where = [worker for worker, keys in processing.items() if sent.remote.key in keys]
                 self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
-            task.future.set_exception(TimeoutError())
+            sent.future.set_exception(TimeoutError())
         self._late = []
 
     def close(self) -> None:

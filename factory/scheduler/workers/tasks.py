@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Self, TypeVar
 
-from . import Backend, Pool, WorkerDied
+from . import Backend, Pool, Task, WorkerDied
 from .local import LocalBackend
 from .machine import usable_cores
 
@@ -66,7 +66,8 @@ class TaskPool:
             # Each result is taken before more begins: in this process all would be done first.
             while waiting and self._backend.free(_TASK) and not any(map(Future.done, running)):
                 task = waiting.popleft()
-                running[self._backend.submit(function, task, timeout_s(task), _TASK)] = task
+                sent = Task(function, task, _TASK, timeout_s(task))
+                running[self._backend.submit(sent)] = task
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 task = running.pop(future)

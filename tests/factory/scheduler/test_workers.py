@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from multiprocessing import forkserver
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import Pool, WorkerDied, local, template
+from simnfnd.factory.scheduler.workers import Backend, Pool, Task, WorkerDied, local, template
 from simnfnd.factory.scheduler.workers.local import LocalBackend
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.fake_source import FakeConfig
@@ -29,6 +29,10 @@ from tests.worker_processes import workers_of as processes_of
 def template_pid() -> int:
     server: Any = vars(forkserver)["_forkserver"]
     return int(server._forkserver_pid)
+
+
+def submit(workers: Backend, function: Callable[[Any], Any], argument: Any, kind: str) -> Any:
+    return workers.submit(Task(function, argument, kind, silence_s=60.0))
 
 
 def nap(seconds: float) -> int:
@@ -53,13 +57,13 @@ def test_workers_outlive_their_template_and_not_the_backend(number: int) -> None
     backend = LocalBackend((Pool(("all",), 2),), preload=("simnfnd.factory.scheduler.worker",))
     workers = []
     try:
-        futures = [backend.submit(nap, 0.0, 60.0, "all") for _ in range(2)]
+        futures = [submit(backend, nap, 0.0, "all") for _ in range(2)]
         workers = [psutil.Process(future.result(60)) for future in futures]
-        again = [backend.submit(nap, 0.7, 60.0, "all") for _ in range(2)]
+        again = [submit(backend, nap, 0.7, "all") for _ in range(2)]
         os.kill(template_pid(), number)
         pids = {worker.pid for worker in workers}
         assert {future.result(60) for future in again} == pids, "one was taken for dead"
-        backend.submit(nap, 60.0, 90.0, "all")
+        submit(backend, nap, 60.0, "all")
     finally:
         backend.close()
         template.kill()
@@ -106,13 +110,13 @@ def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
     monkeypatch.setattr(local, "_BEGIN_S", 2.0)
     workers = LocalBackend((LIGHT,))
     try:
-        assert workers.submit(task, "a", 60.0, "light").result(60)[0] == "a"
+        assert submit(workers, task, "a", "light").result(60)[0] == "a"
         (process,) = children()
         process.suspend()
         # Larger than the buffer between the two: sending it waits for the stopped process.
         with pytest.raises(WorkerDied, match="stood still before it had begun"):
-            workers.submit(len, bytes(1 << 24), 60.0, "light").result(30)
-        assert workers.submit(len, bytes(1 << 24), 60.0, "light").result(60) == 1 << 24
+            submit(workers, len, bytes(1 << 24), "light").result(30)
+        assert submit(workers, len, bytes(1 << 24), "light").result(60) == 1 << 24
         (other,) = children()
         assert other.pid != process.pid
     finally:
@@ -123,30 +127,30 @@ def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
 def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
     workers = LocalBackend((LIGHT,))
     try:
-        _, pid = workers.submit(task, "a", 60.0, "light").result(60)
+        _, pid = submit(workers, task, "a", "light").result(60)
         os.kill(pid, signal.SIGKILL)
         died = "no"
         try:
-            _, pid = workers.submit(task, "b", 60.0, "light").result(60)
+            _, pid = submit(workers, task, "b", "light").result(60)
         except WorkerDied as error:  # found out only when it is asked
             died = str(error)
         assert died == "no" or "SIGKILL" in died
         with pytest.raises(TypeError, match="cannot pickle"):
-            workers.submit(open, os.devnull, 60.0, "light").result(60)
-        assert workers.submit(task, "c", 60.0, "light").result(60)[0] == "c"
+            submit(workers, open, os.devnull, "light").result(60)
+        assert submit(workers, task, "c", "light").result(60)[0] == "c"
     finally:
         workers.close()
 
 
 def test_a_pool_that_takes_others_tasks_prefers_its_own() -> None:
     with closing(LocalBackend((HEAVY, LIGHT))) as workers:
-        first = workers.submit(task, "a", 60.0, "heavy")
+        first = submit(workers, task, "a", "heavy")
         assert not workers.free("heavy")
         assert workers.free("light")
-        second = workers.submit(task, "b", 60.0, "light")
+        second = submit(workers, task, "b", "light")
         (_, heavy), (_, light) = first.result(60), second.result(60)
         assert heavy != light
-        assert workers.submit(task, "c", 60.0, "heavy").result(60) == ("c", heavy)
+        assert submit(workers, task, "c", "heavy").result(60) == ("c", heavy)
 
 
 # A module of the standard library that nothing here imports.
@@ -172,7 +176,7 @@ def asked() -> tuple[int, int, bool, str]:
     """(process, parent, whether LOADED is, OMP_NUM_THREADS) of a worker."""
     backend = LocalBackend((LIGHT,), preload=(LOADED,))
     try:
-        found = backend.submit(seen, "OMP_NUM_THREADS", 60.0, "light").result(60)
+        found = submit(backend, seen, "OMP_NUM_THREADS", "light").result(60)
     finally:
         backend.close()
     assert found[3] is not None
@@ -199,7 +203,7 @@ def test_environment_and_folder_are_those_of_now(
     backend = LocalBackend((LIGHT,), preload=(LOADED,))
     try:
         for name, value in (("SIMNFND_TEST_GONE", None), ("SIMNFND_TEST_NEW", "2")):
-            *_, loaded, told, folder = backend.submit(seen, name, 60.0, "light").result(60)
+            *_, loaded, told, folder = submit(backend, seen, name, "light").result(60)
             assert (loaded, told, folder) == (True, value, str(tmp_path))
     finally:
         backend.close()
