@@ -176,8 +176,4 @@ class Loop:
         gone = {failure.ref.name for failure in result.failures}
         lost = sum(len(variants) for ref, variants in shard.task.items if ref.name in gone)
         self._progress.settled(shard.task.samples, lost, len(result.failures))
-        for size in result.renders:
-            self._progress.frames["total"] += 1
-            self._progress.frames["rendered"] += 1
-            self._job.on_prepared(size)
         self._results.settle(shard.task, result)

@@ -13,7 +13,7 @@ from ..dataset.preview import preview
 from ..dataset.schema import SPLITS
 from ..dataset.writer import write_index
 from ..errors import FactoryError
-from ..files import explain_os_errors, remove_file, remove_stale_temporaries
+from ..files import remove_stale_temporaries
 from ..progress import stage
 from .lock import locked
 from .loop import Loop
@@ -51,11 +51,8 @@ def make_dataset(job: Job) -> RunReport:
         manifest = open_folder(job.directory, job.config_values, job.provenance)
         report = _make_shards(replace(job, publication=publication), manifest)
         if not job.shard.part:
-            # The states of slices, and what earlier versions left.
-            for pattern in ("*.*-of-*.json*", "croissant.json"):
-                for path in job.directory.glob(pattern):
-                    with explain_os_errors(path):
-                        remove_file(path)
+            for path in job.directory.glob("status.*-of-*.json"):
+                path.unlink(missing_ok=True)
             _describe(job, report)
     return report
 
@@ -65,9 +62,7 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
     results = Results(job, manifest)
     todo = results.todo
     frames = len({ref.name for task in todo for ref, _ in task.items}) if job.prepares else 0
-    crew, note = job.scheduler.within_limits(job.scheduler.crew(len(todo), frames))
-    if note:
-        stage(note)
+    crew = job.scheduler.crew(len(todo), frames)
     total, left = (sum(task.samples for task in tasks) for tasks in (job.own_tasks, todo))
     progress = ProgressBar(job, crew, total, total - left)
     results.put_together()

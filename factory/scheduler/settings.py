@@ -85,7 +85,10 @@ class SchedulerSettings:
         return self
 
     def crew(self, shards: int, frames: int) -> Crew:
-        """How many workers of either kind for that many shards, and frames to prepare."""
+        """How many workers of either kind for that many shards, and frames to prepare.
+
+        Raises FactoryError when the limits of this process allow none.
+        """
         memory_gb = available_memory_bytes() / 1e9 * _MEMORY_SHARE
         if self.workers == "auto":
             fitting = int(memory_gb / WORKER_GB)
@@ -93,6 +96,8 @@ class SchedulerSettings:
         else:
             total = self.workers
         total = min(total, max(shards, frames))
+        if self.backend == "local":
+            total = workers_that_fit(total)
         if not frames:
             return Crew(0, total)
         if self.render_workers == "auto":
@@ -102,20 +107,6 @@ class SchedulerSettings:
             render = self.render_workers
         render = min(render, total, frames)
         return Crew(render, total - render)
-
-    def within_limits(self, crew: Crew) -> tuple[Crew, str]:
-        """As much of a crew as the limits of this process allow, and a line about the rest.
-
-        Raises FactoryError when they allow no worker.
-        """
-        if self.backend != "local":
-            return crew, ""
-        fitting, limit = workers_that_fit(crew.total)
-        if fitting >= crew.total:
-            return crew, ""
-        render = min(crew.render, max(1, crew.render * fitting // crew.total))
-        note = f"{limit}: {fitting} of {crew.total} workers fit and are used; raise it for more"
-        return Crew(render, fitting - render), note
 
     def pools(self, crew: Crew, frames_per_shard: int) -> tuple[Pool, Pool]:
         """The processes of `crew`, for shards of at most so many frames."""

@@ -41,15 +41,11 @@ class ShardAttempt:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `kept`.
-
-    renders: bytes of each frame that was prepared on the way because it had gone again.
-    """
+    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `kept`."""
 
     info: ShardInfo | None
     failures: tuple[Failure, ...]
     kept: bool = False
-    renders: tuple[int, ...] = ()
 
 
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
@@ -111,7 +107,6 @@ class _Shard:
         self._axes, self._columns = self._source.axes(), self._source.columns()
         self._samples = 0
         self._failures: list[Failure] = []
-        self._renders: list[int] = []
 
     def result(self) -> ShardResult:
         """Write the shard, or say why it is not to be written."""
@@ -119,7 +114,7 @@ class _Shard:
         lacking = [item for item in enumerate(task.items) if item[1][0].name in self._lacking]
         failures = [failure for item in lacking if (failure := self._made(*item)[1])]
         if lacking and len(failures) == len(lacking):
-            return ShardResult(None, tuple(failures), True, tuple(self._renders))
+            return ShardResult(None, tuple(failures), kept=True)
         how = self._axes, self._columns, recipe.provenance, recipe.dataset
         info = write_shard(recipe.directory, task.path, self._pairs(), *how)
         if info is not None:
@@ -129,7 +124,7 @@ class _Shard:
                 failed=tuple(failure.ref.name for failure in self._failures),
                 config_hash=recipe.provenance.config_hash,
             )
-        return ShardResult(info, tuple(self._failures), renders=tuple(self._renders))
+        return ShardResult(info, tuple(self._failures))
 
     def _pairs(self) -> Iterator[Pair]:
         """The pairs of all frames in order; frames without go to the failures."""
@@ -153,8 +148,6 @@ class _Shard:
             except NotRendered:  # it was damaged, or went this very moment
                 self._prepare(ref)
                 pairs = self._source.pairs(ref, variants)
-            if len(pairs) != len(variants):
-                raise FrameError(f"{ref.name}: {len(pairs)} pairs for {len(variants)} variants")
             for pair in pairs:
                 check_pair(pair, self._axes, self._columns, ref.name)
             return pairs, None
@@ -165,9 +158,7 @@ class _Shard:
         """Prepare a frame that nobody has, or whose render has gone from the cache again."""
         if self._recipe.preparer is not None and not self._source.ready(ref):
             preparer: Preparer = _build(self._recipe.preparer, self._recipe)
-            prepared = preparer.prepare(ref)
-            self._keys[ref.name] = prepared.key
-            self._renders.append(prepared.bytes)
+            self._keys[ref.name] = preparer.prepare(ref).key
             self._source.expect(self._keys)
 
 

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from ...errors import FactoryError
+from ...progress import stage
 
 # Measured of 48: what a worker costs the process that starts it, pipes and threads, and what
 # else a run opens or loads.
@@ -50,8 +51,8 @@ def keep_freed_memory() -> None:
             mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
-def workers_that_fit(wanted: int) -> tuple[int, str]:
-    """(how many of them fit, the limit in words; empty when all fit).
+def workers_that_fit(wanted: int) -> int:
+    """As many of them as the limits of this process allow; says so when that is not all.
 
     Raises FactoryError when not even one fits.
     """
@@ -72,4 +73,6 @@ def workers_that_fit(wanted: int) -> tuple[int, str]:
     fitting, limit = min(room, key=lambda item: item[0])
     if fitting < min(wanted, 1):
         raise FactoryError(f"scheduler.workers: {limit}, in which no worker fits; raise it")
-    return fitting, limit
+    if limit:
+        stage(f"{limit}: {fitting} of {wanted} workers fit and are used; raise it for more")
+    return fitting
