@@ -25,4 +25,3 @@ class NotRendered(FactoryError):
             f"{name}: its render is not in the cache; run the same command again, and raise "
             "cache.max_bytes where it vanishes before it is used"
         )
-        self.frame = name

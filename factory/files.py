@@ -13,11 +13,10 @@ import secrets
 import shutil
 import socket
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Protocol
 
 from .errors import FactoryError
 
@@ -50,14 +49,11 @@ def write_atomically(
         if durable:
             sync_folder(path.parent)
     if durable:
-        for one in _of(path):
-            one.put(path, content)
+        _pass_on(path, content)
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames inside `folder` survive a power cut (where folders can be opened at all)."""
-    if os.name == "nt":
-        return
+    """Make renames inside `folder` survive a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -65,15 +61,16 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def remove_stale_temporaries(folder: Path) -> int:
-    """Delete temp files of writers that are dead; returns how many.  Leaves live writers alone."""
-    removed = 0
-    for path in sorted(folder.glob(".*.tmp")) if folder.is_dir() else []:
-        match = _TEMPORARY.match(path.name)
-        if match and _is_stale(path, match["space"], int(match["pid"])):
-            path.unlink(missing_ok=True)
-            removed += 1
-    return removed
+def remove_stale_temporaries(folder: Path) -> None:
+    """Delete temp files of writers that are dead; leaves live writers alone."""
+    for path in folder.glob(".*.tmp"):
+        with suppress(FileNotFoundError):  # it was finished meanwhile
+            if match := _TEMPORARY.match(path.name):
+                # Another machine's or container's process cannot be looked up, only waited for.
+                age_s = time.time() - path.stat().st_mtime
+                here = match["space"] == space()
+                if is_dead(int(match["pid"])) if here else age_s > _FOREIGN_STALE_S:
+                    path.unlink()
 
 
 def is_temporary(name: str) -> bool:
@@ -124,17 +121,6 @@ def _temporary_for(path: Path) -> Path:
     return path.parent / f".{path.name}.{owner}.tmp"
 
 
-def _is_stale(path: Path, where: str, pid: int) -> bool:
-    try:
-        written = path.stat().st_mtime
-    except FileNotFoundError:
-        return False
-    if where != space():
-        # Another machine's or container's process cannot be looked up, only waited for.
-        return time.time() - written > _FOREIGN_STALE_S
-    return is_dead(pid)
-
-
 @cache
 def space() -> str:
     """8 hexadecimal digits for where a process number means something.
@@ -154,11 +140,10 @@ def is_dead(pid: int) -> bool:
     """Whether no process of this name space has that number, or one that waits to be collected."""
     import psutil  # only needed here, and readers of datasets have numpy and h5py alone
 
-    try:
+    with suppress(psutil.NoSuchProcess):
         # In a container whose first process collects nobody, the dead stay on the list as zombies.
         return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True
+    return True
 
 
 def refuse_files(folder: Path) -> None:
@@ -187,46 +172,35 @@ def whole_folder(folder: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-class Outlet(Protocol):
-    """Where the files of a folder go."""
-
-    @property
-    def folder(self) -> Path:
-        """The folder, absolute."""
-
-    def put(self, path: Path, content: bytes) -> None:
-        """A file of the folder was written.  Raises FactoryError when it cannot be passed on."""
-
-    def remove(self, path: Path) -> None:
-        """A file of the folder was removed, or was found absent."""
-
-
-# Of this process.
-_outlets: list[Outlet] = []
+# Of this process: folder -> what `outlet` was given.
+_outlets: dict[Path, Callable[[str, bytes | None], None]] = {}
 
 
 @contextmanager
-def outlet(one: Outlet | None) -> Iterator[None]:
-    """Within the block, what this process writes into the folder goes through this one, too."""
-    if one is None:
-        yield
-        return
-    _outlets.append(one)
+def outlet(folder: Path, pass_on: Callable[[str, bytes | None], None]) -> Iterator[None]:
+    """Within the block, `pass_on` gets what this process writes into the folder, or removes.
+
+    folder: absolute.  pass_on: called with the name below it and the content, None when the file
+    was removed or found absent; raises FactoryError when it cannot pass that on.
+    """
+    before = _outlets.get(folder)
+    _outlets[folder] = pass_on
     try:
         yield
     finally:
-        _outlets.remove(one)
+        del _outlets[folder]
+        if before:
+            _outlets[folder] = before
 
 
 def remove_file(path: Path) -> None:
     """Remove a file, which may be absent, here and wherever it went."""
     path.unlink(missing_ok=True)
-    for one in _of(path):
-        one.remove(path)
+    _pass_on(path, None)
 
 
-def _of(path: Path) -> list[Outlet]:
-    if not _outlets:
-        return []
+def _pass_on(path: Path, content: bytes | None) -> None:
     place = Path(os.path.abspath(path))
-    return [one for one in _outlets if place.is_relative_to(one.folder)]
+    for folder, pass_on in _outlets.items():
+        if place.is_relative_to(folder):
+            pass_on(place.relative_to(folder).as_posix(), content)

@@ -67,9 +67,7 @@ class IsolatedProcess:
 
     def close(self) -> None:
         """End the process; the next call starts another."""
-        if self._child:
-            self._child.kill()
-        self._end()
+        self._end(0)
 
     def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float = LIMIT_S) -> Any:
         """`function(*arguments)`; see `look_at`.  Its FactoryError names no file.
@@ -82,8 +80,6 @@ class IsolatedProcess:
             kind, result = self._answer(asked, limit_s)
         if kind == "answer":
             return result
-        if kind == "memory":
-            raise FactoryError("asks for more memory than a sound file needs")
         raise FactoryError(str(result)) if kind == "refused" else RuntimeError(result)
 
     def _answer(self, asked: bytes, limit_s: float) -> tuple[str, Any]:
@@ -96,29 +92,25 @@ class IsolatedProcess:
             kind, result = _decode(child.stdout)
             return kind, result
         except (EOFError, BrokenPipeError, ValueError, TypeError) as error:
-            if self._end() == -signal.SIGALRM:
+            # It closes its pipes a moment before its exit code can be had.
+            if self._end(1) == -signal.SIGALRM:
                 raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
             raise FactoryError("crashes the library that reads it; it is damaged") from error
         except BaseException:
             self.close()
             raise
 
-    def _end(self) -> int | None:
-        """Stop the process; returns the exit code of one that ended by itself."""
+    def _end(self, patience_s: float) -> int | None:
+        """Kill the process, unless it ends before; returns its exit code."""
         child, self._child = self._child, None
         if child is None:
             return None
-        try:
-            # It closes its pipes a moment before its exit code can be had.
-            return child.wait(timeout=1)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            return child.wait()
-        finally:
-            for pipe in (child.stdin, child.stdout):
-                with suppress(OSError):  # what could not be flushed to a dead process
-                    if pipe:
-                        pipe.close()
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(patience_s)
+        child.kill()
+        with suppress(OSError), child:  # what could not be flushed to a dead process
+            pass
+        return child.wait()
 
 
 LASTING = IsolatedProcess()
@@ -189,7 +181,7 @@ def serve(memory_bytes: int) -> None:
         except FactoryError as error:
             content = _encode(("refused", str(error)))
         except MemoryError:
-            content = _encode(("memory", None))
+            content = _encode(("refused", "asks for more memory than a sound file needs"))
         except Exception:
             content = _encode(("error", traceback.format_exc()))
         signal.setitimer(signal.ITIMER_REAL, 0)

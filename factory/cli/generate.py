@@ -148,8 +148,8 @@ def job_of(config: FactoryConfig, arguments: Sequence[str]) -> Job:
     directory = config.dataset.directory(config_hash(values), config.shard.part)
     working = with_cache(config, work_folder(directory, config.shard))
     return Job(
-        directory,
-        tasks,
+        directory=directory,
+        tasks=tasks,
         source=pair_maker,
         preparer=None if config.scenes.kind == "pack" else ViewMaker,
         config=working,

@@ -9,8 +9,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ..settings import STRICT
-from ..storage.copies import folder_of
-from ..storage.store import is_url
+from ..storage.copies import folder_of, is_url
 from .schema import DATASET_NAME, OPTIONAL_LAYERS
 
 ColumnName = Literal["pose", "calibration", "boxes"]

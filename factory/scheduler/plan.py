@@ -9,17 +9,19 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..dataset.folder import WORK_NAME
 from ..dataset.schema import SPLITS, PairSource, Preparer, Provenance
 from ..dataset.settings import DatasetSettings
 from ..frame import FrameRef
-from ..storage.publish import Publication
 from .settings import SchedulerSettings, ShardSlice
+
+if TYPE_CHECKING:
+    from .publish import Publication
 
 FrameVariants = tuple[FrameRef, tuple[int, ...]]
 
@@ -52,7 +54,7 @@ class ShardTask:
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recipe:
     """How every shard of a dataset is made; sent to the workers with each task.
 
@@ -60,30 +62,29 @@ class Recipe:
         worker process calls it for itself.
     preparer: likewise builds what prepares the frames, in the workers that render; None when
         nothing is to be prepared.
+    provenance: what every shard states, so it must not depend on workers or folders.
     publication: where the dataset goes when its folder is the copy of a URL.
     """
 
     directory: Path
     source: Callable[[Any], PairSource]
-    preparer: Callable[[Any], Preparer] | None
+    preparer: Callable[[Any], Preparer] | None = None
     config: Any
     provenance: Provenance
     dataset: DatasetSettings
     publication: Publication | None = None
 
     @property
-    def apart(self) -> bool:
-        """Whether workers see nothing of the folder, and make all that they need themselves."""
-        return self.publication is not None and self.publication.apart
+    def prepares(self) -> bool:
+        """Whether frames are prepared for all; workers that share no folder share no renders."""
+        return self.preparer is not None and not (self.publication and self.publication.apart)
 
 
-@dataclass(frozen=True)
-class Job:
+@dataclass(frozen=True, kw_only=True)
+class Job(Recipe):
     """The dataset in `directory`: what it is made of, how, and by which workers.
 
     tasks: all shards of the dataset, also where only a slice of them is to be made.
-    source, preparer, config: as in `Recipe`; they must pickle.
-    provenance: what every shard states, so it must not depend on workers or folders.
     config_values: the whole configuration as plain values; written to config.yaml.
     rerun_command: frame -> the command line that tries it again; written to failed.jsonl.
     skipped: reason -> images left out before planning; stated in the card.
@@ -93,16 +94,10 @@ class Job:
     preload: modules that every worker needs, loaded once for all.
     """
 
-    directory: Path
     tasks: tuple[ShardTask, ...]
-    source: Callable[[Any], PairSource]
-    config: Any
-    provenance: Provenance
     config_values: Mapping[str, Any]
-    dataset: DatasetSettings
     scheduler: SchedulerSettings
     rerun_command: Callable[[FrameRef], str]
-    preparer: Callable[[Any], Preparer] | None = None
     skipped: Mapping[str, int] = field(default_factory=dict)
     shard: ShardSlice = field(default_factory=ShardSlice)
     on_prepared: Callable[[int], None] = lambda added_bytes: None
@@ -116,15 +111,9 @@ class Job:
 
     @property
     def recipe(self) -> Recipe:
-        """The part that workers need."""
-        return Recipe(
-            Path(os.path.abspath(self.directory)),
-            self.source,
-            self.preparer,
-            self.config,
-            self.provenance,
-            self.dataset,
-        )
+        """The part that workers need, wherever they run."""
+        values = {one.name: getattr(self, one.name) for one in fields(Recipe)}
+        return Recipe(**{**values, "directory": Path(os.path.abspath(self.directory))})
 
 
 def work_folder(directory: Path, shard: ShardSlice) -> Path:

@@ -7,7 +7,6 @@ all of them, and they go.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -26,6 +25,7 @@ from ..dataset.manifest import (
 )
 from ..dataset.schema import SPLITS
 from ..files import explain_os_errors, remove_file
+from ..progress import stage
 from .plan import Job, ShardTask
 from .worker import ShardResult
 
@@ -34,7 +34,7 @@ from .worker import ShardResult
 class RunReport:
     """What a run did.
 
-    samples, shards, bytes: what the dataset now holds; samples_by_split: train and test.
+    samples, shards: what the dataset now holds; samples_by_split: train and test.
     kept: shards that an earlier run had finished.  failures: every frame without a sample.
     frames: that were asked for.
     """
@@ -42,73 +42,41 @@ class RunReport:
     samples: int
     samples_by_split: Mapping[str, int]
     shards: int
-    bytes: int
     kept: int
     failures: tuple[Failure, ...]
-    seconds: float
-    frames: int = 0
-
-
-@dataclass(frozen=True)
-class Resumed:
-    """Where a run starts.
-
-    manifest: the shards that are whole.
-    todo: tasks to make, or to try again because they lack frames.
-    lacking: path of such a shard -> names of the frames it lacks.
-    notes: one line about each shard that was found damaged.
-    """
-
-    manifest: Manifest
-    todo: tuple[ShardTask, ...]
-    lacking: Mapping[str, tuple[str, ...]]
-    notes: tuple[str, ...]
-
-
-def take_up(job: Job, manifest: Manifest) -> Resumed:
-    """Compare plan, results and disk."""
-    tasks = {task.path: task for task in job.own_tasks}
-    there = [info for path, info in manifest.shards.items() if path in tasks]
-    with ThreadPoolExecutor() as pool:
-        problems = list(pool.map(partial(damage, job.directory), there))
-    good = {i.path: i for i, problem in zip(there, problems, strict=True) if not problem}
-    notes = tuple(
-        f"{job.directory / info.path}: {problem}; it is made again"
-        for info, problem in zip(there, problems, strict=True)
-        if problem
-    )
-    todo = tuple(
-        task
-        for path, task in tasks.items()
-        if path not in good or good[path].samples < task.samples
-    )
-    lacking = {task.path: good[task.path].failed for task in todo if task.path in good}
-    return Resumed(_with_shards(manifest, good), todo, lacking, notes)
-
-
-def _with_shards(manifest: Manifest, shards: Mapping[str, ShardInfo]) -> Manifest:
-    """The manifest with these shards; an index.h5 that shows others counts no more."""
-    index = manifest.index_sha256 if shards == manifest.shards else ""
-    return replace(manifest, shards=dict(shards), index_sha256=index)
+    frames: int
 
 
 class Results:
     """The settled shards of one run and the failures of their frames.
 
-    manifest: the shards that were there before the run and are whole.
+    todo: tasks to make, or to try again because they lack frames.
+    lacking: path of such a shard -> names of the frames it lacks.
     """
 
     def __init__(self, job: Job, manifest: Manifest) -> None:
+        """Compare plan, results and disk; say which shards are damaged."""
         self._job, self._manifest = job, manifest
-        self._begun = time.monotonic()
-        self._shards = dict(manifest.shards)
+        tasks = {task.path: task for task in job.own_tasks}
+        there = [info for path, info in manifest.shards.items() if path in tasks]
+        with ThreadPoolExecutor() as pool:
+            problems = list(pool.map(partial(damage, job.directory), there))
+        self._shards: dict[str, ShardInfo] = {}
+        for info, problem in zip(there, problems, strict=True):
+            if problem:
+                stage(f"{job.directory / info.path}: {problem}; it is made again")
+            else:
+                self._shards[info.path] = info
+        good = self._shards
+        self.todo = [
+            task
+            for path, task in tasks.items()
+            if path not in good or good[path].samples < task.samples
+        ]
+        again = (task.path for task in self.todo if task.path in good)
+        self.lacking = {path: good[path].failed for path in again}
+        self._kept = len(tasks) - len(self.todo)
         self._failures: dict[str, tuple[Failure, ...]] = {}
-        self._kept = 0
-
-    @property
-    def failures(self) -> tuple[Failure, ...]:
-        """Of all settled shards, in the order of their paths."""
-        return tuple(failure for path in sorted(self._failures) for failure in self._failures[path])
 
     def settle(self, task: ShardTask, result: ShardResult) -> None:
         """Put the outcome of a shard on disk; a shard without a sample has no file."""
@@ -135,21 +103,22 @@ class Results:
         if self._job.shard.part:
             return
         directory = self._job.directory
-        save_failures(directory, failure_lines(self.failures, self._job.rerun_command))
-        save_manifest(directory, _with_shards(self._manifest, self._shards))
+        save_failures(directory, failure_lines(self.report().failures, self._job.rerun_command))
+        # An index.h5 that shows other shards counts no more.
+        whole = self._shards == self._manifest.shards
+        index = self._manifest.index_sha256 if whole else ""
+        manifest = replace(self._manifest, shards=dict(self._shards), index_sha256=index)
+        save_manifest(directory, manifest)
         forget_outcomes(directory)
 
-    def report(self, already_done: int) -> RunReport:
-        """What the run did; `already_done`: shards in which nothing was left to do."""
-        manifest = replace(self._manifest, shards=dict(self._shards))
-        refs = {ref.name for task in self._job.own_tasks for ref, _ in task.items}
+    def report(self) -> RunReport:
+        """What the run did until now."""
+        manifest = replace(self._manifest, shards=self._shards)
         return RunReport(
             samples=manifest.samples(),
             samples_by_split={split: manifest.samples(split) for split in SPLITS},
             shards=len(manifest.shards),
-            bytes=manifest.total_bytes(),
-            kept=already_done + self._kept,
-            failures=self.failures,
-            seconds=time.monotonic() - self._begun,
-            frames=len(refs),
+            kept=self._kept,
+            failures=tuple(one for path in sorted(self._failures) for one in self._failures[path]),
+            frames=len({ref.name for task in self._job.own_tasks for ref, _ in task.items}),
         )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
+from contextlib import closing
+from dataclasses import replace
 
 from ..dataset.card import write_card
 from ..dataset.folder import open_folder
@@ -12,15 +13,17 @@ from ..dataset.preview import preview
 from ..dataset.schema import SPLITS
 from ..dataset.writer import write_index
 from ..errors import FactoryError
-from ..files import explain_os_errors, remove_file, remove_stale_temporaries
+from ..files import remove_stale_temporaries
 from ..progress import stage
-from ..storage.publish import Publication, publishing
-from .lock import Lock
+from .lock import locked
 from .loop import Loop
 from .plan import Job, work_folder
 from .progress import ProgressBar
-from .results import Results, RunReport, take_up
-from .workers import workers_of
+from .publish import publishing
+from .results import Results, RunReport
+from .settings import Crew
+from .workers import Backend
+from .workers.local import LocalBackend
 from .workers.signals import Interrupted, stop_signals
 
 
@@ -29,7 +32,8 @@ def make_dataset(job: Job) -> RunReport:
 
     Raises FactoryError when the folder is another dataset's, cannot be written, nothing was
     planned, or the job as a whole cannot be done (no room, no renderer, no worker that lives);
-    Interrupted (a KeyboardInterrupt with `exit_code`) on Ctrl-C and SIGTERM.
+    Interrupted (a KeyboardInterrupt with `exit_code`) on Ctrl-C and SIGTERM.  No worker process
+    outlives the call.
     """
     if not job.tasks:
         raise FactoryError("nothing to make: no frame was chosen, or max_train and max_test are 0")
@@ -41,36 +45,26 @@ def make_dataset(job: Job) -> RunReport:
     apart = job.scheduler.address is not None
     with (
         stop_signals(),
-        Lock(job.directory, job.shard.part),
+        locked(job.directory, job.shard.part),
         publishing(job.directory, job.shard.part, apart=apart) as publication,
     ):
         manifest = open_folder(job.directory, job.config_values, job.provenance)
-        report = make_shards(job, manifest, publication)
+        report = _make_shards(replace(job, publication=publication), manifest)
         if not job.shard.part:
-            _forget_slices(job.directory)
+            for path in job.directory.glob("status.*-of-*.json"):
+                path.unlink(missing_ok=True)
             _describe(job, report)
     return report
 
 
-def make_shards(job: Job, manifest: Manifest, publication: Publication | None = None) -> RunReport:
-    """Make every shard of the job that `manifest` does not hold whole already.
-
-    Raises as `make_dataset` does.  No worker process outlives the call.
-    """
-    tasks = job.own_tasks
-    resumed = take_up(job, manifest)
-    for note in resumed.notes:
-        stage(note)
-    todo = resumed.todo
-    # Workers that share no folder prepare what they need themselves.
-    prepares = job.preparer and not (publication and publication.apart)
-    frames = len({ref.name for task in todo for ref, _ in task.items}) if prepares else 0
-    crew, note = job.scheduler.within_limits(job.scheduler.crew(len(todo), frames))
-    if note:
-        stage(note)
-    total = sum(task.samples for task in tasks)
-    progress = ProgressBar(job, crew, total, total - sum(task.samples for task in todo))
-    results = Results(job, resumed.manifest)
+def _make_shards(job: Job, manifest: Manifest) -> RunReport:
+    """Make every shard of the job that `manifest` does not hold whole already."""
+    results = Results(job, manifest)
+    todo = results.todo
+    frames = len({ref.name for task in todo for ref, _ in task.items}) if job.prepares else 0
+    crew = job.scheduler.crew(len(todo), frames)
+    total, left = (sum(task.samples for task in tasks) for tasks in (job.own_tasks, todo))
+    progress = ProgressBar(job, crew, total, total - left)
     results.put_together()
     state = "broken"
     try:
@@ -79,22 +73,32 @@ def make_shards(job: Job, manifest: Manifest, publication: Publication | None = 
         if todo:
             count = f"{crew.total} worker{'s' if crew.total > 1 else ''}"
             renders = f" ({crew.render} of them for renders)" if crew.render else ""
-            stage(f"starting {count}{renders} for {sum(task.samples for task in todo)} pairs")
-            largest = max(len(task.items) for task in todo)
+            stage(f"starting {count}{renders} for {left} pairs")
             try:
-                settings = job.scheduler.worker_settings(crew, largest, job.preload)
-                with workers_of(settings) as backend:
-                    Loop(job, resumed, results, progress, backend, publication).run()
+                with closing(_backend(job, crew, max(len(task.items) for task in todo))) as backend:
+                    Loop(job, results, progress, backend).run()
             finally:
                 _tidy(job)
         results.put_together()
         state = "finished"
-    except BaseException as error:
-        state = "stopped" if isinstance(error, Interrupted) else "broken"
+    except Interrupted:
+        state = "stopped"
         raise
     finally:
         progress.close(state)
-    return results.report(already_done=len(tasks) - len(todo))
+    return results.report()
+
+
+def _backend(job: Job, crew: Crew, frames_per_shard: int) -> Backend:
+    """What runs the tasks.  Raises FactoryError when it cannot be had."""
+    if job.scheduler.backend == "serial":
+        return Backend()
+    if job.scheduler.backend == "dask":
+        # Half a second of imports, and an optional dependency.
+        from .workers.dask_cluster import DaskBackend
+
+        return DaskBackend(crew.total, job.scheduler.address)
+    return LocalBackend(job.scheduler.pools(crew, frames_per_shard), job.preload)
 
 
 def _tidy(job: Job) -> None:
@@ -115,10 +119,3 @@ def _describe(job: Job, report: RunReport) -> None:
         write_card(
             job.directory, finished, job.provenance, job.dataset, report.failures, job.skipped
         )
-
-
-def _forget_slices(directory: Path) -> None:
-    """Remove the states of slices, and what earlier versions left."""
-    for path in (*directory.glob("*.*-of-*.json*"), *directory.glob("croissant.json")):
-        with explain_os_errors(path):
-            remove_file(path)

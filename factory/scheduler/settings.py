@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass as plain_dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from ..settings import STRICT
-from .workers.contract import BackendName, Pool, WorkerSettings
+from .workers import Pool
 from .workers.machine import available_memory_bytes, usable_cores, workers_that_fit
 
 MAX_AUTO_WORKERS = 48
@@ -21,8 +20,7 @@ WORKER_GB, RENDERER_GB = 0.3, 1.0
 RENDER, NOISE = "render", "noise"
 
 
-@plain_dataclass(frozen=True)
-class Crew:
+class Crew(NamedTuple):
     """Numbers of worker processes.
 
     render: may load Blender; they also add noise when nothing is left to render.
@@ -71,7 +69,7 @@ class SchedulerSettings:
     recycle_frames: a worker is replaced by a fresh process after about this many frames.
     """
 
-    backend: BackendName = "local"
+    backend: Literal["local", "serial", "dask"] = "local"
     address: str | None = None
     workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
     render_workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
@@ -87,7 +85,10 @@ class SchedulerSettings:
         return self
 
     def crew(self, shards: int, frames: int) -> Crew:
-        """How many workers of either kind for that many shards, and frames to prepare."""
+        """How many workers of either kind for that many shards, and frames to prepare.
+
+        Raises FactoryError when the limits of this process allow none.
+        """
         memory_gb = available_memory_bytes() / 1e9 * _MEMORY_SHARE
         if self.workers == "auto":
             fitting = int(memory_gb / WORKER_GB)
@@ -95,6 +96,8 @@ class SchedulerSettings:
         else:
             total = self.workers
         total = min(total, max(shards, frames))
+        if self.backend == "local":
+            total = workers_that_fit(total)
         if not frames:
             return Crew(0, total)
         if self.render_workers == "auto":
@@ -105,34 +108,10 @@ class SchedulerSettings:
         render = min(render, total, frames)
         return Crew(render, total - render)
 
-    def within_limits(self, crew: Crew) -> tuple[Crew, str]:
-        """As much of a crew as the limits of this process allow, and a line about the rest.
-
-        Raises FactoryError when they allow no worker.
-        """
-        if self.backend != "local":
-            return crew, ""
-        fitting, limit = workers_that_fit(crew.total)
-        if fitting >= crew.total:
-            return crew, ""
-        render = min(crew.render, max(1, crew.render * fitting // crew.total))
-        note = f"{limit}: {fitting} of {crew.total} workers fit and are used; raise it for more"
-        return Crew(render, fitting - render), note
-
-    def worker_settings(
-        self, crew: Crew, frames_per_shard: int, preload: tuple[str, ...] = ()
-    ) -> WorkerSettings:
-        """The processes of `crew`, for shards of at most so many frames.
-
-        preload: modules that every worker needs.
-        """
+    def pools(self, crew: Crew, frames_per_shard: int) -> tuple[Pool, Pool]:
+        """The processes of `crew`, for shards of at most so many frames."""
         shards_per_worker = max(1, self.recycle_frames // frames_per_shard)
-        return WorkerSettings(
-            pools=(
-                Pool(RENDER, crew.render, (NOISE,), self.recycle_frames),
-                Pool(NOISE, crew.noise, (), shards_per_worker),
-            ),
-            backend=self.backend,
-            address=self.address,
-            preload=preload,
+        return (
+            Pool((RENDER, NOISE), crew.render, self.recycle_frames),
+            Pool((NOISE,), crew.noise, shards_per_worker),
         )

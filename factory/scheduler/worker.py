@@ -3,142 +3,85 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
-from ..dataset.manifest import Failure, FailureKind, ShardInfo
-from ..dataset.schema import Pair, PairSource, Preparer, check_pair
+from ..dataset.manifest import Failure, ShardInfo
+from ..dataset.schema import Pair, PairSource, Prepared, Preparer, check_pair
 from ..dataset.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered
 from ..files import outlet
 from ..frame import FrameRef
-from ..storage.publish import apart_copy
 from .plan import FrameVariants, Recipe, ShardTask
-from .workers.contract import tell
+from .workers import tell
 
 T = TypeVar("T")
 
-START, DONE, FAILED = "start", "done", "failed"
-"""What a worker tells of a frame: it begins with number N, made N samples, or got none."""
 
-
-@dataclass
-class AttemptState:
-    """What the run knows of one attempt.
-
-    samples: made so far.  failed: frames that failed so far.
-    in_hand: index of the frame being worked on, or None between frames.
-    begun: whether any frame was begun.
-    """
-
-    samples: int = 0
-    failed: int = 0
-    in_hand: int | None = None
-    begun: bool = False
-
-    def hear(self, message: tuple[str, int]) -> None:
-        """Take in what the worker tells."""
-        event, value = message
-        if event == START:
-            self.begun, self.in_hand = True, value
-        else:
-            self.in_hand = None
-            self.samples += value if event == DONE else 0
-            self.failed += event == FAILED
-
-
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class ShardAttempt:
-    """One attempt at one shard.
+    """A shard to make.
 
-    given_up: frames that killed their workers; recorded as failures without another try.
     lacking: frames that the finished shard on disk lacks.  While all of them still fail, that
         shard is good as it is and kept.
+    given_up: of frames that are not to be tried again, by their names.
     keys: of frames that were prepared for it, by their names; see `schema.Prepared`.
     """
 
     task: ShardTask
     recipe: Recipe
-    given_up: tuple[Failure, ...] = ()
     lacking: tuple[str, ...] = ()
-    keys: Mapping[str, str] = field(default_factory=dict)
+    given_up: dict[str, Failure] = field(default_factory=dict)
+    keys: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class ShardResult:
-    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `kept`.
-
-    renders: bytes of each frame that was prepared on the way because it had gone again.
-    """
+    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `kept`."""
 
     info: ShardInfo | None
     failures: tuple[Failure, ...]
     kept: bool = False
-    renders: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class FrameAttempt:
-    """One attempt at preparing one frame."""
-
-    ref: FrameRef
-    recipe: Recipe
-
-
-@dataclass(frozen=True)
-class FrameResult:
-    """The outcome of a `FrameAttempt`.
-
-    hit, bytes, key: see `schema.Prepared`.
-    """
-
-    failure: Failure | None
-    hit: bool = False
-    bytes: int = 0
-    key: str = ""
 
 
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
 _built: dict[str, tuple[tuple[Any, ...], Any]] = {}
 
 
-def prepare_frame(attempt: FrameAttempt) -> FrameResult:
-    """Prepare the attempt's frame, or say why it cannot be.
+def prepare_frame(attempt: tuple[FrameRef, Recipe]) -> Prepared | Failure:
+    """Prepare a frame, or say why it cannot be.
 
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
-    recipe, ref = attempt.recipe, attempt.ref
+    ref, recipe = attempt
     assert recipe.preparer is not None
     preparer: Preparer = _build(recipe.preparer, recipe)
-    tell(START, 0)
+    tell(0, 0, 0)
     try:
-        made = preparer.prepare(ref)
-        return FrameResult(None, made.hit, made.bytes, made.key)
+        return preparer.prepare(ref)
     except Exception as error:
-        return FrameResult(_failure(ref, error, ""))
+        return _failure(ref, error, "")
 
 
 def make_shard(attempt: ShardAttempt) -> ShardResult:
     """Make the attempt's shard; a frame that fails is recorded and the rest goes on.
 
+    It tells (number of the frame in hand or None, samples made, frames failed) as it goes.
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
+    recipe = attempt.recipe
     with ExitStack() as here:
-        return _Shard(_at_hand(attempt, here)).result()
-
-
-def _at_hand(attempt: ShardAttempt, here: ExitStack) -> ShardAttempt:
-    """The attempt as this process can work on it: who shares no folder has one of its own."""
-    publication = attempt.recipe.publication
-    if publication is None or not attempt.recipe.apart:
-        here.enter_context(outlet(publication))
-        return attempt
-    publication = here.enter_context(apart_copy(publication))
-    recipe = replace(attempt.recipe, directory=publication.folder, publication=publication)
-    return replace(attempt, recipe=recipe)
+        if (publication := recipe.publication) is not None:
+            if publication.apart:  # who shares no folder has one of its own
+                folder = here.enter_context(TemporaryDirectory(prefix="simnfnd-shard-"))
+                publication = replace(publication, folder=Path(folder).resolve())
+            recipe = replace(recipe, directory=publication.folder)
+            here.enter_context(outlet(publication.folder, publication.pass_on))
+        return _Shard(attempt, recipe).result()
 
 
 def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
@@ -155,25 +98,23 @@ def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
 class _Shard:
     """Goes through the frames of one attempt and tells of each."""
 
-    def __init__(self, attempt: ShardAttempt) -> None:
-        self._task, self._recipe = attempt.task, attempt.recipe
-        self._lacking = attempt.lacking
-        self._source: PairSource = _build(self._recipe.source, self._recipe)
+    def __init__(self, attempt: ShardAttempt, recipe: Recipe) -> None:
+        self._task, self._recipe = attempt.task, recipe
+        self._lacking, self._given_up = attempt.lacking, attempt.given_up
+        self._source: PairSource = _build(recipe.source, recipe)
         self._source.expect(attempt.keys)
         self._keys = dict(attempt.keys)
         self._axes, self._columns = self._source.axes(), self._source.columns()
-        self._given_up = {failure.ref.name: failure for failure in attempt.given_up}
+        self._samples = 0
         self._failures: list[Failure] = []
-        self._renders: list[int] = []
 
     def result(self) -> ShardResult:
         """Write the shard, or say why it is not to be written."""
         task, recipe = self._task, self._recipe
-        todo = list(enumerate(task.items))
-        lacking = [item for item in todo if item[1][0].name in self._lacking]
+        lacking = [item for item in enumerate(task.items) if item[1][0].name in self._lacking]
         failures = [failure for item in lacking if (failure := self._made(*item)[1])]
         if lacking and len(failures) == len(lacking):
-            return ShardResult(None, tuple(failures), True, tuple(self._renders))
+            return ShardResult(None, tuple(failures), kept=True)
         how = self._axes, self._columns, recipe.provenance, recipe.dataset
         info = write_shard(recipe.directory, task.path, self._pairs(), *how)
         if info is not None:
@@ -183,17 +124,15 @@ class _Shard:
                 failed=tuple(failure.ref.name for failure in self._failures),
                 config_hash=recipe.provenance.config_hash,
             )
-        return ShardResult(info, tuple(self._failures), renders=tuple(self._renders))
+        return ShardResult(info, tuple(self._failures))
 
     def _pairs(self) -> Iterator[Pair]:
         """The pairs of all frames in order; frames without go to the failures."""
         for index, item in enumerate(self._task.items):
             pairs, failure = self._made(index, item)
-            if failure:
-                self._failures.append(failure)
-                tell(FAILED, index)
-            else:
-                tell(DONE, len(pairs))
+            self._failures += [failure] if failure else []
+            self._samples += len(pairs)
+            tell(None, self._samples, len(self._failures))
             yield from pairs
 
     def _made(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
@@ -201,7 +140,7 @@ class _Shard:
         ref, variants = item
         if ref.name in self._given_up:
             return [], self._given_up[ref.name]
-        tell(START, index)
+        tell(index, self._samples, len(self._failures))
         try:
             self._prepare(ref)
             try:
@@ -209,8 +148,6 @@ class _Shard:
             except NotRendered:  # it was damaged, or went this very moment
                 self._prepare(ref)
                 pairs = self._source.pairs(ref, variants)
-            if len(pairs) != len(variants):
-                raise FrameError(f"{ref.name}: {len(pairs)} pairs for {len(variants)} variants")
             for pair in pairs:
                 check_pair(pair, self._axes, self._columns, ref.name)
             return pairs, None
@@ -221,9 +158,7 @@ class _Shard:
         """Prepare a frame that nobody has, or whose render has gone from the cache again."""
         if self._recipe.preparer is not None and not self._source.ready(ref):
             preparer: Preparer = _build(self._recipe.preparer, self._recipe)
-            prepared = preparer.prepare(ref)
-            self._keys[ref.name] = prepared.key
-            self._renders.append(prepared.bytes)
+            self._keys[ref.name] = preparer.prepare(ref).key
             self._source.expect(self._keys)
 
 
@@ -233,15 +168,10 @@ def _failure(ref: FrameRef, error: Exception, shard: str) -> Failure:
     A defect of ours in one frame must not cost the others; where it is gets recorded.
     """
     if isinstance(error, FrameError):
-        return Failure(ref, "frame", _one_line(str(error)), shard)
+        return Failure(ref, "frame", " ".join(str(error).split()), shard)
     if isinstance(error, FactoryError):
         raise error
     last = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(last.filename).name}:{last.lineno}"
-    kind: FailureKind = "error"
-    reason = _one_line(f"{ref.name}: {type(error).__name__}: {error} ({place})")
-    return Failure(ref, kind, reason, shard)
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    reason = f"{ref.name}: {type(error).__name__}: {error} ({place})"
+    return Failure(ref, "error", " ".join(reason.split()), shard)

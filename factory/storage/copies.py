@@ -1,7 +1,8 @@
-"""Local copies of datasets on a storage: small files at once, shards when they are asked for.
+"""Datasets on storage that is no disk: objects at a URL that fsspec reaches, and local copies.
 
-A copy is a folder like any dataset's, so that whatever reads a dataset reads it.  The oldest shards
-go when all copies together take more than SIMNFND_CLOUD_CACHE_BYTES.
+A copy is a folder like any dataset's, so that whatever reads a dataset reads it: small files come
+at once, shards when they are asked for.  The oldest shards go when all copies together take more
+than SIMNFND_CLOUD_CACHE_BYTES.
 """
 
 from __future__ import annotations
@@ -11,15 +12,19 @@ import os
 import re
 import secrets
 import zlib
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..errors import FactoryError
-from ..files import explain_os_errors
+from ..files import explain_os_errors, write_atomically
 from ..small_files import read_regular
-from .store import Store, is_url
 
+_URL = re.compile(r"([a-z][a-z0-9+.-]*)://(.+)")
+# What is written there can be seen half finished.
+_FILES = ("file", "local", "ssh", "sftp", "ftp", "smb")
 _ORIGIN = ".origin"
 _SHARD = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")
 # What lies beside the shards and is a reader's business.
@@ -28,17 +33,95 @@ _SMALL = re.compile(
     r"|(train|test)/shard-\d+\.json"
 )
 _MOST_SMALL_BYTES = 1 << 28
-_KEPT_BYTES = 10_000_000_000
-_LIMIT = "SIMNFND_CLOUD_CACHE_BYTES"
+_FOLDER, _LIMIT, _KEPT_BYTES = "SIMNFND_CLOUD_CACHE", "SIMNFND_CLOUD_CACHE_BYTES", 10_000_000_000
 _LOCKS = 64  # lock files of each copy, which shards share by their names
+
+
+def is_url(name: object) -> bool:
+    """Whether a name is a URL of a storage, and no path."""
+    return isinstance(name, str) and _URL.fullmatch(name) is not None
+
+
+@dataclass(frozen=True)
+class Store:
+    """The objects below `url`, put whole and got whole; names are relative, with forward slashes.
+
+    Every method raises FactoryError, one line, when the storage refuses or cannot be reached.
+    Credentials and addresses are the library's own matter: AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL,
+    ~/.aws, or what fsspec's configuration says.
+    """
+
+    url: str
+
+    def __post_init__(self) -> None:
+        match = _URL.fullmatch(self.url)
+        if match is None or "::" in self.url or "?" in self.url or "#" in self.url:
+            raise FactoryError(f"{self.url}: no URL of a storage, such as s3://bucket/folder")
+        if match[1] in _FILES:
+            raise FactoryError(f"{self.url}: objects are stored, no files; mount it, give a folder")
+        object.__setattr__(self, "url", self.url.rstrip("/"))
+
+    def sizes(self) -> dict[str, int]:
+        """Name -> bytes of every object."""
+        with self._place("read") as (system, root):
+            system.invalidate_cache()
+            return {
+                name[len(root) :].lstrip("/"): int(entry["size"] or 0)
+                for name, entry in system.find(root, detail=True).items()
+            }
+
+    def get(self, name: str) -> bytes | None:
+        """The content of an object; None when there is none."""
+        with self._place("read", name) as (system, root), suppress(FileNotFoundError):
+            return bytes(system.cat_file(f"{root}/{name}"))
+        return None
+
+    def put(self, name: str, content: bytes) -> None:
+        """Write an object; readers see the old one or the new one, and never a part."""
+        with self._place("written", name) as (system, root):
+            system.pipe_file(f"{root}/{name}", content)
+
+    def create(self, name: str, content: bytes) -> bool:
+        """Write an object that is not there yet; returns whether it was not.
+
+        Of two that try at once one succeeds.
+        """
+        with self._place("written", name) as (system, root), suppress(FileExistsError):
+            system.pipe_file(f"{root}/{name}", content, mode="create")
+            return True
+        return False
+
+    def remove(self, name: str) -> None:
+        """Remove an object, which may be absent."""
+        with self._place("removed", name) as (system, root), suppress(FileNotFoundError):
+            system.rm_file(f"{root}/{name}")
+
+    @contextmanager
+    def _place(self, done: str, name: str = "") -> Iterator[tuple[Any, str]]:
+        """File system, of which fsspec keeps one for each process and thread, and root."""
+        try:
+            import fsspec
+
+            system, root = fsspec.core.url_to_fs(self.url)
+            yield system, str(root).rstrip("/")
+        except ImportError as error:
+            raise FactoryError(
+                f"{self.url}: needs another package ({error}); S3: pip install 'simnfnd[cloud]'"
+            ) from error
+        # Each storage's library has errors of its own.
+        except Exception as error:
+            where = f"{self.url}/{name}" if name else self.url
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            raise FactoryError(
+                f"{where}: cannot be {done} ({reason}); look at the address, the credentials and "
+                "the network, and run the same command again"
+            ) from error
 
 
 def copies_folder() -> Path:
     """Where the copies are: SIMNFND_CLOUD_CACHE, or the user's folder for caches."""
-    if told := os.environ.get("SIMNFND_CLOUD_CACHE"):
-        return Path(told).absolute()
     base = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    return Path(base).absolute() / "simnfnd" / "cloud"
+    return Path(os.environ.get(_FOLDER) or Path(base) / "simnfnd" / "cloud").absolute()
 
 
 def folder_of(url: str, part: str = "") -> Path:
@@ -50,9 +133,9 @@ def folder_of(url: str, part: str = "") -> Path:
     digest = hashlib.blake2b(f"{store.url}\n{part}".encode(), digest_size=6).hexdigest()
     name = re.sub(r"[^A-Za-z0-9_-]", "_", store.url.rpartition("/")[2])[:40]
     folder = copies_folder() / f"{name}-{digest}"
-    with explain_os_errors(folder, "SIMNFND_CLOUD_CACHE"):
+    with explain_os_errors(folder, _FOLDER):
         folder.mkdir(parents=True, exist_ok=True)
-        _write(folder / _ORIGIN, store.url.encode())
+    write_atomically(folder / _ORIGIN, store.url.encode(), durable=False, key=_FOLDER)
     return folder
 
 
@@ -91,31 +174,29 @@ def shown(folder: Path) -> str:
 def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
     """Bring the small files of a copy up to date with the storage, and drop shards that differ."""
     store = Store(str(url_of(folder)))
-    with explain_os_errors(folder, "SIMNFND_CLOUD_CACHE"):
+    with explain_os_errors(folder, _FOLDER):
         for path in [*folder.glob("*.*"), *folder.glob("t*/*")]:
             name = path.relative_to(folder).as_posix()
             differs = fresh or sizes.get(name) != path.stat().st_size
-            if (_SMALL.fullmatch(name) and name not in sizes) or (
-                _SHARD.fullmatch(name) and differs
-            ):
+            gone = _SMALL.fullmatch(name) and name not in sizes
+            if gone or (is_shard(name) and differs):
                 path.unlink(missing_ok=True)
         for name, size in sizes.items():
             if not _SMALL.fullmatch(name):
                 continue
             if size > _MOST_SMALL_BYTES:
                 raise FactoryError(f"{store.url}/{name}: {size} bytes are more than it can need")
-            content = store.get(name)
-            if content is not None:
+            if (content := store.get(name)) is not None:
                 (folder / name).parent.mkdir(exist_ok=True)
-                _write(folder / name, content)
+                write_atomically(folder / name, content, durable=False, key=_FOLDER)
 
 
-def shard_names(names: Mapping[str, int]) -> list[str]:
-    """Those of the names that are shards."""
-    return [name for name in sorted(names) if _SHARD.fullmatch(name)]
+def is_shard(name: str) -> bool:
+    """Whether an object is a shard of a dataset."""
+    return _SHARD.fullmatch(name) is not None
 
 
-def fetched(path: Path, look: Callable[[Path], None] | None = None) -> None:
+def fetched(path: Path, look: Callable[[Path], None] = lambda aside: None) -> None:
     """Fetch the shard of a copy that is not here; who else wants it now waits for that.
 
     look: called with the file before it gets its name; what it raises leaves nothing behind.
@@ -123,51 +204,42 @@ def fetched(path: Path, look: Callable[[Path], None] | None = None) -> None:
     """
     url = url_of(path.parent.parent)
     name = f"{path.parent.name}/{path.name}"
-    if url is None or not _SHARD.fullmatch(name) or path.exists():
+    if url is None or not is_shard(name) or path.exists():
         return
     from filelock import FileLock
 
-    with explain_os_errors(path, "SIMNFND_CLOUD_CACHE"):
+    number = zlib.crc32(path.name.encode()) % _LOCKS
+    aside = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
+    with explain_os_errors(path, _FOLDER):
         path.parent.mkdir(parents=True, exist_ok=True)
-        number = zlib.crc32(path.name.encode()) % _LOCKS
         with FileLock(path.parent.parent / f".fetching-{number:02d}"):
-            if not path.exists() and (content := Store(url).get(name)) is not None:
-                _write(path, content, look)
-                make_room(spare=path)
-
-
-def most_bytes() -> int:
-    """What all copies together may take.  Raises FactoryError when the variable is no number."""
-    told = os.environ.get(_LIMIT, str(_KEPT_BYTES))
-    try:
-        return int(told)
-    except ValueError as error:
-        raise FactoryError(f"{_LIMIT}={told}: must be a whole number of bytes") from error
+            if path.exists() or (content := Store(url).get(name)) is None:
+                return
+            try:
+                aside.write_bytes(content)
+                look(aside)
+                os.replace(aside, path)
+            finally:
+                aside.unlink(missing_ok=True)
+            make_room(spare=path)
 
 
 def make_room(spare: Path) -> None:
     """Remove shards of copies, the oldest first, until the rest is small enough.
 
     spare: the shard that came just now, which stays.
+    Raises FactoryError when SIMNFND_CLOUD_CACHE_BYTES is no number.
     """
+    told = os.environ.get(_LIMIT, str(_KEPT_BYTES))
+    if not told.isdecimal():
+        raise FactoryError(f"{_LIMIT}={told}: must be a whole number of bytes")
     found = []
     for path in copies_folder().glob("*/t*/*.h5"):
         with suppress(OSError):
             state = path.stat()
             found.append((state.st_mtime_ns, state.st_size, path))
-    total, most = sum(size for _, size, _ in found), most_bytes()
+    total = sum(size for _, size, _ in found)
     for _, size, path in sorted(found):
-        if total > most and path != spare:
+        if total > int(told) and path != spare:
             path.unlink(missing_ok=True)
             total -= size
-
-
-def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = None) -> None:
-    aside = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
-    try:
-        aside.write_bytes(content)
-        if look:
-            look(aside)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)

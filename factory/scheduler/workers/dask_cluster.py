@@ -1,6 +1,6 @@
 """Workers of a Dask cluster: one on this machine, or any that a scheduler's address leads to.
 
-Each worker has one thread and a nanny that replaces it when it dies, and takes tasks of all pools.
+Each worker has one thread and a nanny that replaces it when it dies, and takes tasks of all kinds.
 Dask is to retry nothing itself: docs/cluster.md says how to start such a cluster elsewhere.
 """
 
@@ -11,78 +11,70 @@ import pickle
 import threading
 import time
 import uuid
-from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from ...errors import FactoryError
-from .contract import RESULT, Hear, WorkerSettings, answered
+from . import ERROR, Backend, Task, WorkerDied, answered
 from .template import THREAD_VARIABLES
-
-T = TypeVar("T")
 
 _CONNECT_S = 20.0
 _STOP_S = 4.0
-_COUNT_EVERY_S = 2.0
+_LOOK_S = 0.5
 # A worker's start, and the way of a result that a worker has ready.
 _START_S = 120
 _RESULT_S = 60
 _RESTART_S = 30
 
 
-class _Lost(Exception):
-    """A task ended without a result of its own."""
-
-
 @dataclass(eq=False)
-class _Task:
+class _Sent:
+    task: Task
     future: Future[Any]
     remote: Any
-    silence_s: float
-    hear: Hear | None
     heard_at: float
 
 
-class DaskBackend:
-    """A `contract.Backend` over `distributed.Client`."""
+class DaskBackend(Backend):
+    """A `Backend` over `distributed.Client`."""
 
-    def __init__(self, settings: WorkerSettings) -> None:
-        """Connect, or start a cluster.  Raises FactoryError when neither works."""
+    def __init__(self, workers: int, address: str | None) -> None:
+        """Connect, or start a cluster of so many.  Raises FactoryError when neither works."""
         import distributed
 
         self._distributed: Any = distributed
         self._cluster: Any = None
         self._client: Any = None
-        self._counted = 0.0
-        self._tasks: dict[str, _Task] = {}
+        self._tasks: dict[str, _Sent] = {}
+        # Their workers are being restarted.
+        self._late: list[_Sent] = []
         self._topic = f"simnfnd-{uuid.uuid4().hex}"
         self._lock = threading.Lock()
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self._stopped = threading.Event()
         self._workers = 0
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         try:
-            address = settings.address
             if address is None:
-                self._cluster = self._started(settings.total)
-                address = self._cluster.scheduler_address
-            self._client = self._distributed.Client(
-                address, timeout=_CONNECT_S, set_as_default=False
-            )
+                self._cluster = self._started(workers)
+            where = address or self._cluster.scheduler_address
+            self._client = self._distributed.Client(where, timeout=_CONNECT_S, set_as_default=False)
             self._client.subscribe_topic(self._topic, self._heard)
             self._count()
             if not self._workers:
                 raise ValueError("it has no workers")
         except (TimeoutError, OSError, ValueError, RuntimeError) as error:
-            self.stop()
+            self.close()
             where = (
-                f"scheduler.address={settings.address}: no Dask scheduler answers"
-                if settings.address
+                f"scheduler.address={address}: no Dask scheduler answers"
+                if address
                 else "scheduler.backend=dask: no cluster comes up on this machine"
             )
             raise FactoryError(
                 f"{where} ({error}); check the address, or start one (docs/cluster.md)"
             ) from error
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def _started(self, workers: int) -> Any:
         """A scheduler and its workers as processes of this machine."""
@@ -94,7 +86,7 @@ class DaskBackend:
                 threads_per_worker=1,
                 memory_limit=0,
                 dashboard_address=None,
-                preload=["simnfnd.factory.scheduler.workers.contract"],
+                preload=["simnfnd.factory.scheduler.workers"],
                 env=dict.fromkeys(THREAD_VARIABLES, "1"),
                 silence_logs=logging.CRITICAL,
             )
@@ -104,104 +96,87 @@ class DaskBackend:
     def _count(self) -> None:
         """Take in workers that have come or gone."""
         with suppress(Exception):
-            found = self._client.sync(
-                self._client.scheduler.identity, n_workers=-1, callback_timeout=_RESTART_S
-            )
-            self._workers = len(found["workers"]) or self._workers
+            self._workers = len(self._asked("identity", n_workers=-1)["workers"]) or self._workers
 
-    def free(self, pool: str) -> bool:
+    def _asked(self, what: str, **given: Any) -> Any:
+        """The scheduler's answer."""
+        function = getattr(self._client.scheduler, what)
+        return self._client.sync(function, **given, callback_timeout=_RESTART_S)
+
+    def free(self, kind: str) -> bool:
         """Whether fewer tasks are under way than there are workers."""
         with self._lock:
-            return len(self._tasks) < self._workers
+            return len(self._tasks) + len(self._late) < self._workers
 
-    def submit(
-        self,
-        function: Callable[[Any], T],
-        argument: Any,
-        silence_s: float,
-        pool: str,
-        hear: Hear | None = None,
-    ) -> Future[T]:
-        """Send `function(argument)` to a worker."""
-        key = uuid.uuid4().hex
+    def submit(self, task: Task) -> Future[Any]:
+        """Send it to a worker."""
+        name = uuid.uuid4().hex
         remote = self._client.submit(
-            _run,
-            pickle.dumps((function, argument)),
-            self._topic,
-            key,
-            key=f"task-{key}",
-            pure=False,
-            retries=0,
+            _run, task.request(), self._topic, name, key=f"task-{name}", pure=False, retries=0
         )
-        future: Future[T] = Future()
+        future: Future[Any] = Future()
         # Until it is heard of, its worker may still be starting.
         heard_at = time.monotonic() + _START_S
         with self._lock:
-            self._tasks[key] = task = _Task(future, remote, silence_s, hear, heard_at)
-        remote.add_done_callback(lambda _: self._done(key, task))
+            self._tasks[name] = _Sent(task, future, remote, heard_at)
+        remote.add_done_callback(lambda _: self._done(name, remote))
         return future
 
     def _heard(self, event: tuple[float, Any]) -> None:
-        key, message = event[1]
+        name, message = event[1]
         with self._lock:
-            task = self._tasks.get(key)
-        if task is not None:
-            task.heard_at = time.monotonic()
-            if task.hear and message:
-                task.hear(tuple(message))
+            sent = self._tasks.get(name)
+        if sent is not None:
+            sent.heard_at = time.monotonic()
+            if message:
+                sent.task.hear(tuple(message))
 
-    def _done(self, key: str, task: _Task) -> None:
-        kind, value = "", None
-        try:
-            if task.remote.status == "finished":
-                kind, value = pickle.loads(task.remote.result(timeout=_RESULT_S))
-            elif task.remote.status == "error":
-                value = task.remote.exception(timeout=_RESULT_S)
-            else:
-                value = _Lost("its task was lost")
-        except TimeoutError:  # not of the task: `poll` has its limit
-            value = _Lost("its result did not arrive")
-        except Exception as failed:
-            value = failed
-        with self._lock:
-            if self._tasks.pop(key, None) is None:
-                return
-        if kind == RESULT:
-            task.future.set_result(value)
-        else:
-            task.future.set_exception(value)
-
-    def why_died(self, error: BaseException) -> str | None:
-        """What killed the worker, if that is what `error` of a future means; else None."""
-        if isinstance(error, self._distributed.KilledWorker):
-            return "native crash or kill, its Dask worker died"
+    def _done(self, name: str, remote: Any) -> None:
+        kind = ERROR
+        value: Any = WorkerDied("its task was lost by Dask")
         lost = (
-            _Lost,
+            TimeoutError,  # not of the task: `_end_late` has its limit
+            self._distributed.KilledWorker,
             self._distributed.CancelledError,
             self._distributed.scheduler.NoValidWorkerError,
         )
-        return f"its Dask worker was lost ({error})" if isinstance(error, lost) else None
+        try:
+            if remote.status == "finished":
+                kind, value = pickle.loads(remote.result(timeout=_RESULT_S))
+            elif remote.status == "error":
+                raise remote.exception(timeout=_RESULT_S)
+        except lost as error:
+            name_of = type(error).__name__
+            value = WorkerDied(f"native crash or kill, its Dask worker died ({name_of})")
+        except Exception as error:
+            value = error
+        with self._lock:
+            sent = self._tasks.pop(name, None)
+        if sent is not None:
+            (sent.future.set_exception if kind == ERROR else sent.future.set_result)(value)
 
-    def poll(self) -> None:
+    def _watch(self) -> None:
+        while not self._stopped.wait(_LOOK_S):
+            self._count()
+            self._end_late()
+
+    def _end_late(self) -> None:
         """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         now = time.monotonic()
-        if now - self._counted > _COUNT_EVERY_S:
-            self._counted = now
-            self._count()
         with self._lock:
-            gone = [k for k, one in self._tasks.items() if now > one.heard_at + one.silence_s]
-            late = [self._tasks.pop(key) for key in gone]
-        for task in late:
+            gone = [k for k, one in self._tasks.items() if now > one.heard_at + one.task.silence_s]
+            self._late = [self._tasks.pop(name) for name in gone]
+        for sent in self._late:
             with suppress(Exception):
-                processing = self._client.sync(
-                    self._client.scheduler.processing, workers=None, callback_timeout=_RESTART_S
-                )
-                where = [worker for worker, keys in processing.items() if task.remote.key in keys]
+                processing = self._asked("processing", workers=None)
+                where = [worker for worker, keys in processing.items() if sent.remote.key in keys]
                 self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
-            task.future.set_exception(TimeoutError())
+            sent.future.set_exception(TimeoutError())
+        self._late = []
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """Leave the cluster; one that was started here is taken down."""
+        self._stopped.set()
         with self._lock:
             self._tasks.clear()
         for one in (self._client, self._cluster):

@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from ...errors import FactoryError
+from ...progress import stage
 
 # Measured of 48: what a worker costs the process that starts it, pipes and threads, and what
 # else a run opens or loads.
@@ -20,9 +22,7 @@ _KEPT_BYTES = 1 << 28
 
 def usable_cores() -> int:
     """Cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 def available_memory_bytes() -> int:
@@ -30,55 +30,42 @@ def available_memory_bytes() -> int:
     import psutil  # 20 ms, which a command for one picture can do without
 
     available = int(psutil.virtual_memory().available)
-    control_group = Path("/sys/fs/cgroup")
-    try:
-        limit = int((control_group / "memory.max").read_text())
-        used = int((control_group / "memory.current").read_text())
-    except (OSError, ValueError):
-        return available
-    return min(available, max(0, limit - used))
+    group = Path("/sys/fs/cgroup")
+    with suppress(OSError, ValueError):  # no control group, or no limit
+        limit, used = (int((group / f"memory.{name}").read_text()) for name in ("max", "current"))
+        return min(available, max(0, limit - used))
+    return available
 
 
-def keep_freed_memory() -> bool:
+def keep_freed_memory() -> None:
     """Let the C library keep what arrays free for the next pair, instead of giving it back.
 
     Every pair needs the same few arrays of some megabytes.  Asking the system for their pages again
     and again costs a third of the time of a pair (docs/speed.md).  What is kept is at most what one
-    pair needed.  Returns whether there is a GNU C library to tell.
+    pair needed.  Of the GNU C library alone.
     """
-    if not sys.platform.startswith("linux"):
-        return False
-    try:
-        mallopt = ctypes.CDLL(None).mallopt
-    except (OSError, AttributeError):  # another C library
-        return False
-    return all([mallopt(_MMAP_THRESHOLD, _KEPT_BYTES), mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)])
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # another C library
+            mallopt = ctypes.CDLL(None).mallopt
+            mallopt(_MMAP_THRESHOLD, _KEPT_BYTES)
+            mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
-def workers_that_fit(wanted: int) -> tuple[int, str]:
-    """(how many of them fit, the limit in words; empty when all fit).
+def workers_that_fit(wanted: int) -> int:
+    """As many of them as the limits of this process allow; says so when that is not all.
 
-    Raises FactoryError when not even one fits.  A limit on open files is raised first, as far as
-    the system lets us.
+    Raises FactoryError when not even one fits.
     """
+    import resource
+
     import psutil
 
-    try:
-        import resource
-    except ImportError:  # no such limits on this system
-        return wanted, ""
     process = psutil.Process()
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != hard:
-        try:
-            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-            soft = hard
-        except (OSError, ValueError):  # macOS has a lower one of its own
-            pass
     room = [(wanted, "")]
-    if soft != resource.RLIM_INFINITY:
-        left = soft - process.num_fds() - _OTHER_FILES
-        room.append((left // _FILES_A_WORKER, f"ulimit -n is {soft}"))
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if files != resource.RLIM_INFINITY:
+        left = files - process.num_fds() - _OTHER_FILES
+        room.append((left // _FILES_A_WORKER, f"ulimit -n is {files}"))
     space, _ = resource.getrlimit(resource.RLIMIT_AS)
     if space != resource.RLIM_INFINITY:
         left = space - process.memory_info().vms - _OTHER_BYTES
@@ -86,4 +73,6 @@ def workers_that_fit(wanted: int) -> tuple[int, str]:
     fitting, limit = min(room, key=lambda item: item[0])
     if fitting < min(wanted, 1):
         raise FactoryError(f"scheduler.workers: {limit}, in which no worker fits; raise it")
-    return fitting, limit
+    if limit:
+        stage(f"{limit}: {fitting} of {wanted} workers fit and are used; raise it for more")
+    return fitting

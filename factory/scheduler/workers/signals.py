@@ -45,6 +45,7 @@ def stop_signals() -> Iterator[None]:
         yield
         return
     first: list[float] = []
+    lost: list[Interrupted] = []
 
     def handle(number: int, _: FrameType | None) -> None:
         if not first:
@@ -53,33 +54,28 @@ def stop_signals() -> Iterator[None]:
         if time.monotonic() - first[0] > _ONE_KEYPRESS_S:
             os._exit(128 + number)
 
-    again: list[threading.Timer] = []
-    lost: list[Interrupted] = []
-    tell = sys.unraisablehook
-
     def thrown_away(what: sys.UnraisableHookArgs) -> None:
         if not isinstance(what.exc_value, Interrupted):
             tell(what)
             return
         first.clear()
         lost[:] = [what.exc_value]
-        number = what.exc_value.exit_code - 128
-        # To the main thread: it may wait in a system call that has to end.
-        where = threading.get_ident()
-        again[:] = [threading.Timer(_ASK_AGAIN_S, signal.pthread_kill, (where, number))]
-        again[0].start()
+        timer = threading.Timer(_ASK_AGAIN_S, send_again, (what.exc_value.exit_code - 128,))
+        timer.start()
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    def send_again(number: int) -> None:
+        # To the main thread: it may wait in a system call that has to end.
+        if sys.unraisablehook is thrown_away:
+            signal.pthread_kill(main, number)
+
+    main, tell = threading.get_ident(), sys.unraisablehook
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    sys.unraisablehook = thrown_away
     try:
-        for number in before:
-            signal.signal(number, handle)
-        sys.unraisablehook = thrown_away
         yield
         if lost and not first:  # the block ended within the moment
             raise lost[0]
     finally:
-        for timer in again:
-            timer.cancel()
         sys.unraisablehook = tell
         for number, handler in before.items():
             signal.signal(number, handler)

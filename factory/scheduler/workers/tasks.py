@@ -6,16 +6,17 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Self, TypeVar
 
-from .contract import Backend, Pool, SerialBackend, WorkerSettings
+from . import Backend, Pool, Task, WorkerDied
 from .local import LocalBackend
 from .machine import usable_cores
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-_POOL = "tasks"
+_TASK = "task"
 
 
 @dataclass(frozen=True)
@@ -33,17 +34,22 @@ class TaskPool:
     """
 
     def __init__(self, workers: int | Literal["auto"]) -> None:
-        self._workers = usable_cores() if workers == "auto" else workers
-        self._in_process = workers == 1
-        self._backend: Backend | None = None
+        self._workers = workers
+
+    @cached_property
+    def _backend(self) -> Backend:
+        if self._workers == 1:
+            return Backend()
+        workers = usable_cores() if self._workers == "auto" else self._workers
+        return LocalBackend((Pool((_TASK,), workers),))
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._backend is not None:
-            self._backend.stop()
-            self._backend = None
+        if "_backend" in vars(self):
+            self._backend.close()
+            del self._backend
 
     def run(
         self, function: Callable[[T], R], waiting: deque[T], timeout_s: Callable[[T], float]
@@ -55,30 +61,24 @@ class TaskPool:
         timeout_s: how long a task may take.
         Exceptions of `function` are raised here.
         """
-        if self._backend is None:
-            settings = WorkerSettings((Pool(_POOL, self._workers),))
-            self._backend = SerialBackend() if self._in_process else LocalBackend(settings)
-        backend = self._backend
         running: dict[Future[R], T] = {}
         while waiting or running:
-            while waiting and backend.free(_POOL):
+            # Each result is taken before more begins: in this process all would be done first.
+            while waiting and self._backend.free(_TASK) and not any(map(Future.done, running)):
                 task = waiting.popleft()
-                running[backend.submit(function, task, timeout_s(task), _POOL)] = task
+                sent = Task(function, task, _TASK, timeout_s(task))
+                running[self._backend.submit(sent)] = task
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 task = running.pop(future)
-                result = _result(future, backend, timeout_s(task))
+                result = _result(future, timeout_s(task))
                 yield task, result
-            backend.poll()
 
 
-def _result(future: Future[R], backend: Backend, timeout_s: float) -> R | TaskLost:
+def _result(future: Future[R], timeout_s: float) -> R | TaskLost:
     try:
         return future.result()
     except TimeoutError:
         return TaskLost(f"took longer than {timeout_s:g} s")
-    except Exception as error:
-        reason = backend.why_died(error)
-        if reason is None:
-            raise
-        return TaskLost(reason)
+    except WorkerDied as died:
+        return TaskLost(str(died))

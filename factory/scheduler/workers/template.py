@@ -15,8 +15,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -42,22 +42,19 @@ def start(modules: tuple[str, ...]) -> None:
 
     Without modules a fork would spare little, and nothing is started.
     """
-    if not modules or not sys.platform.startswith("linux"):
+    if not modules or sys.platform != "linux":
         return
     global _owner
     with _lock:
         if runs():
             return
-        saved, held = one_thread(), hold_interrupts()
+        held = hold_interrupts()
         forkserver.set_forkserver_preload(list(modules))
-        try:
+        # In a process that is itself a fork, it is another's.
+        with one_thread(), suppress(ChildProcessError):
             forkserver.ensure_running()
             _owner = os.getpid()
-        except ChildProcessError:
-            pass  # in a process that is itself a fork, it is another's
-        finally:
-            restore(saved)
-            signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
@@ -97,20 +94,17 @@ def kill() -> None:
         server._stop()
 
 
-def one_thread() -> dict[str, str | None]:
-    """Let libraries of processes started from now on use one thread; what `restore` takes."""
-    saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let libraries of processes that are started within the block use one thread."""
+    saved = {name: os.environ.pop(name, None) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-    return saved
-
-
-def restore(saved: Mapping[str, str | None]) -> None:
-    """Set environment variables again; None: there was none."""
-    for name, value in saved.items():
-        if value is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = value
+    try:
+        yield
+    finally:
+        for name in THREAD_VARIABLES:
+            del os.environ[name]
+        os.environ.update({name: value for name, value in saved.items() if value is not None})
 
 
 def hold_interrupts() -> set[int]:

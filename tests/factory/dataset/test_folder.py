@@ -81,7 +81,7 @@ def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Pat
         (tmp_path / name).touch()
     days_ago = time.time() - 3 * 86_400
     os.utime(tmp_path / f".shard-00003.h5.{elsewhere}-1-{token}.tmp", (days_ago, days_ago))
-    assert remove_stale_temporaries(tmp_path) == 2
+    remove_stale_temporaries(tmp_path)
     dead.wait()
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {name for name, stays in names.items() if stays}

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scheduler.lock import LOCK_NAME, Lock, owner_of
+from simnfnd.factory.scheduler.lock import LOCK_NAME, locked, owner_of
 from tests.factory.scheduler.run_files import wait_for
 from tests.run_fake import make
 
@@ -19,9 +19,9 @@ HOLD = """
 import sys
 from pathlib import Path
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scheduler.lock import Lock
+from simnfnd.factory.scheduler.lock import locked
 try:
-    with Lock(Path(sys.argv[1]), sys.argv[2]):
+    with locked(Path(sys.argv[1]), sys.argv[2]):
         print("held", flush=True)
         sys.stdin.read()
 except FactoryError:
@@ -48,7 +48,7 @@ def test_a_second_run_is_refused_and_a_dead_owner_holds_nothing(tmp_path: Path) 
     owner.kill()
     owner.wait()
     assert owner_of(tmp_path) is None
-    with Lock(tmp_path):
+    with locked(tmp_path):
         assert json.loads((tmp_path / LOCK_NAME).read_text())["pid"] == os.getpid()
     assert not os.listdir(tmp_path)
 
@@ -56,10 +56,10 @@ def test_a_second_run_is_refused_and_a_dead_owner_holds_nothing(tmp_path: Path) 
 def test_slices_run_side_by_side_and_not_beside_the_whole(tmp_path: Path) -> None:
     owner = holding(tmp_path, "0-of-2", wait=True)
     try:
-        with Lock(tmp_path, "1-of-2"):
+        with locked(tmp_path, "1-of-2"):
             pass
         for part in ("", "0-of-2"):
-            with pytest.raises(FactoryError, match=str(owner.pid)), Lock(tmp_path, part):
+            with pytest.raises(FactoryError, match=str(owner.pid)), locked(tmp_path, part):
                 pass
     finally:
         owner.kill()
@@ -78,6 +78,6 @@ def test_of_many_that_come_at_once_one_gets_the_lock(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"[]", b'{"pid": "1"}', b"{half a lo", b"[" * 9])
 def test_a_file_that_nobody_holds_is_no_lock(tmp_path: Path, content: bytes) -> None:
     (tmp_path / LOCK_NAME).write_bytes(content)
-    with Lock(tmp_path):
+    with locked(tmp_path):
         pass
     assert not os.listdir(tmp_path)

@@ -89,10 +89,10 @@ from simnfnd.factory.scheduler.workers.local import LocalBackend
 from pathlib import Path
 from tests.fake_source import FakeConfig
 from tests.run_fake import make
-def stop(self):
+def close(self):
     Path(sys.argv[1] + ".stopping").touch()
     time.sleep(60)
-LocalBackend.stop = stop
+LocalBackend.close = close
 make(Path(sys.argv[1]), FakeConfig(delay_s=0.1))
 """
 

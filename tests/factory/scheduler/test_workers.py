@@ -8,7 +8,8 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
@@ -16,21 +17,22 @@ from typing import Any
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import local, template, workers_of
-from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
-from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
+from simnfnd.factory.scheduler.workers import Backend, Pool, Task, WorkerDied, local, template
+from simnfnd.factory.scheduler.workers.local import LocalBackend
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT
 from tests.run_fake import make
 from tests.worker_processes import workers_of as processes_of
 
-FORKED = WorkerSettings((Pool("all", 2),), preload=("simnfnd.factory.scheduler.worker",))
-
 
 def template_pid() -> int:
     server: Any = vars(forkserver)["_forkserver"]
     return int(server._forkserver_pid)
+
+
+def submit(workers: Backend, function: Callable[[Any], Any], argument: Any, kind: str) -> Any:
+    return workers.submit(Task(function, argument, kind, silence_s=60.0))
 
 
 def nap(seconds: float) -> int:
@@ -52,24 +54,24 @@ def test_a_stopped_worker_costs_the_limit_and_some_seconds(tmp_path: Path) -> No
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_workers_outlive_their_template_and_not_the_backend(number: int) -> None:
     template.kill()
-    backend = LocalBackend(FORKED)
+    backend = LocalBackend((Pool(("all",), 2),), preload=("simnfnd.factory.scheduler.worker",))
     workers = []
     try:
-        futures = [backend.submit(nap, 0.0, 60.0, "all") for _ in range(2)]
+        futures = [submit(backend, nap, 0.0, "all") for _ in range(2)]
         workers = [psutil.Process(future.result(60)) for future in futures]
-        again = [backend.submit(nap, 0.7, 60.0, "all") for _ in range(2)]
+        again = [submit(backend, nap, 0.7, "all") for _ in range(2)]
         os.kill(template_pid(), number)
         pids = {worker.pid for worker in workers}
         assert {future.result(60) for future in again} == pids, "one was taken for dead"
-        backend.submit(nap, 60.0, 90.0, "all")
+        submit(backend, nap, 60.0, "all")
     finally:
-        backend.stop()
+        backend.close()
         template.kill()
     _, alive = psutil.wait_procs(workers, timeout=10)
     assert not alive
 
 
-HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
+HEAVY, LIGHT = Pool(("heavy", "light"), 1), Pool(("light",), 1)
 
 
 def task(name: str) -> tuple[str, int]:
@@ -106,52 +108,51 @@ def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(local, "_BEGIN_S", 2.0)
-    workers = LocalBackend(WorkerSettings((LIGHT,)))
+    workers = LocalBackend((LIGHT,))
     try:
-        assert workers.submit(task, "a", 60.0, "light").result(60)[0] == "a"
+        assert submit(workers, task, "a", "light").result(60)[0] == "a"
         (process,) = children()
         process.suspend()
         # Larger than the buffer between the two: sending it waits for the stopped process.
         with pytest.raises(WorkerDied, match="stood still before it had begun"):
-            workers.submit(len, bytes(1 << 24), 60.0, "light").result(30)
-        assert workers.submit(len, bytes(1 << 24), 60.0, "light").result(60) == 1 << 24
+            submit(workers, len, bytes(1 << 24), "light").result(30)
+        assert submit(workers, len, bytes(1 << 24), "light").result(60) == 1 << 24
         (other,) = children()
         assert other.pid != process.pid
     finally:
-        workers.stop()
+        workers.close()
     assert not children()
 
 
 def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
-    workers = LocalBackend(WorkerSettings((LIGHT,)))
+    workers = LocalBackend((LIGHT,))
     try:
-        _, pid = workers.submit(task, "a", 60.0, "light").result(60)
+        _, pid = submit(workers, task, "a", "light").result(60)
         os.kill(pid, signal.SIGKILL)
         died = "no"
         try:
-            _, pid = workers.submit(task, "b", 60.0, "light").result(60)
+            _, pid = submit(workers, task, "b", "light").result(60)
         except WorkerDied as error:  # found out only when it is asked
             died = str(error)
         assert died == "no" or "SIGKILL" in died
         with pytest.raises(TypeError, match="cannot pickle"):
-            workers.submit(open, os.devnull, 60.0, "light").result(60)
-        assert workers.submit(task, "c", 60.0, "light").result(60)[0] == "c"
+            submit(workers, open, os.devnull, "light").result(60)
+        assert submit(workers, task, "c", "light").result(60)[0] == "c"
     finally:
-        workers.stop()
+        workers.close()
 
 
 def test_a_pool_that_takes_others_tasks_prefers_its_own() -> None:
-    with workers_of(WorkerSettings((HEAVY, LIGHT))) as workers:
-        first = workers.submit(task, "a", 60.0, "heavy")
+    with closing(LocalBackend((HEAVY, LIGHT))) as workers:
+        first = submit(workers, task, "a", "heavy")
         assert not workers.free("heavy")
         assert workers.free("light")
-        second = workers.submit(task, "b", 60.0, "light")
+        second = submit(workers, task, "b", "light")
         (_, heavy), (_, light) = first.result(60), second.result(60)
         assert heavy != light
-        assert workers.submit(task, "c", 60.0, "heavy").result(60) == ("c", heavy)
+        assert submit(workers, task, "c", "heavy").result(60) == ("c", heavy)
 
 
-POOL = Pool("light", 1)
 # A module of the standard library that nothing here imports.
 LOADED = "wave"
 
@@ -173,11 +174,11 @@ def none_before() -> Iterator[None]:
 
 def asked() -> tuple[int, int, bool, str]:
     """(process, parent, whether LOADED is, OMP_NUM_THREADS) of a worker."""
-    backend = LocalBackend(WorkerSettings((POOL,), preload=(LOADED,)))
+    backend = LocalBackend((LIGHT,), preload=(LOADED,))
     try:
-        found = backend.submit(seen, "OMP_NUM_THREADS", 60.0, POOL.name).result(60)
+        found = submit(backend, seen, "OMP_NUM_THREADS", "light").result(60)
     finally:
-        backend.stop()
+        backend.close()
     assert found[3] is not None
     return found[0], found[1], found[2], found[3]
 
@@ -199,13 +200,13 @@ def test_environment_and_folder_are_those_of_now(
     monkeypatch.delenv("SIMNFND_TEST_GONE")
     monkeypatch.setenv("SIMNFND_TEST_NEW", "2")
     monkeypatch.chdir(str(tmp_path))
-    backend = LocalBackend(WorkerSettings((POOL,), preload=(LOADED,)))
+    backend = LocalBackend((LIGHT,), preload=(LOADED,))
     try:
         for name, value in (("SIMNFND_TEST_GONE", None), ("SIMNFND_TEST_NEW", "2")):
-            *_, loaded, told, folder = backend.submit(seen, name, 60.0, POOL.name).result(60)
+            *_, loaded, told, folder = submit(backend, seen, name, "light").result(60)
             assert (loaded, told, folder) == (True, value, str(tmp_path))
     finally:
-        backend.stop()
+        backend.close()
 
 
 @pytest.mark.usefixtures("none_before")

@@ -23,11 +23,11 @@ from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler import run
+from simnfnd.factory.scheduler.lock import url_locked
+from simnfnd.factory.scheduler.publish import publishing
 from simnfnd.factory.scheduler.results import RunReport
 from simnfnd.factory.scheduler.settings import ShardSlice
-from simnfnd.factory.storage.copies import folder_of, local_folder, url_of
-from simnfnd.factory.storage.publish import StoreLock, publishing
-from simnfnd.factory.storage.store import Store
+from simnfnd.factory.storage.copies import Store, folder_of, local_folder, url_of
 from tests import run_fake
 from tests.cloud_storage import contents, manifest_of, s3_server, shards_of
 from tests.factory.dataset.some_shards import PROVENANCE, some_pairs, write_all
@@ -137,7 +137,7 @@ def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path
     path.unlink()
     code = (
         "import sys, time; from pathlib import Path\n"
-        "from simnfnd.factory.storage.store import Store\n"
+        "from simnfnd.factory.storage.copies import Store\n"
         "from simnfnd.factory.dataset.reader import bring\n"
         "plain = Store.get\n"
         "def get(self, name):\n"
@@ -157,14 +157,14 @@ def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path
 def test_two_runs_do_not_write_at_once(bucket: str) -> None:
     url = f"{bucket}/two"
     store = Store(url)
-    with StoreLock(store) as first:
+    with url_locked(store) as (_, token):
         with pytest.raises(FactoryError, match="is being written by process"):
             make(folder_of(url))
-        with pytest.raises(FactoryError, match="is being written"), StoreLock(store, "0-of-2"):
+        with pytest.raises(FactoryError, match="is being written"), url_locked(store, "0-of-2"):
             pass
         assert contents(url).keys() == {".lock"}
         # Taken over while it stood still: it writes no more, and leaves the other's lock alone.
-        theirs = first._text().replace(first.token.encode(), b"0" * 32)
+        theirs = contents(url)[".lock"].replace(token.encode(), b"0" * 32)
         store.put(".lock", theirs)
     assert contents(url) == {".lock": theirs}
 
