@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -73,11 +72,9 @@ def denoise(
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
 
     def place(image: npt.NDArray[Any]) -> FanGeometry | None:
-        if not isinstance(geometry, str):
-            return geometry
-        if geometry == "find":
-            return find_geometry(image)
-        return FanGeometry.polar().with_size(*image.shape[:2])
+        if geometry == "polar":
+            return FanGeometry.polar().with_size(*image.shape[:2])
+        return find_geometry(image) if isinstance(geometry, str) else geometry
 
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
     denoising = Denoising(network, frames=frames, causal=causal, calibrated=strength == 1)
@@ -211,15 +208,10 @@ class OpenRecording:
         """Let go of the file."""
         self._recording.close()
 
-    def __enter__(self) -> OpenRecording:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _shown(self, frame: Frame) -> RecordedFrame:

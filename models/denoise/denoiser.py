@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -22,9 +22,8 @@ from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
 from .pictures import Gray
-from .runtime import open_runtime
+from .runtime import Maps, open_runtime
 
-Maps = Mapping[str, Gray]
 Work = Callable[[Gray, Maps], Gray]
 
 _SEVERAL = 1.5
@@ -87,36 +86,36 @@ class Denoiser:
         return given.undone(self._denoise(given.shown(gray), given.geometry, told))
 
     def _denoise(self, gray: Gray, geometry: FanGeometry | None, frames: Gray | None) -> Gray:
-        network = self.runtime
+        extras, widest = self.runtime.extras, self.runtime.wide_grain
         maps: dict[str, Gray] = {}
-        if geometry is not None and network.extras:
+        if geometry is not None and extras:
             found = geometry.maps(0, 0, *gray.shape)
-            maps = {name: found[name] for name in network.extras if name in found}
-        widest = network.wide_grain
+            maps = {name: found[name] for name in extras if name in found}
         if frames is not None:
             maps["frames"] = np.ascontiguousarray(frames, np.float32)
             widest = 1.0 if frames.mean() > averaged(_SEVERAL) else widest
-        outside = _surroundings(gray, maps)
-        shown = gray if outside is None else np.where(outside, np.float32(0), gray)
+        # Weights have seen black surroundings of a sector alone.
+        outside = maps.get("sector", np.ones_like(gray)) <= 0
+        bright = bool(outside.any()) and (gray[outside] > _LIT).mean() > _LIT_SHARE
+        shown = np.where(outside, np.float32(0), gray) if bright else gray
         denoised = by_scales(shown, maps, self._denoise_whole, widest)
-        if outside is not None:
+        if bright:
             denoised = np.where(outside, gray, denoised)
         if self.strength == 1:
             return denoised
         return np.asarray(np.clip(gray + self.strength * (denoised - gray), 0, 1), np.float32)
 
     def _denoise_whole(self, gray: Gray, maps: Maps) -> Gray:
-        weights: list[float] = []
-        areas: list[int] = []
+        tiles: list[tuple[float, int]] = []
 
         def denoise_tile(part: Gray, maps: Maps) -> Gray:
             denoised, weight = self.runtime.run(part, maps)
-            weights.append(weight)
-            areas.append(part.size)
+            tiles.append((weight, part.size))
             return denoised
 
         denoised = tiled(denoise_tile, gray, maps, self.tile, self.overlap)
         # One weight for the whole picture: single tiles with less change would be visible.
+        weights, areas = zip(*tiles, strict=True)
         weight = np.float32(np.average(weights, weights=areas))
         if "frames" in maps and maps["frames"].mean() > averaged(_SEVERAL):
             # The head that weighs knows single frames; of means it takes too little.
@@ -124,18 +123,10 @@ class Denoiser:
         return np.asarray(np.clip(gray + weight * (denoised - gray), 0, 1), np.float32)
 
 
-def _surroundings(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
-    """(H, W) outside the sector, where that is not black: weights have seen black ones alone."""
-    if "sector" not in maps:
-        return None
-    outside = maps["sector"] <= 0
-    return outside if outside.any() and (gray[outside] > _LIT).mean() > _LIT_SHARE else None
-
-
 def by_scales(grey: Gray, maps: Maps, denoise: Work, widest: float) -> Gray:
     """`denoise` of a picture, (H, W) in 0..1, first at smaller sizes while its grain is wide.
 
-    maps: planes of the picture for `denoise`, (H, W) or (H, W, more), some perhaps `sector`.
+    maps: planes of the picture for `denoise`, (H, W), some perhaps `sector`.
     widest: correlation of the grain of neighbouring pixels from which on it is wide; 1: never.
     """
     part = np.float32(0)
@@ -174,45 +165,42 @@ def correlation(grey: Gray) -> float:
 
 
 def halved(plane: Gray) -> Gray:
-    """(H, W) or (H, W, more) -> half of the size, means of 2 x 2; odd sides end in their last."""
-    odd = [(0, side % 2) for side in plane.shape[:2]] + [(0, 0)] * (plane.ndim - 2)
-    even = np.pad(plane, odd, mode="edge") if plane.shape[0] % 2 or plane.shape[1] % 2 else plane
+    """(H, W) -> half of the size, means of 2 x 2; odd sides end in their last."""
+    even = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
     return np.asarray(
         (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / np.float32(4),
         np.float32,
     )
 
 
-def starts(size: int, tile: int, overlap: int) -> list[int]:
+def tiled(work: Work, image: Gray, maps: Maps, tile: int, overlap: int) -> Gray:
+    """`work` on tiles of at most `tile` pixels a side, put together again.
+
+    image, and each of maps: (H, W).  Where tiles overlap, their weights rise and fall linearly over
+    the `overlap` nearest the edge, half a tile at most.  A picture that fits one tile goes through
+    as it is.
+    """
+    height, width = image.shape
+    if height <= tile and width <= tile:
+        return work(image, maps)
+    total = np.zeros(image.shape, np.float64)
+    weights = np.zeros(image.shape, np.float64)
+    for top in _starts(height, tile, overlap):
+        for left in _starts(width, tile, overlap):
+            window = np.s_[top : top + tile, left : left + tile]
+            part = work(image[window], {name: values[window] for name, values in maps.items()})
+            weight = np.outer(*(_ramp(side, overlap) for side in part.shape))
+            total[window] += weight * part
+            weights[window] += weight
+    return (total / weights).astype(np.float32)
+
+
+def _starts(size: int, tile: int, overlap: int) -> list[int]:
     """First pixels of tiles that cover `size`, evenly spread, each sharing >= `overlap` pixels."""
     if size <= tile:
         return [0]
     count = math.ceil((size - overlap) / (tile - overlap))
     return [round(number * (size - tile) / (count - 1)) for number in range(count)]
-
-
-def tiled(work: Work, image: Gray, maps: Maps, tile: int, overlap: int) -> Gray:
-    """`work` on tiles of at most `tile` pixels a side, put together again.
-
-    image, and each of maps: (H, W).  Where tiles overlap, their weights rise and fall linearly over
-    the `overlap` nearest the edge.  A picture that fits one tile goes through as it is.
-    Raises ValueError unless 0 <= overlap <= tile / 2.
-    """
-    height, width = image.shape
-    if not 0 <= overlap <= tile // 2:
-        raise ValueError(f"overlap {overlap} must be at most half of the tile {tile}")
-    if height <= tile and width <= tile:
-        return work(image, maps)
-    total = np.zeros(image.shape, np.float64)
-    weights = np.zeros(image.shape, np.float64)
-    for top in starts(height, tile, overlap):
-        for left in starts(width, tile, overlap):
-            window = np.s_[top : top + tile, left : left + tile]
-            part = work(image[window], {name: values[window] for name, values in maps.items()})
-            weight = np.outer(_ramp(part.shape[0], overlap), _ramp(part.shape[1], overlap))
-            total[window] += weight * part
-            weights[window] += weight
-    return (total / weights).astype(np.float32)
 
 
 def _ramp(size: int, overlap: int) -> npt.NDArray[np.float64]:

@@ -8,7 +8,7 @@ the sector.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,11 @@ from ...factory.errors import FactoryError
 from ..networks import DEFAULT, vector
 from ..networks.weights import read_header, read_weights
 from ..pretrained import graphs
+from .pictures import Gray
 
-Gray = npt.NDArray[np.float32]
 Maps = Mapping[str, Gray]
-Positions = tuple[Gray, Gray]
+Positions = Sequence[Gray]
 _SMALLEST = np.float32(1e-6)
-
 _MOST = np.float32(80)
 """Of a logit, so that its exponential is a number."""
 
@@ -92,14 +91,9 @@ class OnnxNetwork:
         self._kept = give_weights(
             options, {f"network.{name}": one for name, one in weights.items()}
         )
-        try:
-            self._session = onnxruntime.InferenceSession(
-                graph.read_bytes(), options, providers=[*providers, "CPUExecutionProvider"]
-            )
-        except Exception as error:
-            # onnxruntime reports weights of other sizes with a dozen exception types.
-            reason = " ".join(str(error).split())[:160]
-            raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
+        self._session = onnxruntime.InferenceSession(
+            graph.read_bytes(), options, providers=[*providers, "CPUExecutionProvider"]
+        )
         facts = self._session.get_modelmeta().custom_metadata_map
         model = json.loads(facts["model"])
         self.extras = tuple(facts["extras"].split(","))
@@ -117,19 +111,15 @@ class OnnxNetwork:
         if grid is None:
             found = inputs_of(gray, maps, self._stride)
         else:
-            sector = maps.get("sector", np.ones_like(gray))
-            shown = {
-                "range_fraction": grid.range_fraction,
-                "azimuth_rad": grid.azimuth_rad,
-                "sector": grid.polar(sector),
-            }
-            found = inputs_of(grid.polar(gray), shown, self._stride, is_grid=True)
+            sector = _sampled(maps.get("sector", np.ones_like(gray)), grid.in_fan)
+            shown = {**grid.maps, "sector": sector}
+            found = inputs_of(_sampled(gray, grid.in_fan), shown, self._stride, is_grid=True)
         change, logits, weight = self._session.run(
             ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
         )
         change, logits = change[0, 0], logits[0, 0]
         if grid is not None:
-            change, logits = grid.fan(change), grid.fan(logits)
+            change, logits = _sampled(change, grid.in_grid), _sampled(logits, grid.in_grid)
         image = gray + change
         if self._mask:
             image = image / (1 + np.exp(np.minimum(logits, _MOST)))
@@ -147,7 +137,6 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     Returns `noisy` and `frames` (1, 1, H, W), `maps` (1, 3, H, W), `beams` and `arcs` (1, cells)
     int64, the line of each cell at half resolution, and `remove` (1, 6).
     """
-    height, width = gray.shape
     rows, columns = (-(-side // stride) * stride // 2 for side in gray.shape)
     if _known(maps):
         sector = maps.get("sector", np.ones_like(gray))
@@ -165,15 +154,14 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
         # Columns count as beams and rows as arcs.
         beams = np.broadcast_to(np.arange(columns), (rows, columns))
         arcs = np.broadcast_to(np.arange(rows)[:, None], (rows, columns))
-    frames = maps.get("frames")
     return {
         "noisy": np.ascontiguousarray(gray, np.float32)[None, None],
         "maps": np.stack(planes)[None].astype(np.float32),
         "beams": np.ascontiguousarray(beams, np.int64).reshape(1, -1),
         "arcs": np.ascontiguousarray(arcs, np.int64).reshape(1, -1),
-        "frames": np.zeros((1, 1, height, width), np.float32)
-        if frames is None
-        else np.ascontiguousarray(frames, np.float32)[None, None],
+        "frames": np.ascontiguousarray(maps.get("frames", np.zeros_like(gray)), np.float32)[
+            None, None
+        ],
         "remove": vector(DEFAULT)[None],
     }
 
@@ -221,14 +209,12 @@ class TorchNetwork:
         """See `OnnxNetwork`."""
         import torch
 
+        planes = {"noisy": gray, **{name: maps[name] for name in self.extras if name in maps}}
         known = {
-            name: torch.from_numpy(np.ascontiguousarray(plane))[None, None]
-            for name, plane in maps.items()
-            if name in self.extras
+            name: torch.from_numpy(np.ascontiguousarray(plane))[None, None].to(self._device)
+            for name, plane in planes.items()
         }
-        known = {name: plane.to(self._device) for name, plane in known.items()}
-        noisy, weight = torch.from_numpy(np.ascontiguousarray(gray))[None, None], 1.0
-        noisy = noisy.to(self._device)
+        noisy, weight = known.pop("noisy"), 1.0
         with torch.inference_mode():
             if self._network.has_heads:
                 output = self._network.with_heads(noisy, **known)
@@ -243,16 +229,15 @@ class PolarGrid:
     """Fan pictures to range by bearing and back, in NumPy, as `models.networks.polar` does it.
 
     in_fan, in_grid: rows and columns, in pixels, of the cells in the fan and of the pixels in the
-    grid.  range_fraction, azimuth_rad: (H, W) of the cells, near range first.
+    grid; (H, W) each.  maps: `range_fraction` and `azimuth_rad` of the cells, near range first.
     """
 
     in_fan: Positions
     in_grid: Positions
-    range_fraction: Gray
-    azimuth_rad: Gray
+    maps: Maps
 
     @classmethod
-    def of(cls, maps: Mapping[str, Gray]) -> PolarGrid | None:
+    def of(cls, maps: Maps) -> PolarGrid | None:
         """The grid for a fan; None for pictures that are polar already, or too small to tell."""
         radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
         height, width = radius.shape
@@ -284,15 +269,7 @@ class PolarGrid:
                 (azimuth, left, right_end, width),
             )
         ]
-        return cls((in_fan[0], in_fan[1]), (in_grid[0], in_grid[1]), cell_range, cell_azimuth)
-
-    def polar(self, picture: Gray) -> Gray:
-        """A fan picture (H, W) on the grid, bilinear."""
-        return _sampled(picture, self.in_fan)
-
-    def fan(self, cells: Gray) -> Gray:
-        """What is on the grid as a fan picture, bilinear; repeated outside the grid."""
-        return _sampled(cells, self.in_grid)
+        return cls(in_fan, in_grid, {"range_fraction": cell_range, "azimuth_rad": cell_azimuth})
 
 
 def _extent(values: Gray) -> tuple[np.float32, np.float32]:
@@ -306,6 +283,7 @@ def _rounded(position: Gray, side: int) -> Gray:
 
 
 def _sampled(picture: Gray, at: Positions) -> Gray:
+    """A picture between its pixels, bilinear; repeated outside."""
     height, width = picture.shape
     row, column = (
         np.clip(place, 0, side - 1) for place, side in zip(at, picture.shape, strict=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 
 import h5py
 
@@ -13,7 +14,7 @@ from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
 from .files import Job
 from .inputs import Item
-from .pictures import Denoising
+from .pictures import Denoising, Picture
 from .writers import COMPARED, write_compared
 
 SCHEMA = "simnfnd-denoised/1"
@@ -55,7 +56,7 @@ def denoise_shard(item: Item, job: Job) -> None:
         for row in range(len(noisy)):
             try:
                 image = noisy[row]
-                denoised[row] = denoising.one(image, lambda _, row=row: geometry(row))
+                denoised[row] = denoising.one(image, partial(geometry, row))
                 if row < COMPARED:
                     shown.append([one / full for one in (image, denoised[row], clean[row])])
             except FactoryError as error:
@@ -93,13 +94,12 @@ def made_of_points(shard: h5py.File) -> bool:
         return False
 
 
-def _geometry_of(shard: h5py.File) -> Callable[[int], FanGeometry | None]:
-    """Row -> where range and bearing are, if the shard says so."""
+def _geometry_of(shard: h5py.File) -> Callable[[int, Picture], FanGeometry | None]:
+    """Row and its picture -> where range and bearing are, if the shard says so."""
     try:
         sonar = recorded_sonar(json.loads(shard.attrs["config"]))
-        if sonar is None:
-            return lambda row: None
-        FanGeometry.from_record(sonar, shard["meta"][0])
+        if sonar is not None:
+            FanGeometry.from_record(sonar, shard["meta"][0])
     except (KeyError, TypeError, ValueError, IndexError):
-        return lambda row: None
-    return lambda row: FanGeometry.from_record(sonar, shard["meta"][row])
+        sonar = None
+    return lambda row, _: sonar and FanGeometry.from_record(sonar, shard["meta"][row])

@@ -11,7 +11,7 @@ from ...factory import __version__
 from ...factory.cli import Parser
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
-from ...factory.files import check_writable, sha256_of, write_atomically
+from ...factory.files import check_writable, write_atomically
 from . import find_weights
 
 _CARD = """---
@@ -26,39 +26,18 @@ tags: [sonar, denoising, forward-looking-sonar]
 A denoiser for forward-looking sonar pictures, made by `simnfnd train` of SimNFND {version}.
 `simnfnd denoise IN... --out DIR --weights {name}` uses it.
 
-| | |
+| key | value |
 |---|---|
-| network | {network} |
-| parameters | {parameters:,} |
-| GMAC for a 256x256 picture | {gmac} |
-| file | {size_mb:.2f} MB, 16-bit safetensors |
-| seed | {seed} |
-| steps kept | {step} |
+{facts}
 
-## The training that wrote them
+A key `start` names weights that it began from, by their hash.  Figures under `validation` are of
+pictures that it never trained on; where they had a part in choosing the recipe they are optimistic.
 
-A key `start` names weights that it began from, by their hash.
-
-{recipe}
-
-## Figures
-
-{figures}
-How the recipe was chosen is not recorded: figures on pictures that had a part in it are optimistic.
-
-## Limits
-
-{limits}
+Trained on simulated noise: a picture whose noise, geometry or grey scale differs from what is
+described above may come out worse than it went in.  Small targets unlike anything in the training
+scenes can be smoothed away; do not measure on denoised pictures what you could measure on the
+originals.
 """
-
-_LIMITS = (
-    "Trained on simulated noise: a picture whose noise, geometry or grey scale differs from what "
-    "is described above may come out worse than it went in.  It learned what a sonar picture of "
-    "the training scenes looks like, so small targets unlike anything there can be smoothed away; "
-    "do not measure on denoised pictures what you could measure on the originals."
-)
-
-
 SUFFIXES = {"safetensors": ".safetensors", "onnx": ".onnx", "runtime": ".onnx"}
 """What `--to` may say, and how the files end."""
 
@@ -94,19 +73,12 @@ def main(arguments: Sequence[str]) -> int:
         print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
         return 0
     require(Need(f"--to {chosen.to}", module) for module in ("onnx", "onnxruntime"))
-    from ..networks.weights import load_weights
-    from .onnx_graph import OPSET, Graph, write_onnx, write_runtime
+    from .onnx_graph import OPSET, write_onnx, write_runtime
 
     if chosen.to == "runtime":
         difference = write_runtime(weights, out)
     else:
-        trained = load_weights(weights)
-        about = {
-            "simnfnd": __version__,
-            "model": json.dumps(dict(trained.model), sort_keys=True),
-            "weights_sha256": sha256_of(weights),
-        }
-        difference = write_onnx(Graph(trained.network, chosen.geometry), out, about)
+        difference = write_onnx(weights, chosen.geometry, out)
     size_mb = out.stat().st_size / 1e6
     print(f"{out}: ONNX, opset {OPSET}, {size_mb:.2f} MB, within {difference:.1e} of torch")
     return 0
@@ -129,44 +101,25 @@ def export(weights: str | Path, out: Path) -> float:
     count = sum(parameter.numel() for parameter in trained.network.parameters())
     check_writable(out.parent, "--out")
     save_weights(out, trained.network, trained.model, trained.training, half=True)
-    facts = dict(trained.training)
-    validation = facts.pop("validation", {})
-    card = _CARD.format(
-        name=out.stem,
-        version=__version__,
-        network=", ".join(f"{key} {value}" for key, value in trained.model.items()),
-        parameters=count,
-        gmac=f"{count_macs(trained.network, 256) / 1e9:.2f}",
-        size_mb=out.stat().st_size / 1e6,
-        seed=facts.get("seed", "unknown"),
-        step=validation.get("step", "unknown"),
-        recipe=_table(
-            {
-                key: value
-                for key, value in facts.items()
-                if key != "seed" and not key.startswith("model.")
-            }
-        ),
-        figures=_validation(validation),
-        limits=_LIMITS,
-    )
+    size_mb = out.stat().st_size / 1e6
+    facts = {
+        "parameters": f"{count:,}",
+        "GMAC for a 256x256 picture": f"{count_macs(trained.network, 256) / 1e9:.2f}",
+        "file": f"{size_mb:.2f} MB, 16-bit safetensors",
+        **_flat({"model": trained.model, **trained.training}),
+    }
+    rows = "\n".join(f"| `{key}` | {value} |" for key, value in facts.items())
+    card = _CARD.format(name=out.stem, version=__version__, facts=rows)
     write_atomically(out.with_suffix(".md"), card.encode(), key="--out")
-    return out.stat().st_size / 1e6
+    return size_mb
 
 
-def _validation(row: Mapping[str, Any]) -> str:
-    if "psnr" not in row:
-        return "Validation figures are not known."
-    return (
-        "On the validation images of its training (never trained on): PSNR "
-        f"{row['psnr_noisy']:.2f} -> {row['psnr']:.2f} dB, SSIM {row['ssim_noisy']:.3f} -> "
-        f"{row['ssim']:.3f}."
-    )
-
-
-def _table(values: Mapping[str, Any]) -> str:
-    lines = ["| key | value |", "|---|---|"]
+def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, str]:
+    """Values by their dotted names, as text."""
+    found: dict[str, str] = {}
     for key, value in values.items():
-        shown = value if isinstance(value, str) else json.dumps(value)
-        lines.append(f"| `{key}` | {shown} |")
-    return "\n".join(lines)
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{above}{key}.")
+        else:
+            found[above + key] = value if isinstance(value, str) else json.dumps(value)
+    return found

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import warnings
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ...factory import __version__
 from ...factory.errors import FactoryError
-from ...factory.files import check_writable, write_atomically
+from ...factory.files import check_writable, sha256_of, write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
 from ..networks import DEFAULT, vector
@@ -69,16 +70,10 @@ class Graph(nn.Module):
                 f"--geometry {layout}: this network does not use the geometry; leave it out"
             )
         self.network, self.layout = network, layout
-        maps = _MAPS if layout != "none" else ()
-        self.inputs: tuple[str, ...] = ("noisy", *maps)
-        self.outputs: tuple[str, ...] = (
-            ("denoised", "weight") if network.has_heads else ("denoised",)
-        )
+        self.inputs: tuple[str, ...] = ("noisy", *(_MAPS if layout != "none" else ()))
+        self.outputs: tuple[str, ...] = ("denoised", "weight")[: 1 + network.has_heads]
         sizes = {0: "count", 2: "height", 3: "width"}
-        self.axes: dict[str, dict[int, str]] = {
-            **dict.fromkeys(("noisy", *maps, "denoised"), sizes),
-            "weight": {0: "count"},
-        }
+        self.axes = {**dict.fromkeys((*self.inputs, "denoised"), sizes), "weight": {0: "count"}}
         if isinstance(network, SonarNet):
             network.fan = layout == "fan"
         # Without gradients and choices of training, as tracing keeps both.
@@ -111,6 +106,7 @@ class RuntimeGraph(Graph):
     """
 
     tolerance: ClassVar[float] = 1e-5
+    network: SonarNet
 
     def __init__(self, network: Network) -> None:
         """Raises FactoryError for a network that the runtime has no inputs for."""
@@ -122,30 +118,21 @@ class RuntimeGraph(Graph):
         told = [name for name in ("frames", "remove") if name in network.extras]
         self.inputs = ("noisy", "maps", "beams", "arcs", *told)
         self.outputs = ("change", "shadow_logits", "weight")
-        size, cells = {2: "height", 3: "width"}, {1: "cells"}
-        sized = {"noisy", "maps", "frames", "change", "shadow_logits"} & {
-            *self.inputs,
-            *self.outputs,
-        }
-        self.axes = {**dict.fromkeys(sorted(sized), size), "beams": cells, "arcs": cells}
-
-    @property
-    def sonarnet(self) -> SonarNet:
-        """The network."""
-        assert isinstance(self.network, SonarNet)
-        return self.network
+        sized = sorted({*self.inputs, *self.outputs} - {"beams", "arcs", "remove", "weight"})
+        self.axes = {name: {2: "height", 3: "width"} for name in sized}
+        self.axes |= {name: {1: "cells"} for name in ("beams", "arcs")}
 
     def forward(self, noisy: Tensor, *told: Tensor) -> tuple[Tensor, ...]:
         """See the class."""
         given = dict(zip(self.inputs[1:], told, strict=True))
         maps = given["maps"]
         # Every second pixel: the cells of the features at half resolution.
-        inside = padded(1 - maps[:, 2:], self.sonarnet.core_stride)[..., ::2, ::2] > 0
+        inside = padded(1 - maps[:, 2:], self.network.core_stride)[..., ::2, ::2] > 0
         shape = inside.shape[-2], inside.shape[-1]
         lines = MapLines(given["beams"], given["arcs"], inside.to(noisy.dtype).flatten(2), shape)
         remove = given.get("remove", torch.from_numpy(vector(DEFAULT))[None])
         planes = torch.split(maps, 1, dim=1)
-        return self.sonarnet.core(remove, given.get("frames"), lines, noisy, *planes)
+        return self.network.core(remove, given.get("frames"), lines, noisy, *planes)
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
         """Speckle in a fan, a polar picture or one of unknown geometry, in turn by `seed`."""
@@ -155,8 +142,23 @@ class RuntimeGraph(Graph):
         noisy *= maps.get("sector", np.float32(1))
         if "frames" in self.inputs:
             maps["frames"] = rng.uniform(0, 3, (height, width)).astype(np.float32)
-        found = inputs_of(noisy, maps, self.sonarnet.core_stride)
+        found = inputs_of(noisy, maps, self.network.core_stride)
         return {name: torch.from_numpy(found[name]) for name in self.inputs}
+
+
+def write_onnx(weights: Path, layout: Layout, out: Path) -> float:
+    """Write a network as a `.onnx` file of any height, width and number of pictures.
+
+    Returns how far it is from torch.  Raises FactoryError when onnxruntime does not get what torch
+    does, or the file cannot be written; nothing is written then.
+    """
+    trained = load_weights(weights)
+    about = {
+        "simnfnd": __version__,
+        "model": json.dumps(dict(trained.model), sort_keys=True),
+        "weights_sha256": sha256_of(weights),
+    }
+    return _write(Graph(trained.network, layout), out, about, bare=False)
 
 
 def write_runtime(weights: Path, out: Path) -> float:
@@ -170,20 +172,13 @@ def write_runtime(weights: Path, out: Path) -> float:
     about = {
         "model": json.dumps(structure(trained.model), sort_keys=True),
         "extras": ",".join(trained.network.extras),
-        "stride": graph.sonarnet.core_stride,
+        "stride": graph.network.core_stride,
     }
-    return write_onnx(graph, out, about, bare=True)
+    return _write(graph, out, about, bare=True)
 
 
-def write_onnx(
-    graph: Graph, path: Path, about: Mapping[str, object], *, bare: bool = False
-) -> float:
-    """Write a `.onnx` file of any height, width and number of pictures; how far it is from torch.
-
-    about: what the file says of itself.  bare: without the network's weights.
-    Raises FactoryError when onnxruntime does not get what torch does, or the file cannot be
-    written; nothing is written then.
-    """
+def _write(graph: Graph, path: Path, about: Mapping[str, object], *, bare: bool) -> float:
+    """about: what the file says of itself.  bare: without the network's weights."""
     import onnxruntime
 
     check_writable(path.parent, "--out")
@@ -271,21 +266,14 @@ def _described(graph: Graph, content: bytes, about: Mapping[str, object], bare: 
     facts = {"geometry": graph.layout, "opset": OPSET, **about}
     onnx.helper.set_model_props(model, {key: str(value) for key, value in sorted(facts.items())})
     onnx.checker.check_model(model, full_check=True)
-    if bare:
-        _without_weights(model, graph.state_dict().keys())
-    written: bytes = model.SerializeToString(deterministic=True)
-    return written
-
-
-def _without_weights(model: Any, names: Collection[str]) -> None:
-    """Leave these weights out of the file: whoever opens it gives them by their names."""
-    import onnx
-
+    weights = graph.state_dict().keys() if bare else ()
     for one in model.graph.initializer:
-        if one.name in names:
+        if one.name in weights:  # whoever opens the file gives them by their names
             one.ClearField("raw_data")
             one.data_location = onnx.TensorProto.EXTERNAL
             one.external_data.add(key="location", value="weights")
+    written: bytes = model.SerializeToString(deterministic=True)
+    return written
 
 
 def _maps(layout: Layout, height: int, width: int) -> dict[str, np.ndarray]:

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-import pytest
 from scipy import ndimage
 
 from simnfnd.models.denoise.denoiser import Denoiser, tiled
@@ -29,9 +28,6 @@ def test_tiles_leave_no_seam() -> None:
     np.testing.assert_allclose(parts[3:-3, 3:-3], whole[3:-3, 3:-3], atol=0.02)
     middle = np.abs(parts - whole)[3:-3, 3:-3]
     assert np.median(middle) < 1e-6
-
-    with pytest.raises(ValueError, match="half of the tile"):
-        tiled(local, image, scale, 32, 20)
 
 
 def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:

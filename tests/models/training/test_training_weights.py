@@ -49,14 +49,13 @@ def test_exported_weights_are_half_the_size_and_denoise_the_same(
         f"{count:,}",
         "GMAC",
         "`dataset.config_hash` | 0123abcd",
-        "| seed | 3",
+        "| `seed` | 3",
+        "| `validation.psnr` | 24.1",
     ):
         assert words in card
     first = out.read_bytes()
     export(weights, out)
     assert out.read_bytes() == first
-    card = out.with_suffix(".md").read_text(encoding="utf-8")
-    assert "17.60 -> 24.10 dB" in card
 
 
 def test_weights_that_ship_are_found_by_name(
