@@ -215,7 +215,7 @@ class ShownDataset:
             numbers = image.astype(np.int64)[..., None]
             colours = _COLOURS[numbers[..., 0] * 67 % _HUES]
             return np.asarray(np.where(numbers > 0, colours, 0), np.uint8)
-        return _grey(image)
+        return np.asarray(image, np.uint8) if name == "rgb" else _grey(image)
 
     def facts(self, number: int) -> Facts:
         """Names and values of the row of /meta.  Raises FactoryError when it is damaged."""

@@ -24,7 +24,7 @@ from .imaging import coherent, pointwise
 from .imaging import layers as truth
 from .imaging.contract import Floats, Scene
 from .noise.draws import StreamNames, draw
-from .sample_table import columns, image_axes, record, requested, requested_row
+from .sample_table import Camera, columns, image_axes, record, requested, requested_row
 from .sonar import polar, surface, transfer
 from .sonar.fan import lay_out, lay_out_nearest, rasterised
 from .sonar.window import Window, conical, fit_window, set_window
@@ -63,6 +63,7 @@ class PairMaker:
 
     def __init__(self, config: FactoryConfig, views: Views) -> None:
         self.config, self.views = config, views
+        self._camera = Camera(config, _chosen)
 
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the pictures."""
@@ -88,8 +89,11 @@ class PairMaker:
         frame, rendered = view.frame(ref), view.rendered()
         if config.devices is None:
             observed = observe(frame, rendered, config)
-            return [make_pair(observed, variant, config) for variant in variants]
-        return [pair_by_drawn_device(frame, rendered, one, config) for one in variants]
+            made = [make_pair(observed, variant, config) for variant in variants]
+        else:
+            made = [pair_by_drawn_device(frame, rendered, one, config) for one in variants]
+        seen = self._camera.layers(ref)
+        return [replace(pair, layers={**pair.layers, **seen}) if seen else pair for pair in made]
 
     def ready(self, ref: FrameRef) -> bool:
         """Whether the frame's render is at hand."""
@@ -99,6 +103,12 @@ class PairMaker:
         """Keys of renders that are in the cache; see `sample.PairSource`."""
         if isinstance(self.views, CachedViews):
             self.views.expect(keys)
+
+
+def _chosen(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
+    from .selection import choose_frames
+
+    return choose_frames(found, config)
 
 
 def pair_maker(config: FactoryConfig) -> PairMaker:

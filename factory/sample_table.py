@@ -1,4 +1,4 @@
-"""The sample table: how a pair was made, and what `dataset.columns` asks for.
+"""The sample table: how a pair was made, and what `dataset.columns` and `dataset.layers` ask for.
 
 World axes are the recording's; of `scenes=seabed` z is up.  Camera axes: x right, y down, z
 forward; sonar axes: x forward, y left, z up (REP 103).  A quaternion (x, y, z, w) turns directions
@@ -10,15 +10,17 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from . import seeds
-from .dataset.schema import Axis, Column
-from .errors import FrameError
+from .dataset.schema import CAMERA_LAYERS, Axis, Column
+from .errors import FactoryError, FrameError
 from .frame import Frame, FrameRef
 from .imaging.contract import Sample
 from .labels import class_names
@@ -34,8 +36,11 @@ from .sonar.window import Window
 
 if TYPE_CHECKING:
     from .config import FactoryConfig
+    from .scenes import Reader
 
 Matrix = npt.NDArray[np.float64]
+Frames = tuple[FrameRef, ...]
+Choose = Callable[[Frames, "FactoryConfig"], Frames]
 
 _NAME = "S96"
 
@@ -168,6 +173,20 @@ _POSE = (
     Column("sonar.roll_deg", "f8", "deg", "how far its left side is up"),
     Column("sonar.altitude_m", "f8", "m", "height above the ground right under the camera"),
 )
+# Of the picture in rgb and depth; distortion is 0 where it was taken out or is not known.
+_LENS = tuple(
+    Column(f"camera.{name}", "f8", unit, f"{what}, as OpenCV defines it")
+    for name, unit, what in (
+        ("fx_px", "px", "focal length across"),
+        ("fy_px", "px", "focal length down"),
+        ("cx_px", "px", "column of the principal point"),
+        ("cy_px", "px", "row of the principal point"),
+        ("k1", "1", "radial distortion r^2"),
+        ("k2", "1", "radial distortion r^4"),
+        ("p1", "1", "tangential distortion"),
+        ("p2", "1", "tangential distortion"),
+    )
+)
 # What turns grey values into sound pressure: level at the receiver = full scale of the picture, its
 # transfer curve backwards, less the gain, plus the source level; layer intensity_db is the result.
 _CALIBRATION = (
@@ -241,6 +260,12 @@ def _quaternion(rotation: Matrix) -> Matrix:
     return -found if found[3] < 0 else found
 
 
+def _lens_row(frame: Frame) -> dict[str, float | str]:
+    lens = frame.intrinsics
+    numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion, 0.0, 0.0, 0.0, 0.0)
+    return _row(_LENS, *map(float, numbers[: len(_LENS)]))
+
+
 def _calibration_row(config: FactoryConfig) -> dict[str, float | str]:
     sonar, water, acoustics = config.sonar, config.water, config.acoustics
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
@@ -307,9 +332,60 @@ _REQUESTED: dict[
     tuple[tuple[Column, ...], Callable[[LitSurface, FactoryConfig], Mapping[str, float | str]]],
 ] = {
     "pose": (_POSE, lambda lit, config: pose_row(lit.frame, config.sonar.mount)),
+    "intrinsics": (_LENS, lambda lit, _: _lens_row(lit.frame)),
     "calibration": (_CALIBRATION, lambda _, config: _calibration_row(config)),
     "boxes": (
         _BOXES,
         lambda lit, config: _boxes_row(lit, class_names(config.scenes.own_classes())),
     ),
 }
+
+
+class Camera:
+    """The layers rgb and depth of frames.
+
+    A render has lost the colour and rounds the depth, so frames whose pictures are asked for are
+    read, or made, once more.
+    """
+
+    def __init__(self, config: FactoryConfig, chosen: Choose) -> None:
+        """Reads nothing where `dataset.layers` asks for none.  chosen: frames of those found."""
+        self._config, self._chosen = config, chosen
+        self._requested = CAMERA_LAYERS.intersection(config.dataset.layers)
+
+    def layers(self, ref: FrameRef) -> Mapping[str, npt.NDArray[np.generic]]:
+        """The requested of rgb (H, W, 3) uint8 and depth (H, W) float32, m, NaN where unknown.
+
+        Raises FrameError when the frame is bad, or of another size than the first frame of the
+        dataset: its pictures have one size.
+        """
+        if not self._requested:
+            return {}
+        frame = self._reader.load(ref)
+        size = frame.depth_m.shape
+        # Procedural frames are as large as the settings say, and take long to make.
+        first = self._first if self._config.scenes.kind != "seabed" else (ref, size)
+        if size != first[1]:
+            own, other = ("x".join(map(str, reversed(one))) for one in (size, first[1]))
+            raise FrameError(
+                f"{ref.name}: its picture is {own}, that of {first[0].name} {other}; "
+                "make one dataset of each size (scenes, frames.only), or leave "
+                f"{', '.join(sorted(self._requested))} out of dataset.layers"
+            )
+        depth_m = np.where(frame.valid, frame.depth_m, np.float32(np.nan))
+        pictures = {"rgb": frame.rgb, "depth": depth_m}
+        return {name: picture for name, picture in pictures.items() if name in self._requested}
+
+    @cached_property
+    def _reader(self) -> Reader:
+        from .scenes import open_reader
+
+        return open_reader(self._config.scenes)
+
+    @cached_property
+    def _first(self) -> tuple[FrameRef, tuple[int, ...]]:
+        """The first frame that can be read, and its (H, W); of all processes the same."""
+        for ref in self._chosen(self._reader.discover().frames, self._config):
+            with suppress(FrameError):
+                return ref, self._reader.load(ref).depth_m.shape
+        raise FactoryError("dataset.layers: no frame of the recordings can be read")  # one was

@@ -14,7 +14,7 @@ from ..dataset.pair_dataset import PairDataset
 from ..dataset.preview import load, spread
 from ..dataset.quality import psnr_db, ssim
 from ..dataset.reader import reading
-from ..dataset.schema import SCHEMA
+from ..dataset.schema import CAMERA_LAYERS, SCHEMA
 from ..dataset.validate import validate
 from ..errors import FactoryError
 from ..storage.copies import local_folder
@@ -69,6 +69,9 @@ def report(path: Path, name: str, most: int = 200) -> Iterator[str]:
     yield f"pictures     {rows} x {columns} {pairs.dtype} ({scale}), {pairs.layout}"
     yield f"axes         rows {across}, columns {down}"
     yield f"layers       {', '.join(name.replace('/', '_') for name in pairs.form.layers)}"
+    if camera := [name for name in pairs.form.layers if name in CAMERA_LAYERS]:
+        high, wide = pairs.form.sizes[camera[0]][:2]
+        yield f"camera       {high} x {wide} pixels ({', '.join(camera)})"
     yield f"licence      {licence}"
     yield ""
     scenes = Counter((one.split, one.location or "-", one.scene) for one in names)

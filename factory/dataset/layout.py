@@ -34,10 +34,10 @@ import numpy.typing as npt
 from ..errors import FactoryError
 from ..small_files import parse_json
 from .schema import (
+    CAMERA_LAYERS,
     CHECKSUMS,
     CORE,
     EFFECT_FOLDER,
-    MAX_PIXELS,
     OPTIONAL_LAYERS,
     REQUIRED_COLUMNS,
     ROOT_ATTRIBUTES,
@@ -46,6 +46,7 @@ from .schema import (
     SPLITS,
     VALUE_RANGES,
     Axis,
+    Layer,
     layers,
 )
 
@@ -175,21 +176,14 @@ def check_shard(file: h5py.File) -> None:
         )
     noisy = dataset_inside(file, "noisy", chunks=True)
     shape, dtype = noisy.shape, str(noisy.dtype)
-    size = prod(shape[1:]) if len(shape) == 3 else 0
-    if not 0 < size <= MAX_PIXELS or dtype not in VALUE_RANGES:
+    if len(shape) != 3 or dtype not in VALUE_RANGES:
         raise FactoryError(
             f"/noisy is {shape} {dtype}; expected samples, rows and columns of "
-            f"{' or '.join(VALUE_RANGES)}, at most {MAX_PIXELS} pixels"
+            f"{' or '.join(VALUE_RANGES)}"
         )
     for layer in layers(dtype, optional_layers(file)):
         stack = dataset_inside(file, layer.name, chunks=True)
-        # Of the same layer in other shards, too: grey values are all of one dtype.
-        form = stack.shape, str(stack.dtype), stack.chunks
-        if form != (shape, layer.dtype, (1, *shape[1:])):
-            raise FactoryError(
-                f"/{layer.name} is {form[0]} {form[1]} in chunks {form[2]}; expected {shape} "
-                f"{layer.dtype}, one chunk for each picture"
-            )
+        _check_stack(stack, layer, shape)
         _check_chunks(stack)
     _check_table(dataset_inside(file, "meta"), shape[0])
     for name in ("generator", "config_hash"):
@@ -198,6 +192,22 @@ def check_shard(file: h5py.File) -> None:
     if (split := _text_attribute(file, "split")) not in SPLITS:
         raise FactoryError(f"attribute split is {split[:40]!r}; expected {' or '.join(SPLITS)}")
     _check_contents(file)
+
+
+def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> None:
+    """A stack has the shape, type and chunks of its layer.  shape: of /noisy."""
+    samples, *picture = stack.shape or (-1,)
+    problem = layer.size_problem(tuple(picture), shape[1:])
+    if samples != shape[0]:
+        problem = f"has {samples} pictures, /noisy {shape[0]}"
+    # Of the same layer in other shards, too: grey values are all of one dtype.
+    elif str(stack.dtype) != layer.dtype or stack.chunks != (1, *picture):
+        problem = problem or (
+            f"is {stack.dtype} in chunks {stack.chunks}; expected {layer.dtype}, one chunk "
+            "for each picture"
+        )
+    if problem:
+        raise FactoryError(f"/{layer.name} {problem}")
 
 
 def _check_chunks(stack: h5py.Dataset) -> None:
@@ -360,9 +370,9 @@ def _contents(file: h5py.File) -> list[Any]:
 
 
 def _texts(file: h5py.File, names: Sequence[str]) -> list[Any]:
-    # Lists of echoes have no axes.
-    pictures = [name for name in names if not name.startswith("echoes/")]
-    axes = {name: [str(file[name].dims[k].label) for k in (1, 2)] for name in pictures}
+    # Pictures of the camera and lists of echoes have no axes.
+    of_sonar = [n for n in names if n not in CAMERA_LAYERS and not n.startswith("echoes/")]
+    axes = {n: [str(file[n].dims[k].label) for k in (1, 2)] for n in of_sonar}
     scales = sorted({axis for both in axes.values() for axis in both})
     return [
         [[name, axes.get(name, [])] for name in names],

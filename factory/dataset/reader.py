@@ -193,6 +193,7 @@ _MOST_FILES = 64
 class ImageStack:
     """`stack[row]` is one (H, W) picture, as stored and writable.
 
+    Pictures in colour have a third dimension.
     sums: (samples,) `crc32` of each picture, where they were read already.
     Raises FactoryError (without the file's name) for a picture that is damaged.
     """

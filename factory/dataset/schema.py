@@ -65,6 +65,8 @@ class Layer:
     """One image stack of a shard: (samples, rows, columns), chunked one image at a time.
 
     classes: what the values 0, 1, 2, ... mean, for labels.  least, most: limits of real numbers.
+    of_camera: names of the dimensions of a picture that is the camera's; it has a size of its own
+        and no axes.  Empty for the sonar's.
     grey: whether it holds grey values, stored as uint8 or float32 as the user chose.
     """
 
@@ -75,6 +77,7 @@ class Layer:
     classes: tuple[str, ...] = ()
     least: float = 0.0
     most: float = math.inf
+    of_camera: tuple[str, ...] = ()
     grey: bool = False
 
     def attributes(self) -> dict[str, Any]:
@@ -86,6 +89,16 @@ class Layer:
         if self.classes:
             attributes["classes"] = list(self.classes)
         return attributes
+
+    def size_problem(self, shape: tuple[int, ...], sonar_shape: tuple[int, ...]) -> str | None:
+        """What is wrong with the shape of a picture.  sonar_shape: (H, W) of the sonar's."""
+        fits = shape == sonar_shape
+        if self.of_camera:
+            fits = len(shape) == len(self.of_camera) and shape[2:] in ((), (CHANNELS,))
+        if fits and 0 < shape[0] * shape[1] <= MAX_PIXELS:
+            return None
+        expected = ", ".join(self.of_camera) or sonar_shape
+        return f"is {shape}; expected {expected} and at most {MAX_PIXELS} pixels"
 
     def value_problem(self, picture: npt.NDArray[np.generic]) -> str | None:
         """What is wrong with the values of a picture of the right type."""
@@ -148,7 +161,23 @@ OPTIONAL_LAYERS = (
         "beamformed field of the noisy picture before time-varying gain; 0 without data",
         "uPa",
     ),
+    Layer(
+        "rgb",
+        "uint8",
+        "the camera's picture of the frame that the pair was made of: red, green, blue, 0..255",
+        of_camera=("camera_row", "camera_column", "channel"),
+    ),
+    Layer(
+        "depth",
+        "float32",
+        "of that frame, registered to rgb: distance along the camera's optical axis (z, not slant "
+        "range); NaN where none was measured",
+        "m",
+        of_camera=("camera_row", "camera_column"),
+    ),
 )
+CHANNELS = 3
+CAMERA_LAYERS = frozenset(layer.name for layer in OPTIONAL_LAYERS if layer.of_camera)
 EFFECT_FOLDER = "layers/"
 _EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
 
@@ -208,7 +237,7 @@ class Pair:
     noisy, clean: (H, W) uint8, or float32 in [0, 1].
     shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
     record: column name -> value, everything needed to make this very sample again.
-    layers: name -> (H, W) optional picture, as `OPTIONAL_LAYERS` describes them.
+    layers: name -> (H, W) optional picture (rgb: (H, W, 3)), as `OPTIONAL_LAYERS` describes them.
     """
 
     noisy: npt.NDArray[np.generic]
@@ -218,7 +247,7 @@ class Pair:
     layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
 
     def image(self, layer: str) -> npt.NDArray[np.generic]:
-        """The (H, W) picture that goes to a layer."""
+        """The picture that goes to a layer: (H, W), of rgb (H, W, 3)."""
         return np.asarray(getattr(self, layer)) if layer in CORE else self.layers[layer]
 
 
@@ -361,15 +390,15 @@ def check_pair(
     `name` (of the frame) opens the message.
     """
     row = table_row(columns, pair.record, name)
-    shape = tuple(len(axis.values) for axis in axes)
+    height, width = (len(axis.values) for axis in axes)
     for layer in layers(str(pair.noisy.dtype), pair.layers):
         image = pair.image(layer.name)
         kinds = tuple(VALUE_RANGES) if layer.grey else (layer.dtype,)
-        problem = layer.value_problem(image) if layer.grey else None
-        if image.shape != shape:
-            problem = f"is {image.shape}, its axes say {shape}"
-        elif str(image.dtype) not in kinds:
+        problem = layer.size_problem(image.shape, (height, width))
+        if problem is None and str(image.dtype) not in kinds:
             problem = f"is {image.dtype}, expected {' or '.join(kinds)}"
+        if problem is None and layer.grey:
+            problem = layer.value_problem(image)
         if problem:
             raise FrameError(f"{name}: {layer.name} {problem}")
     return row

@@ -12,7 +12,7 @@ from ..settings import STRICT
 from ..storage.copies import folder_of, is_url
 from .schema import DATASET_NAME, OPTIONAL_LAYERS
 
-ColumnName = Literal["pose", "calibration", "boxes"]
+ColumnName = Literal["pose", "intrinsics", "calibration", "boxes"]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -27,11 +27,12 @@ class DatasetSettings:
     layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
         for each), and what lies behind a pixel: range, azimuth, elevation, elevation_min,
         elevation_max, valid_azimuth, segmentation (of procedural scenes; brings instance); of
-        acoustics.formation=field also what was received: intensity_db and field (complex).
-    columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), calibration
-        (source level, absorption, time-varying gain; of acoustics.formation=field), boxes (JSON: of
-        each object in sight its box in 3-D, its box in range and bearing, and how much of it the
-        sound reaches).
+        acoustics.formation=field also what was received: intensity_db and field (complex); and
+        what the camera saw: rgb and depth, in the frame's own size.
+    columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), intrinsics
+        (of the camera) and calibration (source level, absorption, time-varying gain; of
+        acoustics.formation=field), boxes (JSON: of each object in sight its box in 3-D, its box in
+        range and bearing, and how much of it the sound reaches).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.

@@ -202,6 +202,7 @@ def shard_facts(path: Path, deep: bool) -> ShardFacts:
 def _facts(file: h5py.File, deep: bool) -> ShardFacts:
     noisy = file["noisy"]
     known = layers(str(noisy.dtype), optional_layers(file), classes_of(config_of(file)))
+    sizes = [f"{layer.name} {file[layer.name].shape[1:]}" for layer in known if layer.of_camera]
     table = file["meta"][()]
     axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
     check_texts(file)
@@ -227,7 +228,7 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         if len(problems) >= _MOST_PROBLEMS:
             break
     names = [*(layer.name for layer in known), *echo_names(file)]
-    form = f"{noisy.shape[1:]} {noisy.dtype}, layers {', '.join(names)}, "
+    form = f"{' '.join((str(noisy.shape[1:]), *sizes))} {noisy.dtype}, layers {', '.join(names)}, "
     return ShardFacts(
         problems[:_MOST_PROBLEMS],
         str(file.attrs["config_hash"])[:200],

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import struct
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -90,13 +90,16 @@ def write_shard(
             row = check_pair(pair, axes, columns, name)
             wanted = layers(settings.dtype, pair.layers, classes_of(provenance.config))
             if not rows:
-                stacks = _create_stacks(file, axes, wanted, settings)
+                shapes = {layer: pair.image(layer.name).shape for layer in wanted}
+                stacks = _create_stacks(file, axes, shapes, settings)
             elif tuple(stacks) != wanted:
                 raise FrameError(f"{name}: has other layers than the samples before it")
             rows.append(row)
             for layer, stack in stacks.items():
                 stack.resize(len(rows), axis=0)
                 image = pair.image(layer.name)
+                if image.shape != stack.shape[1:]:
+                    raise FrameError(f"{name}: {layer.name} has another size than before it")
                 if layer.grey:
                     image = stored_image(image, layer.dtype)
                 sums.setdefault(layer.name, []).append(crc32(image))
@@ -128,18 +131,18 @@ def write_shard(
 def _create_stacks(
     file: h5py.File,
     axes: tuple[Axis, Axis],
-    wanted: Sequence[Layer],
+    shapes: Mapping[Layer, tuple[int, ...]],
     settings: DatasetSettings,
 ) -> dict[Layer, h5py.Dataset]:
-    """Empty, growing image stacks with their axes attached."""
+    """Empty, growing image stacks with their axes attached.  shapes: layer -> of its pictures."""
     for axis in axes:
         _write_axis(file, axis)
     filters: dict[str, Any] = {}
     if settings.compression == "gzip":
         level = settings.compression_level
         filters = {"fletcher32": True, "compression": "gzip", "compression_opts": level}
-    stacks, shape = {}, tuple(len(axis.values) for axis in axes)
-    for layer in wanted:
+    stacks = {}
+    for layer, shape in shapes.items():
         stack = file.create_dataset(
             layer.name,
             shape=(0, *shape),
@@ -167,8 +170,9 @@ def _describe(stack: h5py.Dataset, layer: Layer, axes: tuple[Axis, Axis]) -> Non
     """Attributes and dimensions of an image stack; its axes are in the file."""
     for key, value in layer.attributes().items():
         stack.attrs[key] = value
-    stack.dims[0].label = SAMPLE_DIMENSION
-    for dimension, axis in enumerate(axes, start=1):
+    for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
+        stack.dims[dimension].label = label
+    for dimension, axis in enumerate(() if layer.of_camera else axes, start=1):
         stack.dims[dimension].label = axis.name
         stack.dims[dimension].attach_scale(stack.file[f"axes/{axis.name}"])
 

@@ -33,7 +33,7 @@ class Sample:
     """One sample.
 
     key: SPLIT-NUMBER, which counts from 0 within the split; sorts as the dataset does.
-    images: `named` layer -> (H, W) array as it is stored.  record: its row of /meta.
+    images: `named` layer -> (H, W) array as it is stored, rgb (H, W, 3).  record: its row of /meta.
     """
 
     key: str
@@ -142,11 +142,13 @@ def is_picture(dtype: np.dtype[np.generic]) -> bool:
 
 
 def png(image: npt.NDArray[Any]) -> bytes:
-    """(H, W) uint8, uint16, bool (as 0 and 255) or float in 0..1 (16 bits) -> PNG."""
+    """(H, W) uint8, uint16, bool (as 0 and 255) or float in 0..1 (16 bits), or RGB uint8 -> PNG."""
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     elif not is_picture(image.dtype):
         image = np.rint(image.astype(np.float64) * 65535).astype(np.uint16)
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     done, encoded = cv2.imencode(".png", image, _PNG)
     assert done  # only unknown types and empty images fail
     return encoded.tobytes()

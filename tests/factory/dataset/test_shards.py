@@ -72,7 +72,7 @@ def test_bytes_repeat_in_another_second(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"noisy": np.zeros((24, 21), np.uint8)}, "noisy is (24, 21), its axes say (24, 20)"),
+        ({"noisy": np.zeros((24, 21), np.uint8)}, "noisy is (24, 21); expected (24, 20)"),
         ({"clean": np.zeros((24, 20), np.float64)}, "clean is float64"),
         ({"clean": np.full((24, 20), np.nan, np.float32)}, "or NaN"),
         ({"noisy": np.full((24, 20), 1.5, np.float32)}, "outside 0..1"),
@@ -104,7 +104,7 @@ PYTHON = [step for step in steps(ROOT / "docs" / "dataset.md") if step.kind == "
 def test_every_layer_column_and_attribute_is_documented() -> None:
     """By its name, and with its type, unit and meaning in the same line of a table."""
     lines = [line for line in PAGE.splitlines() if line.startswith("| ")]
-    asked = requested(("pose", "calibration", "boxes"))
+    asked = requested(("pose", "intrinsics", "calibration", "boxes"))
     expected = [
         *((f"/{one.name}", one.units, one.description) for one in layers("uint8")),
         *((f"/{one.name}", one.dtype, one.units, one.description) for one in OPTIONAL_LAYERS),
