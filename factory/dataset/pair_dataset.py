@@ -34,11 +34,12 @@ Sample = dict[str, Image]
 class Form:
     """What all shards of a dataset share, as the first one says it.
 
-    layers: dtype of the images of each layer, the core ones first.
+    layers, sizes: dtype and shape of the images of each layer, the core ones first.
     axes: of rows and columns.  columns: of /meta.  config: the settings.
     """
 
     layers: Mapping[str, np.dtype[Any]]
+    sizes: Mapping[str, tuple[int, ...]]
     axes: tuple[Axis, Axis]
     columns: tuple[Column, ...]
     config: Mapping[str, Any]
@@ -158,8 +159,10 @@ class PairDataset:
             for name in table.dtype.names:
                 told = (about.get(f"{name}.{what}", "") for what in ("units", "description"))
                 columns.append(Column(name, table.dtype[name].str, *told))
+            names = (*CORE, *optional_layers(file))
             return Form(
-                {name: file[name].dtype for name in (*CORE, *optional_layers(file))},
+                {name: file[name].dtype for name in names},
+                {name: file[name].shape[1:] for name in names},
                 image_axes(file["noisy"]),
                 tuple(columns),
                 config_of(file),
