@@ -6,7 +6,6 @@ For acoustics.formation=field, as all effects of stages echo, beam and picture.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +34,8 @@ _MOST_POINTS = 1 << 25
 # Where a beam is to be at least a cell wide, as a part of the farthest range.
 _NEAR = 0.25
 _STEPS, _REACH = 1024, 5.5
+# For the three places of a cell's point in it.
+_SALTS = np.array([0x68BC21EB, 0x02E5BE93, 0x967A889B], np.uint32)
 _NEPERS_PER_DB = np.log(10) / 10  # of intensity
 
 
@@ -136,15 +137,28 @@ def path_speckle(
     names, powers = np.zeros(slots, np.uint32), np.zeros(slots, np.float32)
     table = names, powers, np.empty((slots, 3), np.int32)
     kernels.gather(*given, table)
-    cells = int(np.count_nonzero(names))
-    found: tuple[Any, ...] = tuple(
-        np.empty(cells, kind) for kind in (np.int32, np.float32, np.uint32, np.uint16)
+    # Only what lies in the picture, each cell as one point in it, which is the cell's own.
+    kept = np.flatnonzero(powers > 0)
+    names, powers, places = names[kept], powers[kept], table[2][kept]
+    x, y, z = (
+        (places[:, axis] + (kernels.scrambled(names ^ salt) >> np.uint32(8)) * 2.0**-24) * cell_m
+        for axis, salt in enumerate(_SALTS)
     )
-    waves_per_m = 2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s()
-    grid = grid_of(ping.window, ping.sonar)
-    count = kernels.locate(table, cell_m, _sonar_from_world(ping), grid, waves_per_m, found)
-    bins, roots, kept, phases = (values[:count] for values in found)
-    return scattered(ping, rng, looks, (bins, roots, kept, np.empty(0, np.float32), phases))
+    ahead, left, up = (m[0] * x + m[1] * y + m[2] * z + m[3] for m in _sonar_from_world(ping))
+    ground = ahead * ahead + left * left
+    range_m = np.sqrt(ground + up * up)
+    on_ground, near_m, bins_per_m, rows, edges, *_ = grid_of(ping.window, ping.sonar)
+    away_m = np.sqrt(ground) if on_ground else range_m
+    row = np.floor((away_m - near_m) * bins_per_m)
+    beam = np.searchsorted(edges, -left / range_m, side="right") - 1
+    beams = ping.sonar.beams
+    seen = (ahead > 0) & (row >= 0) & (row < rows) & (beam >= 0) & (beam < beams)
+    bins = (row[seen].astype(np.int32) * beams + beam[seen]).astype(np.int32)
+    # Wavelengths of the two-way path.
+    turns = range_m[seen] * (2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s())
+    phases = ((turns - np.floor(turns)) * 65536.0).astype(np.uint16)
+    points = bins, np.sqrt(powers[seen]), names[seen], np.empty(0, np.float32), phases
+    return scattered(ping, rng, looks, points)
 
 
 def edge_m(ping: Ping) -> float:
