@@ -69,9 +69,8 @@ class Ping:
     @cached_property
     def scatterers(self) -> Scatterers:
         """All that echoes; raises FrameError when nothing does."""
-        surface = self.surface
-        place = surface.frame, surface.rendered, surface.window
-        return scatterers(*place, self.sonar, self.water, self.acoustics)
+        raw = replace(self.surface, sonar=self.sonar)
+        return scatterers(raw, self.water, self.acoustics)
 
     @property
     def shape(self) -> tuple[int, int]:
