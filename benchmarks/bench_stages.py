@@ -27,7 +27,6 @@ from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scheduler.workers.machine import keep_freed_memory
 from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.sonar.polar import join
 from simnfnd.factory.sonar.surface import insonified
 
 REPEATS = 9
@@ -53,8 +52,8 @@ def _table(options: Options) -> Table:
     kept = pointwise.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
     draws = draw(config.noise, config.seed, names)
     made = effect_clouds(draws.effects, kept, window)
-    cloud = join(*noisy_cloud(kept, made, 1.0))
-    level = polar.accumulate(cloud, window, sonar)
+    cloud, *added = noisy_cloud(kept, made, 1.0)
+    level = polar.accumulate(cloud, window, sonar, *added)
     full_scale = transfer.full_scale(level, sonar.transfer)
     grey = transfer.grey(level, full_scale, sonar.transfer)
     table = fan_table(sonar, window.near_fraction)
@@ -75,8 +74,7 @@ def _table(options: Options) -> Table:
     for effect in draws.effects:
         stages[f"noise: {effect.name}"] = partial(effect_clouds, (effect,), kept, window)
     stages |= {
-        "join the layers": lambda: join(*noisy_cloud(kept, made, full_scale)),
-        "accumulate in bins": lambda: polar.accumulate(cloud, window, sonar),
+        "accumulate in bins": lambda: polar.accumulate(cloud, window, sonar, *added),
         "point-spread": lambda: polar.spread_points(level, sonar),
         "grey values": lambda: transfer.grey(level, full_scale, sonar.transfer),
         "fan, bilinear": lambda: table.bilinear(grey),

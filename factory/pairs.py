@@ -25,6 +25,7 @@ from .imaging import layers as truth
 from .imaging.contract import Floats, Scene
 from .noise.draws import StreamNames, draw
 from .sample_table import Camera, columns, image_axes, record, requested, requested_row
+from .selection import choose_frames
 from .sonar import polar, surface, transfer
 from .sonar.fan import lay_out, lay_out_nearest, rasterised
 from .sonar.window import Window, conical, fit_window, set_window
@@ -63,7 +64,7 @@ class PairMaker:
 
     def __init__(self, config: FactoryConfig, views: Views) -> None:
         self.config, self.views = config, views
-        self._camera = Camera(config, _chosen)
+        self._camera = Camera(config, choose_frames)
 
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the pictures."""
@@ -105,12 +106,6 @@ class PairMaker:
             self.views.expect(keys)
 
 
-def _chosen(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
-    from .selection import choose_frames
-
-    return choose_frames(found, config)
-
-
 def pair_maker(config: FactoryConfig) -> PairMaker:
     """The pair maker of a configuration, with the renders that it means."""
     compile_needed(field=config.acoustics.formation == "field" or config.devices is not None)
@@ -126,12 +121,9 @@ def observe(
 
     Raises FrameError when the sonar's sector holds no insonified surface.
     """
-    sonar = config.sonar
-    if window is None:
-        window = fitted_window(frame, rendered, config)
-    cones = config.acoustics.formation == "field"
-    if cones:
-        window = conical(window, sonar)
+    sonar, cones = config.sonar, config.acoustics.formation == "field"
+    window = window or fitted_window(frame, rendered, config)
+    window = conical(window, sonar) if cones else window
     lit = surface.LitSurface(frame, rendered, window, sonar, cones)
     scene: Scene = (
         coherent.observe(lit, config.water, config.acoustics)
@@ -139,16 +131,13 @@ def observe(
         else pointwise.observe(lit, config.seed, config.resample)
     )
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
-    behind = truth.pictures(config.dataset.layers, lit)
-    return ObservedFrame(
-        frame.ref,
-        frame.world_from_camera is not None,
-        window,
-        scene,
-        lay_out_nearest(shadow, window, sonar),
-        {name: lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
-        requested_row(lit, config),
-    )
+    layers = {
+        name: lay_out_nearest(picture, window, sonar)
+        for name, picture in truth.pictures(config.dataset.layers, lit).items()
+    }
+    shown, has_pose = lay_out_nearest(shadow, window, sonar), frame.world_from_camera is not None
+    row = requested_row(lit, config)
+    return ObservedFrame(frame.ref, has_pose, window, scene, shown, layers, row)
 
 
 def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Window:
@@ -189,19 +178,17 @@ def pair_by_drawn_device(
     Raises FrameError as `observe` does, where none of them sees any of it.
     """
     assert config.devices is not None
-    ref = frame.ref
-    names = (ref.location, ref.scene, ref.frame, variant)
+    names = (frame.ref.location, frame.ref.scene, frame.ref.frame, variant)
     for attempt in range(_DRAWS):
         again = (attempt,) if attempt else ()
         device = devices.draw(config.devices, config.seed, *names, *again)
         try:
             observed, own = observe_by(device, frame, rendered, config)
-        except FrameError:
-            if attempt == _DRAWS - 1:
-                raise
+        except FrameError as error:
+            unseen = error
         else:
             return make_pair(observed, variant, own, device)
-    raise AssertionError
+    raise unseen
 
 
 def make_pair(
@@ -214,37 +201,26 @@ def make_pair(
 
     device: the drawn one that observed the frame, None for that of the configuration.
     """
+    window, sonar, wanted = observed.window, config.sonar, config.dataset
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names)
     sample = observed.scene.sample(variant, draws.effects)
-    plain = device is None and config.sonar.image.plain
 
     def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:
-        if plain:
-            laid_out = lay_out(grey, observed.window, config.sonar)
+        if device is None and sonar.image.plain:
+            laid_out = lay_out(grey, window, sonar)
         else:
-            laid_out = rasterised(grey, observed.window, config.sonar, noisy=noisy)
-        return transfer.quantise(laid_out, config.dataset.dtype)
+            laid_out = rasterised(grey, window, sonar, noisy=noisy)
+        return transfer.quantise(laid_out, wanted.dtype)
 
     layers = dict(observed.layers)
-    for name, measured in sample.measured(draws.names, config.dataset.layers).items():
-        layers[name] = lay_out_nearest(measured, observed.window, config.sonar)
-    if "effects" in config.dataset.layers:
+    for name, measured in sample.measured(draws.names, wanted.layers).items():
+        layers[name] = lay_out_nearest(measured, window, sonar)
+    if "effects" in wanted.layers:
         layers |= {f"layers/{name}": picture(sample.noisy({name})) for name in draws.names}
-    return Pair(
-        noisy=picture(sample.noisy(draws.names)),
-        clean=picture(sample.clean, noisy=False),
-        shadow=observed.shadow,
-        record=record(
-            observed.ref,
-            variant,
-            observed.window,
-            config.sonar,
-            sample,
-            draws,
-            config.acoustics.formation if device is None else "field",
-        )
-        | ({} if device is None else device.row())
-        | dict(observed.columns),
-        layers=layers,
-    )
+    formation = config.acoustics.formation if device is None else "field"
+    row = record(observed.ref, variant, window, sonar, sample, draws, formation)
+    row |= {} if device is None else device.row()
+    row |= observed.columns
+    noisy, clean = picture(sample.noisy(draws.names)), picture(sample.clean, noisy=False)
+    return Pair(noisy=noisy, clean=clean, shadow=observed.shadow, record=row, layers=layers)

@@ -96,11 +96,32 @@ class FieldSample(Sample):
         return polar.where_seen(grey, ping.window, ping.sonar)
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
-        """See `Sample`."""
+        """Of intensity_db, field: (range_bins, beams) float32 dB re 1 uPa, complex64 uPa.
+
+        What saturates and what the device adds is in them as it is in the picture.
+        Raises FrameError for the field of several looks.
+        """
+        made: dict[str, Layers] = {}
         if not {"intensity_db", "field"}.intersection(layers):
-            return {}
-        acting = [effect for effect in self.effects if effect.name in effects]
-        return calibrated(self.scene.ping, acting, layers)
+            return made
+        ping = self.scene.ping
+        field = received_field(ping, [one for one in self.effects if one.name in effects])
+        source = 10 ** (ping.sonar.array.source_level_db / 20)
+        field *= np.float32(source) / np.sqrt(ping.gain)[:, None]
+        seen = polar.seen_beams(ping.window, ping.sonar)
+        if "intensity_db" in layers:
+            intensity = (field**2).sum(axis=1).mean(axis=0)
+            intensity = averaged(intensity, ping.surface.sonar.samples_per_bin)
+            with np.errstate(divide="ignore"):
+                level_db = 10 * np.log10(intensity)
+            known = seen & (intensity > 0)
+            made["intensity_db"] = np.where(known, level_db, np.nan).astype(np.float32)
+        if "field" in layers:
+            if len(field) > 1:
+                raise FrameError("layer field is of one look; set the looks of speckle to 1")
+            complex_field = (field[0, 0] + 1j * field[0, 1]).astype(np.complex64)
+            made["field"] = np.where(seen, complex_field, np.complex64(0))
+        return made
 
     def without(self, artefacts: Collection[str]) -> Floats:
         """See `Sample`."""
@@ -167,31 +188,3 @@ def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
         if effect.stage == "picture":
             field = effect.apply(field, ping)
     return field
-
-
-def calibrated(
-    ping: Ping, effects: Sequence[DrawnEffect], layers: Collection[str]
-) -> Mapping[str, Layers]:
-    """Of layers intensity_db, field: (range_bins, beams) float32 dB re 1 uPa, complex64 uPa.
-
-    What saturates and what the device adds is in them as it is in the picture.
-    Raises FrameError for the field of several looks.
-    """
-    field = received_field(ping, effects)
-    source = 10 ** (ping.sonar.array.source_level_db / 20)
-    field *= np.float32(source) / np.sqrt(ping.gain)[:, None]
-    seen = polar.seen_beams(ping.window, ping.sonar)
-    made: dict[str, Layers] = {}
-    if "intensity_db" in layers:
-        intensity = (field**2).sum(axis=1).mean(axis=0)
-        intensity = averaged(intensity, ping.surface.sonar.samples_per_bin)
-        with np.errstate(divide="ignore"):
-            level_db = 10 * np.log10(intensity)
-        known = seen & (intensity > 0)
-        made["intensity_db"] = np.where(known, level_db, np.nan).astype(np.float32)
-    if "field" in layers:
-        if len(field) > 1:
-            raise FrameError("layer field is of one look; set the looks of speckle to 1")
-        complex_field = (field[0, 0] + 1j * field[0, 1]).astype(np.complex64)
-        made["field"] = np.where(seen, complex_field, np.complex64(0))
-    return made

@@ -22,7 +22,6 @@ _A, _B = np.uint32(0x85EBCA6B), np.uint32(0xC2B2AE35)
 _1, _2, _3, _8 = np.uint32(1), np.uint32(2), np.uint32(3), np.uint32(8)
 _9, _13, _16, _GOLDEN = (np.uint32(v) for v in (9, 13, 16, 0x9E3779B9))
 _STEPS_X, _STEPS_Y, _STEPS_Z = np.uint32(73856093), np.uint32(19349663), np.uint32(83492791)
-_SALT_X, _SALT_Y, _SALT_Z = np.uint32(0x68BC21EB), np.uint32(0x02E5BE93), np.uint32(0x967A889B)
 _ZERO, _ONE, _TWO, _FOUR = np.float32(0), np.float32(1), np.float32(2), np.float32(4)
 _TINY = np.float32(1e-6)
 
@@ -39,12 +38,14 @@ _GRID = "Tuple((boolean, float64, float64, int64, float32[::1], int32[::1], floa
 _PLACES = "Tuple((int32[::1], float32[::1]))"
 
 
-@compiled()
-def mixed(word: Any) -> Any:
+def scrambled(word: Any) -> Any:
     """32 bits -> 32 bits that look random: the finaliser of MurmurHash3 (public domain)."""
     word = np.uint32(np.uint32(word ^ (word >> _16)) * _A)
     word = np.uint32(np.uint32(word ^ (word >> _13)) * _B)
     return np.uint32(word ^ (word >> _16))
+
+
+mixed = compiled()(scrambled)
 
 
 @compiled()
@@ -372,12 +373,6 @@ _STEP = 0.05
 _MOST_ACROSS, _MOST_DOWN = 16, 8
 
 
-@compiled()
-def _fraction(name: Any, salt: Any) -> Any:
-    """A number of 0 to 1 that belongs to a cell."""
-    return np.float64(mixed(np.uint32(name ^ salt)) >> _8) * 2.0**-24
-
-
 @compiled(
     f"int64({_PLACES}, float32[::1], {_CAMERA}, float64[:, ::1], float64,"
     " Tuple((uint32[::1], float32[::1], int32[:, ::1])))"
@@ -446,53 +441,6 @@ def gather(
                         place_of[slot, 2] = np.int32(k)
                     power_of[slot] += share
         first = last
-    return count
-
-
-@compiled(
-    "int64(Tuple((uint32[::1], float32[::1], int32[:, ::1])), float64, float64[:, ::1],"
-    f" {_GRID}, float64, Tuple((int32[::1], float32[::1], uint32[::1], uint16[::1])))"
-)
-def locate(
-    cells: Any, cell_m: float, sonar_from_world: Doubles, grid: Any, waves_per_m: float, found: Any
-) -> Any:
-    """The polar bin, amplitude and phase of every cell in the picture; returns how many there are.
-
-    A cell echoes from one point in it, which is the cell's own.  cells: as `gather` gives them.
-    waves_per_m: wavelengths of the two-way path a metre of range.  found: out, (cells,) each, bin,
-    root of the power, cell and phase in 1 / 65536 of a turn.
-    """
-    name_of, power_of, place_of = cells
-    ground_range, near_m, bins_per_m, rows, edges, first_beam, beam_scale = grid
-    bin_of, root_of, cell_of, phase_of = found
-    m, beams = sonar_from_world, edges.shape[0] - 1
-    low, high = np.float64(edges[0]), np.float64(edges[beams])
-    count = 0
-    for slot in range(name_of.shape[0]):
-        name = name_of[slot]
-        if name == 0 or power_of[slot] <= 0:
-            continue
-        x = (place_of[slot, 0] + _fraction(name, _SALT_X)) * cell_m
-        y = (place_of[slot, 1] + _fraction(name, _SALT_Y)) * cell_m
-        z = (place_of[slot, 2] + _fraction(name, _SALT_Z)) * cell_m
-        ahead = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-        left = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-        up = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-        ground = ahead * ahead + left * left
-        range_m = np.sqrt(ground + up * up)
-        bearing = -left / range_m
-        along = (np.sqrt(ground) if ground_range else range_m) - near_m
-        row = int(np.floor(along * bins_per_m))
-        if ahead <= 0 or row < 0 or row >= rows or bearing < low or bearing >= high:
-            continue
-        beam = first_beam[min(int((bearing - low) * beam_scale), first_beam.shape[0] - 1)]
-        while beam + 1 < beams and bearing >= edges[beam + 1]:
-            beam += 1
-        turns = range_m * waves_per_m
-        bin_of[count] = row * beams + beam
-        root_of[count], cell_of[count] = np.sqrt(power_of[slot]), name
-        phase_of[count] = np.uint16(int((turns - np.floor(turns)) * 65536.0) & 65535)
-        count += 1
     return count
 
 

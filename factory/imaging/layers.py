@@ -13,10 +13,7 @@ import numpy.typing as npt
 
 from ..errors import FrameError
 from ..sonar import polar
-from ..sonar.polar import Echoes
-from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface
-from ..sonar.window import Window
 
 Picture = npt.NDArray[np.generic]
 
@@ -30,57 +27,44 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
         segmentation (which brings instance); other names are ignored.
     Raises FrameError when labels are requested of a frame that has none.
     """
-    frame, sonar = surface.frame, surface.sonar
-    made: dict[str, Picture] = {}
+    frame, sonar, made = surface.frame, surface.sonar, dict[str, Picture]()
+    shape = sonar.range_bins, sonar.beams
     if "valid_azimuth" in requested:
         beams = polar.seen_beams(surface.window, sonar)
         made["valid_azimuth"] = np.repeat(beams[None], sonar.range_bins, axis=0)
     if not _OF_ECHOES.intersection(requested):
         return made
     echoes, pixel, _ = surface.insonified
-    strongest = _strongest(echoes, surface.window, sonar)
+    bins = polar.bin_index(echoes, surface.window, sonar)
+    # Of several echoes in a bin the last one assigned stays: the strongest.
+    order = np.argsort(echoes.strength, kind="stable")
+    strongest = np.full(sonar.range_bins * sonar.beams, -1, np.intp)
+    strongest[bins[order]] = order
+
+    def told(values: npt.NDArray[np.generic], nothing: float) -> Picture:
+        shown = np.where(strongest >= 0, values[strongest], values.dtype.type(nothing))
+        return shown.reshape(shape)
+
     if "range" in requested:
-        made["range"] = _lookup(echoes.range_m, strongest, np.nan)
+        made["range"] = told(echoes.range_m, np.nan)
     if "elevation" in requested:
-        made["elevation"] = _lookup(echoes.elevation_rad, strongest, np.nan)
+        made["elevation"] = told(echoes.elevation_rad, np.nan)
     for name, take in (("elevation_min", np.fmin), ("elevation_max", np.fmax)):
         if name in requested:
-            bins = polar.bin_index(echoes, surface.window, sonar)
-            limit = np.full(strongest.size + 1, np.nan, np.float32)
+            limit = np.full(strongest.size, np.nan, np.float32)
             take.at(limit, bins, echoes.elevation_rad)
-            made[name] = limit[:-1].reshape(strongest.shape)
+            made[name] = limit.reshape(shape)
     if "azimuth" in requested:
-        made["azimuth"] = _lookup(_azimuth_rad(surface), strongest, np.nan)
+        azimuth_rad = echoes.azimuth_rad
+        if surface.conical:  # bearings, whose sine has the elevation in it
+            sine = np.sin(azimuth_rad) / np.cos(echoes.elevation_rad)
+            azimuth_rad = np.arcsin(np.clip(sine, -1, 1))
+        made["azimuth"] = told(azimuth_rad, np.nan)
     if "segmentation" in requested:
         if frame.segmentation is None or frame.instance is None:
             raise FrameError(
                 f"{frame.ref.name}: has no labels; leave segmentation out of dataset.layers"
             )
-        made["segmentation"] = _lookup(frame.segmentation.ravel()[pixel], strongest, 0)
-        made["instance"] = _lookup(frame.instance.ravel()[pixel], strongest, 0)
+        made["segmentation"] = told(frame.segmentation.ravel()[pixel], 0)
+        made["instance"] = told(frame.instance.ravel()[pixel], 0)
     return made
-
-
-def _azimuth_rad(surface: LitSurface) -> npt.NDArray[np.float32]:
-    echoes = surface.insonified.echoes
-    if not surface.conical:
-        return echoes.azimuth_rad
-    # Echoes are laid out by the cones of the beams, whose sine has the elevation in it.
-    sine = np.sin(echoes.azimuth_rad) / np.cos(echoes.elevation_rad)
-    return np.asarray(np.arcsin(np.clip(sine, -1, 1)))
-
-
-def _strongest(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.intp]:
-    """(range_bins, beams) number of the strongest echo of each bin, -1 where none is."""
-    order = np.argsort(echoes.strength, kind="stable")
-    number = np.full(sonar.range_bins * sonar.beams, -1, np.intp)
-    # Of several echoes in a bin the last one assigned stays: the strongest.
-    number[polar.bin_index(echoes, window, sonar)[order]] = order
-    return number.reshape(sonar.range_bins, sonar.beams)
-
-
-def _lookup(
-    values: npt.NDArray[np.generic], number: npt.NDArray[np.intp], nothing: float
-) -> Picture:
-    """`values` of the numbered echoes, `nothing` where the number is -1."""
-    return np.where(number >= 0, values[number], values.dtype.type(nothing))

@@ -7,7 +7,7 @@ echoes -> resampled scene -+-> bins -> point-spread -> transfer curve -> clean p
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -95,7 +95,8 @@ def noisy_cloud(scene: Echoes, clouds: Iterable[EffectCloud], full_scale: float)
         if cloud.moves:
             scene = cloud.echoes
         else:
-            added.append(cloud.echoes.louder(full_scale))
+            strength = cloud.echoes.strength * np.float32(full_scale)
+            added.append(replace(cloud.echoes, strength=strength))
     return [scene, *added]
 
 

@@ -21,11 +21,10 @@ import numpy.typing as npt
 
 from ..errors import FrameError
 from ..frame import Frame
-from ..render.base import Rendered
 from ..sonar import array
 from ..sonar.array import WaterSettings
 from ..sonar.settings import SonarSettings
-from ..sonar.surface import mount_weight
+from ..sonar.surface import LitSurface, mount_weight
 from ..sonar.window import Window
 from .settings import AcousticsSettings
 
@@ -98,12 +97,7 @@ class Scatterers:
 
 
 def scatterers(
-    frame: Frame,
-    rendered: Rendered,
-    window: Window,
-    sonar: SonarSettings,
-    water: WaterSettings,
-    acoustics: AcousticsSettings,
+    surface: LitSurface, water: WaterSettings, acoustics: AcousticsSettings
 ) -> Scatterers:
     """All that echoes in a frame.
 
@@ -111,36 +105,31 @@ def scatterers(
     """
     from . import kernels  # loads numba
 
-    size = sonar.range_bins * sonar.beams
-    power, owner = np.zeros(size, np.float32), np.full(size, -1, np.int32)
-    in_beam = np.zeros(size, np.bool_)
-    most = 2 * frame.depth_m.size
-    bins, of = np.empty((2, most), np.int32)
+    frame, sonar, window = surface.frame, surface.sonar, surface.window
+    shape, most = (sonar.range_bins, sonar.beams), 2 * frame.depth_m.size
+    power, owner = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+    in_beam = np.zeros(shape, np.bool_)
+    bins, pixels = np.empty((2, most), np.int32)
     powers, parts = np.empty((2, most), np.float32)
+    labels = np.empty((0, 0), np.uint8) if frame.segmentation is None else frame.segmentation
+    # Times the solid angle of the middle pixel.
+    echo = np.array(acoustics.reflectivity()) / (frame.intrinsics.fx * frame.intrinsics.fy)
     count = kernels.place(
-        camera_of(frame), rendered.radiance, _labels(frame), _factor(frame, sonar, acoustics),
-        _reflectivity(frame, acoustics), sonar.mount.axes(), grid_of(window, sonar),
+        camera_of(frame), surface.rendered.radiance, labels, _factor(surface, acoustics),
+        echo.astype(np.float32), sonar.mount.axes(), grid_of(window, sonar),
         vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
-        (power, owner, in_beam), (bins, powers, of, parts),
+        (power.reshape(-1), owner.reshape(-1), in_beam.reshape(-1)),
+        (bins, powers, pixels, parts),
     )  # fmt: skip
     if not count:
         raise FrameError(f"{frame.ref.name}: no echo inside the sonar's sector; check sonar.mount")
     range_m = bin_centres_m(window, sonar).astype(np.float64)
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
     loss = (10 ** (-2 * absorption * range_m / 10)).astype(np.float32)
-    pose = frame.world_from_camera
-    return Scatterers(
-        bins[:count],
-        powers[:count],
-        of[:count],
-        parts[:count],
-        power.reshape(sonar.range_bins, sonar.beams) * loss[:, None],
-        owner.reshape(sonar.range_bins, sonar.beams),
-        in_beam.reshape(sonar.range_bins, sonar.beams),
-        loss,
-        frame,
-        np.eye(4) if pose is None else np.asarray(pose, np.float64),
-    )
+    power *= loss[:, None]
+    pose = np.eye(4) if frame.world_from_camera is None else frame.world_from_camera
+    of_each = bins[:count], powers[:count], pixels[:count], parts[:count]
+    return Scatterers(*of_each, power, owner, in_beam, loss, frame, np.asarray(pose, np.float64))
 
 
 def camera_of(frame: Frame) -> tuple[Floats, Floats, Floats]:
@@ -159,26 +148,15 @@ def grid_of(window: Window, sonar: SonarSettings) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-def _labels(frame: Frame) -> npt.NDArray[np.uint8]:
-    if frame.segmentation is None:
-        return np.empty((0, 0), np.uint8)
-    return frame.segmentation
-
-
-def _reflectivity(frame: Frame, acoustics: AcousticsSettings) -> Floats:
-    """(classes,) backscatter coefficients times the solid angle of the middle pixel."""
-    camera = frame.intrinsics
-    return np.asarray(np.array(acoustics.reflectivity()) / (camera.fx * camera.fy), np.float32)
-
-
-def _factor(frame: Frame, sonar: SonarSettings, acoustics: AcousticsSettings) -> Floats:
+def _factor(surface: LitSurface, acoustics: AcousticsSettings) -> Floats:
     """(H, W): what the render lacks for other exponents than 2 or a sonar elsewhere, or (0, 0)."""
+    frame, mount = surface.frame, surface.sonar.mount
     exponents = np.array(acoustics.exponents())
-    if (exponents == 2).all() and sonar.mount.colocated:
+    if (exponents == 2).all() and mount.colocated:
         return np.empty((0, 0), np.float32)
     if frame.segmentation is None or (exponents == exponents[0]).all():
-        return mount_weight(frame, sonar.mount, float(exponents[0]))
-    return mount_weight(frame, sonar.mount, exponents[frame.segmentation])
+        return mount_weight(frame, mount, float(exponents[0]))
+    return mount_weight(frame, mount, exponents[frame.segmentation])
 
 
 @lru_cache(maxsize=8)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,9 @@ from .settings import AcousticsSettings
 
 Floats = npt.NDArray[np.float32]
 Matrix = npt.NDArray[np.float64]
+Points = tuple[
+    npt.NDArray[np.int32], Floats, npt.NDArray[np.uint32], Floats, npt.NDArray[np.uint16]
+]
 
 # What factors leave out, as a part of the largest number of a matrix.
 _LEFT_OUT = 1e-6
@@ -67,9 +69,8 @@ class Ping:
     @cached_property
     def scatterers(self) -> Scatterers:
         """All that echoes; raises FrameError when nothing does."""
-        surface = self.surface
-        place = surface.frame, surface.rendered, surface.window
-        return scatterers(*place, self.sonar, self.water, self.acoustics)
+        raw = replace(self.surface, sonar=self.sonar)
+        return scatterers(raw, self.water, self.acoustics)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -214,9 +215,7 @@ def add_white_noise(
         kernels.add_white(int(rng.integers(2**32)), gaussian_table(), along, across, look)
 
 
-def scattered(
-    ping: Ping, rng: np.random.Generator, looks: float, points: tuple[npt.NDArray[Any], ...]
-) -> Signal:
+def scattered(ping: Ping, rng: np.random.Generator, looks: float, points: Points) -> Signal:
     """Speckle: the complex field of points instead of the mean power of the echoes.
 
     looks: independent fields (rounded).  points: flat polar bin, root of the power without

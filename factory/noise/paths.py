@@ -84,9 +84,9 @@ def _of_plane(settings: type[EffectSettings], height_m: Callable[..., float]) ->
     ) -> Signal:
         return _with_images(signal, ping, height_m(ping, **own), loss_db, tilt_deg)
 
-    def expect(expected: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
+    def expect(state: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
         # Each ghost is as wide as what it mirrors.
-        for plane in (expected.echo, expected.steady):
+        for plane in (state.echo, state.steady):
             unspeckled = Signal(plane, np.empty((0, 2, *plane.shape), np.float32))
             plane[:] = apply(unspeckled, ping, rng, **parameters).power
 
@@ -121,22 +121,22 @@ def sidelobe_arcs(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Fl
     return field
 
 
-def expect_sidelobe_arcs(expected: Expected, ping: Ping, rng: Rng, *, level_db: float) -> None:
+def expect_sidelobe_arcs(state: Expected, ping: Ping, rng: Rng, *, level_db: float) -> None:
     """The leak of each row, which has one phase in all beams.
 
     The strongest of n independent exponential values is 1 + 1/2 + ... + 1/n of their mean; a row
     has as many as its intensity is spread over, in steps of what the device resolves.
     """
-    total = expected.total()
+    total = state.total()
     strongest = total.max(axis=1)
     beams_wide = max(float(1 / np.median(ping.beam_share)), 1)
     independent = total.sum(axis=1) / np.maximum(strongest, 1e-37) / beams_wide
     count = np.maximum(independent, 1)
     # Harmonic numbers less 1, within 0.1.
     more = np.log(count) - 0.423 * (1 - np.exp(1 - count))
-    fluctuating = 1 - expected.steady.max(axis=1) / np.maximum(strongest, 1e-37)
+    fluctuating = 1 - state.steady.max(axis=1) / np.maximum(strongest, 1e-37)
     leak = strongest * (1 + more * np.clip(fluctuating, 0, 1))
-    expected.steady += (leak * 10 ** (level_db / 10)).astype(np.float32)[:, None]
+    state.steady += (leak * 10 ** (level_db / 10)).astype(np.float32)[:, None]
 
 
 SIDELOBE_ARCS = Effect(
@@ -168,7 +168,7 @@ def crosstalk(
 
 
 def expect_crosstalk(
-    expected: Expected, ping: Ping, rng: Rng, *, level_db: float, spacing_beams: float
+    state: Expected, ping: Ping, rng: Rng, *, level_db: float, spacing_beams: float
 ) -> None:
     """Intensities of the leaks, and what they add in phase: beams that overlap are alike."""
     leak, step = np.float32(10 ** (level_db / 20)), max(round(spacing_beams), 1)
@@ -177,10 +177,10 @@ def expect_crosstalk(
         one, other = (ping.mixing[:, beam].astype(np.float64) for beam in (middle, middle + step))
         alike = float(one @ other / np.sqrt((one @ one) * (other @ other)))
     for plane, correlation in (
-        (expected.echo, alike),
-        (expected.noise, 0.0),
-        (expected.steady, 1.0),
-        (expected.textured, alike),
+        (state.echo, alike),
+        (state.noise, 0.0),
+        (state.steady, 1.0),
+        (state.textured, alike),
     ):
         wide = np.pad(np.sqrt(plane), ((0, 0), (step, step)))
         left, here, right = wide[:, : -2 * step], wide[:, step:-step], wide[:, 2 * step :]
@@ -217,10 +217,10 @@ def spokes(field: Floats, ping: Ping, rng: Rng, **parameters: Any) -> Floats:
     return field
 
 
-def realise_spokes(expected: Expected, ping: Ping, rng: Rng, **parameters: Any) -> None:
+def realise_spokes(state: Expected, ping: Ping, rng: Rng, **parameters: Any) -> None:
     """The spokes of this sample, with the mean intensity of their noise."""
-    for across, _, amplitude in _each(ping, rng, round(expected.looks), **parameters):
-        expected.noise[:, across] += 2 * amplitude**2
+    for across, _, amplitude in _each(ping, rng, round(state.looks), **parameters):
+        state.noise[:, across] += 2 * amplitude**2
 
 
 def _each(

@@ -56,11 +56,9 @@ def _floor(ping: Ping, level_db: float) -> npt.NDArray[np.floating]:
     return np.asarray(ping.thermal_noise * 10 ** (level_db / 10) * ping.noise_share)
 
 
-def expect_receiver(
-    expected: Expected, ping: Ping, rng: Rng, *, level_db: float, grain: str
-) -> None:
+def expect_receiver(state: Expected, ping: Ping, rng: Rng, *, level_db: float, grain: str) -> None:
     """The floor that the noise gives the picture."""
-    expected.noise += _floor(ping, level_db).astype(np.float32)
+    state.noise += _floor(ping, level_db).astype(np.float32)
 
 
 RECEIVER = Effect(ReceiverSettings, receiver, "beam", "haze", systematic=expect_receiver)
@@ -137,8 +135,8 @@ def _of_gain(
         field *= (10 ** (gain_db(ping, rng, **parameters) / 20)).astype(np.float32)
         return field
 
-    def expect(expected: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
-        expected.scale(10 ** (gain_db(ping, rng, **parameters) / 10))
+    def expect(state: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
+        state.scale(10 ** (gain_db(ping, rng, **parameters) / 10))
 
     return Effect(settings, apply, "picture", "gains", scope, systematic=expect)
 
@@ -175,12 +173,12 @@ def ring_down(
 
 
 def expect_ring_down(
-    expected: Expected, ping: Ping, rng: Rng, *, level_db: float, decay_db_per_m: float
+    state: Expected, ping: Ping, rng: Rng, *, level_db: float, decay_db_per_m: float
 ) -> None:
     """The intensity of the ring-down."""
     relative_db = level_db - decay_db_per_m * ping.range_m
     loud = np.where(relative_db > _FAINTEST_DB, ping.full_scale * 10 ** (relative_db / 10), 0)
-    expected.noise += loud.astype(np.float32)[:, None]
+    state.noise += loud.astype(np.float32)[:, None]
 
 
 RING_DOWN = Effect(RingDownSettings, ring_down, "picture", "spokes", systematic=expect_ring_down)
@@ -209,10 +207,10 @@ def comb_lines(field: Floats, ping: Ping, rng: Rng, **parameters: float) -> Floa
     return field
 
 
-def expect_comb_lines(expected: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
+def expect_comb_lines(state: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
     """The intensity of the same lines."""
     for row, line, _ in _lines(ping, rng, **parameters):
-        expected.steady[row] += line * line
+        state.steady[row] += line * line
 
 
 def _lines(
@@ -260,11 +258,11 @@ def saturation(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Float
     return field
 
 
-def expect_saturation(expected: Expected, ping: Ping, rng: Rng, *, level_db: float) -> None:
+def expect_saturation(state: Expected, ping: Ping, rng: Rng, *, level_db: float) -> None:
     """No expected intensity above the limit; single values above it are not taken from the mean."""
-    limit, total = _limit(ping, level_db), expected.total()
+    limit, total = _limit(ping, level_db), state.total()
     if (total > limit).any():
-        expected.scale(np.minimum(limit / np.maximum(total, 1e-37), 1))
+        state.scale(np.minimum(limit / np.maximum(total, 1e-37), 1))
 
 
 def _limit(ping: Ping, level_db: float) -> Floats:

@@ -6,7 +6,6 @@ For acoustics.formation=field, as all effects of stages echo, beam and picture.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +34,8 @@ _MOST_POINTS = 1 << 25
 # Where a beam is to be at least a cell wide, as a part of the farthest range.
 _NEAR = 0.25
 _STEPS, _REACH = 1024, 5.5
+# For the three places of a cell's point in it.
+_SALTS = np.array([0x68BC21EB, 0x02E5BE93, 0x967A889B], np.uint32)
 _NEPERS_PER_DB = np.log(10) / 10  # of intensity
 
 
@@ -57,11 +58,9 @@ def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: 
     """The scatterers' complex field instead of the mean power of the echoes.
 
     Every scatterer has a complex circular Gaussian coefficient that depends on its cell of the
-    world and on nothing of the frame.  The device's point-spread then filters the field, which
-    gives speckle its grain: fully developed, amplitude Rayleigh, intensity exponential (Goodman,
-    Speckle Phenomena in Optics, ch. 3); the average of L looks is gamma-distributed, L its shape.
-    The same scene from the same pose has the same speckle; a sonar that moves sees other cells in
-    each bin.  A recording without poses has a field of its own in every frame.
+    world alone, and the device's point-spread gives the field its grain: fully developed, amplitude
+    Rayleigh, intensity exponential (Goodman, Speckle Phenomena in Optics, ch. 3); the average of L
+    looks is gamma-distributed, L its shape.  Without poses every frame has a field of its own.
     """
     scene = ping.scatterers
     names, shares = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
@@ -70,7 +69,7 @@ def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: 
 
 
 def expect_speckle(
-    expected: Expected, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float
+    state: Expected, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float
 ) -> None:
     """The echoes fluctuate, but for what stands still.
 
@@ -78,19 +77,19 @@ def expect_speckle(
     same in all pings and g new in each.  This ping shows that sum, so f is, with another g,
     sqrt(p) (the sum) + sqrt(1 - p) g.
     """
-    part = expected.standing
-    expected.echo += (1 - part) * expected.steady
-    expected.steady[:] = 0
-    expected.looks = max(round(looks), 1)
+    part = state.standing
+    state.echo += (1 - part) * state.steady
+    state.steady[:] = 0
+    state.looks = max(round(looks), 1)
     if part:
-        none = Signal(np.zeros(ping.shape, np.float32), np.empty((0, 2, *ping.shape), np.float32))
-        # The first has the stream of the effect, and so the field that the picture shows.
-        shown, other = (
-            speckle(none, ping, rng, looks=looks, scatterer_m=scatterer_m).field for _ in range(2)
+        none, given = (
+            Signal(state.steady, state.steady),
+            {"looks": looks, "scatterer_m": scatterer_m},
         )
+        # The first has the stream of the effect, and so the field that the picture shows.
+        shown, other = (speckle(none, ping, rng, **given).field for _ in range(2))
         same = np.float32(np.sqrt(part)) * shown + np.float32(np.sqrt(1 - part)) * other
-        standing = (beamform(same, ping) ** 2).sum(axis=1).mean(axis=0)
-        expected.steady[:] = part * np.asarray(standing, np.float32)
+        state.steady[:] = part * (beamform(same, ping) ** 2).sum(axis=1).mean(axis=0)
 
 
 SPECKLE = Effect(SpeckleSettings, speckle, "echo", "speckle", "world", expected=expect_speckle)
@@ -113,12 +112,10 @@ def path_speckle(
 ) -> Signal:
     """Speckle of a sonar that moves: every echo has the phase of the way there and back.
 
-    The cells of the world are points whose echoes turn with their range: when the sonar moves, the
-    cells of a bin come nearer by different parts of a wavelength, and their sum changes.  A sonar
-    at rest sees the same speckle, to the byte; one that moves across loses it over about half its
-    aperture, long before other cells lie in the bin; one that turns or moves along keeps it for
-    longer (Goodman, ch. 5).  Needs frames with poses, of a range window that stays the same
-    (sonar.range.auto=false).  Raises FrameError when the cells are too many.
+    The cells of the world are points whose echoes turn with their range.  A sonar at rest sees the
+    same speckle, to the byte; one that moves across loses it over about half its aperture, one that
+    turns or moves along keeps it for longer (Goodman, ch. 5).  Needs frames with poses, of a range
+    window that stays the same (sonar.range.auto=false).  Raises FrameError when cells are too many.
     """
     from ..imaging import kernels  # loads numba
 
@@ -136,15 +133,28 @@ def path_speckle(
     names, powers = np.zeros(slots, np.uint32), np.zeros(slots, np.float32)
     table = names, powers, np.empty((slots, 3), np.int32)
     kernels.gather(*given, table)
-    cells = int(np.count_nonzero(names))
-    found: tuple[Any, ...] = tuple(
-        np.empty(cells, kind) for kind in (np.int32, np.float32, np.uint32, np.uint16)
+    # Only what lies in the picture, each cell as one point in it, which is the cell's own.
+    kept = np.flatnonzero(powers > 0)
+    names, powers, places = names[kept], powers[kept], table[2][kept]
+    x, y, z = (
+        (places[:, axis] + (kernels.scrambled(names ^ salt) >> np.uint32(8)) * 2.0**-24) * cell_m
+        for axis, salt in enumerate(_SALTS)
     )
-    waves_per_m = 2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s()
-    grid = grid_of(ping.window, ping.sonar)
-    count = kernels.locate(table, cell_m, _sonar_from_world(ping), grid, waves_per_m, found)
-    bins, roots, kept, phases = (values[:count] for values in found)
-    return scattered(ping, rng, looks, (bins, roots, kept, np.empty(0, np.float32), phases))
+    ahead, left, up = (m[0] * x + m[1] * y + m[2] * z + m[3] for m in _sonar_from_world(ping))
+    ground = ahead * ahead + left * left
+    range_m = np.sqrt(ground + up * up)
+    on_ground, near_m, bins_per_m, rows, edges, *_ = grid_of(ping.window, ping.sonar)
+    away_m = np.sqrt(ground) if on_ground else range_m
+    row = np.floor((away_m - near_m) * bins_per_m)
+    beam = np.searchsorted(edges, -left / range_m, side="right") - 1
+    beams = ping.sonar.beams
+    seen = (ahead > 0) & (row >= 0) & (row < rows) & (beam >= 0) & (beam < beams)
+    bins = (row[seen].astype(np.int32) * beams + beam[seen]).astype(np.int32)
+    # Wavelengths of the two-way path.
+    turns = range_m[seen] * (2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s())
+    phases = ((turns - np.floor(turns)) * 65536.0).astype(np.uint16)
+    points = bins, np.sqrt(powers[seen]), names[seen], np.empty(0, np.float32), phases
+    return scattered(ping, rng, looks, points)
 
 
 def edge_m(ping: Ping) -> float:
@@ -204,10 +214,10 @@ def _haze(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
     return along.astype(np.float32), across_rad.astype(np.float32)
 
 
-def expect_volume(expected: Expected, ping: Ping, rng: Rng, *, strength_db: float) -> None:
+def expect_volume(state: Expected, ping: Ping, rng: Rng, *, strength_db: float) -> None:
     """The haze's intensity, which the point-spread leaves as it is."""
     along, across = _haze(ping, strength_db)
-    expected.echo += along[:, None] * across
+    state.echo += along[:, None] * across
 
 
 VOLUME = Effect(VolumeSettings, volume, "echo", "haze", systematic=expect_volume)
@@ -229,9 +239,8 @@ def texture(field: Floats, ping: Ping, rng: Rng, *, shape: float, patch_m: float
     """K-distributed clutter: every bin that a surface fills, times sqrt(tau).
 
     I = mu tau Exp(1) with tau ~ Gamma(nu, 1 / nu): scintillation index 1 + 2 / nu (Abraham & Lyons,
-    IEEE J. Oceanic Eng. 27 (2002), 800).  tau is a field of the world, made of a lattice of
-    Gaussian values (interpolated at unit variance) through the gamma distribution's quantiles, so
-    it is smooth and stays with the ground as speckle does.
+    IEEE J. Oceanic Eng. 27 (2002), 800).  tau is a smooth field of the world, a lattice of Gaussian
+    values through the gamma distribution's quantiles, and stays with the ground as speckle does.
     """
     from ..imaging import kernels  # loads numba
 
@@ -241,9 +250,8 @@ def texture(field: Floats, ping: Ping, rng: Rng, *, shape: float, patch_m: float
     key = int(rng.integers(2**32))
     lattice_from_camera = np.ascontiguousarray(scene.world_from_camera[:3] / patch_m)
     kernels.lattice(points_m, lattice_from_camera, key, gaussian_table(), normal)
-    planes = field.reshape(-1, field.shape[-2] * field.shape[-1])
     patches = np.sqrt(gamma_of_normal(normal, shape))
-    for plane in planes:
+    for plane in field.reshape(-1, ping.shape[0] * ping.shape[1]):
         plane[filled] *= patches
     return field
 
@@ -263,35 +271,23 @@ def _quantiles(shape: float) -> Floats:
     return np.asarray(special.gammaincinv(shape, special.ndtr(normal)) / shape, np.float32)
 
 
-def expect_texture(
-    expected: Expected, ping: Ping, rng: Rng, *, shape: float, patch_m: float
-) -> None:
+def expect_texture(state: Expected, ping: Ping, rng: Rng, *, shape: float, patch_m: float) -> None:
     """What is in the bins that a surface fills varies."""
-    expected.shape = shape
-    total = (expected.echo + expected.steady).reshape(-1)
+    state.shape = shape
+    total = (state.echo + state.steady).reshape(-1)
     filled, _ = ping.scatterers.surface
-    expected.textured.reshape(-1)[filled] = total[filled]
+    state.textured.reshape(-1)[filled] = total[filled]
 
 
-def realise_texture(
-    expected: Expected, ping: Ping, rng: Rng, *, shape: float, patch_m: float
-) -> None:
+def texture_here(state: Expected, ping: Ping, rng: Rng, **given: float) -> None:
     """The patches as they are: a property of the ground, which stays when speckle goes."""
-    weights = np.zeros((1, 2, *ping.shape), np.float32)
-    weights[0, 0] = 1
-    patches = texture(weights, ping, rng, shape=shape, patch_m=patch_m)[0, 0] ** 2
-    expected.echo *= patches
-    expected.steady *= patches
+    patches = texture(np.ones(ping.shape, np.float32), ping, rng, **given) ** 2
+    state.echo *= patches
+    state.steady *= patches
 
 
 TEXTURE = Effect(
-    TextureSettings,
-    texture,
-    "beam",
-    None,
-    "world",
-    expected=expect_texture,
-    realised=realise_texture,
+    TextureSettings, texture, "beam", None, "world", expected=expect_texture, realised=texture_here
 )
 
 
@@ -318,9 +314,9 @@ def scintillation(field: Floats, ping: Ping, rng: Rng, *, sigma_db: float) -> Fl
     return field
 
 
-def expect_scintillation(expected: Expected, ping: Ping, rng: Rng, *, sigma_db: float) -> None:
+def expect_scintillation(state: Expected, ping: Ping, rng: Rng, *, sigma_db: float) -> None:
     """A display of levels shows the median; one of powers shows a little more."""
-    expected.scintillation_nepers2 += (sigma_db * _NEPERS_PER_DB) ** 2
+    state.scintillation_nepers2 += (sigma_db * _NEPERS_PER_DB) ** 2
 
 
 SCINTILLATION = Effect(

@@ -14,7 +14,7 @@ import math
 import warnings
 from dataclasses import field
 from functools import lru_cache
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -72,17 +72,16 @@ def weights(taper: Taper, elements: int = _ELEMENTS) -> Floats:
     """(elements,) shading of the elements, sum 1."""
     from scipy.signal import windows  # 0.3 s to import
 
-    if taper.window == "uniform":
-        shading = np.ones(elements)
-    elif taper.window == "taylor":
-        shading = windows.taylor(elements, nbar=8, sll=taper.sidelobe_db, norm=True)
-    elif taper.window == "chebyshev":
-        with warnings.catch_warnings():
-            # Warns that it is no window for spectra, which this is not.
-            warnings.simplefilter("ignore", UserWarning)
-            shading = windows.chebwin(elements, taper.sidelobe_db)
-    else:
-        shading = windows.get_window(taper.window, elements, fftbins=False)
+    named: dict[str, Any] = {
+        "uniform": "boxcar",
+        "taylor": ("taylor", 8, taper.sidelobe_db, True),
+        "chebyshev": ("chebwin", taper.sidelobe_db),
+    }
+    with warnings.catch_warnings():
+        # Chebyshev's warns that it is no window for spectra, which this is not.
+        warnings.simplefilter("ignore", UserWarning)
+        window = named.get(taper.window, taper.window)
+        shading = windows.get_window(window, elements, fftbins=False)
     return np.asarray(shading / shading.sum())
 
 

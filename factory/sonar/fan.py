@@ -90,14 +90,10 @@ def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
     row = np.clip(row, 0, sonar.range_bins - 1)
     row0 = np.minimum(row.astype(np.int32), sonar.range_bins - 2)
     beam0 = np.minimum(beam.astype(np.int32), sonar.beams - 2)
-    return FanTable(
-        np.flatnonzero(inside).astype(np.int32),
-        (row0 * sonar.beams + beam0).astype(np.int32),
-        (row - row0).astype(np.float32),
-        (beam - beam0).astype(np.float32),
-        inside,
-        sonar.beams,
-    )
+    pixels, corner = np.flatnonzero(inside), row0 * sonar.beams + beam0
+    between = (row - row0).astype(np.float32), (beam - beam0).astype(np.float32)
+    places = pixels.astype(np.int32), corner.astype(np.int32), *between
+    return FanTable(*places, inside, sonar.beams)
 
 
 def lay_out(

@@ -85,56 +85,51 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
 
     any_size: whether pictures may differ in size and layout; else they keep `sonar.image`.
     """
-    drawn, sonar = device.values, config.sonar
+    drawn, sonar, image = device.values, config.sonar, config.sonar.image
     points = device.formation == "points"
-    height = round(drawn["height_px"]) if any_size else sonar.image.height_px
-    image = replace(sonar.image, height_px=height) if any_size else sonar.image
-    if any_size and drawn["polar_share"] and not points:
-        image = replace(image, layout="polar")
+    height = round(drawn["height_px"]) if any_size else image.height_px
+    polar = any_size and drawn["polar_share"] and not points
+    quality = min(max(round(drawn["jpeg_quality"]), 1), 100)
     image = replace(
         image,
+        height_px=height,
+        layout="polar" if polar else image.layout,
         sampling="nearest" if drawn["nearest_share"] and not points else "bilinear",
         enlarged=min(max(drawn["enlarged"], 1.0), 4.0) if drawn["enlarged_share"] else 1.0,
-        jpeg_quality=min(max(round(drawn["jpeg_quality"]), 1), 100)
-        if drawn["jpeg_share"]
-        else None,
+        jpeg_quality=quality if drawn["jpeg_share"] else None,
     )
     fixed = not points and not drawn["auto_range_share"]
-    near_far = (drawn["range_min_m"], drawn["range_max_m"]) if fixed else (0.2, 30.0)
+    near_m, far_m = (drawn["range_min_m"], drawn["range_max_m"]) if fixed else (0.2, 30.0)
     sonar = replace(
         sonar,
         hfov_deg=drawn["hfov_deg"],
         vfov_deg=drawn["vfov_deg"],
-        beam_azimuths_deg=None,
         frequency_khz=drawn["frequency_khz"],
+        beam_azimuths_deg=None,
         beams=round(drawn["beams"]),
         range_bins=max(round(height * drawn["bins_per_px"]), _FEWEST_BINS),
         image=image,
-        range=RangeSettings(auto=not fixed, min_m=near_far[0], max_m=near_far[1]),
+        range=RangeSettings(auto=not fixed, min_m=near_m, max_m=far_m),
         transfer=_transfer(sonar.transfer, device),
     )
+    echo_db = config.acoustics.reflectivity_db | {"Background": drawn["background_db"]}
     acoustics = replace(
         config.acoustics,
         formation=device.formation,
-        tvg_log=drawn["tvg_log"],
         standing=drawn["standing"] if drawn["standing_share"] and not points else 0.0,
+        reflectivity_db=echo_db,
+        tvg_log=drawn["tvg_log"],
         lambert_exponent=drawn["lambert_exponent"],
-        reflectivity_db={
-            **config.acoustics.reflectivity_db,
-            "Background": drawn["background_db"],
-        },
     )
-    if points:
-        sonar = _points(sonar, any_size)
     noise = _of_formation(config.noise, device)
     if not acoustics.standing and noise.scintillation is not None:
         # What trembles beside speckle that is new in every ping cannot be told from it.
         noise = replace(noise, scintillation=replace(noise.scintillation, enabled=False))
+    config = replace(config, acoustics=acoustics, noise=noise, devices=None)
+    if points:
+        return replace(config, sonar=_points(sonar, any_size))
     # The field has no points to thin.
-    resample = config.resample if points else ResampleSettings()
-    return replace(
-        config, sonar=sonar, acoustics=acoustics, noise=noise, resample=resample, devices=None
-    )
+    return replace(config, sonar=sonar, resample=ResampleSettings())
 
 
 def resolved(
@@ -143,16 +138,12 @@ def resolved(
     """The same, with what the device resolves in its window, and a fan as wide as its sector."""
     if device.formation == "points":
         return config
-    drawn, sonar = device.values, config.sonar
+    drawn, sonar, image = device.values, config.sonar, config.sonar.image
     resolution_m = window.range_span_m / sonar.range_bins * drawn["resolution_bins"]
-    array = replace(
-        sonar.array,
-        bandwidth_khz=float(np.clip(_SOUND_SPEED_M_S / (2000 * resolution_m), 1, 2000)),
-        beamwidth_deg=float(
-            np.clip(sonar.hfov_deg / sonar.beams * drawn["beamwidth_beams"], 0.05, 60)
-        ),
-    )
-    image = sonar.image
+    bandwidth_khz = float(np.clip(_SOUND_SPEED_M_S / (2000 * resolution_m), 1, 2000))
+    width_deg = sonar.hfov_deg / sonar.beams * drawn["beamwidth_beams"]
+    beamwidth_deg = float(np.clip(width_deg, 0.05, 60))
+    array = replace(sonar.array, bandwidth_khz=bandwidth_khz, beamwidth_deg=beamwidth_deg)
     if any_size and image.layout == "fan":
         across, ahead = fan_size(sonar.hfov_deg, window.near_fraction)
         image = replace(image, width_px=int(np.ceil(image.height_px * (across / ahead))) + 1)
@@ -174,60 +165,49 @@ def fitted(config: FactoryConfig, device: Device, scene: Scene) -> FactoryConfig
 
 def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
     """The paper's pictures: the view from above, a bin and a beam for each pixel."""
-    image = sonar.image
+    image, hfov_deg = sonar.image, max(sonar.hfov_deg, _POINTS_HFOV_DEG)
     if any_size:
         side = min(image.height_px, _LARGEST_POINTS_PX)
         image = replace(image, layout="fan", height_px=side, width_px=side)
-    return replace(
-        sonar,
-        projection="top_view",
-        hfov_deg=max(sonar.hfov_deg, _POINTS_HFOV_DEG),
-        beams=image.width_px,
-        range_bins=image.height_px,
-        image=image,
-    )
+    sonar = replace(sonar, projection="top_view", hfov_deg=hfov_deg, image=image)
+    return replace(sonar, beams=image.width_px, range_bins=image.height_px)
 
 
 def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
     drawn = device.values
-    if device.formation == "points":
-        if not drawn["points_log_share"]:
-            return replace(transfer, kind="linear", percentile=90.0, reference=1.0)
+    made: dict[str, Any]
+    if device.formation == "points" and not drawn["points_log_share"]:
+        made = {"kind": "linear", "percentile": 90.0, "reference": 1.0}
+    elif device.formation == "points":
         # Decibels of an energy: half as many as of an amplitude.
         range_db = drawn["dynamic_range_db"] / 2
-        return replace(
-            transfer, kind="log", percentile=90.0, reference=0.9, dynamic_range_db=range_db
-        )
-    if drawn["log_share"]:
-        soft = bool(drawn["soft_share"])
-        return replace(
-            transfer,
-            kind="soft_log" if soft else "log",
-            percentile=50.0,
-            reference=drawn["log_reference"],
-            dynamic_range_db=drawn["dynamic_range_db"],
-            black=min(drawn["black"], _DARKEST * drawn["log_reference"]) if soft else 0.0,
-        )
-    return replace(
-        transfer,
-        kind="power",
-        percentile=95.0,
-        reference=drawn["power_reference"],
-        exponent=drawn["exponent"],
-    )
+        made = {
+            "kind": "log", "percentile": 90.0, "reference": 0.9, "dynamic_range_db": range_db
+        }  # fmt: skip
+    elif drawn["log_share"]:
+        soft, reference = bool(drawn["soft_share"]), drawn["log_reference"]
+        made = {
+            "kind": "soft_log" if soft else "log", "percentile": 50.0, "reference": reference,
+            "dynamic_range_db": drawn["dynamic_range_db"],
+            "black": min(drawn["black"], _DARKEST * reference) if soft else 0.0,
+        }  # fmt: skip
+    else:
+        reference, exponent = drawn["power_reference"], drawn["exponent"]
+        made = {
+            "kind": "power", "percentile": 95.0, "reference": reference, "exponent": exponent
+        }  # fmt: skip
+    return replace(transfer, **made)
 
 
 def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
     """The effects of the device's formation that are on in this picture."""
-    points = device.formation == "points"
+    points, drawn = device.formation == "points", device.values
     changed: dict[str, Any] = {}
     for name, block in blocks(noise).items():
-        on = block.enabled and (EFFECTS[name].stage == "points") == points
-        on = on and not device.values["quiet_share"]
-        odd = EFFECTS[name].artefact in _ODD and not points
-        if device.values["fewer_share"] or odd:
-            on = on and device.coins[name]
-        if odd:
-            on = on and bool(device.values["odd_share"])
+        effect = EFFECTS[name]
+        odd = effect.artefact in _ODD and not points
+        on = block.enabled and (effect.stage == "points") == points and not drawn["quiet_share"]
+        on &= device.coins[name] or not (drawn["fewer_share"] or odd)
+        on &= bool(drawn["odd_share"]) or not odd
         changed[name] = replace(block, enabled=on)
     return replace(noise, **changed)

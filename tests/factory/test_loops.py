@@ -25,7 +25,7 @@ from simnfnd.factory.render.kernels import box_mean
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
-from simnfnd.factory.sonar.polar import Echoes, from_xyz, join
+from simnfnd.factory.sonar.polar import Echoes, from_xyz
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window, fit_window
 from tests.clouds import camera_scene, chosen, to_sonar, window
@@ -125,9 +125,11 @@ def test_accumulation_is_that_of_numpy_and_parts_need_not_be_joined(how: str) ->
     level = polar.accumulate(scene, at, device)
     np.testing.assert_allclose(level.ravel(), total, rtol=1e-5)
     halves = [chosen(scene, np.arange(50_000) % 3 == part) for part in range(3)]
+    columns = zip(*(vars(half).values() for half in halves), strict=True)
+    joined = Echoes(*map(np.concatenate, columns))
     np.testing.assert_array_equal(
         polar.accumulate(halves[0], at, device, *halves[1:]),
-        polar.accumulate(join(*halves), at, device),
+        polar.accumulate(joined, at, device),
     )
 
 

@@ -147,10 +147,8 @@ def _powers(depths_m: np.ndarray, plate_m: float, frequency_khz: float) -> np.nd
         radiance = np.where(inside, square**-1.5 / depth_m**2, 0).astype(np.float32)
         frame = replace(frame, depth_m=depth, intrinsics=camera)
         window = Window("slant_range", 0.5, 40.0, -0.2, 0.2)
-        made = scatterers(
-            frame, Rendered(radiance, inside), window, settings_.sonar, settings_.water,
-            settings_.acoustics,
-        )  # fmt: skip
+        plate = LitSurface(frame, Rendered(radiance, inside), window, settings_.sonar)
+        made = scatterers(plate, settings_.water, settings_.acoustics)
         totals.append(made.power.sum(dtype=np.float64))
     return np.array(totals)
 
@@ -172,9 +170,8 @@ def test_materials_differ_as_the_table_says() -> None:
     frame = replace(frame, segmentation=labels)
     settings_ = config(acoustics={"reflectivity_db": {"Background": -25, "Tire": -15}})
     window = observe(frame, rendered, settings_).window
-    made = scatterers(
-        frame, rendered, window, settings_.sonar, settings_.water, settings_.acoustics
-    )
+    lit_ = LitSurface(frame, rendered, window, settings_.sonar)
+    made = scatterers(lit_, settings_.water, settings_.acoustics)
     halves = made.power[:, :60].mean(), made.power[:, -60:].mean()
     assert halves[0] / halves[1] == pytest.approx(10, rel=0.02)
     with pytest.raises(FactoryError, match="no class is called Tyre"):
@@ -431,10 +428,9 @@ def test_beams_of_a_line_array_are_cones(azimuth_deg, elevation_deg):
     depth_m, radiance = np.zeros((200, 800), np.float32), np.zeros((200, 800), np.float32)
     depth_m[row, column], radiance[row, column] = 4.0, 1.0
     frame = replace(frame, depth_m=depth_m, intrinsics=camera, rgb=np.zeros((200, 800, 3), "u1"))
-    made = scatterers(
-        frame, Rendered(radiance, depth_m > 0), Window("slant_range", 1, 20, -1.2, 1.2),
-        settings.sonar, settings.water, settings.acoustics,
-    )  # fmt: skip
+    window = Window("slant_range", 1, 20, -1.2, 1.2)
+    target = LitSurface(frame, Rendered(radiance, depth_m > 0), window, settings.sonar)
+    made = scatterers(target, settings.water, settings.acoustics)
     point = np.array([(column - 400) / 200, (row - 100) / 200, 1.0])
     golden = np.rad2deg(np.arcsin(point[0] / np.linalg.norm(point)))
     beam = int(made.bins[0]) % settings.sonar.beams
