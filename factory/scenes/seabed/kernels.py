@@ -145,6 +145,17 @@ def relieve(
             attributes[row, column, 2] = bare * stone + loose * tone
 
 
+@compiled()
+def _placed(point: Any, eye: Any, axes: Any) -> Any:
+    """A point in a camera's own axes: across, down, ahead."""
+    x, y, z = point[0] - eye[0], point[1] - eye[1], point[2] - eye[2]
+    return (
+        axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z,
+        axes[0, 1] * x + axes[1, 1] * y + axes[2, 1] * z,
+        axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z,
+    )
+
+
 @compiled(f"void({_ROWS}, {_TRIANGLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
 def paint(
     points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, seen_so_far: Any
@@ -157,11 +168,6 @@ def paint(
     """
     (eye, axes, lens), (inverse, which) = camera, seen_so_far
     height, width = inverse.shape
-    x_axis, y_axis, z_axis = (
-        (axes[0, 0], axes[1, 0], axes[2, 0]),
-        (axes[0, 1], axes[1, 1], axes[2, 1]),
-        (axes[0, 2], axes[1, 2], axes[2, 2]),
-    )
     fx, fy, middle_x, middle_y = lens[0], lens[1], lens[2], lens[3]
     step_x, step_y = 1 / fx, 1 / fy
     left_slope, right_slope = -middle_x * step_x, (width - 1 - middle_x) * step_x
@@ -173,10 +179,7 @@ def paint(
     seen = np.empty((len(points), 2), np.float32)  # column and row
     for part in range(len(parts)):
         for k in range(parts[part, 0], parts[part, 2]):
-            x, y, z = points[k, 0] - eye[0], points[k, 1] - eye[1], points[k, 2] - eye[2]
-            depth = z_axis[0] * x + z_axis[1] * y + z_axis[2] * z
-            across = x_axis[0] * x + x_axis[1] * y + x_axis[2] * z
-            down = y_axis[0] * x + y_axis[1] * y + y_axis[2] * z
+            across, down, depth = _placed(points[k], eye, axes)
             placed[k, 0], placed[k, 1], placed[k, 2] = across, down, depth
             over = 1 / max(depth, _NEAR_M)
             seen[k, 0] = across * over * fx + middle_x
@@ -187,25 +190,20 @@ def paint(
             if min(az, bz, cz) > _NEAR_M:
                 left = min(seen[a, 0], seen[b, 0], seen[c, 0])
                 right = max(seen[a, 0], seen[b, 0], seen[c, 0])
-                if left > width - 1 or right < 0:
-                    continue
-                first, last = max(int(np.ceil(left)), 0), min(int(np.floor(right)), width - 1)
-                if first > last:
-                    continue
                 top = min(seen[a, 1], seen[b, 1], seen[c, 1])
                 bottom = max(seen[a, 1], seen[b, 1], seen[c, 1])
-                if top > height - 1 or bottom < 0:
+                if left > width - 1 or right < 0 or top > height - 1 or bottom < 0:
                     continue
+                first, last = max(int(np.ceil(left)), 0), min(int(np.floor(right)), width - 1)
                 upper, lower = max(int(np.ceil(top)), 0), min(int(np.floor(bottom)), height - 1)
-                if upper > lower:
+                if first > last or upper > lower:
                     continue
             elif max(az, bz, cz) <= _NEAR_M:
                 continue
             else:
                 first, last, upper, lower = 0, width - 1, 0, height - 1
-            ax, ay = placed[a, 0], placed[a, 1]
-            bx, by = placed[b, 0], placed[b, 1]
-            cx, cy = placed[c, 0], placed[c, 1]
+            ax, bx, cx = placed[a, 0], placed[b, 0], placed[c, 0]
+            ay, by, cy = placed[a, 1], placed[b, 1], placed[c, 1]
             if last - first == width - 1 and (
                 (ax < left_slope * az and bx < left_slope * bz and cx < left_slope * cz)
                 or (ax > right_slope * az and bx > right_slope * bz and cx > right_slope * cz)
@@ -407,10 +405,7 @@ def look(
             shine = nx * sun[0] + ny * sun[1] + nz * sun[2]
             slope = detail[1] * rough * (_F(0.25) + _F(0.75) * close)
             shine = max(shine + _HALF * slope, _ZERO)
-            dx, dy, dz = ex - sun_eye[0], ey - sun_eye[1], ez - sun_eye[2]
-            far = sun_axes[0, 2] * dx + sun_axes[1, 2] * dy + sun_axes[2, 2] * dz
-            left = sun_axes[0, 0] * dx + sun_axes[1, 0] * dy + sun_axes[2, 0] * dz
-            down = sun_axes[0, 1] * dx + sun_axes[1, 1] * dy + sun_axes[2, 1] * dz
+            left, down, far = _placed((ex, ey, ez), sun_eye, sun_axes)
             at_x = int(left / far * sun_lens[0] + sun_lens[2] + _HALF)
             at_y = int(down / far * sun_lens[1] + sun_lens[3] + _HALF)
             if 0 <= at_x < side and 0 <= at_y < side:

@@ -59,7 +59,9 @@ class Waves:
         from .kernels import sum_waves
 
         axes = np.array(coordinates_m, dtype=np.float32)
-        return sum_waves(axes.reshape(len(axes), -1), *self._waves).reshape(axes.shape[1:])
+        return np.asarray(sum_waves(axes.reshape(len(axes), -1), *self._waves)).reshape(
+            axes.shape[1:]
+        )
 
 
 def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:
