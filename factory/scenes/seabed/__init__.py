@@ -19,10 +19,10 @@ from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
 from ..base import Discovery, OwnClass, Root, SceneSettings
-from .biomes import PLACE_NAMES, PlaceName
 from .camera import Movement, movements
 from .camera import camera as optics_of
 from .own_objects import OwnObject
+from .terrain import PLACE_NAMES, PlaceName
 
 if TYPE_CHECKING:
     from .meshes import Mesh
@@ -120,7 +120,7 @@ class SeabedReader:
                 raise FrameError(f"{ref.name}: scenes.path={settings.path} has no such line")
             number, movement = 0, lines[number]
         world = self._world(int(scene[1]))
-        frame = take(world, number, ref, optics, movement, boxes=settings.boxes)
+        frame = take(world, number, ref, optics, movement, settings.boxes)
         return checked(frame, bad_depth=settings.bad_depth)
 
     def _movements(self) -> tuple[Movement, ...] | None:

@@ -17,9 +17,8 @@ from operator import itemgetter
 import numpy as np
 
 from ...seeds import stream
-from .biomes import catalogue, pick
 from .meshes import Mesh, bars, box, circle, join, lathe, prism, rough, sheet, sphere, tube
-from .terrain import WORLD_SEED, Floats, Points, Waves, smoothstep
+from .terrain import WORLD_SEED, Draws, Floats, Points, Waves, catalogue, pick, smoothstep
 
 GroundHeight = Callable[[Points, Points], Floats]
 
@@ -27,9 +26,6 @@ GLASS, PAINTS, STONES, CORALS, LEAVES, CONCRETE, (RUST, BRONZE, STEEL) = itemget
     "glass", "paint", "stone", "coral", "leaf", "concrete", "metal"
 )(catalogue()["colours"])
 BARS = (PAINTS[1], PAINTS[3], PAINTS[5], RUST, STEEL)
-
-
-Draws = np.random.Generator
 
 
 def lying(upright: Mesh) -> Mesh:
@@ -245,7 +241,7 @@ def _table(rng: Draws, colour: Points) -> Mesh:
     plate = lathe(np.array(profile) * [radius, height], 40, colour)
     # Both faces rise and fall together, or the thin plate would cut through itself.
     x, y, z = plate.vertices.T
-    waviness, raggedness = (Waves(rng, radius, radius * share) for share in (0.12, 0.25))
+    waviness, raggedness = (Waves(rng, radius, radius * share, 1.0) for share in (0.12, 0.25))
     lifted = z + np.float32(0.03 * radius) * waviness(x, y) * np.minimum(z / height, 1)
     outward = 1 + np.float32(0.06) * raggedness(x, y) * np.hypot(x, y) / np.float32(radius)
     points = np.stack([x * outward, y * outward, lifted], axis=-1)
@@ -472,7 +468,7 @@ def pipe(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
         along = path[k + 1] - path[k]
         along /= np.linalg.norm(along)
         for side in (-0.02, 0.05):
-            ends = [path[k] + along * side, path[k] + along * (side + 0.05)]
+            ends = path[k] + np.outer([side, side + 0.05], along)
             parts.append(tube(ends, radius * 1.32, 24, colour=paint * 0.8))
     return join(parts)
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from ...frame import Frame, FrameRef, Intrinsics
 from ...seeds import stream
 from .camera import Movement, Optics, Pose, ZBuffer, camera, centred, pose
-from .terrain import FAR_M, TILE, WORLD_SEED, Floats, Points, tiles, view_mesh
+from .terrain import FAR_M, TILE, WORLD_SEED, Floats, Points, tiles
 from .world import World
 
 _SUN_M = 400.0  # how far away the camera in the sun is
@@ -19,13 +19,7 @@ _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the wate
 
 
 def take(
-    world: World,
-    frame: int,
-    ref: FrameRef,
-    optics: Optics,
-    movement: Movement | None = None,
-    *,
-    boxes: bool = False,
+    world: World, frame: int, ref: FrameRef, optics: Optics, movement: Movement | None, boxes: bool
 ) -> Frame:
     """Take frame number `frame` of a location.
 
@@ -39,7 +33,7 @@ def take(
     # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
     fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
     shape = (int(370 * fine), int(280 * fine * optics.across))
-    ground = view_mesh(world.terrain, where.eye, azimuths, elevations, shape)
+    ground = world.terrain.seen_from(where.eye, azimuths, elevations, shape)
     seen = ZBuffer(where, optics, world.objects, ground[0])
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
     rgb = photograph(world, ground, seen, rng.uniform(0.68, 0.92))

@@ -10,11 +10,10 @@ import numpy.typing as npt
 from ...labels import CLASSES, class_names
 from ...seeds import stream
 from . import things
-from .biomes import Look, Place, PlaceName, catalogue, draw
 from .camera import Objects
 from .meshes import Mesh, mesh, rotation
 from .own_objects import OwnObject
-from .terrain import WORLD_SEED, Points, Terrain, Waves
+from .terrain import WORLD_SEED, Draws, Look, Place, PlaceName, Points, Terrain, Waves, catalogue
 
 _VIEWS = 10  # own objects lie before the first so many views of a path, where cameras pass
 _AHEAD_M = 1.5
@@ -31,11 +30,9 @@ class Path:
     points: (S, 2) metres, equally far apart.  tangents: (S, 2) unit.  length_m: once around.
     """
 
-    def __init__(
-        self, rng: np.random.Generator, place: Place, terrain: Terrain, heading_rad: float
-    ) -> None:
+    def __init__(self, rng: Draws, place: Place, terrain: Terrain, heading_rad: float) -> None:
         self._terrain = terrain
-        long, short = (draw(rng, span) for span in place.loop_m)
+        long, short = (rng.uniform(*span) for span in place.loop_m)
         angle = np.linspace(0, 2 * np.pi, 4 * SAMPLES, endpoint=False)
         lobes = np.zeros_like(angle)
         if short >= 0.3 * long:
@@ -64,8 +61,8 @@ class Path:
         wrapped = np.pad(highest, window, mode="wrap")
         self._floor_m = np.convolve(wrapped, np.ones(window) / window, "same")[window:-window]
         self.start_m, self.step_m = rng.uniform(0, self.length_m), rng.uniform(1.5, 2.1)
-        self._altitude_m, self._altitude = draw(rng, place.altitude_m), Waves(rng, 60, 4, 0.8)
-        self._pitch_deg = draw(rng, place.pitch_deg)
+        self._altitude_m, self._altitude = rng.uniform(*place.altitude_m), Waves(rng, 60, 4, 0.8)
+        self._pitch_deg = rng.uniform(*place.pitch_deg)
         self._attitude = [Waves(rng, longest, 5, 0.7) for longest in (70, 80, 90)]
         # Added to the unit heading, it looks at a wall beside the loop.
         self._lean = place.look_across * np.array([-s, c])
@@ -141,7 +138,7 @@ class Site:
         for kind in dict.fromkeys((*_LARGE_FIRST, *scatter)):
             if kind in names and kind in scatter:
                 rng = self._draw_from(kind)
-                for _ in range(round(draw(rng, scatter[kind]) * density)):
+                for _ in range(round(rng.uniform(*scatter[kind]) * density)):
                     if kind == "Wall":
                         self._lay_wall()
                     elif kind in ("Chain", "Pipe"):
@@ -149,7 +146,7 @@ class Site:
                     else:
                         self._put(things.drawn_model(rng, kind), kind)
         rng = self._draw_from("pebbles")
-        self._lay_pebbles(round(draw(rng, place.pebbles) * min(density, 1.0)))
+        self._lay_pebbles(round(rng.uniform(*place.pebbles) * min(density, 1.0)))
 
     def place_own(self, own: Sequence[tuple[OwnObject, Mesh]]) -> None:
         """Put the user's objects beside the part of the path that views show."""
@@ -162,7 +159,7 @@ class Site:
                 turned = solid.turned("zyzz", toward, angle, -toward, rng.uniform(0, _TURN))
                 self._put(turned.standing(), settings.label, settings.burial)
 
-    def _draw_from(self, *name: str | int) -> np.random.Generator:
+    def _draw_from(self, *name: str | int) -> Draws:
         self._rng = stream(WORLD_SEED, "seabed", self._location, *name)
         return self._rng
 

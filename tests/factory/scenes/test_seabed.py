@@ -18,9 +18,9 @@ from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings
-from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.camera import Movement, movements, pose
 from simnfnd.factory.scenes.seabed.meshes import grid_triangles
+from simnfnd.factory.scenes.seabed.terrain import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.world import World
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
