@@ -5,7 +5,7 @@ It has FLSea's field of view, or is as wide as a sonar's sector.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -23,6 +23,7 @@ FOCAL_PER_WIDTH = 1168.0 / 968.0
 """Of the FLSea camera, which sees 45 degrees across."""
 HFOV_DEG, VFOV_DEG = 45.0, 29.2
 """What it sees at 968x608 pixels."""
+MOVEMENT = ("surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MARGIN_DEG = 1.0  # beyond each edge of a sonar's sector
 _SIDE_PX = 64  # of the picture in which an object's outline is counted
 _NEAREST_M = 0.05
@@ -69,10 +70,8 @@ def camera(
     """
     if hfov_deg is None or vfov_deg is None:
         return centred(FOCAL_PER_WIDTH * width, width, height)
-    azimuth = np.deg2rad(hfov_deg / 2 + _MARGIN_DEG)
-    elevation = np.deg2rad(vfov_deg / 2 + _MARGIN_DEG)
-    half_width = np.tan(azimuth)
-    half_height = np.tan(elevation) / np.cos(azimuth)
+    azimuth, elevation = np.deg2rad([hfov_deg / 2 + _MARGIN_DEG, vfov_deg / 2 + _MARGIN_DEG])
+    half_width, half_height = np.tan(azimuth), np.tan(elevation) / np.cos(azimuth)
     pixels = width * height * _solid_angle(hfov_deg, vfov_deg) / _solid_angle(HFOV_DEG, VFOV_DEG)
     focal = float(np.sqrt(pixels / (4 * half_width * half_height)))
     columns, rows = (int(np.ceil(2 * half * focal)) for half in (half_width, half_height))
@@ -212,10 +211,7 @@ class ZBuffer:
         return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
 
     def _cover(self, which: int, points: Points) -> tuple[float, float]:
-        """Pixels that an object alone would cover, beyond the picture too, and those hidden.
-
-        points: (V, 3) its own, camera axes.
-        """
+        """Pixels that an object alone would cover, beyond the picture too, and those hidden."""
         ahead = points[points[:, 2] > _NEAREST_M]
         if not len(ahead):
             return 0.0, 0.0
@@ -265,51 +261,37 @@ def _narrowest(flat: Points, yaws_deg: Points) -> tuple[float, Points, Points]:
     return float(yaws_deg[at]), (most - least)[:, at], centre
 
 
-@dataclass(frozen=True)
-class Movement:
-    """A frame of a moving platform: its pose relative to where its recording begins.
+def moved(start: Pose, movement: Mapping[str, float]) -> Pose:
+    """The pose of a platform whose recording begins at `start`; `movement`: some of MOVEMENT.
 
     Surge is forward, sway to the left, heave up (REP 103, level, along the first heading); yaw
-    turns left, pitch looks down, roll lowers the right side.  time_s: None where it has none.
+    turns left, pitch looks down, roll lowers the right side.
     """
-
-    time_s: float | None = None
-    surge_m: float = 0.0
-    sway_m: float = 0.0
-    heave_m: float = 0.0
-    roll_deg: float = 0.0
-    pitch_deg: float = 0.0
-    yaw_deg: float = 0.0
-
-    def moved(self, eye: Points, rotation: Points) -> tuple[Points, Points]:
-        """Eye (3,) and rotation (3, 3; world from camera axes: x right, y down, z forward)."""
-        ahead = np.array([rotation[0, 2], rotation[1, 2], 0.0])
-        ahead /= np.linalg.norm(ahead)
-        left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
-        roll, pitch, yaw = np.deg2rad([self.roll_deg, self.pitch_deg, self.yaw_deg])
-        turned = _about(up, yaw) @ rotation
-        # Pitch about the camera's left, roll about its forward axis.
-        turned = _about(-turned[:, 0], pitch) @ turned
-        turned = _about(turned[:, 2], roll) @ turned
-        return eye + self.surge_m * ahead + self.sway_m * left + self.heave_m * up, turned
+    surge, sway, heave, *turns = (movement.get(name, 0.0) for name in MOVEMENT)
+    ahead, up = start.rotation[:, 2] * (1, 1, 0), np.array([0.0, 0.0, 1.0])
+    ahead /= np.linalg.norm(ahead)
+    left, (roll, pitch, yaw) = np.array([-ahead[1], ahead[0], 0.0]), np.deg2rad(turns)
+    turned = _about(up, yaw) @ start.rotation
+    # Pitch about the camera's left, roll about its forward axis.
+    turned = _about(-turned[:, 0], pitch) @ turned
+    turned = _about(turned[:, 2], roll) @ turned
+    return Pose(start.eye + surge * ahead + sway * left + heave * up, turned)
 
 
 @lru_cache(maxsize=4)
-def movements(path: Path) -> tuple[Movement, ...]:
-    """The lines of a CSV file: a header of some keys of `Movement`, then a line a frame.
+def movements(path: Path) -> tuple[dict[str, float], ...]:
+    """The lines of a CSV file: a header of some of MOVEMENT and time_s, then a line a frame.
 
     Raises FactoryError that names the file and the line.
     """
-    lines = numbered_lines(path)
-    keys = tuple(Movement.__dataclass_fields__)
-    names = [word.strip() for word in lines[0][1].split(",")] if lines else []
-    if not set(names) <= set(keys) or len(set(names)) != len(names) or len(lines) < 2:
+    (_, header), *lines = numbered_lines(path) or [(0, "")]
+    names, known = [word.strip() for word in header.split(",")], ("time_s", *MOVEMENT)
+    if not set(names) <= set(known) or not lines:
         raise FactoryError(
-            f"{path}: expected a header of {', '.join(keys)} (some of them, each once) and a line "
-            f"for each frame, got {','.join(names)[:60]!r} and {max(len(lines) - 1, 0)} lines"
+            f"{path}: expected a header of some of {', '.join(known)}, and a line for each frame"
         )
-    rows = (numbers_in(path, line, names) for line in lines[1:])
-    return tuple(Movement(**dict(zip(names, row, strict=True))) for row in rows)
+    rows = (numbers_in(path, line, names) for line in lines)
+    return tuple(dict(zip(names, row, strict=True)) for row in rows)
 
 
 def _about(axis: Points, angle_rad: float) -> Points:

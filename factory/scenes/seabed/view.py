@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
 
 from ...frame import Frame, FrameRef, Intrinsics
 from ...seeds import stream
-from .camera import Movement, Optics, Pose, ZBuffer, camera, centred, pose
-from .terrain import FAR_M, TILE, WORLD_SEED, Floats, Points, tiles
+from .camera import Optics, Pose, ZBuffer, camera, centred, moved, pose
+from .terrain import FAR_M, TILE, WORLD_SEED, Draws, Floats, tiles
 from .world import World
 
+Movement = Mapping[str, float]
 _SUN_M = 400.0  # how far away the camera in the sun is
 _SHADE_M, _SHADE_CELLS = 14.0, 512  # side of the ground that it sees, and of its picture
 _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the water
@@ -28,7 +30,7 @@ def take(
     """
     where = choose_pose(world, frame)
     if movement is not None:
-        where = Pose(*movement.moved(where.eye, where.rotation))
+        where = moved(where, movement)
     azimuths, elevations = field_of_view(where, optics)
     # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
     fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
@@ -38,31 +40,25 @@ def take(
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
     rgb = photograph(world, ground, seen, rng.uniform(0.68, 0.92))
     depth_m, clear_m = seen.depth_m, world.look.clear_m
-    range_m = depth_m * _lengths(optics)
+    intrinsics = Intrinsics(*optics.lens)
+    x, y = intrinsics.directions(optics.height, optics.width)
+    lengths = np.sqrt(1 + (x**2).astype(np.float32) + (y[:, None] ** 2).astype(np.float32))
+    range_m = depth_m * lengths
     keep = measured(rng, depth_m, range_m, clear_m)
     segmentation, instance = world.objects.shown(seen.number * (range_m < clear_m))
-    x, y, z = where.eye
+    height_m = world.terrain.height_m(*where.eye[:2, None])[0]
     return Frame(
         ref=ref,
         rgb=rgb,
         depth_m=np.where(keep, depth_m, np.float32(0)),
-        intrinsics=Intrinsics(*optics.lens),
+        intrinsics=intrinsics,
         world_from_camera=where.matrix,
         segmentation=segmentation,
         instance=instance,
-        time_s=None if movement is None else movement.time_s,
-        altitude_m=float(z - world.terrain.height_m([x], [y])[0]),
+        time_s=None if movement is None else movement.get("time_s"),
+        altitude_m=float(where.eye[2] - height_m),
         boxes=seen.boxes(instance) if boxes else None,
     )
-
-
-@functools.lru_cache(maxsize=2)
-def _lengths(optics: Optics) -> Floats:
-    """(H, W) lengths of the pixels' rays for a length of 1 along the optical axis."""
-    fx, fy, cx, cy = optics.lens
-    across = (((np.arange(optics.width) - cx) / fx) ** 2).astype(np.float32)
-    down = (((np.arange(optics.height) - cy) / fy) ** 2).astype(np.float32)
-    return np.asarray(np.sqrt(1 + across[None] + down[:, None]))
 
 
 def field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -129,9 +125,7 @@ def _single(seen: ZBuffer) -> tuple[Floats, ...]:
     return tuple(part.astype(np.float32) for part in sight)
 
 
-def measured(
-    rng: np.random.Generator, depth_m: Floats, range_m: Floats, clear_m: float
-) -> npt.NDArray[np.bool_]:
+def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> npt.NDArray[np.bool_]:
     """(H, W) bool: pixels that keep their depth, decided for every second one.
 
     As of depth maps from photographs: far water, depth edges and patches have none.
@@ -170,12 +164,10 @@ def measured(
 
 def least_around(values: Floats, reach: int) -> Floats:
     """(H, W) the least of the (2 reach + 1) x (2 reach + 1) values around each."""
-    for axis in (0, 1):
-        sides = [(0, 0), (0, 0)]
-        sides[axis] = (reach, reach)
-        wide, size = np.pad(values, sides, constant_values=np.inf), values.shape[axis]
-        shifted = (wide.take(range(k, k + size), axis) for k in range(2 * reach + 1))
-        values = functools.reduce(np.minimum, shifted)
+    for _ in range(2):  # down the columns, then along the rows
+        wide = np.pad(values, ((reach, reach), (0, 0)), constant_values=np.inf)
+        shifted = (wide[k : k + len(values)] for k in range(2 * reach + 1))
+        values = functools.reduce(np.minimum, shifted).T
     return values
 
 
@@ -205,11 +197,12 @@ def choose_pose(world: World, frame: int) -> Pose:
         if 8 <= pitch + lower <= 35  # always includes one
     ]
     lookouts = [pose(eye, heading + side, _DOWN_DEG, 0) for side in (_SIDE_DEG, -_SIDE_DEG)]
-    ground, objects, clear_m = (
-        _ground_around(world, eye, np.deg2rad(heading)),
-        world.objects,
-        world.look.clear_m,
-    )
+    objects, clear_m = world.objects, world.look.clear_m
+    # Coarse ground ahead and beside, without the fine relief.
+    ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
+    azimuths = np.deg2rad(heading) + np.deg2rad(np.linspace(-112, 112, 144))[None]
+    x, y = eye[0] + ranges * np.cos(azimuths), eye[1] + ranges * np.sin(azimuths)
+    ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).astype(np.float32)
     pictures = []
     for where in lookouts:
         seen = ZBuffer(where, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
@@ -235,7 +228,7 @@ def choose_pose(world: World, frame: int) -> Pose:
         range_m = depth * length
         named = (thing > 0) & (range_m < 0.8 * clear_m)
         shown = np.unique(thing[named])
-        lost, near, share = ((range_m > clear_m).mean(), (depth < 0.9).mean(), named.mean())
+        lost, near, share = (range_m > clear_m).mean(), (depth < 0.9).mean(), named.mean()
         middle = float(np.median(depth[met])) if met.any() else 99.0
         bad = 8 * max(lost - 0.34, 0) + 60 * max(lost - _MOST_LOST + 0.06, 0)
         bad += 30 * max(0.03 - lost, 0)
@@ -245,12 +238,3 @@ def choose_pose(world: World, frame: int) -> Pose:
         return float(bad) - _OWN * min(own, 2)
 
     return min(views, key=lambda view: cost(view[0]) + view[1])[0]
-
-
-def _ground_around(world: World, eye: Points, heading_rad: float) -> Floats:
-    """(R, C, 3) coarse ground ahead of and beside an eye, without the fine relief."""
-    ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
-    azimuths = heading_rad + np.deg2rad(np.linspace(-112, 112, 144))[None]
-    x, y = eye[0] + ranges * np.cos(azimuths), eye[1] + ranges * np.sin(azimuths)
-    points = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1)
-    return np.ascontiguousarray(points, dtype=np.float32)

@@ -18,7 +18,7 @@ from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings
-from simnfnd.factory.scenes.seabed.camera import Movement, movements, pose
+from simnfnd.factory.scenes.seabed.camera import moved, movements, pose
 from simnfnd.factory.scenes.seabed.meshes import grid_triangles
 from simnfnd.factory.scenes.seabed.terrain import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.world import World
@@ -207,8 +207,8 @@ def written(folder, text):
     ("text", "says"),
     [
         ("", "expected a header"),
-        ("surge_m,surge_m\n0,0\n", "expected a header"),
-        ("surge_m\n", "0 lines"),
+        ("surge_m,depth_m\n0,0\n", "expected a header of some of time_s, surge_m"),
+        ("surge_m\n", "a line for each frame"),
         ("surge_m,yaw_deg\n0,0\n1\n", "path.csv:3: expected 2 numbers"),
         ("surge_m\nnan\n", "path.csv:2"),
     ],
@@ -220,18 +220,20 @@ def test_bad_paths_are_one_line(tmp_path, text, says):
 
 def test_movements_are_along_the_first_heading():
     start = pose(np.array([1.0, 2.0, 3.0]), 90, 20, 0)  # looks along +y, 20 degrees down
-    eye, rotation = Movement(surge_m=1, sway_m=2, heave_m=0.5).moved(start.eye, start.rotation)
-    assert eye == pytest.approx([-1, 3, 3.5])
-    assert rotation == pytest.approx(start.rotation)
-    turn = Movement(yaw_deg=30, pitch_deg=5, roll_deg=3)
-    _, rotation = turn.moved(start.eye, start.rotation)
-    assert rotation == pytest.approx(pose(start.eye, 120, 25, 3).rotation)
+    shifted = moved(start, {"surge_m": 1, "sway_m": 2, "heave_m": 0.5})
+    assert shifted.eye == pytest.approx([-1, 3, 3.5])
+    assert shifted.rotation == pytest.approx(start.rotation)
+    turned = moved(start, {"yaw_deg": 30, "pitch_deg": 5, "roll_deg": 3})
+    assert turned.rotation == pytest.approx(pose(start.eye, 120, 25, 3).rotation)
 
 
 def test_frames_are_the_lines(tmp_path):
     path = written(tmp_path, PATH)
-    asked = (Movement(0.0), Movement(0.2, surge_m=0.5, heave_m=0.1, yaw_deg=10.0))
-    assert movements(path) == asked
+    still = {"time_s": 0, "surge_m": 0, "heave_m": 0, "yaw_deg": 0}
+    assert movements(path) == (
+        still,
+        {"time_s": 0.2, "surge_m": 0.5, "heave_m": 0.1, "yaw_deg": 10},
+    )
     scenes = {"kind": "seabed", "locations": 1, "path": str(path), "width": 96, "height": 64}
     config = from_mapping({"scenes": scenes})
     reader = open_reader(config.scenes)
