@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ...frame import Frame, FrameRef, Intrinsics
 from ...seeds import stream
 from .camera import Optics, Pose, ZBuffer, camera, centred, moved, pose
+from .meshes import grid_triangles
 from .terrain import FAR_M, TILE, WORLD_SEED, Draws, Floats, tiles
 from .world import World
 
@@ -90,10 +91,9 @@ def photograph(
     rgb = np.empty((height, width, 3), np.uint8)
     look, objects = world.look, world.objects
     kernels.look(
-        tuple(part.reshape(-1, 3) for part in ground), ground[0].shape[1],
-        (objects.mesh.vertices, objects.normals, objects.mesh.colours),
-        objects.mesh.triangles, objects.owner, world.finishes,
-        _single(seen), (seen.inverse, seen.which),
+        (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground[0].shape[:2])),
+        (objects.mesh.vertices, objects.normals, objects.mesh.colours, objects.mesh.triangles),
+        objects.owner, world.finishes, _single(seen), (seen.inverse, seen.which),
         look.palette, np.float32(look.turf), world.terrain.offset_m,
         tiles()[0], look.water, look.sun_direction.astype(np.float32),
         *shadows(world, seen.where), colour,

@@ -112,7 +112,7 @@ class World:
     """Location number `location`; it is a place of kind `places[location % len(places)]`.
 
     density: factor on how many things there are.  kinds: only these; None: all.  own: the user's
-    objects, put there when all else lies there.  finishes: (N, 3) of each object, see `places.yaml`.
+    objects, put there when all else lies there.  finishes: (N, 3) of each, see `places.yaml`.
     first_own: number in `objects.instances` from which on they are the user's own.
     """
 
