@@ -133,13 +133,6 @@ class Objects:
         self.labels = labels
         self.instances = np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16)
 
-    def shown(
-        self, number: npt.NDArray[np.uint16]
-    ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
-        """Class and instance of each object number, of which the first is 1 and 0 is none."""
-        label, instance = (np.append(of.dtype.type(0), of) for of in (self.labels, self.instances))
-        return label.take(number), instance.take(number)
-
 
 class ZBuffer:
     """What the pixels of a camera meet first.
@@ -148,6 +141,7 @@ class ZBuffer:
     What is further than `reach_m` may be left out.
     inverse: (H, W) float32 one over the depth along the optical axis, 0 where nothing is.
     which: (H, W) int32 number of the triangle, those of the ground first, -1 where nothing is.
+    sight: the camera's eye, axes and lens.
     """
 
     def __init__(
@@ -164,16 +158,16 @@ class ZBuffer:
         self.where, self.optics, self.objects, self._first_object = where, optics, objects, 0
         shape, lens = (optics.height, optics.width), np.array(optics.lens)
         self.inverse, self.which = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
-        sight, seen = (where.eye, where.rotation, lens), (self.inverse, self.which)
+        self.sight, seen = (where.eye, where.rotation, lens), (self.inverse, self.which)
         if ground is not None:
             triangles, points = grid_triangles(*ground.shape[:2]), ground.reshape(-1, 3)
             self._first_object = len(triangles)
             whole = np.array([[0, 0, len(points), len(triangles)]], np.int64)
-            paint(points, triangles, whole, 0, sight, seen)
+            paint(points, triangles, whole, 0, self.sight, seen)
         near = self._in_sight(reach_m)
         parts = np.ascontiguousarray(objects.parts[near if wanted is None else wanted & near])
         solid = objects.mesh
-        paint(solid.vertices, solid.triangles, parts, self._first_object, sight, seen)
+        paint(solid.vertices, solid.triangles, parts, self._first_object, self.sight, seen)
 
     def _in_sight(self, reach_m: float) -> npt.NDArray[np.bool_]:
         """(N,) whether the balls around objects touch what the camera sees."""
@@ -194,10 +188,14 @@ class ZBuffer:
             return np.asarray(1 / self.inverse)
 
     @property
-    def number(self) -> npt.NDArray[np.uint16]:
-        """(H, W) number of the object, of which the first is 1; 0 for ground and nothing."""
+    def shown(self) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
+        """(H, W) class and instance of the objects, 0 for ground and nothing."""
         numbers = np.append(np.uint16(0), self.objects.owner + np.uint16(1))
-        return numbers.take(np.maximum(self.which - (self._first_object - 1), 0))
+        number = numbers.take(np.maximum(self.which - (self._first_object - 1), 0))
+        label, instance = (
+            np.append(of.dtype.type(0), of) for of in (self.objects.labels, self.objects.instances)
+        )
+        return label.take(number), instance.take(number)
 
     def boxes(self, number: npt.NDArray[np.uint16]) -> Points:
         """(N, 11) of the instances in a view, whose pixels are `number`; see `Frame.boxes`."""

@@ -323,24 +323,24 @@ def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
 
 
 @compiled(
-    f"void({_MESH}, {_MESH}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, float32, "
-    f"float32[::1], {_TILE}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE}, {_VECTORS})"
+    f"{_VECTORS}({_MESH}, {_MESH}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, float32, "
+    f"float32[::1], {_TILE}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
 )
 def look(
     ground: Any, things: Any, owners: Any, finishes: Any, sight: Any, seen: Any, palette: Any,
     turf: Any, offset: Any, texture: Any, water: Any, sun: Any, sun_sight: Any, sun_inverse: Any,
-    colour: Any,
-) -> None:  # fmt: skip
-    """Linear colour of every second pixel of every second row, from what a z-buffer met.
+) -> Any:  # fmt: skip
+    """(h, w, 3) linear colour of every second pixel and row, from what a z-buffer met.
 
     ground, things: points, normals, attributes or colours, and triangles.  sight: eye, axes, lens.
     seen: see `paint`.  finishes: (N, 3) fouling, silt and bump of each object.  palette, turf,
     water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a camera in the
-    sun and its (S, S) picture of the objects.  Written: colour (h, w, 3).
+    sun and its (S, S) picture of the objects.
     """
     (eye, axes, lens), (inverse, which) = sight, seen
     sun_eye, sun_axes, sun_lens = sun_sight
-    side = sun_inverse.shape[0]
+    side, (height, width) = sun_inverse.shape[0], which.shape
+    colour = np.empty(((height + 1) // 2, (width + 1) // 2, 3), np.float32)
     for i in range(colour.shape[0]):
         row = 2 * i
         y0 = (_F(row) - lens[3]) / lens[1]
@@ -409,18 +409,19 @@ def look(
                 haze = water[1, k]
                 lit = tint * (shine * water[2, k] + sky * water[3, k])
                 colour[i, j, k] = haze + (lit - haze) * exponential(-water[0, k] * range_m)
+    return colour
 
 
 @compiled(
-    f"void({_VECTORS}, float32[::1], float32, Array(uint8, 1, 'C', readonly=True), "
-    "uint8[:, :, ::1])"
+    f"uint8[:, :, ::1]({_VECTORS}, float32[::1], float32, Array(uint8, 1, 'C', readonly=True), "
+    "int64, int64)"
 )
-def expose(colour: Any, black: Any, gain: Any, gamma: Any, picture: Any) -> None:
+def expose(colour: Any, black: Any, gain: Any, gamma: Any, height: int, width: int) -> Any:
     """A picture (H, W, 3) of linear colours of every second pixel, those between by their mean.
 
     black: (3,) black level.  gain: exposure.  gamma: (L,) codes of levels from 0 to 1.
     """
-    height, width = picture.shape[:2]
+    picture = np.empty((height, width, 3), np.uint8)
     rows, columns = colour.shape[:2]
     most = _F(len(gamma) - 1)
     for row in range(height):
@@ -434,3 +435,4 @@ def expose(colour: Any, black: Any, gain: Any, gamma: Any, picture: Any) -> None
                 value /= _ONE + (over if over > _ZERO else _ZERO)  # highlights roll off
                 value = min(max(value, _ZERO), _ONE) * most
                 picture[row, column, k] = gamma[_U(value)]
+    return picture

@@ -203,17 +203,15 @@ def prism(outline: ArrayLike, height: float, colour: ArrayLike = GREY) -> Mesh:
     low = np.column_stack([flat, np.zeros(count)])
     high = low + np.array([0, 0, height])
     fan = np.array([[count, k, (k + 1) % count] for k in range(count)])
-    lids = [np.concatenate([lid, lid.mean(axis=0, keepdims=True)]) for lid in (low, high)]
-    parts = [mesh(lids[1], fan, colour), mesh(lids[0], fan[:, ::-1], colour)]
-    for k in range(count):
-        after = (k + 1) % count
-        quad = [low[k], low[after], high[after], high[k]]
-        parts.append(mesh(quad, [[0, 1, 2], [0, 2, 3]], colour))
-    return join(parts)
+    lids = [np.append(lid, lid.mean(axis=0, keepdims=True), axis=0) for lid in (low, high)]
+    quads = np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0), high], axis=1)
+    sides = (mesh(quad, [[0, 1, 2], [0, 2, 3]], colour) for quad in quads)
+    return join([mesh(lids[1], fan, colour), mesh(lids[0], fan[:, ::-1], colour), *sides])
 
 
 @functools.cache
-def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
+def sphere(subdivisions: int) -> Mesh:
+    """A unit icosphere; 20 * 4 ** subdivisions triangles."""
     golden = (1 + np.sqrt(5)) / 2
     corners = np.array([(0, s, t * golden) for s in (-1, 1) for t in (-1, 1)])
     points = np.concatenate([corners, corners[:, [1, 2, 0]], corners[:, [2, 0, 1]]])
@@ -228,18 +226,11 @@ def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
         unique, which = np.unique(edges, axis=0, return_inverse=True)
         middle = (len(points) + which.reshape(-1, 3)).astype(np.int32)
         points = np.concatenate([points, points[unique].mean(axis=1)])
-        a, b, c = faces.T
-        ab, bc, ca = middle.T
+        (a, b, c), (ab, bc, ca) = faces.T, middle.T
         corners_of = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
         faces = np.concatenate([np.stack(corner, axis=-1) for corner in corners_of])
         points = points / np.linalg.norm(points, axis=1, keepdims=True)
-    return points / np.linalg.norm(points, axis=1, keepdims=True), faces
-
-
-def sphere(subdivisions: int, colour: ArrayLike = GREY) -> Mesh:
-    """A unit icosphere; 20 * 4 ** subdivisions triangles."""
-    points, faces = _unit_sphere(subdivisions)
-    return mesh(points, faces, colour)
+    return mesh(points / np.linalg.norm(points, axis=1, keepdims=True), faces)
 
 
 def rough(smooth: Mesh, rng: Draws, depth_m: float, longest_m: float, shortest_m: float) -> Mesh:

@@ -8,6 +8,7 @@ samples the ground finely where the camera looks (`seen_from`).
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,9 +106,8 @@ class Waves:
         from .kernels import sum_waves
 
         axes = np.array(coordinates_m, dtype=np.float32)
-        return np.asarray(sum_waves(axes.reshape(len(axes), -1), *self._waves)).reshape(
-            axes.shape[1:]
-        )
+        total: Floats = sum_waves(axes.reshape(len(axes), -1), *self._waves)
+        return total.reshape(axes.shape[1:])
 
 
 def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:
@@ -154,14 +154,13 @@ def _cells(rng: Draws, across: int) -> Floats:
     at = (np.arange(side, dtype=np.float32) + np.float32(0.5)) * np.float32(across / side)
     own = at.astype(np.int64)
     first, second = (np.full((side, side), np.inf, np.float32) for _ in range(2))
-    for down in (-2, -1, 0, 1, 2):
-        for right in (-2, -1, 0, 1, 2):
-            point = scattered[((own + down) % across)[:, None], (own + right) % across]
-            dy = point[..., 0] + (own + down - at).astype(np.float32)[:, None]
-            dx = point[..., 1] + (own + right - at).astype(np.float32)
-            apart = dx * dx + dy * dy
-            second = np.minimum(second, np.maximum(first, apart))
-            first = np.minimum(first, apart)
+    for down, right in itertools.product(range(-2, 3), repeat=2):
+        point = scattered[((own + down) % across)[:, None], (own + right) % across]
+        dy = point[..., 0] + (own + down - at).astype(np.float32)[:, None]
+        dx = point[..., 1] + (own + right - at).astype(np.float32)
+        apart = dx * dx + dy * dy
+        second = np.minimum(second, np.maximum(first, apart))
+        first = np.minimum(first, apart)
     lumps = np.sqrt(second) - np.sqrt(first)
     for axis in (0, 1):  # twice as fine: each new value a quarter of a pixel from an old one
         sides = [0.75 * lumps + 0.25 * np.roll(lumps, turn, axis) for turn in (1, -1)]
@@ -172,9 +171,6 @@ def _cells(rng: Draws, across: int) -> Floats:
 
 def _unit(field: Arrays) -> Floats:
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
-
-
-FAR_M = 36.0  # the ground ends here; water hides it long before
 
 
 class Banks:

@@ -47,11 +47,6 @@ def standing_bottle(rng: Draws) -> Mesh:
     return lathe(np.stack([radii, [*levels, 0.94, 0.98, 1, 0.99]], -1) * [1, height], 22, colours)
 
 
-def bottle(rng: Draws) -> Mesh:
-    """A bottle on its side."""
-    return lying(standing_bottle(rng))
-
-
 def can(rng: Draws) -> Mesh:
     """A tin or drink can, lying or upright, perhaps dented."""
     radius = rng.uniform(0.045, 0.09)
@@ -251,8 +246,8 @@ def _table(rng: Draws, colour: Points) -> Mesh:
 def _brain(rng: Draws, colour: Points) -> Mesh:
     """A knobbly dome."""
     radius = rng.uniform(0.1, 0.45)
-    dome = sphere(4, colour).moved(scale=(radius, radius, radius * rng.uniform(0.6, 0.95)))
-    return rough(dome, rng, radius * 0.045, radius * 0.7, radius * 0.18)
+    dome = sphere(4).moved(scale=(radius, radius, radius * rng.uniform(0.6, 0.95)))
+    return rough(dome.tinted(colour), rng, radius * 0.045, radius * 0.7, radius * 0.18)
 
 
 def _tubes(rng: Draws, colour: Points) -> Mesh:
@@ -533,10 +528,11 @@ def sheet_pile(rng: Draws, length_m: float, height_m: float) -> Mesh:
 
 
 _BUILD: dict[str, Callable[[Draws], Mesh]] = {
-    "Bottle": bottle, "Can": can, "Drink-carton": drink_carton, "Hook": hook,
-    "Propeller": propeller, "Shampoo-bottle": shampoo_bottle, "Standing-bottle": standing_bottle,
-    "Tire": tire, "Valve": valve, "Boulder": boulder, "Frame": frame, "Anchor": anchor,
-    "Block": block, "Coral": coral, "Plant": plant, "Barrel": barrel, "Pebble": pebble,
+    "Bottle": lambda rng: lying(standing_bottle(rng)), "Standing-bottle": standing_bottle,
+    "Shampoo-bottle": shampoo_bottle, "Can": can, "Drink-carton": drink_carton, "Barrel": barrel,
+    "Hook": hook, "Propeller": propeller, "Tire": tire, "Valve": valve, "Anchor": anchor,
+    "Boulder": boulder, "Pebble": pebble, "Block": block, "Frame": frame, "Coral": coral,
+    "Plant": plant,
 }  # fmt: skip
 _MODELS = 24  # of a kind, each turned, scaled and tinted anew wherever it lies
 

@@ -46,7 +46,7 @@ def take(
     lengths = np.sqrt(1 + (x**2).astype(np.float32) + (y[:, None] ** 2).astype(np.float32))
     range_m = depth_m * lengths
     keep = measured(rng, depth_m, range_m, clear_m)
-    segmentation, instance = world.objects.shown(seen.number * (range_m < clear_m))
+    segmentation, instance = (of * (range_m < clear_m) for of in seen.shown)
     height_m = world.terrain.height_m(*where.eye[:2, None])[0]
     return Frame(
         ref=ref,
@@ -86,17 +86,15 @@ def photograph(
     """
     from . import kernels
 
-    height, width = seen.which.shape
-    colour = np.empty((-(-height // 2), -(-width // 2), 3), np.float32)
-    rgb = np.empty((height, width, 3), np.uint8)
-    look, objects = world.look, world.objects
-    kernels.look(
+    look, objects, sun = world.look, world.objects, sunlit(world, seen.where)
+    sights = [tuple(part.astype(np.float32) for part in one.sight) for one in (seen, sun)]
+    colour = kernels.look(
         (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground[0].shape[:2])),
         (objects.mesh.vertices, objects.normals, objects.mesh.colours, objects.mesh.triangles),
-        objects.owner, world.finishes, _single(seen), (seen.inverse, seen.which),
+        objects.owner, world.finishes, sights[0], (seen.inverse, seen.which),
         look.palette, np.float32(look.turf), world.terrain.offset_m,
         tiles()[0], look.water, look.sun_direction.astype(np.float32),
-        *shadows(world, seen.where), colour,
+        sights[1], sun.inverse,
     )  # fmt: skip
     # The camera sets its black level on the haze, as far as that has one colour, and lets the
     # bright parts of the picture fill most of the scale, whatever the water.
@@ -104,25 +102,20 @@ def photograph(
     black = haze * np.float32(0.6 * np.percentile(some.max(axis=-1), 1) / haze.max())
     bright = max(float(np.percentile((some - black).max(axis=-1), 97)), 1e-3)
     gamma = np.round(255 * (np.arange(4096) / 4095) ** (1 / 2.2)).astype(np.uint8)
-    kernels.expose(colour, black, np.float32(exposure / bright), gamma, rgb)
+    gain = np.float32(exposure / bright)
+    rgb: npt.NDArray[np.uint8] = kernels.expose(colour, black, gain, gamma, *seen.which.shape)
     return rgb
 
 
-def shadows(world: World, where: Pose) -> tuple[tuple[Floats, ...], Floats]:
-    """Eye, axes and lens of a camera in the sun, and its picture (S, S) of the objects there."""
+def sunlit(world: World, where: Pose) -> ZBuffer:
+    """What a camera in the sun sees of the objects before a camera."""
     x, y, z = world.look.sun_direction
     ahead = where.rotation[:2, 2] / np.sqrt((where.rotation[:2, 2] ** 2).sum())
     middle = np.append(where.eye[:2] + 0.4 * _SHADE_M * ahead, where.eye[2] - 1)
     heading, pitch = np.rad2deg([np.arctan2(-y, -x), np.arcsin(z)])
     sun = pose(middle + _SUN_M * np.array([x, y, z]), heading, pitch, 0)
     optics = centred(_SUN_M * _SHADE_CELLS / _SHADE_M, _SHADE_CELLS, _SHADE_CELLS)
-    seen = ZBuffer(sun, optics, world.objects)
-    return _single(seen), seen.inverse
-
-
-def _single(seen: ZBuffer) -> tuple[Floats, ...]:
-    sight = seen.where.eye, seen.where.rotation, np.array(seen.optics.lens)
-    return tuple(part.astype(np.float32) for part in sight)
+    return ZBuffer(sun, optics, world.objects)
 
 
 def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> npt.NDArray[np.bool_]:
@@ -171,12 +164,8 @@ def least_around(values: Floats, reach: int) -> Floats:
     return values
 
 
-_EVERY = 32  # pixels of FLSea's camera from one ray to the next
-_SIDE_DEG, _DOWN_DEG = 50, 20
 # Two such cameras, to the left and to the right, see all that any candidate sees.
 _LOOKOUT = Optics((70.0, 70.0, 101.0, 54.0), 203, 122)
-_OWN = 1.2  # what an object of the user's in sight is worth
-_MOST_LOST = 0.42  # share of the pixels without a depth
 
 
 @functools.lru_cache(maxsize=2)  # all frames of a moving platform begin at one
@@ -186,8 +175,7 @@ def choose_pose(world: World, frame: int) -> Pose:
     A good view has ground to throw shadows on, objects at middle range, something missing but not
     much, and nothing right before the lens.
     """
-    eye = world.path.eye(frame)
-    heading, pitch, roll = world.path.attitude_deg(frame)
+    eye, heading, pitch, roll = world.path.view(frame)
     # Between walls the way ahead is the view; in the open the camera turns to what lies there.
     turning = 0.012 if world.terrain.banks is not None else 0.004
     views = [
@@ -196,7 +184,7 @@ def choose_pose(world: World, frame: int) -> Pose:
         for lower in (0, -5, 8, 16)
         if 8 <= pitch + lower <= 35  # always includes one
     ]
-    lookouts = [pose(eye, heading + side, _DOWN_DEG, 0) for side in (_SIDE_DEG, -_SIDE_DEG)]
+    lookouts = [pose(eye, heading + side_deg, 20, 0) for side_deg in (50, -50)]
     objects, clear_m = world.objects, world.look.clear_m
     # Coarse ground ahead and beside, without the fine relief.
     ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
@@ -206,8 +194,8 @@ def choose_pose(world: World, frame: int) -> Pose:
     pictures = []
     for where in lookouts:
         seen = ZBuffer(where, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
-        pictures.append((seen.inverse, objects.shown(seen.number)[1]))
-    rays = camera(968, 608).directions(np.eye(3), _EVERY).reshape(-1, 3)
+        pictures.append((seen.inverse, seen.shown[1]))
+    rays = camera(968, 608).directions(np.eye(3), 32).reshape(-1, 3)
     length = np.sqrt((rays**2).sum(axis=1))
     fx, fy, cx, cy = _LOOKOUT.lens
 
@@ -230,11 +218,11 @@ def choose_pose(world: World, frame: int) -> Pose:
         shown = np.unique(thing[named])
         lost, near, share = (range_m > clear_m).mean(), (depth < 0.9).mean(), named.mean()
         middle = float(np.median(depth[met])) if met.any() else 99.0
-        bad = 8 * max(lost - 0.34, 0) + 60 * max(lost - _MOST_LOST + 0.06, 0)
+        bad = 8 * max(lost - 0.34, 0) + 60 * max(lost - 0.42 + 0.06, 0)
         bad += 30 * max(0.03 - lost, 0)
         bad += 12 * max(near - 0.02, 0) + max(1.4 - middle, 0) + 0.4 * max(middle - 4, 0)
         bad += 4 * max(share - 0.42, 0) - min(share, 0.25) * 4 - 0.05 * min(len(shown), 14)
         own = np.count_nonzero(shown >= world.first_own)
-        return float(bad) - _OWN * min(own, 2)
+        return float(bad) - 1.2 * min(own, 2)
 
     return min(views, key=lambda view: cost(view[0]) + view[1])[0]

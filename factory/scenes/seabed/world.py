@@ -75,23 +75,22 @@ class Path:
         point = self.points[low] * (1 - part) + self.points[high] * part
         return point, _unit(self.tangents[low] * (1 - part) + self.tangents[high] * part)
 
-    def eye(self, frame: int) -> Points:
-        """(3,) camera position."""
+    def view(self, frame: int) -> tuple[Points, float, float, float]:
+        """(3,) camera position; heading (counter-clockwise from +x), pitch (down), roll, degrees.
+
+        The attitude is that before the view is chosen.
+        """
         travelled = self.start_m + self.step_m * frame
-        (x, y), _ = self.at(travelled)
+        (x, y), tangent = self.at(travelled)
         where = (travelled / self.length_m) % 1 * SAMPLES
         floor = np.interp(where, np.arange(SAMPLES + 1), np.append(self._floor_m, self._floor_m[0]))
         below = float(self._terrain.height_m([x], [y])[0])
         altitude = self._altitude_m + 0.25 * _wander(self._altitude, travelled)
         altitude = min(max(altitude, LOWEST_M), HIGHEST_M - 0.3)
-        return np.array([x, y, min(floor + altitude, below + HIGHEST_M)])
-
-    def attitude_deg(self, frame: int) -> tuple[float, float, float]:
-        """Heading (counter-clockwise from +x), pitch (down) and roll before the view is chosen."""
-        travelled = self.start_m + self.step_m * frame
-        x, y = self.at(travelled)[1] + self._lean
+        eye = np.array([x, y, min(floor + altitude, below + HIGHEST_M)])
         yaw, pitch, roll = (_wander(field, travelled) for field in self._attitude)
-        return float(np.rad2deg(np.arctan2(y, x))) + 10 * yaw, self._pitch_deg + 3 * pitch, 3 * roll
+        heading = float(np.rad2deg(np.arctan2(*(tangent + self._lean)[::-1])))
+        return eye, heading + 10 * yaw, self._pitch_deg + 3 * pitch, 3 * roll
 
 
 def _wander(field: Waves, travelled_m: float) -> float:

@@ -186,7 +186,7 @@ def test_the_path_keeps_clear_of_everything() -> None:
         scenes.append(open3d.t.geometry.RaycastingScene(nthreads=1))
         scenes[-1].add_triangles(vertices.astype(np.float32), triangles.astype(np.uint32))
     for number in (*range(0, 60, 6), 5000):
-        eye = world.path.eye(number)
+        eye = world.path.view(number)[0]
         query = open3d.core.Tensor(eye[None].astype(np.float32))
         for scene in scenes:
             assert scene.compute_distance(query).numpy()[0] > 0.4
