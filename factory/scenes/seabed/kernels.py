@@ -26,13 +26,13 @@ _SHADE_M = _F(0.04)  # how far behind an object its shadow begins
 _U = np.uint64
 
 _LINE, _ROWS = (f"Array(float32, {n}, 'C', readonly=True)" for n in (1, 2))
-_TRIANGLES, _TILE = ("Array(int32, 2, 'C', readonly=True)" for _ in range(2))
+_WHOLES = "Array(int32, 2, 'C', readonly=True)"
 _OWNERS = "Array(uint16, 1, 'C', readonly=True)"
 _PLANE, _VECTORS = "float32[:, ::1]", "float32[:, :, ::1]"
 _CAMERA = "Tuple((float64[::1], float64[:, ::1], float64[::1]))"
 _SIGHT = "Tuple((float32[::1], float32[:, ::1], float32[::1]))"
 _SEEN = "Tuple((float32[:, ::1], int32[:, ::1]))"
-_MESH = f"Tuple(({_ROWS}, {_ROWS}, {_ROWS}, {_TRIANGLES}))"
+_MESH = f"Tuple(({_ROWS}, {_ROWS}, {_ROWS}, {_WHOLES}))"
 
 
 @compiled(f"float32[::1]({_ROWS}, {_ROWS}, {_LINE}, {_LINE})")
@@ -155,7 +155,7 @@ def _placed(point: Any, eye: Any, axes: Any) -> Any:
     )
 
 
-@compiled(f"void({_ROWS}, {_TRIANGLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
+@compiled(f"void({_ROWS}, {_WHOLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
 def paint(
     points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, seen_so_far: Any
 ) -> None:
@@ -252,12 +252,10 @@ def _noise(tile: Any, u: Any, v: Any, rate: Any, strength: Any) -> Any:
 
 @compiled()
 def _ground(noise: Any, detail: Any, close: Any, surface: Any, turf: Any) -> Any:
-    """How ground looks.
+    """Shades of sand, gravel and rock; shares of gravel, rock, algae and crust; roughness.
 
     noise, detail: what the texture says there, broad and fine.  close: 1 nearby, 0 where detail is
     finer than a pixel.  surface: rockiness, share of gravel, relief.
-    Returns shades of sand, gravel and rock; shares of gravel and of rock, and of algae and crust on
-    the rock; and roughness.
     """
     (broad, grain, cells, speckle), (bare, stones, tone) = noise, surface
     fine_broad, fine_grain, fine_cells, fine_speckle = detail
@@ -324,7 +322,7 @@ def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
 
 @compiled(
     f"{_VECTORS}({_MESH}, {_MESH}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, float32, "
-    f"float32[::1], {_TILE}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
+    f"float32[::1], {_WHOLES}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
 )
 def look(
     ground: Any, things: Any, owners: Any, finishes: Any, sight: Any, seen: Any, palette: Any,

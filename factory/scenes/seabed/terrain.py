@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -25,6 +24,7 @@ Arrays = npt.NDArray[np.floating[Any]]  # any precision
 Draws = np.random.Generator
 Colour = Sequence[float]  # red, green, blue
 Range = tuple[float, float]
+Place = Mapping[str, Any]  # a kind of place, as `places.yaml` describes it
 
 WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
 TILE = 1024  # pixels a side of every noise picture
@@ -36,30 +36,6 @@ PlaceName = Literal[
 ]
 
 PLACE_NAMES: tuple[PlaceName, ...] = get_args(PlaceName)
-
-
-@dataclass(frozen=True)
-class Place:
-    """Ranges that each location of this kind draws from; `places.yaml` says what they are."""
-
-    loop_m: tuple[Range, Range]
-    waters: tuple[str, ...]
-    scatter: dict[str, Range]
-    altitude_m: Range
-    pitch_deg: Range
-    spread_m: float
-    pebbles: Range
-    slope_deg: Range
-    swell_m: Range
-    outcrop_cover: Range
-    outcrop_m: Range
-    gravel_cover: Range
-    ripples: float
-    ripple_cover: Range
-    banks: tuple[Range, Range] | None
-    sides: tuple[int, ...]
-    look_across: float
-    structure: Literal["pier", "quay"] | None
 
 
 @functools.cache
@@ -181,8 +157,8 @@ class Banks:
 
     def __init__(self, rng: Draws, place: Place, heading_rad: float) -> None:
         self._turn = np.float32(np.cos(heading_rad)), np.float32(np.sin(heading_rad))
-        self._sides = place.sides
-        self._half_width_m, height = (rng.uniform(*span) for span in place.banks or ())
+        self._sides = place["sides"]
+        self._half_width_m, height = (rng.uniform(*span) for span in place["banks"])
         # Ledges: steep faces and narrow steps take turns up the wall.
         faces = int(rng.integers(2, 5))
         knots, behind, level = [(-1.2, 0.0), (0.0, 0.22)], 0.0, 0.22
@@ -249,20 +225,20 @@ class Terrain:
 
     def __init__(self, rng: Draws, place: Place, heading_rad: float) -> None:
         slope, downhill = (
-            np.tan(np.deg2rad(rng.uniform(*place.slope_deg))),
+            np.tan(np.deg2rad(rng.uniform(*place["slope_deg"]))),
             rng.uniform(0, 2 * np.pi),
         )
         self._slope = np.float32(slope * np.cos(downhill)), np.float32(slope * np.sin(downhill))
         self._swell = Waves(rng, rng.uniform(9, 20), 1.0, 1.2)
-        self._swell_m = rng.uniform(*place.swell_m)
+        self._swell_m = rng.uniform(*place["swell_m"])
         self._outcrop = Waves(rng, rng.uniform(4, 9), 0.7, 0.9)
-        self._bare = _level(rng.uniform(*place.outcrop_cover))
-        self._outcrop_m = rng.uniform(*place.outcrop_m)
+        self._bare = _level(rng.uniform(*place["outcrop_cover"]))
+        self._outcrop_m = rng.uniform(*place["outcrop_m"])
         self._gravel = Waves(rng, 6.0, 0.5, 0.8)
-        self._stony = _level(rng.uniform(*place.gravel_cover))
-        rippled = rng.random() < place.ripples
-        self._ripples = Ripples(rng, place.ripple_cover) if rippled else None
-        self.banks = Banks(rng, place, heading_rad) if place.banks else None
+        self._stony = _level(rng.uniform(*place["gravel_cover"]))
+        rippled = rng.random() < place["ripples"]
+        self._ripples = Ripples(rng, place["ripple_cover"]) if rippled else None
+        self.banks = Banks(rng, place, heading_rad) if place["banks"] else None
         self._relief_m = rng.uniform(0.05, 0.11), rng.uniform(0.006, 0.016)
         self.offset_m = np.array([rng.uniform(0, 50), rng.uniform(0, 50)], dtype=np.float32)
 
@@ -352,7 +328,7 @@ class Look:
     """
 
     def __init__(self, rng: Draws, place: Place) -> None:
-        water = catalogue()["waters"][place.waters[int(rng.integers(len(place.waters)))]]
+        water = catalogue()["waters"][place["waters"][int(rng.integers(len(place["waters"])))]]
         self.clear_m = rng.uniform(*water["clear_m"])
         height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
         flat = np.sqrt(1 - height**2)

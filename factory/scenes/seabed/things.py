@@ -1,9 +1,7 @@
-"""The catalogue of objects: how each kind is built, and how it weathers.
+"""The catalogue of objects: what people drop and build, and what grows or lies there.
 
-What people drop (the classes of the Marine Debris Dataset, and barrels), what grows or lies there,
-and what people build.  Every builder draws its own size and colours and returns a mesh that rests
-on z = 0; `chain` and `pipe` take the ground height as a function of (x, y) and come in world
-coordinates.
+Every builder draws its own size and colours and returns a mesh that rests on z = 0; `chain` and
+`pipe` take the ground height as a function of (x, y) and come in world coordinates.
 """
 
 from __future__ import annotations

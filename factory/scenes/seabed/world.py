@@ -32,7 +32,7 @@ class Path:
 
     def __init__(self, rng: Draws, place: Place, terrain: Terrain, heading_rad: float) -> None:
         self._terrain = terrain
-        long, short = (rng.uniform(*span) for span in place.loop_m)
+        long, short = (rng.uniform(*span) for span in place["loop_m"])
         angle = np.linspace(0, 2 * np.pi, 4 * SAMPLES, endpoint=False)
         lobes = np.zeros_like(angle)
         if short >= 0.3 * long:
@@ -61,11 +61,11 @@ class Path:
         wrapped = np.pad(highest, window, mode="wrap")
         self._floor_m = np.convolve(wrapped, np.ones(window) / window, "same")[window:-window]
         self.start_m, self.step_m = rng.uniform(0, self.length_m), rng.uniform(1.5, 2.1)
-        self._altitude_m, self._altitude = rng.uniform(*place.altitude_m), Waves(rng, 60, 4, 0.8)
-        self._pitch_deg = rng.uniform(*place.pitch_deg)
+        self._altitude_m, self._altitude = rng.uniform(*place["altitude_m"]), Waves(rng, 60, 4, 0.8)
+        self._pitch_deg = rng.uniform(*place["pitch_deg"])
         self._attitude = [Waves(rng, longest, 5, 0.7) for longest in (70, 80, 90)]
         # Added to the unit heading, it looks at a wall beside the loop.
-        self._lean = place.look_across * np.array([-s, c])
+        self._lean = place["look_across"] * np.array([-s, c])
 
     def at(self, distance_m: npt.ArrayLike) -> tuple[Points, Points]:
         """Positions and unit tangents, (..., 2) each, after distances (...) along the loop."""
@@ -120,7 +120,7 @@ class World:
         kinds: Iterable[str] | None, own: Sequence[tuple[OwnObject, Mesh]] = (),
     ) -> None:  # fmt: skip
         self.location = location
-        place = Place(**catalogue()["places"][places[location % len(places)]])
+        place = catalogue()["places"][places[location % len(places)]]
         ground, way, light = (
             stream(WORLD_SEED, "seabed", location, name) for name in ("ground", "path", "light")
         )
@@ -146,11 +146,11 @@ class World:
     def _furnish(self, density: float, allowed: Iterable[str] | None) -> None:
         """Build the place's structure, then scatter its objects, large kinds first."""
         names = set(CLASSES if allowed is None else allowed)
-        place, scatter = self._place, self._place.scatter
+        place, scatter = self._place, self._place["scatter"]
         self._draw_from("structure")
-        if place.structure == "pier" and "Pillar" in names:
+        if place["structure"] == "pier" and "Pillar" in names:
             self._build_pier()
-        if place.structure == "quay" and "Wall" in names:
+        if place["structure"] == "quay" and "Wall" in names:
             self._build_quay()
         for kind in dict.fromkeys((*_LARGE_FIRST, *scatter)):
             if kind in names and kind in scatter:
@@ -163,7 +163,7 @@ class World:
                     else:
                         self._put(things.drawn_model(rng, kind), kind)
         rng = self._draw_from("pebbles")
-        self._lay_pebbles(round(rng.uniform(*place.pebbles) * min(density, 1.0)))
+        self._lay_pebbles(round(rng.uniform(*place["pebbles"]) * min(density, 1.0)))
 
     def _place_own(self, own: Sequence[tuple[OwnObject, Mesh]]) -> None:
         """Put the user's objects beside the part of the path that views show."""
@@ -227,7 +227,7 @@ class World:
         """A chain or pipe that follows the ground."""
         rng, chain = self._rng, kind == "Chain"
         length = rng.uniform(2.0, 4.5) if chain else rng.uniform(5.0, 14.0)
-        aside = rng.choice([-1, 1]) * rng.uniform(0.3, 0.7 * self._place.spread_m + 0.5)
+        aside = rng.choice([-1, 1]) * rng.uniform(0.3, 0.7 * self._place["spread_m"] + 0.5)
         near = self._near_path(np.array([aside]))[0]
         line = things.curve(rng, near, length, 0.9 if chain else 0.12)
         build = things.chain if chain else things.pipe
@@ -272,7 +272,7 @@ class World:
         nearest = 0.0 if height < LOW_M else reach + CLEAR_M
         there = np.array(self._taken, dtype=np.float64).reshape(-1, 3)
         for _ in range(5):  # eight tries at once
-            aside = nearest + self._rng.exponential(self._place.spread_m, 8)
+            aside = nearest + self._rng.exponential(self._place["spread_m"], 8)
             points = self._near_path(aside * self._rng.choice([-1, 1], 8))
             to_path = points[:, None] - self.path.points
             free = np.sqrt((to_path**2).sum(axis=-1).min(axis=-1)) >= nearest
