@@ -134,7 +134,7 @@ class MeshReader:
         view, path = int(ref.frame), found[2]
         where, time_s = self._at(view) if path is None else self._drawn(int(path), view)
         seen = ZBuffer(where, optics, objects)
-        segmentation, instance = objects.shown(seen.number)
+        segmentation, instance = seen.shown
         frame = Frame(
             ref=ref,
             rgb=self._photograph(where, optics, shades[seen.which]),

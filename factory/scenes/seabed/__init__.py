@@ -6,7 +6,6 @@ are drawn by one z-buffer, so depth, labels and pictures agree to the pixel.
 
 from __future__ import annotations
 
-import re
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -14,15 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ...errors import FrameError
 from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
 from ..base import Discovery, OwnClass, Root, SceneSettings
-from .biomes import PLACE_NAMES, PlaceName
-from .camera import Movement, movements
 from .camera import camera as optics_of
+from .camera import movements
 from .own_objects import OwnObject
+from .terrain import PLACE_NAMES, PlaceName
 
 if TYPE_CHECKING:
     from .meshes import Mesh
@@ -42,7 +40,7 @@ class SeabedSettings(SceneSettings):
     frames_per_location: poses along its path.  width, height: pixels of a view 45 degrees wide.
     hfov_deg, vfov_deg: another sector for the camera to see; null: 45 degrees across, or the
     sonar's sector where that is wider.  A wider view has more pixels, as its solid angle grows.
-    path: a CSV file of the movements of a platform (see `path.Movement`): its lines are then the
+    path: a CSV file of the movements of a platform (see `camera.moved`): its lines are then the
     frames of a location, from the pose of frame 0 on, and `frames_per_location` does not count.
     objects: factor on how many objects lie around.  kinds: only these (null: all).
     places: only these kinds of place, taken in turn (null: all).
@@ -103,11 +101,6 @@ class SeabedReader:
 
     def load(self, ref: FrameRef) -> Frame:
         """Build the location, if it is not at hand, and take the frame."""
-        scene = re.fullmatch(r"seabed-(\d{4})", ref.scene)
-        if scene is None or re.fullmatch(r"\d{4}", ref.frame) is None:
-            raise FrameError(
-                f"{ref.name}: not a procedural frame; names are like seabed/seabed-0007/0003"
-            )
         # Reading a configuration imports this module, but needs nothing that makes pictures.
         from .view import take
 
@@ -115,14 +108,11 @@ class SeabedReader:
         optics = optics_of(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
         number, movement = int(ref.frame), None
         if (lines := self._movements()) is not None:
-            if number >= len(lines):
-                raise FrameError(f"{ref.name}: scenes.path={settings.path} has no such line")
             number, movement = 0, lines[number]
-        world = self._world(int(scene[1]))
-        frame = take(world, number, ref, optics, movement, boxes=settings.boxes)
-        return checked(frame)
+        world = self._world(int(ref.scene.removeprefix("seabed-")))
+        return checked(take(world, number, ref, optics, movement, settings.boxes))
 
-    def _movements(self) -> tuple[Movement, ...] | None:
+    def _movements(self) -> tuple[dict[str, float], ...] | None:
         path = self._settings.path
         return None if path is None else movements(Path(path).expanduser())
 

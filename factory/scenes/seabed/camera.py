@@ -5,7 +5,7 @@ It has FLSea's field of view, or is as wide as a sonar's sector.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -23,6 +23,7 @@ FOCAL_PER_WIDTH = 1168.0 / 968.0
 """Of the FLSea camera, which sees 45 degrees across."""
 HFOV_DEG, VFOV_DEG = 45.0, 29.2
 """What it sees at 968x608 pixels."""
+MOVEMENT = ("surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MARGIN_DEG = 1.0  # beyond each edge of a sonar's sector
 _SIDE_PX = 64  # of the picture in which an object's outline is counted
 _NEAREST_M = 0.05
@@ -69,10 +70,8 @@ def camera(
     """
     if hfov_deg is None or vfov_deg is None:
         return centred(FOCAL_PER_WIDTH * width, width, height)
-    azimuth = np.deg2rad(hfov_deg / 2 + _MARGIN_DEG)
-    elevation = np.deg2rad(vfov_deg / 2 + _MARGIN_DEG)
-    half_width = np.tan(azimuth)
-    half_height = np.tan(elevation) / np.cos(azimuth)
+    azimuth, elevation = np.deg2rad([hfov_deg / 2 + _MARGIN_DEG, vfov_deg / 2 + _MARGIN_DEG])
+    half_width, half_height = np.tan(azimuth), np.tan(elevation) / np.cos(azimuth)
     pixels = width * height * _solid_angle(hfov_deg, vfov_deg) / _solid_angle(HFOV_DEG, VFOV_DEG)
     focal = float(np.sqrt(pixels / (4 * half_width * half_height)))
     columns, rows = (int(np.ceil(2 * half * focal)) for half in (half_width, half_height))
@@ -134,13 +133,6 @@ class Objects:
         self.labels = labels
         self.instances = np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16)
 
-    def shown(
-        self, number: npt.NDArray[np.uint16]
-    ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
-        """Class and instance of each object number, of which the first is 1 and 0 is none."""
-        label, instance = (np.append(of.dtype.type(0), of) for of in (self.labels, self.instances))
-        return label.take(number), instance.take(number)
-
 
 class ZBuffer:
     """What the pixels of a camera meet first.
@@ -149,6 +141,7 @@ class ZBuffer:
     What is further than `reach_m` may be left out.
     inverse: (H, W) float32 one over the depth along the optical axis, 0 where nothing is.
     which: (H, W) int32 number of the triangle, those of the ground first, -1 where nothing is.
+    sight: the camera's eye, axes and lens.
     """
 
     def __init__(
@@ -165,16 +158,16 @@ class ZBuffer:
         self.where, self.optics, self.objects, self._first_object = where, optics, objects, 0
         shape, lens = (optics.height, optics.width), np.array(optics.lens)
         self.inverse, self.which = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
-        sight, seen = (where.eye, where.rotation, lens), (self.inverse, self.which)
+        self.sight, seen = (where.eye, where.rotation, lens), (self.inverse, self.which)
         if ground is not None:
             triangles, points = grid_triangles(*ground.shape[:2]), ground.reshape(-1, 3)
             self._first_object = len(triangles)
             whole = np.array([[0, 0, len(points), len(triangles)]], np.int64)
-            paint(points, triangles, whole, 0, sight, seen)
+            paint(points, triangles, whole, 0, self.sight, seen)
         near = self._in_sight(reach_m)
         parts = np.ascontiguousarray(objects.parts[near if wanted is None else wanted & near])
         solid = objects.mesh
-        paint(solid.vertices, solid.triangles, parts, self._first_object, sight, seen)
+        paint(solid.vertices, solid.triangles, parts, self._first_object, self.sight, seen)
 
     def _in_sight(self, reach_m: float) -> npt.NDArray[np.bool_]:
         """(N,) whether the balls around objects touch what the camera sees."""
@@ -195,10 +188,14 @@ class ZBuffer:
             return np.asarray(1 / self.inverse)
 
     @property
-    def number(self) -> npt.NDArray[np.uint16]:
-        """(H, W) number of the object, of which the first is 1; 0 for ground and nothing."""
+    def shown(self) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
+        """(H, W) class and instance of the objects, 0 for ground and nothing."""
         numbers = np.append(np.uint16(0), self.objects.owner + np.uint16(1))
-        return numbers.take(np.maximum(self.which - (self._first_object - 1), 0))
+        number = numbers.take(np.maximum(self.which - (self._first_object - 1), 0))
+        label, instance = (
+            np.append(of.dtype.type(0), of) for of in (self.objects.labels, self.objects.instances)
+        )
+        return label.take(number), instance.take(number)
 
     def boxes(self, number: npt.NDArray[np.uint16]) -> Points:
         """(N, 11) of the instances in a view, whose pixels are `number`; see `Frame.boxes`."""
@@ -212,10 +209,7 @@ class ZBuffer:
         return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
 
     def _cover(self, which: int, points: Points) -> tuple[float, float]:
-        """Pixels that an object alone would cover, beyond the picture too, and those hidden.
-
-        points: (V, 3) its own, camera axes.
-        """
+        """Pixels that an object alone would cover, beyond the picture too, and those hidden."""
         ahead = points[points[:, 2] > _NEAREST_M]
         if not len(ahead):
             return 0.0, 0.0
@@ -265,51 +259,37 @@ def _narrowest(flat: Points, yaws_deg: Points) -> tuple[float, Points, Points]:
     return float(yaws_deg[at]), (most - least)[:, at], centre
 
 
-@dataclass(frozen=True)
-class Movement:
-    """A frame of a moving platform: its pose relative to where its recording begins.
+def moved(start: Pose, movement: Mapping[str, float]) -> Pose:
+    """The pose of a platform whose recording begins at `start`; `movement`: some of MOVEMENT.
 
     Surge is forward, sway to the left, heave up (REP 103, level, along the first heading); yaw
-    turns left, pitch looks down, roll lowers the right side.  time_s: None where it has none.
+    turns left, pitch looks down, roll lowers the right side.
     """
-
-    time_s: float | None = None
-    surge_m: float = 0.0
-    sway_m: float = 0.0
-    heave_m: float = 0.0
-    roll_deg: float = 0.0
-    pitch_deg: float = 0.0
-    yaw_deg: float = 0.0
-
-    def moved(self, eye: Points, rotation: Points) -> tuple[Points, Points]:
-        """Eye (3,) and rotation (3, 3; world from camera axes: x right, y down, z forward)."""
-        ahead = np.array([rotation[0, 2], rotation[1, 2], 0.0])
-        ahead /= np.linalg.norm(ahead)
-        left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
-        roll, pitch, yaw = np.deg2rad([self.roll_deg, self.pitch_deg, self.yaw_deg])
-        turned = _about(up, yaw) @ rotation
-        # Pitch about the camera's left, roll about its forward axis.
-        turned = _about(-turned[:, 0], pitch) @ turned
-        turned = _about(turned[:, 2], roll) @ turned
-        return eye + self.surge_m * ahead + self.sway_m * left + self.heave_m * up, turned
+    surge, sway, heave, *turns = (movement.get(name, 0.0) for name in MOVEMENT)
+    ahead, up = start.rotation[:, 2] * (1, 1, 0), np.array([0.0, 0.0, 1.0])
+    ahead /= np.linalg.norm(ahead)
+    left, (roll, pitch, yaw) = np.array([-ahead[1], ahead[0], 0.0]), np.deg2rad(turns)
+    turned = _about(up, yaw) @ start.rotation
+    # Pitch about the camera's left, roll about its forward axis.
+    turned = _about(-turned[:, 0], pitch) @ turned
+    turned = _about(turned[:, 2], roll) @ turned
+    return Pose(start.eye + surge * ahead + sway * left + heave * up, turned)
 
 
 @lru_cache(maxsize=4)
-def movements(path: Path) -> tuple[Movement, ...]:
-    """The lines of a CSV file: a header of some keys of `Movement`, then a line a frame.
+def movements(path: Path) -> tuple[dict[str, float], ...]:
+    """The lines of a CSV file: a header of some of MOVEMENT and time_s, then a line a frame.
 
     Raises FactoryError that names the file and the line.
     """
-    lines = numbered_lines(path)
-    keys = tuple(Movement.__dataclass_fields__)
-    names = [word.strip() for word in lines[0][1].split(",")] if lines else []
-    if not set(names) <= set(keys) or len(set(names)) != len(names) or len(lines) < 2:
+    (_, header), *lines = numbered_lines(path) or [(0, "")]
+    names, known = [word.strip() for word in header.split(",")], ("time_s", *MOVEMENT)
+    if not set(names) <= set(known) or not lines:
         raise FactoryError(
-            f"{path}: expected a header of {', '.join(keys)} (some of them, each once) and a line "
-            f"for each frame, got {','.join(names)[:60]!r} and {max(len(lines) - 1, 0)} lines"
+            f"{path}: expected a header of some of {', '.join(known)}, and a line for each frame"
         )
-    rows = (numbers_in(path, line, names) for line in lines[1:])
-    return tuple(Movement(**dict(zip(names, row, strict=True))) for row in rows)
+    rows = (numbers_in(path, line, names) for line in lines)
+    return tuple(dict(zip(names, row, strict=True)) for row in rows)
 
 
 def _about(axis: Points, angle_rad: float) -> Points:

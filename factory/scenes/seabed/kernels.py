@@ -26,13 +26,13 @@ _SHADE_M = _F(0.04)  # how far behind an object its shadow begins
 _U = np.uint64
 
 _LINE, _ROWS = (f"Array(float32, {n}, 'C', readonly=True)" for n in (1, 2))
-_TRIANGLES, _TILE = ("Array(int32, 2, 'C', readonly=True)" for _ in range(2))
+_WHOLES = "Array(int32, 2, 'C', readonly=True)"
 _OWNERS = "Array(uint16, 1, 'C', readonly=True)"
 _PLANE, _VECTORS = "float32[:, ::1]", "float32[:, :, ::1]"
 _CAMERA = "Tuple((float64[::1], float64[:, ::1], float64[::1]))"
 _SIGHT = "Tuple((float32[::1], float32[:, ::1], float32[::1]))"
 _SEEN = "Tuple((float32[:, ::1], int32[:, ::1]))"
-_MESH = f"UniTuple({_ROWS}, 3)"
+_MESH = f"Tuple(({_ROWS}, {_ROWS}, {_ROWS}, {_WHOLES}))"
 
 
 @compiled(f"float32[::1]({_ROWS}, {_ROWS}, {_LINE}, {_LINE})")
@@ -103,7 +103,7 @@ def relieve(
 
     shares: (R, C) each, rockiness, share of gravel, ripples.  tiles: relief of rock and of sand.
     heights: (3,) metres of a standard deviation of rock and sand, and of a ripple's crest.
-    Written, too: attributes (R, C, 3), see `Terrain.surface`.
+    Written, too: attributes (R, C, 3), see `Terrain.seen_from`.
     """
     (rock, gravel, crest), (rock_tile, sand_tile) = shares, tiles
     rock_m, sand_m, crest_m = heights[0], heights[1], heights[2]
@@ -112,13 +112,13 @@ def relieve(
     first, second = offset[0], offset[1]
     for row in range(points.shape[0]):
         for column in range(points.shape[1]):
-            x, y, z = points[row, column, 0], points[row, column, 1], points[row, column, 2]
-            nx, ny, nz = normals[row, column, 0], normals[row, column, 1], normals[row, column, 2]
+            point, normal = points[row, column], normals[row, column]
+            x, y, z = point[0], point[1], point[2]
             bare, pebbles, ripple = rock[row, column], gravel[row, column], crest[row, column]
             stone = sand = stones = _ZERO
             if bare > 0:
                 # The tile is laid on from the three axes and mixed by the normal.
-                sx, sy, sz = nx * nx, ny * ny, nz * nz
+                sx, sy, sz = normal[0] ** 2, normal[1] ** 2, normal[2] ** 2
                 sx, sy, sz = sx * sx, sy * sy, sz * sz
                 total = max(sx + sy + sz, _F(1e-12))
                 sx, sy, sz = sx / total, sy / total, sz / total
@@ -138,14 +138,24 @@ def relieve(
             relief = rock_m * bare * stone + sand_m * loose * sand
             relief += _F(0.011) * pebbles * stones + crest_m * ripple
             tone = _F(0.4) * sand + _F(0.8) * ripple + _HALF * pebbles * stones
-            points[row, column, 0] = x + nx * relief
-            points[row, column, 1] = y + ny * relief
-            points[row, column, 2] = z + nz * relief
+            for k in range(3):
+                point[k] += normal[k] * relief
             attributes[row, column, 0], attributes[row, column, 1] = bare, pebbles
             attributes[row, column, 2] = bare * stone + loose * tone
 
 
-@compiled(f"void({_ROWS}, {_TRIANGLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
+@compiled()
+def _placed(point: Any, eye: Any, axes: Any) -> Any:
+    """A point in a camera's own axes: across, down, ahead."""
+    x, y, z = point[0] - eye[0], point[1] - eye[1], point[2] - eye[2]
+    return (
+        axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z,
+        axes[0, 1] * x + axes[1, 1] * y + axes[2, 1] * z,
+        axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z,
+    )
+
+
+@compiled(f"void({_ROWS}, {_WHOLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
 def paint(
     points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, seen_so_far: Any
 ) -> None:
@@ -157,26 +167,16 @@ def paint(
     """
     (eye, axes, lens), (inverse, which) = camera, seen_so_far
     height, width = inverse.shape
-    x_axis, y_axis, z_axis = (
-        (axes[0, 0], axes[1, 0], axes[2, 0]),
-        (axes[0, 1], axes[1, 1], axes[2, 1]),
-        (axes[0, 2], axes[1, 2], axes[2, 2]),
-    )
     fx, fy, middle_x, middle_y = lens[0], lens[1], lens[2], lens[3]
     step_x, step_y = 1 / fx, 1 / fy
     left_slope, right_slope = -middle_x * step_x, (width - 1 - middle_x) * step_x
     top_slope, bottom_slope = -middle_y * step_y, (height - 1 - middle_y) * step_y
-    across_by_column = np.empty(width, np.float64)
-    for column in range(width):
-        across_by_column[column] = (column - middle_x) * step_x
+    across_by_column = (np.arange(width) - middle_x) * step_x
     placed = np.empty((len(points), 3), np.float64)  # in camera axes
     seen = np.empty((len(points), 2), np.float32)  # column and row
     for part in range(len(parts)):
         for k in range(parts[part, 0], parts[part, 2]):
-            x, y, z = points[k, 0] - eye[0], points[k, 1] - eye[1], points[k, 2] - eye[2]
-            depth = z_axis[0] * x + z_axis[1] * y + z_axis[2] * z
-            across = x_axis[0] * x + x_axis[1] * y + x_axis[2] * z
-            down = y_axis[0] * x + y_axis[1] * y + y_axis[2] * z
+            across, down, depth = _placed(points[k], eye, axes)
             placed[k, 0], placed[k, 1], placed[k, 2] = across, down, depth
             over = 1 / max(depth, _NEAR_M)
             seen[k, 0] = across * over * fx + middle_x
@@ -187,25 +187,20 @@ def paint(
             if min(az, bz, cz) > _NEAR_M:
                 left = min(seen[a, 0], seen[b, 0], seen[c, 0])
                 right = max(seen[a, 0], seen[b, 0], seen[c, 0])
-                if left > width - 1 or right < 0:
-                    continue
-                first, last = max(int(np.ceil(left)), 0), min(int(np.floor(right)), width - 1)
-                if first > last:
-                    continue
                 top = min(seen[a, 1], seen[b, 1], seen[c, 1])
                 bottom = max(seen[a, 1], seen[b, 1], seen[c, 1])
-                if top > height - 1 or bottom < 0:
+                if left > width - 1 or right < 0 or top > height - 1 or bottom < 0:
                     continue
+                first, last = max(int(np.ceil(left)), 0), min(int(np.floor(right)), width - 1)
                 upper, lower = max(int(np.ceil(top)), 0), min(int(np.floor(bottom)), height - 1)
-                if upper > lower:
+                if first > last or upper > lower:
                     continue
             elif max(az, bz, cz) <= _NEAR_M:
                 continue
             else:
                 first, last, upper, lower = 0, width - 1, 0, height - 1
-            ax, ay = placed[a, 0], placed[a, 1]
-            bx, by = placed[b, 0], placed[b, 1]
-            cx, cy = placed[c, 0], placed[c, 1]
+            ax, bx, cx = placed[a, 0], placed[b, 0], placed[c, 0]
+            ay, by, cy = placed[a, 1], placed[b, 1], placed[c, 1]
             if last - first == width - 1 and (
                 (ax < left_slope * az and bx < left_slope * bz and cx < left_slope * cz)
                 or (ax > right_slope * az and bx > right_slope * bz and cx > right_slope * cz)
@@ -257,12 +252,10 @@ def _noise(tile: Any, u: Any, v: Any, rate: Any, strength: Any) -> Any:
 
 @compiled()
 def _ground(noise: Any, detail: Any, close: Any, surface: Any, turf: Any) -> Any:
-    """How ground looks.
+    """Shades of sand, gravel and rock; shares of gravel, rock, algae and crust; roughness.
 
     noise, detail: what the texture says there, broad and fine.  close: 1 nearby, 0 where detail is
     finer than a pixel.  surface: rockiness, share of gravel, relief.
-    Returns shades of sand, gravel and rock; shares of gravel and of rock, and of algae and crust on
-    the rock; and roughness.
     """
     (broad, grain, cells, speckle), (bare, stones, tone) = noise, surface
     fine_broad, fine_grain, fine_cells, fine_speckle = detail
@@ -302,13 +295,10 @@ def _thing(noise: Any, detail: Any, close: Any, up: Any, finish: Any) -> Any:
 
 
 @compiled()
-def _met(mesh: Any, numbers: Any, eye: Any, ray: Any) -> Any:
-    """Where a ray meets a triangle: its side (positive: from behind), normal, paint.
-
-    mesh: points, their normals and their paint.  numbers: of the corners.
-    """
-    (corners, facings, paints), (first, second, third), (x, y, z) = mesh, numbers, ray
-    a, b, c = _U(first), _U(second), _U(third)
+def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
+    """Where a ray meets a triangle of a mesh: its side (positive: from behind), normal, paint."""
+    (corners, facings, paints, triangles), (x, y, z) = mesh, ray
+    a, b, c = _U(triangles[number, 0]), _U(triangles[number, 1]), _U(triangles[number, 2])
     px, py, pz = corners[a, 0] - eye[0], corners[a, 1] - eye[1], corners[a, 2] - eye[2]
     qx, qy, qz = corners[b, 0] - eye[0], corners[b, 1] - eye[1], corners[b, 2] - eye[2]
     rx, ry, rz = corners[c, 0] - eye[0], corners[c, 1] - eye[1], corners[c, 2] - eye[2]
@@ -318,39 +308,37 @@ def _met(mesh: Any, numbers: Any, eye: Any, ray: Any) -> Any:
     facing = one + two + three
     share = _ONE / facing
     u, v, w = one * share, two * share, three * share
-    return (
-        facing,
+    normal = (
         u * facings[a, 0] + v * facings[b, 0] + w * facings[c, 0],
         u * facings[a, 1] + v * facings[b, 1] + w * facings[c, 1],
         u * facings[a, 2] + v * facings[b, 2] + w * facings[c, 2],
+    )
+    return facing, normal, (
         u * paints[a, 0] + v * paints[b, 0] + w * paints[c, 0],
         u * paints[a, 1] + v * paints[b, 1] + w * paints[c, 1],
         u * paints[a, 2] + v * paints[b, 2] + w * paints[c, 2],
-    )
+    )  # fmt: skip
 
 
 @compiled(
-    f"void({_MESH}, int64, {_MESH}, {_TRIANGLES}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, "
-    f"float32, float32[::1], {_TILE}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE}, {_VECTORS})"
+    f"{_VECTORS}({_MESH}, {_MESH}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, float32, "
+    f"float32[::1], {_WHOLES}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
 )
 def look(
-    ground: Any, columns: Any, things: Any, triangles: Any, owners: Any, finishes: Any, sight: Any,
-    seen: Any, palette: Any, turf: Any, offset: Any, texture: Any, water: Any, sun: Any,
-    sun_sight: Any, sun_inverse: Any, colour: Any,
-) -> None:  # fmt: skip
-    """Linear colour of every second pixel of every second row, from what a z-buffer met.
+    ground: Any, things: Any, owners: Any, finishes: Any, sight: Any, seen: Any, palette: Any,
+    turf: Any, offset: Any, texture: Any, water: Any, sun: Any, sun_sight: Any, sun_inverse: Any,
+) -> Any:  # fmt: skip
+    """(h, w, 3) linear colour of every second pixel and row, from what a z-buffer met.
 
-    ground, things: points, normals, and attributes or colours.  columns: of the ground's grid.
-    sight: eye, axes and lens.  seen: see `paint`.  finishes: (N, 3) fouling, silt and bump of each
-    object.  palette, turf, water, sun: see `biomes.Look`.  texture: see `tiles`.
-    sun_sight, sun_inverse: a camera in the sun and its (S, S) picture of the objects.
-    Written: colour (h, w, 3).
+    ground, things: points, normals, attributes or colours, and triangles.  sight: eye, axes, lens.
+    seen: see `paint`.  finishes: (N, 3) fouling, silt and bump of each object.  palette, turf,
+    water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a camera in the
+    sun and its (S, S) picture of the objects.
     """
     (eye, axes, lens), (inverse, which) = sight, seen
     sun_eye, sun_axes, sun_lens = sun_sight
-    side = sun_inverse.shape[0]
-    cells = np.int32(columns - 1)
-    first_object = 2 * cells * (len(ground[0]) // columns - 1)
+    side, (height, width) = sun_inverse.shape[0], which.shape
+    colour = np.empty(((height + 1) // 2, (width + 1) // 2, 3), np.float32)
     for i in range(colour.shape[0]):
         row = 2 * i
         y0 = (_F(row) - lens[3]) / lens[1]
@@ -366,20 +354,11 @@ def look(
             x = axes[0, 0] * x0 + axes[0, 1] * y0 + axes[0, 2]
             y = axes[1, 0] * x0 + axes[1, 1] * y0 + axes[1, 2]
             z = axes[2, 0] * x0 + axes[2, 1] * y0 + axes[2, 2]
-            on_ground = number < first_object
-            if on_ground:
-                cell = number >> 1
-                a = np.int64(cell // cells * columns + cell % cells)
-                b = a + columns + (number & 1)
-                c = a + 1 if number & 1 else b + 1
-                met = _met(ground, (a, b, c), eye, (x, y, z))
-            else:
-                number -= first_object
-                a = np.int64(triangles[number, 0])
-                b, c = np.int64(triangles[number, 1]), np.int64(triangles[number, 2])
-                met = _met(things, (a, b, c), eye, (x, y, z))
-            facing, nx, ny, nz = met[0], met[1], met[2], met[3]
-            surface = met[4], met[5], met[6]
+            on_ground = number < len(ground[3])
+            if not on_ground:
+                number -= len(ground[3])
+            solid = ground if on_ground else things
+            facing, (nx, ny, nz), surface = _met(solid, number, eye, (x, y, z))
             # Thin sheets and inner sides are seen from behind: turn their normals to the camera.
             if not on_ground and facing > 0 and nx * x + ny * y + nz * z > 0:
                 nx, ny, nz = -nx, -ny, -nz
@@ -407,10 +386,7 @@ def look(
             shine = nx * sun[0] + ny * sun[1] + nz * sun[2]
             slope = detail[1] * rough * (_F(0.25) + _F(0.75) * close)
             shine = max(shine + _HALF * slope, _ZERO)
-            dx, dy, dz = ex - sun_eye[0], ey - sun_eye[1], ez - sun_eye[2]
-            far = sun_axes[0, 2] * dx + sun_axes[1, 2] * dy + sun_axes[2, 2] * dz
-            left = sun_axes[0, 0] * dx + sun_axes[1, 0] * dy + sun_axes[2, 0] * dz
-            down = sun_axes[0, 1] * dx + sun_axes[1, 1] * dy + sun_axes[2, 1] * dz
+            left, down, far = _placed((ex, ey, ez), sun_eye, sun_axes)
             at_x = int(left / far * sun_lens[0] + sun_lens[2] + _HALF)
             at_y = int(down / far * sun_lens[1] + sun_lens[3] + _HALF)
             if 0 <= at_x < side and 0 <= at_y < side:
@@ -423,26 +399,27 @@ def look(
             for k in range(3):
                 loose = palette[0, k] * sand_shade
                 loose += gravel * (palette[1, k] * gravel_shade - loose)
-                solid = palette[2, k] if on_ground else surface[k]
-                solid += grown * (palette[3, k] - solid)
-                solid = (solid + crust * (palette[4, k] - solid)) * shade
-                under, over = (loose, solid) if on_ground else (solid, loose)
+                firm = palette[2, k] if on_ground else surface[k]
+                firm += grown * (palette[3, k] - firm)
+                firm = (firm + crust * (palette[4, k] - firm)) * shade
+                under, over = (loose, firm) if on_ground else (firm, loose)
                 tint = min(max(under + share * (over - under), _F(0.01)), _F(0.95))
                 haze = water[1, k]
                 lit = tint * (shine * water[2, k] + sky * water[3, k])
                 colour[i, j, k] = haze + (lit - haze) * exponential(-water[0, k] * range_m)
+    return colour
 
 
 @compiled(
-    f"void({_VECTORS}, float32[::1], float32, Array(uint8, 1, 'C', readonly=True), "
-    "uint8[:, :, ::1])"
+    f"uint8[:, :, ::1]({_VECTORS}, float32[::1], float32, Array(uint8, 1, 'C', readonly=True), "
+    "int64, int64)"
 )
-def expose(colour: Any, black: Any, gain: Any, gamma: Any, picture: Any) -> None:
+def expose(colour: Any, black: Any, gain: Any, gamma: Any, height: int, width: int) -> Any:
     """A picture (H, W, 3) of linear colours of every second pixel, those between by their mean.
 
     black: (3,) black level.  gain: exposure.  gamma: (L,) codes of levels from 0 to 1.
     """
-    height, width = picture.shape[:2]
+    picture = np.empty((height, width, 3), np.uint8)
     rows, columns = colour.shape[:2]
     most = _F(len(gamma) - 1)
     for row in range(height):
@@ -450,11 +427,10 @@ def expose(colour: Any, black: Any, gain: Any, gamma: Any, picture: Any) -> None
         for column in range(width):
             left, right = column // 2, min((column + 1) // 2, columns - 1)
             for k in range(3):
-                value = _F(0.25) * (
-                    above[left, k] + above[right, k] + below[left, k] + below[right, k]
-                )
-                value = (value - black[k]) * gain
+                total = above[left, k] + above[right, k] + below[left, k] + below[right, k]
+                value = (_F(0.25) * total - black[k]) * gain
                 over = value - _F(0.75)
                 value /= _ONE + (over if over > _ZERO else _ZERO)  # highlights roll off
                 value = min(max(value, _ZERO), _ONE) * most
                 picture[row, column, k] = gamma[_U(value)]
+    return picture

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
-from .biomes import Colour
-from .terrain import Floats, Points, Waves
+from .terrain import Colour, Draws, Floats, Points, Waves
 
 Indices = npt.NDArray[np.int32]
 GREY: Colour = (0.5, 0.5, 0.5)
@@ -31,7 +31,7 @@ class Mesh:
     triangles: Indices
 
     def moved(
-        self, offset: npt.ArrayLike = (0.0, 0.0, 0.0), scale: float | Sequence[float] = 1.0
+        self, offset: ArrayLike = (0.0, 0.0, 0.0), scale: float | Sequence[float] = 1.0
     ) -> Mesh:
         """Scaled, then shifted by `offset` metres."""
         points = self.vertices * np.asarray(scale, dtype=np.float32)
@@ -48,7 +48,7 @@ class Mesh:
         rows = [turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z for k in range(3)]
         return replace(self, vertices=np.stack(rows, axis=-1))
 
-    def tinted(self, colour: npt.ArrayLike) -> Mesh:
+    def tinted(self, colour: ArrayLike) -> Mesh:
         """The mesh in one colour."""
         return replace(self, colours=np.full_like(self.colours, colour))
 
@@ -74,7 +74,7 @@ def circle(points: int) -> Points:
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
 
 
-def mesh(vertices: npt.ArrayLike, triangles: npt.ArrayLike, colour: npt.ArrayLike = GREY) -> Mesh:
+def mesh(vertices: ArrayLike, triangles: ArrayLike, colour: ArrayLike = GREY) -> Mesh:
     """A mesh of one colour, or of one colour a vertex."""
     points = np.asarray(vertices, dtype=np.float32)
     colours = np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape).copy()
@@ -118,10 +118,7 @@ def grid_triangles(rows: int, columns: int, closed: bool = False) -> Indices:
 
 
 def lathe(
-    profile: npt.ArrayLike,
-    segments: int = 24,
-    colour: npt.ArrayLike = GREY,
-    crease: bool = False,
+    profile: ArrayLike, segments: int, colour: ArrayLike = GREY, crease: bool = False
 ) -> Mesh:
     """Turn an (P, 2) profile of (radius, height) about the z axis.
 
@@ -140,11 +137,7 @@ def lathe(
 
 
 def tube(
-    path: npt.ArrayLike,
-    radius: float | npt.ArrayLike,
-    segments: int = 10,
-    closed: bool = False,
-    colour: npt.ArrayLike = GREY,
+    path: Points, radius: ArrayLike, segments: int, closed: bool = False, colour: ArrayLike = GREY
 ) -> Mesh:
     """A round bar along an (N, 3) path; radius and colour may change along it; ends are capped."""
     points = np.asarray(path, dtype=np.float64)
@@ -180,21 +173,19 @@ def _sides(tangents: Points) -> Points:
     return sides
 
 
-def bars(
-    ends: Iterable[tuple[npt.ArrayLike, npt.ArrayLike]], radius: float, segments: int = 8
-) -> Mesh:
+def bars(ends: Iterable[tuple[ArrayLike, ArrayLike]], radius: float, segments: int = 8) -> Mesh:
     """Straight round bars between pairs of points."""
     return join(tube(np.array(pair), radius, segments) for pair in ends)
 
 
-def sheet(points: Points, colour: npt.ArrayLike = GREY, turned: bool = False) -> Mesh:
+def sheet(points: Points, colour: ArrayLike = GREY, turned: bool = False) -> Mesh:
     """A (R, C, 3) grid of points as a sheet.  turned: it looks the other way."""
     triangles = grid_triangles(*points.shape[:2])
     return mesh(points.reshape(-1, 3), triangles[:, ::-1] if turned else triangles, colour)
 
 
 def box(
-    size: Sequence[float], centre: Sequence[float] = (0, 0, 0), colour: npt.ArrayLike = GREY
+    size: Sequence[float], centre: Sequence[float] = (0, 0, 0), colour: ArrayLike = GREY
 ) -> Mesh:
     """A box with sharp edges."""
     outline = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size[:2]
@@ -202,7 +193,7 @@ def box(
     return prism(outline, size[2], colour).moved((x, y, z - size[2] / 2))
 
 
-def prism(outline: npt.ArrayLike, height: float, colour: npt.ArrayLike = GREY) -> Mesh:
+def prism(outline: ArrayLike, height: float, colour: ArrayLike = GREY) -> Mesh:
     """A counter-clockwise (P, 2) outline raised from z = 0 to `height`, edges sharp.
 
     The middle of the outline must see all its corners.
@@ -212,17 +203,15 @@ def prism(outline: npt.ArrayLike, height: float, colour: npt.ArrayLike = GREY) -
     low = np.column_stack([flat, np.zeros(count)])
     high = low + np.array([0, 0, height])
     fan = np.array([[count, k, (k + 1) % count] for k in range(count)])
-    lids = [np.concatenate([lid, lid.mean(axis=0, keepdims=True)]) for lid in (low, high)]
-    parts = [mesh(lids[1], fan, colour), mesh(lids[0], fan[:, ::-1], colour)]
-    for k in range(count):
-        after = (k + 1) % count
-        quad = [low[k], low[after], high[after], high[k]]
-        parts.append(mesh(quad, [[0, 1, 2], [0, 2, 3]], colour))
-    return join(parts)
+    lids = [np.append(lid, lid.mean(axis=0, keepdims=True), axis=0) for lid in (low, high)]
+    quads = np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0), high], axis=1)
+    sides = (mesh(quad, [[0, 1, 2], [0, 2, 3]], colour) for quad in quads)
+    return join([mesh(lids[1], fan, colour), mesh(lids[0], fan[:, ::-1], colour), *sides])
 
 
 @functools.cache
-def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
+def sphere(subdivisions: int) -> Mesh:
+    """A unit icosphere; 20 * 4 ** subdivisions triangles."""
     golden = (1 + np.sqrt(5)) / 2
     corners = np.array([(0, s, t * golden) for s in (-1, 1) for t in (-1, 1)])
     points = np.concatenate([corners, corners[:, [1, 2, 0]], corners[:, [2, 0, 1]]])
@@ -237,25 +226,16 @@ def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
         unique, which = np.unique(edges, axis=0, return_inverse=True)
         middle = (len(points) + which.reshape(-1, 3)).astype(np.int32)
         points = np.concatenate([points, points[unique].mean(axis=1)])
-        a, b, c = faces.T
-        ab, bc, ca = middle.T
+        (a, b, c), (ab, bc, ca) = faces.T, middle.T
         corners_of = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
         faces = np.concatenate([np.stack(corner, axis=-1) for corner in corners_of])
         points = points / np.linalg.norm(points, axis=1, keepdims=True)
-    return points / np.linalg.norm(points, axis=1, keepdims=True), faces
+    return mesh(points / np.linalg.norm(points, axis=1, keepdims=True), faces)
 
 
-def sphere(subdivisions: int, colour: npt.ArrayLike = GREY) -> Mesh:
-    """A unit icosphere; 20 * 4 ** subdivisions triangles."""
-    points, faces = _unit_sphere(subdivisions)
-    return mesh(points, faces, colour)
-
-
-def rough(
-    smooth: Mesh, rng: np.random.Generator, depth_m: float, longest_m: float, shortest_m: float
-) -> Mesh:
+def rough(smooth: Mesh, rng: Draws, depth_m: float, longest_m: float, shortest_m: float) -> Mesh:
     """The mesh with fractal bumps of standard deviation `depth_m` along its normals."""
-    field = Waves(rng, longest_m, shortest_m, 0.8, dimensions=3, per_octave=6)
+    field = Waves(rng, longest_m, shortest_m, 0.8, dimensions=3)
     bumps = field(*smooth.vertices.T) * np.float32(depth_m)
     normals = vertex_normals(smooth.vertices, smooth.triangles)
     return Mesh(smooth.vertices + normals * bumps[:, None], smooth.colours, smooth.triangles)

@@ -1,28 +1,56 @@
-"""The ground, a pure function of (x, y), and the random fields that it is made of.
+"""Kinds of places: their ground, a function of (x, y), its random fields, colours and water.
 
 `Waves` give the shape of the ground (smooth, exact at every point, so two views of one spot agree);
 `tiles` give fine relief and colour, looked up as fast as a picture can be resampled.  Each view
-samples the ground finely where the camera looks (`view_mesh`).
+samples the ground finely where the camera looks (`seen_from`).
 """
 
 from __future__ import annotations
 
 import functools
-from typing import Any
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ...seeds import stream
-from .biomes import Place, Range, draw
 
 Floats = npt.NDArray[np.float32]
 Points = npt.NDArray[np.float64]
 Arrays = npt.NDArray[np.floating[Any]]  # any precision
+Draws = np.random.Generator
+Colour = Sequence[float]  # red, green, blue
+Range = tuple[float, float]
+Place = Mapping[str, Any]  # a kind of place, as `places.yaml` describes it
 
 WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
 TILE = 1024  # pixels a side of every noise picture
 FAR_M = 36.0  # the ground ends here; water hides it long before
+
+# The order is the order in which locations 0, 1, 2, ... take them.
+PlaceName = Literal[
+    "debris", "canyon", "reef", "pier", "pipeline", "rubble", "quay", "sand", "garden", "wall"
+]
+
+PLACE_NAMES: tuple[PlaceName, ...] = get_args(PlaceName)
+
+
+@functools.cache
+def catalogue() -> dict[str, Any]:
+    """`places.yaml`."""
+    import yaml
+
+    text = Path(__file__).with_name("places.yaml").read_text("utf-8")
+    found: dict[str, Any] = yaml.safe_load(text)
+    return found
+
+
+def pick(rng: Draws, colours: Sequence[Colour], shades: Range = (0.75, 1.2)) -> Points:
+    """One of the colours, a little lighter or darker."""
+    return np.array(colours[int(rng.integers(len(colours)))]) * rng.uniform(*shades)
 
 
 class Waves:
@@ -33,15 +61,10 @@ class Waves:
     """
 
     def __init__(
-        self,
-        rng: np.random.Generator,
-        longest_m: float,
-        shortest_m: float,
-        roughness: float = 1.0,
-        dimensions: int = 2,
-        per_octave: int = 5,
+        self, rng: Draws, longest_m: float, shortest_m: float, roughness: float, dimensions: int = 2
     ) -> None:
-        count = max(round(per_octave * max(np.log2(longest_m / shortest_m), 0.5)), 3)
+        octaves = max(np.log2(longest_m / shortest_m), 0.5)
+        count = max(round((dimensions + 3) * octaves), 3)
         # One wave in each equal step of log wavelength, so that no octave is left out by chance.
         steps = (np.arange(count) + rng.random(count)) / count
         wavelengths = longest_m * (shortest_m / longest_m) ** steps
@@ -59,7 +82,8 @@ class Waves:
         from .kernels import sum_waves
 
         axes = np.array(coordinates_m, dtype=np.float32)
-        return sum_waves(axes.reshape(len(axes), -1), *self._waves).reshape(axes.shape[1:])
+        total: Floats = sum_waves(axes.reshape(len(axes), -1), *self._waves)
+        return total.reshape(axes.shape[1:])
 
 
 def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:
@@ -90,9 +114,7 @@ def tiles() -> tuple[npt.NDArray[np.int32], Floats, Floats]:
     return steps.view("<i4")[..., 0], rock, sand
 
 
-def _fractal(
-    rng: np.random.Generator, fewest_cycles: float, most_cycles: float, roughness: float
-) -> Floats:
+def _fractal(rng: Draws, fewest_cycles: float, most_cycles: float, roughness: float) -> Floats:
     """Periodic spectral noise whose amplitude goes as frequency ** -(1 + roughness)."""
     frequency = np.hypot(np.fft.fftfreq(TILE)[:, None], np.fft.rfftfreq(TILE)[None]) * TILE
     band = (frequency >= fewest_cycles) & (frequency <= most_cycles)
@@ -101,21 +123,20 @@ def _fractal(
     return _unit(np.fft.irfft2(white * gain, s=(TILE, TILE)))
 
 
-def _cells(rng: np.random.Generator, across: int) -> Floats:
+def _cells(rng: Draws, across: int) -> Floats:
     """Periodic lumps: how much nearer the nearest of across x across scattered points is."""
     side = TILE // 2
     scattered = rng.random((across, across, 2), dtype=np.float32)  # one in each square of a grid
     at = (np.arange(side, dtype=np.float32) + np.float32(0.5)) * np.float32(across / side)
     own = at.astype(np.int64)
     first, second = (np.full((side, side), np.inf, np.float32) for _ in range(2))
-    for down in (-2, -1, 0, 1, 2):
-        for right in (-2, -1, 0, 1, 2):
-            point = scattered[((own + down) % across)[:, None], (own + right) % across]
-            dy = point[..., 0] + (own + down - at).astype(np.float32)[:, None]
-            dx = point[..., 1] + (own + right - at).astype(np.float32)
-            apart = dx * dx + dy * dy
-            second = np.minimum(second, np.maximum(first, apart))
-            first = np.minimum(first, apart)
+    for down, right in itertools.product(range(-2, 3), repeat=2):
+        point = scattered[((own + down) % across)[:, None], (own + right) % across]
+        dy = point[..., 0] + (own + down - at).astype(np.float32)[:, None]
+        dx = point[..., 1] + (own + right - at).astype(np.float32)
+        apart = dx * dx + dy * dy
+        second = np.minimum(second, np.maximum(first, apart))
+        first = np.minimum(first, apart)
     lumps = np.sqrt(second) - np.sqrt(first)
     for axis in (0, 1):  # twice as fine: each new value a quarter of a pixel from an old one
         sides = [0.75 * lumps + 0.25 * np.roll(lumps, turn, axis) for turn in (1, -1)]
@@ -128,22 +149,16 @@ def _unit(field: Arrays) -> Floats:
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
 
 
-FAR_M = 36.0  # the ground ends here; water hides it long before
-
-
 class Banks:
     """Rock walls on one or both sides of a winding axis through the origin.
 
     profile: (K, 2) distance behind the foot and height, m.
     """
 
-    def __init__(
-        self, rng: np.random.Generator, spans: tuple[Range, Range], sides: tuple[int, ...],
-        heading_rad: float,
-    ) -> None:  # fmt: skip
+    def __init__(self, rng: Draws, place: Place, heading_rad: float) -> None:
         self._turn = np.float32(np.cos(heading_rad)), np.float32(np.sin(heading_rad))
-        self._sides = sides
-        self._half_width_m, height = (draw(rng, span) for span in spans)
+        self._sides = place["sides"]
+        self._half_width_m, height = (rng.uniform(*span) for span in place["banks"])
         # Ledges: steep faces and narrow steps take turns up the wall.
         faces = int(rng.integers(2, 5))
         knots, behind, level = [(-1.2, 0.0), (0.0, 0.22)], 0.0, 0.22
@@ -180,13 +195,13 @@ class Banks:
 class Ripples:
     """Sand ripples with sharp crests and broad troughs, in patches."""
 
-    def __init__(self, rng: np.random.Generator, cover: Range) -> None:
+    def __init__(self, rng: Draws, cover: Range) -> None:
         wavelength = rng.uniform(0.14, 0.55)
         self.amplitude_m = wavelength * rng.uniform(0.045, 0.085)
         rate, heading = 2 * np.pi / wavelength, rng.uniform(0, 2 * np.pi)
         self._rates = np.float32(rate * np.cos(heading)), np.float32(rate * np.sin(heading))
         self._bend, self._bend_rad = Waves(rng, 7.0, 0.8, 0.9), rng.uniform(1.2, 2.6)
-        self._patches, self._level = Waves(rng, 8.0, 1.5, 0.8), _level(draw(rng, cover))
+        self._patches, self._level = Waves(rng, 8.0, 1.5, 0.8), _level(rng.uniform(*cover))
 
     def height(self, x: Floats, y: Floats) -> Floats:
         """From -1 (trough) to 1 (crest), 0 outside the patches."""
@@ -208,19 +223,22 @@ class Terrain:
     banks: None where there are no walls.  offset_m: where it lies on the noise pictures.
     """
 
-    def __init__(self, rng: np.random.Generator, place: Place, heading_rad: float) -> None:
-        slope, downhill = np.tan(np.deg2rad(draw(rng, place.slope_deg))), rng.uniform(0, 2 * np.pi)
+    def __init__(self, rng: Draws, place: Place, heading_rad: float) -> None:
+        slope, downhill = (
+            np.tan(np.deg2rad(rng.uniform(*place["slope_deg"]))),
+            rng.uniform(0, 2 * np.pi),
+        )
         self._slope = np.float32(slope * np.cos(downhill)), np.float32(slope * np.sin(downhill))
         self._swell = Waves(rng, rng.uniform(9, 20), 1.0, 1.2)
-        self._swell_m = draw(rng, place.swell_m)
+        self._swell_m = rng.uniform(*place["swell_m"])
         self._outcrop = Waves(rng, rng.uniform(4, 9), 0.7, 0.9)
-        self._bare = _level(draw(rng, place.outcrop_cover))
-        self._outcrop_m = draw(rng, place.outcrop_m)
+        self._bare = _level(rng.uniform(*place["outcrop_cover"]))
+        self._outcrop_m = rng.uniform(*place["outcrop_m"])
         self._gravel = Waves(rng, 6.0, 0.5, 0.8)
-        self._stony = _level(draw(rng, place.gravel_cover))
-        rippled = rng.random() < place.ripples
-        self._ripples = Ripples(rng, place.ripple_cover) if rippled else None
-        self.banks = place.banks and Banks(rng, place.banks, place.sides, heading_rad)
+        self._stony = _level(rng.uniform(*place["gravel_cover"]))
+        rippled = rng.random() < place["ripples"]
+        self._ripples = Ripples(rng, place["ripple_cover"]) if rippled else None
+        self.banks = Banks(rng, place, heading_rad) if place["banks"] else None
         self._relief_m = rng.uniform(0.05, 0.11), rng.uniform(0.006, 0.016)
         self.offset_m = np.array([rng.uniform(0, 50), rng.uniform(0, 50)], dtype=np.float32)
 
@@ -242,12 +260,41 @@ class Terrain:
             rock = np.maximum(rock, smoothstep(-0.15, 0.2, behind))
         return np.asarray(height, dtype=np.float32), rock
 
-    def surface(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """The ground with all relief, for (R, C) float32 grids of parameters.
+    def seen_from(
+        self, eye: Points, azimuths_rad: Range, elevations_rad: Range, shape: tuple[int, int]
+    ) -> tuple[Floats, Floats, Floats]:
+        """A fan of ground under a camera at `eye`, as fine in each direction as the camera sees it.
 
-        Returns (R, C, 3) float32 each: positions, normals, and attributes: rockiness, gravel share,
-        relief (in units of its standard deviation, negative in crevices).
+        azimuths_rad, elevations_rad: what the camera sees, world directions.  shape: rows (outward)
+        and columns (across) of the grid.  Returns (R, C, 3) float32 each: positions with all
+        relief, normals, and attributes: rockiness, gravel share, relief (in units of its standard
+        deviation, negative in crevices).
         """
+        rows, columns = shape
+        coarse = max(columns // 4, 8)
+        ranges = np.geomspace(0.15, FAR_M, 160)
+        headings = np.linspace(*azimuths_rad, coarse)
+        grid_r, grid_a = np.meshgrid(ranges, headings, indexing="ij")
+        heights = self.height_m(eye[0] + grid_r * np.cos(grid_a), eye[1] + grid_r * np.sin(grid_a))
+        # Rows are dealt out by the angle that a stretch of ground fills in the view, hidden or not.
+        seen = np.clip(np.arctan2(heights - eye[2], grid_r), *elevations_rad)
+        angle = np.abs(np.diff(seen, axis=0))
+        share = 0.72 * angle / np.maximum(angle.sum(axis=0), 1e-6) + 0.28 / (len(ranges) - 1)
+        # Neighbouring columns get nearly the same rows: a sheared grid has bad normals.
+        share = _mean_down(_mean_down(share.T, coarse // 2 | 1).T, 5)
+        share /= share.sum(axis=0)
+        reached = np.concatenate([np.zeros((1, coarse)), np.cumsum(share, axis=0)])
+        even = np.linspace(0, 1, rows)
+        log_r = np.stack([np.interp(even, one, np.log(ranges)) for one in reached.T], axis=-1)
+        between = np.clip((np.arange(columns) + 0.5) * coarse / columns - 0.5, 0, coarse - 1)
+        low = np.minimum(between.astype(np.int64), coarse - 2)
+        radius = np.exp(log_r[:, low] + (between - low) * (log_r[:, low + 1] - log_r[:, low]))
+        heading = np.linspace(*azimuths_rad, columns)
+        x, y = eye[0] + radius * np.cos(heading), eye[1] + radius * np.sin(heading)
+        return self._surface(x.astype(np.float32), y.astype(np.float32))
+
+    def _surface(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+        """What `seen_from` returns, at (R, C) places."""
         from .kernels import normals_of_grid, relieve
 
         height, rock = self._shape(x, y)
@@ -263,44 +310,37 @@ class Terrain:
         return points, normals_of_grid(points), attributes
 
 
-def view_mesh(
-    terrain: Terrain,
-    eye: Points,
-    azimuths_rad: tuple[float, float],
-    elevations_rad: tuple[float, float],
-    shape: tuple[int, int],
-) -> tuple[Floats, Floats, Floats]:
-    """A fan of ground under a camera at `eye`, as fine in each direction as the camera sees it.
-
-    azimuths_rad, elevations_rad: what the camera sees, world directions.  shape: rows (outward) and
-    columns (across) of the grid.  Returns what `Terrain.surface` does.
-    """
-    rows, columns = shape
-    coarse = max(columns // 4, 8)
-    ranges = np.geomspace(0.15, FAR_M, 160)
-    headings = np.linspace(*azimuths_rad, coarse)
-    grid_r, grid_a = np.meshgrid(ranges, headings, indexing="ij")
-    heights = terrain.height_m(eye[0] + grid_r * np.cos(grid_a), eye[1] + grid_r * np.sin(grid_a))
-    # Rows are dealt out by the angle that each stretch of ground fills in the view, hidden or not.
-    seen = np.clip(np.arctan2(heights - eye[2], grid_r), *elevations_rad)
-    angle = np.abs(np.diff(seen, axis=0))
-    share = 0.72 * angle / np.maximum(angle.sum(axis=0), 1e-6) + 0.28 / (len(ranges) - 1)
-    # Neighbouring columns get nearly the same rows: a sheared grid has bad normals.
-    share = _mean_down(_mean_down(share.T, coarse // 2 | 1).T, 5)
-    share /= share.sum(axis=0)
-    reached = np.concatenate([np.zeros((1, coarse)), np.cumsum(share, axis=0)])
-    even = np.linspace(0, 1, rows)
-    log_r = np.stack([np.interp(even, one, np.log(ranges)) for one in reached.T], axis=-1)
-    between = np.clip((np.arange(columns) + 0.5) * coarse / columns - 0.5, 0, coarse - 1)
-    low = np.minimum(between.astype(np.int64), coarse - 2)
-    radius = np.exp(log_r[:, low] + (between - low) * (log_r[:, low + 1] - log_r[:, low]))
-    heading = np.linspace(*azimuths_rad, columns)
-    x, y = eye[0] + radius * np.cos(heading), eye[1] + radius * np.sin(heading)
-    return terrain.surface(x.astype(np.float32), y.astype(np.float32))
-
-
 def _mean_down(values: Points, width: int) -> Points:
     """Mean over `width` (odd) neighbours down each column, the border repeated."""
     padded = np.pad(values, ((width // 2 + 1, width // 2), (0, 0)), mode="edge")
     total = np.cumsum(padded, axis=0)
     return np.asarray((total[width:] - total[:-width]) / width)
+
+
+class Look:
+    """Colours, water and light of a location, of a kind of place.
+
+    palette: (5, 3) float32 albedo of sand, gravel, rock, algae and crust, red, green, blue.
+    turf: how much of the rock is overgrown, 0 to 1.
+    water: (4, 3) float32 attenuation per metre, colour of open water, light from the sun's
+    direction and from all above.  sun_direction: (3,) unit, from the ground to the sun.
+    clear_m: beyond this range nothing has a depth.
+    """
+
+    def __init__(self, rng: Draws, place: Place) -> None:
+        water = catalogue()["waters"][place["waters"][int(rng.integers(len(place["waters"])))]]
+        self.clear_m = rng.uniform(*water["clear_m"])
+        height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
+        flat = np.sqrt(1 - height**2)
+        self.sun_direction = np.array([flat * np.cos(turn), flat * np.sin(turn), height])
+        sun = rng.uniform(*water["sun"])
+        fade = [1.15 / self.clear_m * share for share in water["fade"]]
+        haze = [value * rng.uniform(0.85, 1.15) for value in water["haze"]]
+        light = [sun * share for share in (0.62, 1.0, 0.92)]
+        self.water = np.array([fade, haze, light, water["sky"]], np.float32)
+        rock, sand, algae, crust = (
+            pick(rng, catalogue()["colours"][name], (0.85, 1.15))
+            for name in ("rock", "sand", "algae", "crust")
+        )
+        self.palette = np.array([sand, rock * (1.15, 1.12, 1.08), rock, algae, crust], np.float32)
+        self.turf = rng.uniform(0.2, 0.8)

@@ -1,9 +1,7 @@
-"""The catalogue of objects: how each kind is built, and how it weathers.
+"""The catalogue of objects: what people drop and build, and what grows or lies there.
 
-What people drop (the classes of the Marine Debris Dataset, and barrels), what grows or lies there,
-and what people build.  Every builder draws its own size and colours and returns a mesh that rests
-on z = 0; `chain` and `pipe` take the ground height as a function of (x, y) and come in world
-coordinates.
+Every builder draws its own size and colours and returns a mesh that rests on z = 0; `chain` and
+`pipe` take the ground height as a function of (x, y) and come in world coordinates.
 """
 
 from __future__ import annotations
@@ -17,9 +15,8 @@ from operator import itemgetter
 import numpy as np
 
 from ...seeds import stream
-from .biomes import catalogue, pick
 from .meshes import Mesh, bars, box, circle, join, lathe, prism, rough, sheet, sphere, tube
-from .terrain import WORLD_SEED, Floats, Points, Waves, smoothstep
+from .terrain import WORLD_SEED, Draws, Floats, Points, Waves, catalogue, pick, smoothstep
 
 GroundHeight = Callable[[Points, Points], Floats]
 
@@ -27,9 +24,6 @@ GLASS, PAINTS, STONES, CORALS, LEAVES, CONCRETE, (RUST, BRONZE, STEEL) = itemget
     "glass", "paint", "stone", "coral", "leaf", "concrete", "metal"
 )(catalogue()["colours"])
 BARS = (PAINTS[1], PAINTS[3], PAINTS[5], RUST, STEEL)
-
-
-Draws = np.random.Generator
 
 
 def lying(upright: Mesh) -> Mesh:
@@ -49,11 +43,6 @@ def standing_bottle(rng: Draws) -> Mesh:
     colours = np.tile(glass, (15, 1))
     colours[4:6] = label
     return lathe(np.stack([radii, [*levels, 0.94, 0.98, 1, 0.99]], -1) * [1, height], 22, colours)
-
-
-def bottle(rng: Draws) -> Mesh:
-    """A bottle on its side."""
-    return lying(standing_bottle(rng))
 
 
 def can(rng: Draws) -> Mesh:
@@ -245,7 +234,7 @@ def _table(rng: Draws, colour: Points) -> Mesh:
     plate = lathe(np.array(profile) * [radius, height], 40, colour)
     # Both faces rise and fall together, or the thin plate would cut through itself.
     x, y, z = plate.vertices.T
-    waviness, raggedness = (Waves(rng, radius, radius * share) for share in (0.12, 0.25))
+    waviness, raggedness = (Waves(rng, radius, radius * share, 1.0) for share in (0.12, 0.25))
     lifted = z + np.float32(0.03 * radius) * waviness(x, y) * np.minimum(z / height, 1)
     outward = 1 + np.float32(0.06) * raggedness(x, y) * np.hypot(x, y) / np.float32(radius)
     points = np.stack([x * outward, y * outward, lifted], axis=-1)
@@ -255,8 +244,8 @@ def _table(rng: Draws, colour: Points) -> Mesh:
 def _brain(rng: Draws, colour: Points) -> Mesh:
     """A knobbly dome."""
     radius = rng.uniform(0.1, 0.45)
-    dome = sphere(4, colour).moved(scale=(radius, radius, radius * rng.uniform(0.6, 0.95)))
-    return rough(dome, rng, radius * 0.045, radius * 0.7, radius * 0.18)
+    dome = sphere(4).moved(scale=(radius, radius, radius * rng.uniform(0.6, 0.95)))
+    return rough(dome.tinted(colour), rng, radius * 0.045, radius * 0.7, radius * 0.18)
 
 
 def _tubes(rng: Draws, colour: Points) -> Mesh:
@@ -472,7 +461,7 @@ def pipe(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
         along = path[k + 1] - path[k]
         along /= np.linalg.norm(along)
         for side in (-0.02, 0.05):
-            ends = [path[k] + along * side, path[k] + along * (side + 0.05)]
+            ends = path[k] + np.outer([side, side + 0.05], along)
             parts.append(tube(ends, radius * 1.32, 24, colour=paint * 0.8))
     return join(parts)
 
@@ -537,10 +526,11 @@ def sheet_pile(rng: Draws, length_m: float, height_m: float) -> Mesh:
 
 
 _BUILD: dict[str, Callable[[Draws], Mesh]] = {
-    "Bottle": bottle, "Can": can, "Drink-carton": drink_carton, "Hook": hook,
-    "Propeller": propeller, "Shampoo-bottle": shampoo_bottle, "Standing-bottle": standing_bottle,
-    "Tire": tire, "Valve": valve, "Boulder": boulder, "Frame": frame, "Anchor": anchor,
-    "Block": block, "Coral": coral, "Plant": plant, "Barrel": barrel, "Pebble": pebble,
+    "Bottle": lambda rng: lying(standing_bottle(rng)), "Standing-bottle": standing_bottle,
+    "Shampoo-bottle": shampoo_bottle, "Can": can, "Drink-carton": drink_carton, "Barrel": barrel,
+    "Hook": hook, "Propeller": propeller, "Tire": tire, "Valve": valve, "Anchor": anchor,
+    "Boulder": boulder, "Pebble": pebble, "Block": block, "Frame": frame, "Coral": coral,
+    "Plant": plant,
 }  # fmt: skip
 _MODELS = 24  # of a kind, each turned, scaled and tinted anew wherever it lies
 

@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
 
 from ...frame import Frame, FrameRef, Intrinsics
 from ...seeds import stream
-from .camera import Movement, Optics, Pose, ZBuffer, camera, centred, pose
-from .terrain import FAR_M, TILE, WORLD_SEED, Floats, Points, tiles, view_mesh
+from .camera import Optics, Pose, ZBuffer, camera, centred, moved, pose
+from .meshes import grid_triangles
+from .terrain import FAR_M, TILE, WORLD_SEED, Draws, Floats, tiles
 from .world import World
 
+Movement = Mapping[str, float]
 _SUN_M = 400.0  # how far away the camera in the sun is
 _SHADE_M, _SHADE_CELLS = 14.0, 512  # side of the ground that it sees, and of its picture
 _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the water
 
 
 def take(
-    world: World,
-    frame: int,
-    ref: FrameRef,
-    optics: Optics,
-    movement: Movement | None = None,
-    *,
-    boxes: bool = False,
+    world: World, frame: int, ref: FrameRef, optics: Optics, movement: Movement | None, boxes: bool
 ) -> Frame:
     """Take frame number `frame` of a location.
 
@@ -34,41 +31,35 @@ def take(
     """
     where = choose_pose(world, frame)
     if movement is not None:
-        where = Pose(*movement.moved(where.eye, where.rotation))
+        where = moved(where, movement)
     azimuths, elevations = field_of_view(where, optics)
     # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
     fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
     shape = (int(370 * fine), int(280 * fine * optics.across))
-    ground = view_mesh(world.terrain, where.eye, azimuths, elevations, shape)
+    ground = world.terrain.seen_from(where.eye, azimuths, elevations, shape)
     seen = ZBuffer(where, optics, world.objects, ground[0])
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
     rgb = photograph(world, ground, seen, rng.uniform(0.68, 0.92))
     depth_m, clear_m = seen.depth_m, world.look.clear_m
-    range_m = depth_m * _lengths(optics)
+    intrinsics = Intrinsics(*optics.lens)
+    x, y = intrinsics.directions(optics.height, optics.width)
+    lengths = np.sqrt(1 + (x**2).astype(np.float32) + (y[:, None] ** 2).astype(np.float32))
+    range_m = depth_m * lengths
     keep = measured(rng, depth_m, range_m, clear_m)
-    segmentation, instance = world.objects.shown(seen.number * (range_m < clear_m))
-    x, y, z = where.eye
+    segmentation, instance = (of * (range_m < clear_m) for of in seen.shown)
+    height_m = world.terrain.height_m(*where.eye[:2, None])[0]
     return Frame(
         ref=ref,
         rgb=rgb,
         depth_m=np.where(keep, depth_m, np.float32(0)),
-        intrinsics=Intrinsics(*optics.lens),
+        intrinsics=intrinsics,
         world_from_camera=where.matrix,
         segmentation=segmentation,
         instance=instance,
-        time_s=None if movement is None else movement.time_s,
-        altitude_m=float(z - world.terrain.height_m([x], [y])[0]),
+        time_s=None if movement is None else movement.get("time_s"),
+        altitude_m=float(where.eye[2] - height_m),
         boxes=seen.boxes(instance) if boxes else None,
     )
-
-
-@functools.lru_cache(maxsize=2)
-def _lengths(optics: Optics) -> Floats:
-    """(H, W) lengths of the pixels' rays for a length of 1 along the optical axis."""
-    fx, fy, cx, cy = optics.lens
-    across = (((np.arange(optics.width) - cx) / fx) ** 2).astype(np.float32)
-    down = (((np.arange(optics.height) - cy) / fy) ** 2).astype(np.float32)
-    return np.asarray(np.sqrt(1 + across[None] + down[:, None]))
 
 
 def field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -95,18 +86,15 @@ def photograph(
     """
     from . import kernels
 
-    height, width = seen.which.shape
-    colour = np.empty((-(-height // 2), -(-width // 2), 3), np.float32)
-    rgb = np.empty((height, width, 3), np.uint8)
-    look, objects = world.look, world.objects
-    kernels.look(
-        tuple(part.reshape(-1, 3) for part in ground), ground[0].shape[1],
-        (objects.mesh.vertices, objects.normals, objects.mesh.colours),
-        objects.mesh.triangles, objects.owner, world.finishes,
-        _single(seen), (seen.inverse, seen.which),
+    look, objects, sun = world.look, world.objects, sunlit(world, seen.where)
+    sights = [tuple(part.astype(np.float32) for part in one.sight) for one in (seen, sun)]
+    colour = kernels.look(
+        (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground[0].shape[:2])),
+        (objects.mesh.vertices, objects.normals, objects.mesh.colours, objects.mesh.triangles),
+        objects.owner, world.finishes, sights[0], (seen.inverse, seen.which),
         look.palette, np.float32(look.turf), world.terrain.offset_m,
         tiles()[0], look.water, look.sun_direction.astype(np.float32),
-        *shadows(world, seen.where), colour,
+        sights[1], sun.inverse,
     )  # fmt: skip
     # The camera sets its black level on the haze, as far as that has one colour, and lets the
     # bright parts of the picture fill most of the scale, whatever the water.
@@ -114,30 +102,23 @@ def photograph(
     black = haze * np.float32(0.6 * np.percentile(some.max(axis=-1), 1) / haze.max())
     bright = max(float(np.percentile((some - black).max(axis=-1), 97)), 1e-3)
     gamma = np.round(255 * (np.arange(4096) / 4095) ** (1 / 2.2)).astype(np.uint8)
-    kernels.expose(colour, black, np.float32(exposure / bright), gamma, rgb)
+    gain = np.float32(exposure / bright)
+    rgb: npt.NDArray[np.uint8] = kernels.expose(colour, black, gain, gamma, *seen.which.shape)
     return rgb
 
 
-def shadows(world: World, where: Pose) -> tuple[tuple[Floats, ...], Floats]:
-    """Eye, axes and lens of a camera in the sun, and its picture (S, S) of the objects there."""
+def sunlit(world: World, where: Pose) -> ZBuffer:
+    """What a camera in the sun sees of the objects before a camera."""
     x, y, z = world.look.sun_direction
     ahead = where.rotation[:2, 2] / np.sqrt((where.rotation[:2, 2] ** 2).sum())
     middle = np.append(where.eye[:2] + 0.4 * _SHADE_M * ahead, where.eye[2] - 1)
     heading, pitch = np.rad2deg([np.arctan2(-y, -x), np.arcsin(z)])
     sun = pose(middle + _SUN_M * np.array([x, y, z]), heading, pitch, 0)
     optics = centred(_SUN_M * _SHADE_CELLS / _SHADE_M, _SHADE_CELLS, _SHADE_CELLS)
-    seen = ZBuffer(sun, optics, world.objects)
-    return _single(seen), seen.inverse
+    return ZBuffer(sun, optics, world.objects)
 
 
-def _single(seen: ZBuffer) -> tuple[Floats, ...]:
-    sight = seen.where.eye, seen.where.rotation, np.array(seen.optics.lens)
-    return tuple(part.astype(np.float32) for part in sight)
-
-
-def measured(
-    rng: np.random.Generator, depth_m: Floats, range_m: Floats, clear_m: float
-) -> npt.NDArray[np.bool_]:
+def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> npt.NDArray[np.bool_]:
     """(H, W) bool: pixels that keep their depth, decided for every second one.
 
     As of depth maps from photographs: far water, depth edges and patches have none.
@@ -176,21 +157,15 @@ def measured(
 
 def least_around(values: Floats, reach: int) -> Floats:
     """(H, W) the least of the (2 reach + 1) x (2 reach + 1) values around each."""
-    for axis in (0, 1):
-        sides = [(0, 0), (0, 0)]
-        sides[axis] = (reach, reach)
-        wide, size = np.pad(values, sides, constant_values=np.inf), values.shape[axis]
-        shifted = (wide.take(range(k, k + size), axis) for k in range(2 * reach + 1))
-        values = functools.reduce(np.minimum, shifted)
+    for _ in range(2):  # down the columns, then along the rows
+        wide = np.pad(values, ((reach, reach), (0, 0)), constant_values=np.inf)
+        shifted = (wide[k : k + len(values)] for k in range(2 * reach + 1))
+        values = functools.reduce(np.minimum, shifted).T
     return values
 
 
-_EVERY = 32  # pixels of FLSea's camera from one ray to the next
-_SIDE_DEG, _DOWN_DEG = 50, 20
 # Two such cameras, to the left and to the right, see all that any candidate sees.
 _LOOKOUT = Optics((70.0, 70.0, 101.0, 54.0), 203, 122)
-_OWN = 1.2  # what an object of the user's in sight is worth
-_MOST_LOST = 0.42  # share of the pixels without a depth
 
 
 @functools.lru_cache(maxsize=2)  # all frames of a moving platform begin at one
@@ -200,8 +175,7 @@ def choose_pose(world: World, frame: int) -> Pose:
     A good view has ground to throw shadows on, objects at middle range, something missing but not
     much, and nothing right before the lens.
     """
-    eye = world.path.eye(frame)
-    heading, pitch, roll = world.path.attitude_deg(frame)
+    eye, heading, pitch, roll = world.path.view(frame)
     # Between walls the way ahead is the view; in the open the camera turns to what lies there.
     turning = 0.012 if world.terrain.banks is not None else 0.004
     views = [
@@ -210,17 +184,18 @@ def choose_pose(world: World, frame: int) -> Pose:
         for lower in (0, -5, 8, 16)
         if 8 <= pitch + lower <= 35  # always includes one
     ]
-    lookouts = [pose(eye, heading + side, _DOWN_DEG, 0) for side in (_SIDE_DEG, -_SIDE_DEG)]
-    ground, objects, clear_m = (
-        _ground_around(world, eye, np.deg2rad(heading)),
-        world.objects,
-        world.look.clear_m,
-    )
+    lookouts = [pose(eye, heading + side_deg, 20, 0) for side_deg in (50, -50)]
+    objects, clear_m = world.objects, world.look.clear_m
+    # Coarse ground ahead and beside, without the fine relief.
+    ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
+    azimuths = np.deg2rad(heading) + np.deg2rad(np.linspace(-112, 112, 144))[None]
+    x, y = eye[0] + ranges * np.cos(azimuths), eye[1] + ranges * np.sin(azimuths)
+    ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).astype(np.float32)
     pictures = []
     for where in lookouts:
         seen = ZBuffer(where, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
-        pictures.append((seen.inverse, objects.shown(seen.number)[1]))
-    rays = camera(968, 608).directions(np.eye(3), _EVERY).reshape(-1, 3)
+        pictures.append((seen.inverse, seen.shown[1]))
+    rays = camera(968, 608).directions(np.eye(3), 32).reshape(-1, 3)
     length = np.sqrt((rays**2).sum(axis=1))
     fx, fy, cx, cy = _LOOKOUT.lens
 
@@ -241,22 +216,13 @@ def choose_pose(world: World, frame: int) -> Pose:
         range_m = depth * length
         named = (thing > 0) & (range_m < 0.8 * clear_m)
         shown = np.unique(thing[named])
-        lost, near, share = ((range_m > clear_m).mean(), (depth < 0.9).mean(), named.mean())
+        lost, near, share = (range_m > clear_m).mean(), (depth < 0.9).mean(), named.mean()
         middle = float(np.median(depth[met])) if met.any() else 99.0
-        bad = 8 * max(lost - 0.34, 0) + 60 * max(lost - _MOST_LOST + 0.06, 0)
+        bad = 8 * max(lost - 0.34, 0) + 60 * max(lost - 0.42 + 0.06, 0)
         bad += 30 * max(0.03 - lost, 0)
         bad += 12 * max(near - 0.02, 0) + max(1.4 - middle, 0) + 0.4 * max(middle - 4, 0)
         bad += 4 * max(share - 0.42, 0) - min(share, 0.25) * 4 - 0.05 * min(len(shown), 14)
         own = np.count_nonzero(shown >= world.first_own)
-        return float(bad) - _OWN * min(own, 2)
+        return float(bad) - 1.2 * min(own, 2)
 
     return min(views, key=lambda view: cost(view[0]) + view[1])[0]
-
-
-def _ground_around(world: World, eye: Points, heading_rad: float) -> Floats:
-    """(R, C, 3) coarse ground ahead of and beside an eye, without the fine relief."""
-    ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
-    azimuths = heading_rad + np.deg2rad(np.linspace(-112, 112, 144))[None]
-    x, y = eye[0] + ranges * np.cos(azimuths), eye[1] + ranges * np.sin(azimuths)
-    points = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1)
-    return np.ascontiguousarray(points, dtype=np.float32)

@@ -18,9 +18,9 @@ from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings
-from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
-from simnfnd.factory.scenes.seabed.camera import Movement, movements, pose
+from simnfnd.factory.scenes.seabed.camera import moved, movements, pose
 from simnfnd.factory.scenes.seabed.meshes import grid_triangles
+from simnfnd.factory.scenes.seabed.terrain import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.world import World
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
@@ -185,7 +185,7 @@ def test_the_path_keeps_clear_of_everything() -> None:
         scenes.append(open3d.t.geometry.RaycastingScene(nthreads=1))
         scenes[-1].add_triangles(vertices.astype(np.float32), triangles.astype(np.uint32))
     for number in (*range(0, 60, 6), 5000):
-        eye = world.path.eye(number)
+        eye = world.path.view(number)[0]
         query = open3d.core.Tensor(eye[None].astype(np.float32))
         for scene in scenes:
             assert scene.compute_distance(query).numpy()[0] > 0.4
@@ -206,8 +206,8 @@ def written(folder, text):
     ("text", "says"),
     [
         ("", "expected a header"),
-        ("surge_m,surge_m\n0,0\n", "expected a header"),
-        ("surge_m\n", "0 lines"),
+        ("surge_m,depth_m\n0,0\n", "expected a header of some of time_s, surge_m"),
+        ("surge_m\n", "a line for each frame"),
         ("surge_m,yaw_deg\n0,0\n1\n", "path.csv:3: expected 2 numbers"),
         ("surge_m\nnan\n", "path.csv:2"),
     ],
@@ -219,18 +219,20 @@ def test_bad_paths_are_one_line(tmp_path, text, says):
 
 def test_movements_are_along_the_first_heading():
     start = pose(np.array([1.0, 2.0, 3.0]), 90, 20, 0)  # looks along +y, 20 degrees down
-    eye, rotation = Movement(surge_m=1, sway_m=2, heave_m=0.5).moved(start.eye, start.rotation)
-    assert eye == pytest.approx([-1, 3, 3.5])
-    assert rotation == pytest.approx(start.rotation)
-    turn = Movement(yaw_deg=30, pitch_deg=5, roll_deg=3)
-    _, rotation = turn.moved(start.eye, start.rotation)
-    assert rotation == pytest.approx(pose(start.eye, 120, 25, 3).rotation)
+    shifted = moved(start, {"surge_m": 1, "sway_m": 2, "heave_m": 0.5})
+    assert shifted.eye == pytest.approx([-1, 3, 3.5])
+    assert shifted.rotation == pytest.approx(start.rotation)
+    turned = moved(start, {"yaw_deg": 30, "pitch_deg": 5, "roll_deg": 3})
+    assert turned.rotation == pytest.approx(pose(start.eye, 120, 25, 3).rotation)
 
 
 def test_frames_are_the_lines(tmp_path):
     path = written(tmp_path, PATH)
-    asked = (Movement(0.0), Movement(0.2, surge_m=0.5, heave_m=0.1, yaw_deg=10.0))
-    assert movements(path) == asked
+    still = {"time_s": 0, "surge_m": 0, "heave_m": 0, "yaw_deg": 0}
+    assert movements(path) == (
+        still,
+        {"time_s": 0.2, "surge_m": 0.5, "heave_m": 0.1, "yaw_deg": 10},
+    )
     scenes = {"kind": "seabed", "locations": 1, "path": str(path), "width": 96, "height": 64}
     config = from_mapping({"scenes": scenes})
     reader = open_reader(config.scenes)
