@@ -172,7 +172,7 @@ def test_from_command_line_to_pack_and_back(
     assert "renders: 0 of 4 are in the cache" in stated
     assert sorted(os.listdir(tmp_path)) == [], "a plan wrote something"
     assert run(monkeypatch, *words) == 0
-    assert run(monkeypatch, "status", str(out), "--verify") == 0
+    assert run(monkeypatch, "status", str(out)) == 0
     stated = capfd.readouterr().out
     assert "last run: finished; 4 of 4 pairs" in stated
     assert "4 rendered, 0 from the cache" in stated
