@@ -36,8 +36,6 @@ def main(words: list[str]) -> int:
         help="with --rerun: words of `simnfnd make` for scheduler and cache",
     )  # fmt: skip
     given = parser.parse_intermixed_args(words)
-    if given.settings and not given.rerun:
-        raise FactoryError(f"{given.settings[0]}: settings are for --rerun")
     failures = load_failures(given.dir)
     if given.rerun and failures:
         return _rerun(given.dir, [item["frame"] for item in failures], given.settings)

@@ -20,7 +20,6 @@ from pydantic.dataclasses import dataclass
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from ..small_files import one_line
 from .base import BadDepth, Discovery, Root, SceneSettings, discovery
 from .frame_files import read_depth, read_frame, read_rgb
 
@@ -86,13 +85,7 @@ class FlseaReader:
         there, skipped = _scene_folders(Path(root)), Counter[str]()
         wanted = [scene for scene in SCENES if scene in asked]
         folders = {scene: there[scene] for scene in wanted if scene in there}
-        try:
-            frames = [ref for item in folders.items() for ref in _frames(*item, skipped)]
-        except OSError as error:
-            raise FactoryError(
-                f"scenes.root: {error.filename} cannot be read ({one_line(error)}); make it "
-                "readable, or leave that recording out"
-            ) from error
+        frames = [ref for item in folders.items() for ref in _frames(*item, skipped)]
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
         if absent := [scene for scene in wanted if scene not in there]:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")

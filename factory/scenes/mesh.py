@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import re
 from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import cache, cached_property, lru_cache
@@ -20,7 +19,7 @@ import numpy.typing as npt
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from ..errors import FactoryError, FrameError
+from ..errors import FactoryError
 from ..frame import Frame, FrameRef, checked
 from ..labels import class_names
 from ..seeds import stream
@@ -109,19 +108,14 @@ class MeshReader:
     def load(self, ref: FrameRef) -> Frame:
         """See `Reader`."""
         settings, (objects, shades, _) = self._settings, self._world
-        found = re.fullmatch(r"(?:poses|(?:orbit|transect)-(\d{4}))", ref.scene)
-        if found is None or not ref.frame.isdecimal():
-            raise FrameError(f"{ref.name}: no view of this world; names are like orbit-0003/0007")
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
         view, time_s = int(ref.frame), float(ref.frame)
-        if found[1] is None:
-            times, poses = trajectory(Path(settings.poses or "").expanduser())
-            if view >= len(times):
-                raise FrameError(f"scenes.poses={settings.poses}: has no line {view + 1}")
+        if settings.poses is not None:
+            times, poses = trajectory(Path(settings.poses).expanduser())
             time_s, matrix = float(times[view]), poses[view]
             where = Pose(matrix[:3, 3].copy(), np.ascontiguousarray(matrix[:3, :3]))
         else:
-            where = self._course(int(found[1]))(settings.speed_m_s * view)
+            where = self._course(int(ref.scene[-4:]))(settings.speed_m_s * view)
         seen = z_buffer(where, optics, None, objects)
         part = np.append(objects.owner + np.int64(1), 0)[seen.which]
         segmentation, instance = objects.shown(part)
