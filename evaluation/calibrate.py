@@ -24,7 +24,7 @@ from ..factory.pairs import PairMaker
 from ..factory.progress import progress_bar
 from ..factory.seeds import spawn_key
 from ..factory.sonar.geometry import FanGeometry
-from ..factory.views import KeptViews, open_views
+from ..factory.views import Views, open_views
 from .features import features_of
 from .metrics.statistics import evenly
 from .realism import described, distances, real_pictures, to_polar
@@ -211,7 +211,7 @@ class Simulation:
                 f"{self.config.cache.folder}; run `simnfnd make {' '.join(recipe)}` first"
             )
         spread = evenly(there, frames)
-        self._kept = KeptViews({ref: views.view(ref) for ref in spread})
+        self._kept = Views({ref: views.view(ref) for ref in spread})
         maker = PairMaker(self.config, self._kept)
         self.refs: list[FrameRef] = []
         for ref in spread:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
-from .dataset.schema import CAMERA_LAYERS
 from .dataset.settings import DatasetSettings
 from .errors import FactoryError
 from .imaging.settings import AcousticsSettings, ResampleSettings, with_materials
@@ -129,12 +128,6 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
         yield (
             f"dataset.layers: segmentation needs labelled frames and scenes={scenes.kind} "
             "has none; leave it out or use scenes=seabed"
-        )
-    camera = [name for name in dataset.layers if name in CAMERA_LAYERS]
-    if camera and scenes.kind == "pack":
-        yield (
-            f"dataset.layers: {camera[0]} is of the camera, and a pack holds renders alone; "
-            "leave it out, or use the scenes that the pack was made of"
         )
     received: list[str] = [name for name in ("intensity_db", "field") if name in dataset.layers]
     if config.devices is not None and (received or dataset.columns):

@@ -13,20 +13,21 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import TypeAdapter
 
 from .compiled import compile_needed
 from .dataset.schema import Prepared
-from .errors import FrameError, NotRendered
+from .errors import FactoryError, FrameError, NotRendered
 from .files import explain_os_errors, remove_stale_temporaries, write_atomically
 from .frame import FrameRef
 from .render.base import CacheSettings, Mount, Renderer, RenderSettings
-from .render.pack import PackViews
+from .render.pack import read_contents, read_view
 from .render.view import View, decode, encode, view_of
 from .scenes import Scenes, open_reader
 from .scenes.seabed import GENERATOR
@@ -142,14 +143,43 @@ def _digest(path: str, size: int, modified_ns: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()[:32]
 
 
-class Views(Protocol):
-    """Gives the renders of frames."""
+class Views:
+    """Gives the renders of frames; here those in memory."""
+
+    def __init__(self, views: Mapping[FrameRef, Any]) -> None:
+        self._views = views
 
     def holds(self, ref: FrameRef) -> bool:
         """Whether the frame's render is there."""
+        return ref in self._views
 
     def view(self, ref: FrameRef) -> View:
         """The frame's render.  Raises NotRendered when it is not there (any more)."""
+        if ref not in self._views:
+            raise NotRendered(ref.name)
+        view: View = self._views[ref]
+        return view
+
+
+class PackViews(Views):
+    """Renders in a pack."""
+
+    def __init__(self, root: str, mount: Mount) -> None:
+        """Raises FactoryError when the pack was made for another mount of the sonar."""
+        self._path = Path(root).expanduser()
+        contents = read_contents(self._path)
+        super().__init__(contents.members)
+        if contents.mount != mount:
+            raise FactoryError(
+                f"sonar.mount: the pack {root} holds renders for {asdict(contents.mount)}; "
+                "set the same, or pack renders of yours"
+            )
+
+    def view(self, ref: FrameRef) -> View:
+        """See `Views`."""
+        if not self.holds(ref):
+            raise NotRendered(ref.name)
+        return read_view(self._path, self._views[ref])
 
 
 def open_views(config: FactoryConfig) -> Views:
@@ -159,8 +189,8 @@ def open_views(config: FactoryConfig) -> Views:
     return CachedViews(config)
 
 
-class CachedViews:
-    """Renders in the cache; a `Views`."""
+class CachedViews(Views):
+    """Renders in the cache."""
 
     def __init__(self, config: FactoryConfig) -> None:
         self.cache = Cache(config.cache)
@@ -200,21 +230,6 @@ class CachedViews:
             if view is not None:
                 return view
         raise NotRendered(ref.name)
-
-
-class KeptViews:
-    """Renders in memory; a `Views`."""
-
-    def __init__(self, views: Mapping[FrameRef, View]) -> None:
-        self._views = views
-
-    def holds(self, ref: FrameRef) -> bool:
-        """See `Views`."""
-        return ref in self._views
-
-    def view(self, ref: FrameRef) -> View:
-        """See `Views`."""
-        return self._views[ref]
 
 
 class ViewMaker:

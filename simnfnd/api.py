@@ -122,7 +122,7 @@ def make_pair(
     from .factory.frame import Frame, FrameRef, Intrinsics, checked
     from .factory.pairs import PairMaker
     from .factory.render.view import view_of
-    from .factory.views import KeptViews
+    from .factory.views import Views
 
     settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))
     require(needs_of(settings))
@@ -131,7 +131,7 @@ def make_pair(
     frame = checked(Frame(ref, rgb, depth, Intrinsics(fx, fy, cx, cy)), bad_depth="mask")
     mount = settings.sonar.mount
     rendered = _renderer(settings.render).render(frame, mount)
-    maker = PairMaker(settings, KeptViews({ref: view_of(frame, rendered, mount)}))
+    maker = PairMaker(settings, Views({ref: view_of(frame, rendered, mount)}))
     (pair,) = maker.pairs(ref, (variant,))
     return pair
 

@@ -7,6 +7,7 @@ import gc
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from importlib.util import find_spec
 from itertools import pairwise
 
 from .factory import __version__
@@ -48,24 +49,15 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
             raise FactoryError(problem)
         if any(word in _HELP for word in rest):
             print(f"{head(name, verb)}\n", flush=True)
+            if not verb.hydra and not all(map(find_spec, verb.needs)):
+                return _print("Its options are listed once that is installed.")
         elif not any(word.split("=")[0] in _SHOW for word in rest):
             require(Need(f"simnfnd {name}", module) for module in verb.needs)
-            if sys.stderr.isatty() and (verb.hydra or verb.needs or name == "plan"):
-                # What follows imports for seconds; in a file nobody waits for the first word.
-                print(f"simnfnd {name}: starting", file=sys.stderr, flush=True)
         module, function = verb.target.split(":")
         try:
             gc.disable()  # what is imported stays; looking through it takes a tenth of a second
             action = getattr(import_module(module), function)
             gc.freeze()
-        except ModuleNotFoundError as error:
-            if (
-                verb.needs
-                and any(word in _HELP for word in rest)
-                and (error.name or "").split(".")[0] in EXTRAS
-            ):
-                return _print("Its options are listed once that is installed.")
-            raise
         finally:
             gc.enable()
         # One way to stop for all: SIGTERM unwinds as Ctrl-C does, so that every `finally` runs.

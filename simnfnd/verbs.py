@@ -79,7 +79,6 @@ VERBS: dict[str, Verb] = {
         LOOK, "how far a dataset is, which frames failed and why", f"{_COMMANDS}.status:main",
         (
             "simnfnd status outputs/demo",
-            "simnfnd status outputs/demo --verify",
             "simnfnd status outputs/demo --failed",
             "simnfnd status outputs/demo --rerun",
         ),

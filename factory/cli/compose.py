@@ -17,6 +17,7 @@ from ..small_files import load_yaml
 if TYPE_CHECKING:
     from ..config import FactoryConfig
 
+_SWEEP = ("-m", "--multirun")
 _KEY = re.compile(r"[+]{0,2}[A-Za-z_][\w./@:-]*", re.ASCII)
 # What Hydra's grammar reads as one value or several, and its own forms, which it explains itself.
 _READS = re.compile(r"[A-Za-z0-9_./:@%+|*,-]*|[\[{'\"].*|.*\$\{.*|\w+\(.*", re.ASCII | re.DOTALL)
@@ -27,18 +28,14 @@ def compose_config(words: Sequence[str], scenes: Mapping[str, Any] | None = None
 
     scenes: values of the group `scenes`, instead of those that the words mean.
     """
-    single = [word for word in words if word not in ("-m", "--multirun")]
-    ((_, config),) = compose_points(single, scenes)
+    (config,) = compose_points([word for word in words if word not in _SWEEP], scenes)
     return config
 
 
 def compose_points(
     words: Sequence[str], scenes: Mapping[str, Any] | None = None
-) -> list[tuple[tuple[str, ...], FactoryConfig]]:
-    """The points of a sweep (one without `-m`): what distinguishes each, and its configuration.
-
-    Raises FactoryError for a bad word.
-    """
+) -> list[FactoryConfig]:
+    """The configurations of a sweep's points (one without `-m`); see `compose_config`."""
     # Hydra brings antlr and plugins; those who only look at a folder must not pay for it.
     from hydra import compose, initialize_config_module
     from hydra.core.plugins import Plugins
@@ -49,32 +46,24 @@ def compose_points(
     from ..config import composed_values, from_mapping
     from ..distribution import as_override
 
-    sweep = any(word in ("-m", "--multirun") for word in words)
     overrides = [as_override(word) for word in readable(words) if not word.startswith("-")]
+    points, configs = [overrides], []
     try:
         with initialize_config_module("simnfnd.conf", version_base="1.3"):
-            chosen_by_point = [overrides]
-            if sweep:
+            if any(word in _SWEEP for word in words):
                 Plugins.instance()
                 # Those that choose groups: enough to know what an experiment sweeps over.
                 recipes = [word for word in overrides if word.startswith("experiment=")]
                 root = compose("factory", overrides=recipes, return_hydra_config=True)
                 # None in a plain sweep, a mapping where an experiment brings its own.
-                chosen_by_point = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
-            points = []
-            for chosen in chosen_by_point:
+                points = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
+            for chosen in points:
                 composed = compose("factory", overrides=chosen)
                 if scenes is not None:
                     OmegaConf.set_struct(composed, False)
                     composed.scenes = dict(scenes)
-                config = from_mapping(composed_values(composed))
-                differs = [
-                    word
-                    for word, others in zip(chosen, zip(*chosen_by_point, strict=True), strict=True)
-                    if len(set(others)) > 1
-                ]
-                points.append((tuple(differs), config))
-            return points
+                configs.append(from_mapping(composed_values(composed)))
+            return configs
     except (HydraException, OmegaConfBaseException) as error:
         raise FactoryError(config_line(error, "factory")) from error
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from .. import __version__
 from ..compiled import compile_needed
 from ..config import FactoryConfig, composed_values, from_mapping, identity, plain, with_cache
-from ..dataset.quality import lit_share, seen_sector_deg
+from ..dataset.quality import lit_share, noisiness, seen_sector_deg
 from ..dataset.schema import Provenance, config_hash
 from ..errors import FactoryError
 from ..files import check_writable
@@ -47,22 +47,28 @@ def generate(composed: DictConfig) -> int:
     0: every frame became pairs.  1: some frames failed (listed in failed.jsonl), the rest is there.
     Raises FactoryError when nothing can be made.
     """
-    from .sweep import each_its_folder, note_failure, note_result
+    from .sweep import each_its_folder, note
 
     try:
         each_its_folder(composed)
         config = from_mapping(composed_values(composed))
         report, directory = run(config, arguments=sys.argv[1:])
         code = 1 if report.failures else 0
-        if config.shard.count == 1:
-            note_result(directory, report, code)
     except FactoryError as error:
-        note_failure("failed", str(error), EXIT_BAD_INPUT)
+        note(state="failed", reason=" ".join(str(error).split()), exit_code=EXIT_BAD_INPUT)
         raise
     except KeyboardInterrupt as stopped:
-        note_failure("interrupted", str(stopped), int(getattr(stopped, "exit_code", 130)))
+        note(state="interrupted", exit_code=int(getattr(stopped, "exit_code", 130)))
         raise
     folder = shown(directory)
+    note(
+        state="made",
+        pairs=report.samples,
+        failed=len(report.failures),
+        **(noisiness(directory) if config.shard.count == 1 else {}),
+        exit_code=code,
+        dataset=str(directory),
+    )
     print(f"dataset: {folder}")
     if report.failures:
         count, reason = _commonest(report)

@@ -21,35 +21,12 @@ from . import markdown
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from ..scheduler.results import RunReport
-
 _RESULT = "result.json"
 # Of noisy against clean: mean and spread over the pairs.
 _FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
 _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
 # Folder and points (the words of each) of the sweep of this process, until its table is written.
 _open: list[tuple[Path, list[list[str]]]] = []
-
-
-def note_result(directory: Path, report: RunReport, exit_code: int) -> None:
-    """Within a sweep, leave the row of a point that was made; else do nothing."""
-    from ..dataset.quality import noisiness
-
-    if _is_sweep():
-        _note(
-            state="made",
-            pairs=report.samples,
-            failed=len(report.failures),
-            **{name: round(value, 4) for name, value in noisiness(directory).items()},
-            exit_code=exit_code,
-            dataset=str(directory),
-        )
-
-
-def note_failure(state: str, reason: str, exit_code: int) -> None:
-    """Within a sweep, leave the row of a point that came to nothing; else do nothing."""
-    if _is_sweep():
-        _note(state=state, reason=" ".join(reason.split()), exit_code=exit_code)
 
 
 def each_its_folder(composed: DictConfig) -> None:
@@ -71,9 +48,12 @@ def _is_sweep() -> bool:
     return HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
 
 
-def _note(**row: Any) -> None:
+def note(**row: Any) -> None:
+    """Within a sweep, leave the row of a point; else do nothing."""
     from hydra.core.hydra_config import HydraConfig
 
+    if not _is_sweep():
+        return
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     folder.mkdir(parents=True, exist_ok=True)

@@ -30,8 +30,6 @@ def main(words: list[str]) -> None:
     if given.action == "pack":
         _pack(given.overrides, given.out)
         return
-    if given.out:
-        raise FactoryError(f"cache {given.action}: --out is for cache pack")
     cache = Cache(compose_config(given.overrides).cache)
     entries = list(cache.entries())
     size_mb = sum(entry.bytes for entry in entries) / 1e6
@@ -51,8 +49,6 @@ def _pack(overrides: list[str], out: Path | None) -> None:
     if out is None:
         raise FactoryError("cache pack: which file? give --out FILE")
     config = compose_config(overrides)
-    if config.scenes.kind == "pack":
-        raise FactoryError("cache pack: scenes=pack is a pack already; copy its file")
     refs = choose_frames(open_reader(config.scenes).discover().frames, config)
     views = CachedViews(config)
     there = [ref for ref in refs if views.holds(ref)]

@@ -61,7 +61,11 @@ def merge(
     sources = {directory: PairDataset(directory, "all") for directory in manifests}
     _check_alike(manifests, sources)
     _check_samples(sources)
-    settings = DatasetSettings(name=name, licence=licence or _common_licence(directories))
+    stated = {str(dataset_settings(one).get("licence") or "") or None for one in manifests}
+    if len(stated) > 1 and not licence:
+        told = ", ".join(sorted(str(one) for one in stated))
+        raise FactoryError(f"merge: licences differ ({told}); say which holds with --licence")
+    settings = DatasetSettings(name=name, licence=licence or next(iter(stated)))
     with whole_folder(out) as partial:
         return _fill(partial, manifests, _provenance(list(manifests.values())), settings)
 
@@ -117,14 +121,6 @@ def _check_samples(sources: Mapping[Path, PairDataset]) -> None:
                     f"{one.split} of {directory}; a denoiser would be tested on what it trained on "
                     "(set split.test alike)"
                 )
-
-
-def _common_licence(directories: Sequence[Path]) -> str | None:
-    stated = {directory: dataset_settings(directory).get("licence") for directory in directories}
-    if len(set(stated.values())) > 1:
-        told = ", ".join(f"{directory}: {value or 'none'}" for directory, value in stated.items())
-        raise FactoryError(f"merge: licences differ ({told}); say which holds with --licence")
-    return next(str(value) if value else None for value in stated.values())
 
 
 def _provenance(manifests: Sequence[Manifest]) -> Provenance:

@@ -44,11 +44,10 @@ def main(words: list[str]) -> int:
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for `simnfnd make`")
     given = parser.parse_intermixed_args(words)
     points = compose_points([*(["-m"] if given.multirun else []), *given.settings])
-    config = points[0][1]
+    config = points[0]
     require(needs_of(config))
     if len(points) > 1:
-        ends = " ... ".join(" ".join(points[k][0]) for k in (0, -1))
-        print(f"sweep: {len(points)} points, {ends}")
+        print(f"sweep: {len(points)} points, of which this is the first")
     job = job_of(config, ())
     for split in ("train", "test"):
         own = [task for task in job.own_tasks if task.split == split]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..cli import Parser
 from ..dataset.folder import STATUS_NAME
-from ..dataset.manifest import CONFIG_NAME, Manifest, damage, load_failures, load_manifest
+from ..dataset.manifest import CONFIG_NAME, Manifest, load_failures, load_manifest
 from ..dataset.schema import SPLITS
 from ..errors import FactoryError
 from ..scheduler.lock import owner_of
@@ -22,11 +21,10 @@ if TYPE_CHECKING:
 
 
 def main(words: list[str]) -> int:
-    """Do what `words` ask for; 1 when a shard is damaged or, with --failed, a frame failed."""
+    """Do what `words` ask for; 1 when, with --failed or --rerun, a frame failed."""
     parser = Parser(prog="simnfnd status")
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--verify", action="store_true", help="read every shard, too")
     what.add_argument("--failed", action="store_true", help="list the frames that failed, and why")
     what.add_argument(
         "--rerun",
@@ -38,8 +36,6 @@ def main(words: list[str]) -> int:
         help="with --rerun: words of `simnfnd make` for scheduler and cache",
     )  # fmt: skip
     given = parser.parse_intermixed_args(words)
-    if given.settings and not given.rerun:
-        raise FactoryError(f"{given.settings[0]}: settings are for --rerun")
     failures = load_failures(given.dir)
     if given.rerun and failures:
         return _rerun(given.dir, [item["frame"] for item in failures], given.settings)
@@ -53,12 +49,11 @@ def main(words: list[str]) -> int:
         print(f"{len(failures)} frames failed", end="")
         print("; running the dataset's command again tries them, too" if failures else "")
         return 1 if failures else 0
-    return _state(given.dir, manifest, failures, verify=given.verify)
+    _state(given.dir, manifest, len(failures))
+    return 0
 
 
-def _state(
-    directory: Path, manifest: Manifest, failures: Sequence[dict[str, str]], *, verify: bool
-) -> int:
+def _state(directory: Path, manifest: Manifest, failed: int) -> None:
     owner = owner_of(directory)
     running = f"process {owner['pid']} on {owner['host']} is at work" if owner else "nobody works"
     print(f"{directory}: {running}")
@@ -69,13 +64,8 @@ def _state(
         own = manifest.of_split(split)
         size = sum(shard.bytes for shard in own) / 1e6
         print(f"  {split}: {manifest.samples(split)} pairs in {len(own)} shards, {size:.1f} MB")
-    if failures:
-        print(f"  {len(failures)} frames failed (`simnfnd status {directory} --failed` lists them)")
-    shards = manifest.shards.values() if verify else ()
-    damaged = [(shard.path, problem) for shard in shards if (problem := damage(directory, shard))]
-    for name, problem in damaged:
-        print(f"  {name}: {problem}; run the same command again to repair it")
-    return 1 if damaged else 0
+    if failed:
+        print(f"  {failed} frames failed (`simnfnd status {directory} --failed` lists them)")
 
 
 def _last_run(told: dict[str, Any], at_work: bool) -> str:

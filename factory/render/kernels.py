@@ -330,22 +330,6 @@ def rounded(
             looked_up[row, column] = table[codes[row, column]]
 
 
-@compiled("void(uint16[:, ::1], uint8[:, ::1])")
-def fold(codes: Any, planes: Any) -> None:
-    """Fill planes (2, H * W) for `view.fold`."""
-    height, width = codes.shape
-    for row in range(height):
-        before = np.uint16(0)
-        for column in range(width):
-            above = codes[row - 1, column] if row else np.uint16(0)
-            down = np.uint16(codes[row, column] - above)
-            step = np.int16(np.uint16(down - before))
-            before = down
-            folded = np.uint16((step << 1) ^ (step >> 15))
-            planes[0, row * width + column] = folded & 255
-            planes[1, row * width + column] = folded >> 8
-
-
 @compiled(f"void(Array(uint8, 2, 'C', readonly=True), {_ROW}, {_OUT})")
 def unfold(planes: Any, table: Any, values: Any) -> None:
     """Fill `values` (H, W) with `table` at the codes that `view.fold` wrote, planes (2, H * W)."""

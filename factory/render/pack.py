@@ -18,7 +18,7 @@ from typing import NamedTuple
 from pydantic import TypeAdapter
 
 from .. import __version__
-from ..errors import FactoryError, NotRendered
+from ..errors import FactoryError
 from ..files import explain_os_errors
 from ..frame import FrameRef
 from ..settings import ClassName
@@ -131,31 +131,12 @@ def _ref(item: Mapping[str, object]) -> FrameRef:
     return FrameRef(location, scene, frame)
 
 
-class PackViews:
-    """Renders in a pack; a `simnfnd.factory.views.Views`."""
-
-    def __init__(self, root: str, mount: Mount) -> None:
-        """Raises FactoryError when the pack was made for another mount of the sonar."""
-        self._path = Path(root).expanduser()
-        self._contents = read_contents(self._path)
-        if self._contents.mount != mount:
-            raise FactoryError(
-                f"sonar.mount: the pack {root} holds renders for {asdict(self._contents.mount)}; "
-                "set the same, or pack renders of yours"
-            )
-
-    def holds(self, ref: FrameRef) -> bool:
-        """See `simnfnd.factory.views.Views`."""
-        return ref in self._contents.members
-
-    def view(self, ref: FrameRef) -> View:
-        """See `simnfnd.factory.views.Views`."""
-        if ref not in self._contents.members:
-            raise NotRendered(ref.name)
-        try:
-            with _opened(self._path) as archive:
-                return decode(_member(archive, self._contents.members[ref]))
-        except (OSError, *_NO_PACK) as error:
-            raise FactoryError(
-                f"scenes.root={self._path}: {ref.name} is damaged ({error}); copy the pack again"
-            ) from error
+def read_view(path: Path, member: str) -> View:
+    """The view of a member of `Contents`.  Raises FactoryError when it is damaged."""
+    try:
+        with _opened(path) as archive:
+            return decode(_member(archive, member))
+    except (OSError, *_NO_PACK) as error:
+        raise FactoryError(
+            f"scenes.root={path}: {member} is damaged ({error}); copy the pack again"
+        ) from error

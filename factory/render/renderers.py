@@ -89,14 +89,14 @@ class CyclesRenderer:
             self._bpy = _loaded("bpy", "cycles")
         self._scene, self._camera, self._light = _stage(self._bpy)
         self._mesh = self._new_object("surface")
-        self._mesh.data.materials.append(_material(self._bpy, normal_attribute=None))
+        self._mesh.data.materials.append(_material(self._bpy, normals=False))
         self._caster = self._new_object("shadow caster", self._mesh.data)
         self._caster.scale = (1 + SHADOW_BIAS,) * 3
         self._mesh.visible_shadow = False
         for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
             setattr(self._caster, f"visible_{ray}", False)
         self._points = self._new_object("points")
-        self._points.data.materials.append(_material(self._bpy, normal_attribute=_NORMAL))
+        self._points.data.materials.append(_material(self._bpy, normals=True))
         _turn_into_spheres(self._bpy, self._points)
         for shown in (self._mesh, self._points):
             # Cycles softens the shading of coarse meshes; ours is a pixel fine.
@@ -183,42 +183,37 @@ def _set(mesh: Any, name: str, values: npt.NDArray[Any]) -> None:
     attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())
 
 
-def _material(bpy: Any, normal_attribute: str | None) -> Any:
-    """A Lambert surface with the albedo of the vertices, and their normals where named."""
+def _material(bpy: Any, normals: bool) -> Any:
+    """A Lambert surface with the albedo of the vertices, and their normals where asked."""
     material = bpy.data.materials.new("sonar")
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
-    diffuse = nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
     diffuse.inputs["Roughness"].default_value = 0
-    albedo = nodes.new("ShaderNodeAttribute")
-    albedo.attribute_name = _ALBEDO
-    links.new(albedo.outputs["Fac"], diffuse.inputs["Color"])
-    if normal_attribute is not None:
-        normal = nodes.new("ShaderNodeAttribute")
-        normal.attribute_name = normal_attribute
-        links.new(normal.outputs["Vector"], diffuse.inputs["Normal"])
-    output = nodes.new("ShaderNodeOutputMaterial")
     links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
+    wired = [(_ALBEDO, "Fac", "Color"), (_NORMAL, "Vector", "Normal")]
+    for name, source, target in wired if normals else wired[:1]:
+        attribute = nodes.new("ShaderNodeAttribute")
+        attribute.attribute_name = name
+        links.new(attribute.outputs[source], diffuse.inputs[target])
     return material
 
 
 def _turn_into_spheres(bpy: Any, shown: Any) -> None:
     """Geometry nodes: vertices -> points with their own radius -> the object's material."""
     tree = bpy.data.node_groups.new("spheres", "GeometryNodeTree")
-    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    nodes, links = tree.nodes, tree.links
-    start, end = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
-    radius = nodes.new("GeometryNodeInputNamedAttribute")
+    for way in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    kinds = ("NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodeSetMaterial")
+    start, points, paint = map(tree.nodes.new, kinds)
+    end, radius = map(tree.nodes.new, ("NodeGroupOutput", "GeometryNodeInputNamedAttribute"))
     radius.data_type = "FLOAT"
     radius.inputs["Name"].default_value = _RADIUS
-    points = nodes.new("GeometryNodeMeshToPoints")
-    paint = nodes.new("GeometryNodeSetMaterial")
     paint.inputs["Material"].default_value = shown.data.materials[0]
-    links.new(start.outputs[0], points.inputs["Mesh"])
-    links.new(radius.outputs["Attribute"], points.inputs["Radius"])
-    links.new(points.outputs["Points"], paint.inputs["Geometry"])
-    links.new(paint.outputs["Geometry"], end.inputs[0])
+    tree.links.new(start.outputs[0], points.inputs["Mesh"])
+    tree.links.new(radius.outputs["Attribute"], points.inputs["Radius"])
+    tree.links.new(points.outputs["Points"], paint.inputs["Geometry"])
+    tree.links.new(paint.outputs["Geometry"], end.inputs[0])
     shown.modifiers.new("spheres", "NODES").node_group = tree
 
 

@@ -14,7 +14,7 @@ import json
 import math
 import struct
 import sys
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -90,10 +90,9 @@ def _black(shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
 
 def encode(view: View) -> bytes:
     """The view as bytes; `decode(encode(view))` is the view itself when it was rounded alike."""
-    seen, labelled = view.seen, False
+    seen = view.seen
     planes = [fold(rounded(seen.depth_m, DEPTH)[0]), fold(rounded(view.radiance, RADIANCE)[0])]
     if seen.segmentation is not None and seen.instance is not None:
-        labelled = True
         planes += [seen.segmentation.tobytes(), seen.instance.astype("<u2").tobytes()]
     # Level 1 is twice as fast as 3 and, on such planes, no larger.  Differences are noise: what
     # repeats is near, so the least table of places (2^6) is faster, and its output smaller.
@@ -108,7 +107,7 @@ def encode(view: View) -> bytes:
         "world_from_camera": None if pose is None else pose.tolist(),
         **{name: getattr(seen, name) for name in _NUMBERS if getattr(seen, name) is not None},
         "precision": _PRECISION,
-        "labelled": labelled,
+        "labelled": len(planes) > 2,
         **({} if seen.boxes is None else {"boxes": seen.boxes.tolist()}),
         "parts": [len(part) for part in parts],
     }
@@ -149,8 +148,11 @@ def decode(content: bytes) -> View:
         if "boxes" in head:
             more["boxes"] = np.array(head["boxes"], float).reshape(-1, BOX_FIELDS)
         depth_m = unfold(parts[0], shape, DEPTH)
-        nameless, camera = FrameRef("", "", ""), _camera(head["intrinsics"])
-        seen = Frame(nameless, _black(shape), depth_m, camera, **more)
+        *lens, distortion = (head["intrinsics"][one.name] for one in fields(Intrinsics))
+        camera = Intrinsics(*map(_finite, lens), tuple(map(_finite, distortion)))
+        if not min(camera.fx, camera.fy) > 0:
+            raise ValueError("no camera")
+        seen = Frame(FrameRef("", "", ""), _black(shape), depth_m, camera, **more)
         return View(seen, unfold(parts[1], shape, RADIANCE), mount_of(head["mount"]))
     except (KeyError, TypeError, zstd.ZstdError, struct.error) as error:
         raise ValueError(f"damaged ({error})") from error
@@ -169,14 +171,6 @@ def _decompressed(content: bytes, size: int) -> bytes:
 def mount_of(values: dict[str, Any]) -> Mount:
     """A mount as JSON holds it."""
     return Mount(**{**values, "translation_m": tuple(values["translation_m"])})
-
-
-def _camera(values: dict[str, Any]) -> Intrinsics:
-    camera = Intrinsics(**{**values, "distortion": tuple(map(_finite, values["distortion"]))})
-    numbers = [_finite(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
-    if None in numbers or min(camera.fx, camera.fy) <= 0 or len(camera.distortion) > 16:
-        raise ValueError("no camera")
-    return camera
 
 
 def _finite(value: object) -> Any:
@@ -227,11 +221,10 @@ def fold(codes: Codes) -> bytes:
 
     Second differences, folded to small numbers; low and high bytes lie apart.
     """
-    from . import kernels  # loads numba
-
-    planes = np.empty((2, codes.size), np.uint8)
-    kernels.fold(codes, planes)
-    return planes.tobytes()
+    down = np.diff(codes, axis=0, prepend=np.uint16(0))
+    step = np.diff(down, axis=1, prepend=np.uint16(0)).view(np.int16)
+    folded = ((step << 1) ^ (step >> 15)).astype("<i2")
+    return np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 2).T).tobytes()
 
 
 def unfold(content: bytes, shape: tuple[int, int], steps: Steps) -> npt.NDArray[np.float32]:

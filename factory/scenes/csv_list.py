@@ -95,10 +95,7 @@ def _rows(path: Path) -> list[tuple[str, str, str]]:
     """(rgb, depth, scene) of every line; a header, empty lines and `#` comments are left out."""
     rows = []
     for index, (number, line) in enumerate(numbered_lines(path)):
-        try:
-            cells = [cell.strip() for cell in next(csv.reader([line]))]
-        except csv.Error:
-            cells = []
+        cells = [cell.strip() for cell in next(csv.reader([line]), [])]
         if index == 0 and [cell.lower() for cell in cells[:2]] == ["rgb", "depth"]:
             continue
         rgb, depth, scene = (*cells, "")[:3] if len(cells) in (2, 3) else ("", "", "")

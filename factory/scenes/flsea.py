@@ -20,7 +20,6 @@ from pydantic.dataclasses import dataclass
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from ..small_files import one_line
 from .base import BadDepth, Discovery, Root, SceneSettings, discovery
 from .frame_files import read_depth, read_frame, read_rgb
 
@@ -79,33 +78,22 @@ class FlseaReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        given, asked = f"scenes.root={self.settings.root}", self.settings.scenes
+        given, asked = f"scenes.root={self.settings.root}", self.settings.scenes or tuple(SCENES)
         root = os.path.abspath(Path(self.settings.root).expanduser())
         if not os.path.isdir(root):
             raise FactoryError(f"{given}: no such folder; set scenes.root to {_EXPECTED}")
         there, skipped = _scene_folders(Path(root)), Counter[str]()
-        wanted = [scene for scene in SCENES if scene in (asked or SCENES)]
+        wanted = [scene for scene in SCENES if scene in asked]
         folders = {scene: there[scene] for scene in wanted if scene in there}
-        try:
-            frames = [ref for item in folders.items() for ref in _frames(*item, skipped)]
-        except OSError as error:
-            raise FactoryError(
-                f"scenes.root: {error.filename} cannot be read ({one_line(error)}); make it "
-                "readable, or leave that recording out"
-            ) from error
+        frames = [ref for item in folders.items() for ref in _frames(*item, skipped)]
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
         if absent := [scene for scene in wanted if scene not in there]:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
-        nothing = f"no FLSea scene {' or '.join(asked or ())}".rstrip() + (
-            f" here, looked for <location>/<scene>/imgs such as canyons/u_canyon/imgs; set "
-            f"scenes.root to {_EXPECTED}"
+        named = " or ".join(wanted) if len(wanted) < len(SCENES) else ""
+        nothing = (
+            f"no FLSea scene {named} here with imgs/<timestamp>.tiff and depth/<timestamp>"
+            f"{_DEPTH_ENDINGS[0]}; set scenes.root to {_EXPECTED}"
         )
-        if folders:
-            counts = ", ".join(f"{n} x {reason}" for reason, n in skipped.items() if n)
-            nothing = (
-                f"no frame in {', '.join(folders)} ({counts or 'empty'}); expected "
-                f"imgs/<timestamp>.tiff and depth/<timestamp>{_DEPTH_ENDINGS[0]}"
-            )
         return discovery(frames, f"{given}: {nothing}", skipped, notes)
 
     def load(self, ref: FrameRef) -> Frame:

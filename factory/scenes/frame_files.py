@@ -66,8 +66,7 @@ def _decoded(path: Path) -> Any:
     from PIL import Image
 
     if not os.path.isfile(path):  # a pipe may make wait for ever
-        what = "no regular file" if os.path.lexists(path) else "no such file"
-        raise FrameError(f"{path}: {what}; copy or download the file again")
+        raise FrameError(f"{path}: no such file; copy or download the file again")
     try:
         # libtiff writes straight to the process's stderr what the exception says.
         with quiet_stderr(), warnings.catch_warnings():

@@ -6,28 +6,27 @@ procedural scenes: exact, and a tenth of the time of tracing as many rays.
 
 from __future__ import annotations
 
+import io
 import itertools
-import re
-from dataclasses import dataclass as plain_dataclass
+from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from ..errors import FactoryError, FrameError
+from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics, checked
 from ..labels import class_names
 from ..seeds import stream
 from ..settings import STRICT
 from .base import Discovery, OwnClass, Root, SceneSettings, numbered_lines, numbers_in
-
-if TYPE_CHECKING:
-    from .seabed.camera import Objects, Optics, Pose
+from .mesh_parts import READING, files_of, photograph, read_parts, turned_note
+from .seabed.camera import Objects, Optics, Pose, ZBuffer, camera, centred, pose
 
 _LARGEST_M = 3000.0
 _KEY = "scenes.file"
@@ -83,21 +82,6 @@ class MeshSettings(SceneSettings):
         return self.classes
 
 
-@plain_dataclass(frozen=True, eq=False)
-class Course:
-    """A drawn path, at `level_m`: around `centre`, `aside_m` away from it, or straight past it.
-
-    reach_m: of what lies around the centre.  heading, tilt: rad, at the start.
-    """
-
-    centre: Points
-    reach_m: float
-    heading: float
-    aside_m: float
-    level_m: float
-    tilt: float
-
-
 class MeshReader:
     """Takes frames of one world; its name and the settings decide them."""
 
@@ -105,34 +89,33 @@ class MeshReader:
         """Nothing is read before it is needed."""
         self._settings = settings
         self._path = Path(settings.file).expanduser()
-        self._course = cache(self._measured)
+        self._course = cache(self._drawn)
 
     def discover(self) -> Discovery:
         """List the frames: scene `orbit-0003` is the path number 3, frame `0007` its view 7."""
-        from .mesh_parts import files_of
-
         settings = self._settings
         paths, views = files_of(self._path, _KEY), settings.views_per_path
         scenes = [f"{settings.route}-{path:04d}" for path in range(settings.paths)]
         _, _, notes = self._world  # read, so that bad files show here
         if settings.poses is not None:
-            scenes, views = ["poses"], len(self._recorded()[0])
-            paths += (str(Path(settings.poses).expanduser()),)
+            recorded = Path(settings.poses).expanduser()
+            scenes, views = ["poses"], len(trajectory(recorded)[0])
+            paths += (str(recorded),)
         places = itertools.product(scenes, range(views))
         refs = (FrameRef(self._path.stem, scene, f"{view:04d}", paths) for scene, view in places)
         return Discovery(tuple(refs), notes=notes)
 
     def load(self, ref: FrameRef) -> Frame:
         """See `Reader`."""
-        from .seabed.camera import ZBuffer, camera
-
         settings, (objects, shades, _) = self._settings, self._world
-        found = re.fullmatch(r"(poses|(?:orbit|transect)-(\d{4}))", ref.scene)
-        if found is None or not ref.frame.isdecimal():
-            raise FrameError(f"{ref.name}: no view of this world; names are like orbit-0003/0007")
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
-        view, path = int(ref.frame), found[2]
-        where, time_s = self._at(view) if path is None else self._drawn(int(path), view)
+        view, time_s = int(ref.frame), float(ref.frame)
+        if settings.poses is not None:
+            times, poses = trajectory(Path(settings.poses).expanduser())
+            time_s, matrix = float(times[view]), poses[view]
+            where = Pose(matrix[:3, 3].copy(), np.ascontiguousarray(matrix[:3, :3]))
+        else:
+            where = self._course(int(ref.scene[-4:]))(settings.speed_m_s * view)
         seen = ZBuffer(where, optics, objects)
         segmentation, instance = seen.shown
         frame = Frame(
@@ -144,7 +127,7 @@ class MeshReader:
             segmentation=segmentation,
             instance=instance,
             time_s=time_s,
-            altitude_m=self._above_ground_m(where.eye),
+            altitude_m=self._below(where.eye),
             boxes=seen.boxes(instance) if settings.boxes else None,
         )
         return checked(frame)
@@ -152,9 +135,6 @@ class MeshReader:
     @cached_property
     def _world(self) -> tuple[Objects, npt.NDArray[np.uint8], tuple[str, ...]]:
         """The parts, shades (T + 1, 3) of their faces and of nothing, and notes for the user."""
-        from .mesh_parts import read_parts, turned_note
-        from .seabed.camera import Objects
-
         settings = self._settings
         parts = read_parts(self._path, _KEY, settings.scale, _LARGEST_M)
         names = class_names(settings.own_classes())
@@ -182,49 +162,17 @@ class MeshReader:
     ) -> npt.NDArray[np.uint8]:
         if self._path.suffix.lower() != ".blend":
             return shaded
-        import cv2
-
-        from .mesh_parts import READING, photograph
+        from PIL import Image
 
         matrix = where.matrix
         matrix[:3, 3] /= self._settings.scale
         given = matrix.tolist(), list(optics.lens), optics.width, optics.height
         content = READING.call(photograph, self._path, *given, limit_s=600.0)
-        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-        return np.ascontiguousarray(picture[..., ::-1])
+        with Image.open(io.BytesIO(content)) as picture:
+            return np.array(picture.convert("RGB"))
 
-    def _recorded(self) -> tuple[Points, Points]:
-        return trajectory(Path(self._settings.poses or "").expanduser())
-
-    def _at(self, view: int) -> tuple[Pose, float]:
-        """Recorded pose and time of a view."""
-        from .seabed.camera import Pose
-
-        times, poses = self._recorded()
-        if view >= len(times):
-            raise FrameError(f"scenes.poses={self._settings.poses}: has no line {view + 1}")
-        rotation = np.ascontiguousarray(poses[view, :3, :3])
-        return Pose(poses[view, :3, 3].copy(), rotation), float(times[view])
-
-    def _drawn(self, path: int, view: int) -> tuple[Pose, float]:
-        """Drawn pose and time of a view."""
-        from .seabed.camera import pose
-
-        course, travelled = self._course(path), self._settings.speed_m_s * view
-        if self._settings.route == "orbit":
-            distance_m = abs(course.aside_m)
-            heading = course.heading + travelled / course.aside_m
-            eye = self._clear(course.centre + distance_m * _level(heading), course.level_m)
-            heading, down = heading + np.pi, np.arctan2(eye[2] - course.centre[2], distance_m)
-        else:
-            heading, down = course.heading, course.tilt
-            ahead, aside = _level(heading), course.aside_m * _level(heading + np.pi / 2)
-            start = course.centre + (travelled - course.reach_m) * ahead + aside
-            eye = self._clear(start, course.level_m)
-        return pose(eye, float(np.rad2deg(heading)), float(np.rad2deg(down)), 0.0), float(view)
-
-    def _measured(self, path: int) -> Course:
-        """Draw a path, and measure the ground under it."""
+    def _drawn(self, path: int) -> Callable[[float], Pose]:
+        """Draw a path, and measure the ground under it; metres travelled give the pose."""
         settings, objects = self._settings, self._world[0]
         rng = stream(0, "mesh", settings.route, path)
         targets = np.flatnonzero(objects.labels)
@@ -234,38 +182,45 @@ class MeshReader:
             points = points[first:last]
         low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
         centre, reach_m = (low + high) / 2, float(np.hypot(*(high - low)[:2])) / 2
-        height_m, heading, tilt = rng.uniform(*settings.height_m), rng.uniform(0, 2 * np.pi), 0.0
+        height_m, heading = rng.uniform(*settings.height_m), rng.uniform(0, 2 * np.pi)
         if settings.route == "orbit":
             distance_m, side = rng.uniform(*settings.distance_m), rng.choice([-1, 1])
             distance_m += reach_m * (len(targets) > 0)
-            aside_m = side * distance_m
             under = centre + distance_m * _level(np.linspace(0, 2 * np.pi, 9)[1:])
         else:
             aside_m = 2 * rng.uniform(-0.25, 0.25) * reach_m
             ahead, aside = _level(heading), aside_m * _level(heading + np.pi / 2)
             under = centre + np.linspace(-1, 1, 9)[:, None] * ahead * reach_m + aside
             tilt = np.deg2rad(rng.uniform(*settings.tilt_deg))
-        below = [self._below_top_m(place) for place in under]
-        known = [self._top_m - one for one in below if one is not None]
+        known = [one for one in map(self._ground_m, under) if one is not None]
         level_m = (float(np.median(known)) if known else float(centre[2])) + height_m
-        return Course(centre, reach_m, heading, aside_m, level_m, tilt)
+
+        def orbit(travelled_m: float) -> Pose:
+            angle = heading + travelled_m / (side * distance_m)
+            eye = self._clear(centre + distance_m * _level(angle), level_m)
+            down = np.arctan2(eye[2] - centre[2], distance_m)
+            return pose(eye, float(np.rad2deg(angle + np.pi)), float(np.rad2deg(down)), 0.0)
+
+        def transect(travelled_m: float) -> Pose:
+            eye = self._clear(centre + (travelled_m - reach_m) * ahead + aside, level_m)
+            return pose(eye, float(np.rad2deg(heading)), float(np.rad2deg(tilt)), 0.0)
+
+        return orbit if settings.route == "orbit" else transect
 
     def _clear(self, place: Points, level_m: float) -> Points:
         """The place at a level, or higher: clear of what lies under it."""
-        below = self._below_top_m(place)
-        clear = level_m if below is None else max(level_m, self._top_m - below + _CLEAR_M)
+        ground_m = self._ground_m(place)
+        clear = level_m if ground_m is None else max(level_m, ground_m + _CLEAR_M)
         return np.array([*place[:2], clear])
 
-    @cached_property
-    def _top_m(self) -> float:
-        return float(self._world[0].mesh.vertices[:, 2].max()) + 1
+    def _ground_m(self, place: Points) -> float | None:
+        """Height of the highest thing at a place."""
+        top_m = float(self._world[0].mesh.vertices[:, 2].max()) + 1
+        below = self._below(np.array([*place[:2], top_m]))
+        return None if below is None else top_m - below
 
-    def _below_top_m(self, place: Points) -> float | None:
-        return self._above_ground_m(np.array([*place[:2], self._top_m]))
-
-    def _above_ground_m(self, eye: Points) -> float | None:
-        from .seabed.camera import ZBuffer, centred, pose
-
+    def _below(self, eye: Points) -> float | None:
+        """Metres to the first thing right under the eye."""
         optics, down = centred(500, _GROUND_PX, _GROUND_PX), pose(eye, 0, 90, 0)
         nearest = ZBuffer(down, optics, self._world[0]).inverse[(_GROUND_PX // 2,) * 2]
         return float(1 / nearest) if nearest > 0 else None

@@ -13,11 +13,10 @@ import io
 import re
 import tempfile
 from copy import deepcopy
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from json import dumps
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
@@ -39,12 +38,9 @@ READING = IsolatedProcess(3 << 30)
 _SMALLEST_M = 0.005
 _LEAST = 6000  # triangles of a textured part
 _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from y up, z towards the viewer
-# What names other files in an .obj, and in a file of materials.
-_LIBRARY, _PICTURE = "mtllib", r"(?:map_\w+|bump|disp|decal|refl|norm)"
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
+class Part(NamedTuple):
     """A mesh of a file and its name there, metres, z up.  turned: it came inside out."""
 
     name: str
@@ -59,25 +55,21 @@ def files_of(path: Path, key: str) -> tuple[str, ...]:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise FactoryError(f"{key}={path}: no mesh; give one of {' '.join(SUFFIXES)}")
+    fault = ""
     try:
-        size = path.stat().st_size
-        if not path.is_file() or size > _MOST_BYTES:
-            raise FactoryError(f"{key}={path}: no file of at most {_MOST_BYTES >> 20} MB")
+        if path.stat().st_size > _MOST_BYTES or not path.is_file():
+            raise OSError(f"no file of at most {_MOST_BYTES >> 20} MB")
         named = _linked(path)
-        folder = path.parent.resolve()
-        elsewhere = [one for one in named if not one.resolve().is_relative_to(folder)]
+        for one in named:
+            if not one.resolve().is_relative_to(path.parent.resolve()):
+                fault = f"names {one}, which is not in the mesh's own folder"
+            elif not one.is_file():
+                fault = f"its {one.name} is missing"
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise FactoryError(f"{key}={path}: cannot be read ({one_line(error)})") from error
-    if elsewhere:
+    if fault:
         raise FactoryError(
-            f"{key}={path}: names {elsewhere[0]}, which is not in the mesh's own folder; put it "
-            "there, or export with everything in one .glb"
-        )
-    missing = [one.name for one in named if not one.is_file()]
-    if missing:
-        raise FactoryError(
-            f"{key}={path}: its {missing[0]} is missing; put it beside the mesh, or export with "
-            "everything in one .glb"
+            f"{key}={path}: {fault}; put it beside the mesh, or export with everything in one .glb"
         )
     return (str(path), *map(str, named))
 
@@ -86,7 +78,7 @@ def _linked(path: Path) -> list[Path]:
     """Files that a .gltf or .obj names."""
     if path.suffix.lower() == ".gltf":
         return [path.parent / unquote(one["uri"]) for one in _links(_document(path)[0])]
-    named = _named(path, _LIBRARY) if path.suffix.lower() == ".obj" else []
+    named = _named(path, "mtllib") if path.suffix.lower() == ".obj" else []
     return named + [one for library in named if library.is_file() for one in _named(library)]
 
 
@@ -105,7 +97,7 @@ def _links(document: dict[str, Any]) -> list[dict[str, Any]]:
     return [one for one in listed if not one.get("uri", "data:").startswith("data:")]
 
 
-def _named(path: Path, keyword: str = _PICTURE) -> list[Path]:
+def _named(path: Path, keyword: str = r"(?:map_\w+|bump|disp|decal|refl|norm)") -> list[Path]:
     pattern = re.compile(rf"^\s*{keyword}\s+(?:-\S+\s+\S+\s+)*(.+?)\s*$", re.MULTILINE | re.I)
     return [path.parent / name for name in pattern.findall(path.read_text("utf-8", "replace"))]
 
@@ -130,7 +122,7 @@ def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[Pa
             f"{key}={path}: is {size_m:,.4g} m long at scale {scale:g}, {unit} set "
             f"{key.rpartition('.')[0]}.scale to metres per unit of the file, such as {wanted:g}"
         )
-    return tuple(replace(part, mesh=part.mesh.moved(scale=scale)) for part in parts)
+    return tuple(part._replace(mesh=part.mesh.moved(scale=scale)) for part in parts)
 
 
 def turned_note(path: Path, parts: tuple[Part, ...]) -> tuple[str, ...]:
@@ -170,19 +162,18 @@ def load(path: Path) -> bytes:
         raise FactoryError("has no faces (points alone?); export a mesh of triangles")
     if faces > MOST_FACES:
         raise FactoryError(f"has {faces:,} faces; at most {MOST_FACES:,} go: decimate it")
-    arrays: dict[str, npt.NDArray[Any]] = {"names": np.array([name for name, _ in found])}
-    turned = []
-    for k, (_, solid) in enumerate(found):
+    names, turned, arrays = [], [], {}
+    for k, (name, solid) in enumerate(found):
         if not np.isfinite(solid.vertices).all():
             raise FactoryError("has vertices that are no numbers; export it again")
         if solid.triangles.min() < 0 or solid.triangles.max() >= len(solid.vertices):
             raise FactoryError("damaged: its faces name vertices that are not there")
+        names.append(name)
         turned.append(_inside_out(solid))
-        triangles = solid.triangles[:, ::-1] if turned[-1] else solid.triangles
-        arrays |= {f"v{k}": solid.vertices, f"c{k}": solid.colours}
-        arrays[f"t{k}"] = np.ascontiguousarray(triangles)
+        triangles = np.ascontiguousarray(solid.triangles[:, :: -1 if turned[-1] else 1])
+        arrays |= {f"v{k}": solid.vertices, f"c{k}": solid.colours, f"t{k}": triangles}
     content = io.BytesIO()
-    np.savez(content, turned=np.array(turned), **arrays)
+    np.savez(content, names=np.array(names), turned=np.array(turned), **arrays)
     return content.getvalue()
 
 

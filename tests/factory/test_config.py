@@ -22,7 +22,6 @@ from simnfnd.factory.sonar.settings import SonarSettings
 from tests.project_files import ROOT
 
 CONF = ROOT / "conf"
-PACK = {"kind": "pack", "root": "x"}
 
 
 def composed(*overrides: str):
@@ -137,7 +136,6 @@ def test_plain_form_makes_the_same_configuration():
         ({"scenes": {"kind": "flsea"}}, "scenes.root: "),
         ({"dataset": {"compression": "bzip2"}}, "dataset.compression: "),
         ({"dataset": {"name": "../evil"}}, "dataset"),
-        ({"scenes": PACK, "dataset": {"layers": ["rgb"]}}, "dataset.layers: rgb is of the camera"),
         ({"dataset": {"dirr": "x"}}, "dataset.dirr: unknown key"),
         ({"noise": {"speckle": {"looks": 0}}}, "noise.speckle.looks: "),
     ],

@@ -24,10 +24,10 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
 from simnfnd.factory.render.base import CacheSettings, Mount
-from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
+from simnfnd.factory.render.pack import read_contents, write_pack
 from simnfnd.factory.scheduler.lock import owner_of
 from simnfnd.factory.small_files import read_regular
-from simnfnd.factory.views import Cache
+from simnfnd.factory.views import Cache, PackViews
 from tests.factory.dataset.hostile import whole
 from tests.factory.render.small_views import some_view
 

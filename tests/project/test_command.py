@@ -74,7 +74,7 @@ def test_the_overview_and_the_version(monkeypatch, capsys) -> None:
         (("make", "demo"), "demo: not KEY=VALUE; see `simnfnd make --help`"),
         (("train", "sed=1"), "sed"),
         (("export", "x"), "--to, --out (see `simnfnd export --help`)"),
-        (("status", "x", "--verfy"), "unrecognized arguments: --verfy"),
+        (("status", "x", "--faled"), "unrecognized arguments: --faled"),
     ],
 )  # fmt: skip
 def test_mistakes_are_one_line_and_exit_code_two(words, said: str, monkeypatch, capsys) -> None:
@@ -210,7 +210,7 @@ small = "scenes.locations=2 scenes.frames_per_location=1 scenes.width=242 scenes
 made = f"render=analytic experiment=demo {small} scheduler=serial cache.dir=cache dataset.dir=made"
 said(f"plan {made}", 0)
 said(f"make {made}", 0, "dataset: made")
-said("status made --verify", 0)
+said("status made", 0)
 said("status made --failed", 0)
 said("validate made --deep", 0)
 said("inspect made", 0, "SSIM")

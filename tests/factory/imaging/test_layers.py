@@ -26,7 +26,7 @@ from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.view import view_of
 from simnfnd.factory.sample_table import pose_row
 from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.views import KeptViews
+from simnfnd.factory.views import Views
 from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, labelled, plain_render
 from tests.project.run_example import run
 from tests.project_files import ROOT
@@ -115,7 +115,7 @@ def test_samples_of_a_scene_repeat(formation: str) -> None:
 def test_noise_of_a_call_is_that_of_another_configuration(formation: str) -> None:
     settings = config_of(formation)
     frame = ground_and_post()
-    views = KeptViews({frame.ref: view_of(frame, plain_render(frame), settings.sonar.mount)})
+    views = Views({frame.ref: view_of(frame, plain_render(frame), settings.sonar.mount)})
     maker = pairs.PairMaker(settings, views)
     block = replace(settings.noise.background, enabled=False)
     quieter = replace(settings.noise, background=block)
@@ -164,7 +164,7 @@ def written(tmp_path_factory):
     )
     frame = labelled(**PLACE)
     view = view_of(frame, plain_render(frame), settings.sonar.mount)
-    maker = PairMaker(settings, KeptViews({frame.ref: view}))
+    maker = PairMaker(settings, Views({frame.ref: view}))
     (pair,) = maker.pairs(frame.ref, (0,))
     folder = tmp_path_factory.mktemp("received")
     write_shard(
