@@ -128,11 +128,10 @@ def space() -> str:
     That is one boot of one machine, and there one name space of process numbers: containers that
     share a host name have process 1 each.
     """
-    try:
+    told = socket.gethostname()
+    with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
         told = boot + os.readlink("/proc/self/ns/pid")
-    except (OSError, UnicodeDecodeError):
-        told = socket.gethostname()
     return hashlib.blake2b(told.encode(), digest_size=4).hexdigest()
 
 

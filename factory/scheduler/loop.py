@@ -175,5 +175,7 @@ class Loop:
         self._unsettled -= 1
         gone = {failure.ref.name for failure in result.failures}
         lost = sum(len(variants) for ref, variants in shard.task.items if ref.name in gone)
-        self._progress.settled(shard.task.samples, lost, len(result.failures))
+        self._progress.settled += shard.task.samples
+        self._progress.lost += lost
+        self._progress.lost_frames += len(gone)
         self._results.settle(shard.task, result)

@@ -15,11 +15,10 @@ from ..dataset.writer import write_index
 from ..errors import FactoryError
 from ..files import remove_stale_temporaries
 from ..progress import stage
-from .lock import locked
+from .lock import locked, publishing
 from .loop import Loop
 from .plan import Job, work_folder
 from .progress import ProgressBar
-from .publish import publishing
 from .results import Results, RunReport
 from .settings import Crew
 from .workers import Backend

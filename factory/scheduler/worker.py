@@ -142,24 +142,20 @@ class _Shard:
             return [], self._given_up[ref.name]
         tell(index, self._samples, len(self._failures))
         try:
-            self._prepare(ref)
             try:
                 pairs = self._source.pairs(ref, variants)
-            except NotRendered:  # it was damaged, or went this very moment
-                self._prepare(ref)
+            except NotRendered:  # nobody prepared it, it was damaged, or has gone from the cache
+                if self._recipe.preparer is None:
+                    raise
+                preparer: Preparer = _build(self._recipe.preparer, self._recipe)
+                self._keys[ref.name] = preparer.prepare(ref).key
+                self._source.expect(self._keys)
                 pairs = self._source.pairs(ref, variants)
             for pair in pairs:
                 check_pair(pair, self._axes, self._columns, ref.name)
             return pairs, None
         except Exception as error:
             return [], _failure(ref, error, self._task.path)
-
-    def _prepare(self, ref: FrameRef) -> None:
-        """Prepare a frame that nobody has, or whose render has gone from the cache again."""
-        if self._recipe.preparer is not None and not self._source.ready(ref):
-            preparer: Preparer = _build(self._recipe.preparer, self._recipe)
-            self._keys[ref.name] = preparer.prepare(ref).key
-            self._source.expect(self._keys)
 
 
 def _failure(ref: FrameRef, error: Exception, shard: str) -> Failure:
