@@ -65,10 +65,6 @@ class IsolatedProcess:
         self._lock = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
 
-    def close(self) -> None:
-        """End the process; the next call starts another."""
-        self._end(0)
-
     def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float = LIMIT_S) -> Any:
         """`function(*arguments)`; see `look_at`.  Its FactoryError names no file.
 
@@ -93,15 +89,15 @@ class IsolatedProcess:
             return kind, result
         except (EOFError, BrokenPipeError, ValueError, TypeError) as error:
             # It closes its pipes a moment before its exit code can be had.
-            if self._end(1) == -signal.SIGALRM:
+            if self.close(1) == -signal.SIGALRM:
                 raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
             raise FactoryError("crashes the library that reads it; it is damaged") from error
         except BaseException:
             self.close()
             raise
 
-    def _end(self, patience_s: float) -> int | None:
-        """Kill the process, unless it ends before; returns its exit code."""
+    def close(self, patience_s: float = 0) -> int | None:
+        """Kill the process, unless it ends before; its exit code.  The next call starts another."""
         child, self._child = self._child, None
         if child is None:
             return None

@@ -20,8 +20,8 @@ from .loop import Loop
 from .plan import Job, work_folder
 from .progress import ProgressBar
 from .results import Results, RunReport
-from .settings import Crew
-from .workers import Backend
+from .settings import NOISE, RENDER, Crew
+from .workers import Backend, Pool
 from .workers.local import LocalBackend
 from .workers.signals import Interrupted, stop_signals
 
@@ -97,7 +97,10 @@ def _backend(job: Job, crew: Crew, frames_per_shard: int) -> Backend:
         from .workers.dask_cluster import DaskBackend
 
         return DaskBackend(crew.total, job.scheduler.address)
-    return LocalBackend(job.scheduler.pools(crew, frames_per_shard), job.preload)
+    frames = job.scheduler.recycle_frames
+    heavy = Pool((RENDER, NOISE), crew.render, frames)
+    light = Pool((NOISE,), crew.noise, max(1, frames // frames_per_shard))
+    return LocalBackend((heavy, light), job.preload)
 
 
 def _tidy(job: Job) -> None:
@@ -109,8 +112,7 @@ def _tidy(job: Job) -> None:
 
 def _describe(job: Job, report: RunReport) -> None:
     """Write all that stands beside the shards."""
-    finished = load_manifest(job.directory)
-    if finished is not None and report.samples:
+    if (finished := load_manifest(job.directory)) is not None and report.samples:
         stage(f"writing index, card{' and preview' if job.dataset.preview_pairs else ''}")
         write_index(job.directory, finished)
         if job.dataset.preview_pairs:

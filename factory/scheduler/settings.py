@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from ..settings import STRICT
-from .workers import Pool
 from .workers.machine import available_memory_bytes, usable_cores, workers_that_fit
 
 MAX_AUTO_WORKERS = 48
@@ -89,29 +88,12 @@ class SchedulerSettings:
 
         Raises FactoryError when the limits of this process allow none.
         """
-        memory_gb = available_memory_bytes() / 1e9 * _MEMORY_SHARE
-        if self.workers == "auto":
-            fitting = int(memory_gb / WORKER_GB)
-            total = max(1, min(usable_cores(), fitting, MAX_AUTO_WORKERS))
-        else:
-            total = self.workers
-        total = min(total, max(shards, frames))
+        memory_gb, cores = available_memory_bytes() / 1e9 * _MEMORY_SHARE, usable_cores()
+        total = max(1, min(cores, int(memory_gb / WORKER_GB), MAX_AUTO_WORKERS))
+        total = min(total if self.workers == "auto" else self.workers, max(shards, frames))
         if self.backend == "local":
             total = workers_that_fit(total)
-        if not frames:
-            return Crew(0, total)
-        if self.render_workers == "auto":
-            left_gb = memory_gb - total * WORKER_GB
-            render = max(1, min(usable_cores(), int(left_gb / (RENDERER_GB - WORKER_GB))))
-        else:
-            render = self.render_workers
+        room = int((memory_gb - total * WORKER_GB) / (RENDERER_GB - WORKER_GB))
+        render = max(1, min(cores, room)) if self.render_workers == "auto" else self.render_workers
         render = min(render, total, frames)
         return Crew(render, total - render)
-
-    def pools(self, crew: Crew, frames_per_shard: int) -> tuple[Pool, Pool]:
-        """The processes of `crew`, for shards of at most so many frames."""
-        shards_per_worker = max(1, self.recycle_frames // frames_per_shard)
-        return (
-            Pool((RENDER, NOISE), crew.render, self.recycle_frames),
-            Pool((NOISE,), crew.noise, shards_per_worker),
-        )

@@ -11,7 +11,6 @@ import hashlib
 import os
 import re
 import secrets
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -34,7 +33,6 @@ _SMALL = re.compile(
 )
 _MOST_SMALL_BYTES = 1 << 28
 _FOLDER, _LIMIT, _KEPT_BYTES = "SIMNFND_CLOUD_CACHE", "SIMNFND_CLOUD_CACHE_BYTES", 10_000_000_000
-_LOCKS = 64  # lock files of each copy, which shards share by their names
 
 
 def is_url(name: object) -> bool:
@@ -104,17 +102,13 @@ class Store:
 
             system, root = fsspec.core.url_to_fs(self.url)
             yield system, str(root).rstrip("/")
-        except ImportError as error:
-            raise FactoryError(
-                f"{self.url}: needs another package ({error}); S3: pip install 'simnfnd[cloud]'"
-            ) from error
         # Each storage's library has errors of its own.
         except Exception as error:
             where = f"{self.url}/{name}" if name else self.url
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise FactoryError(
-                f"{where}: cannot be {done} ({reason}); look at the address, the credentials and "
-                "the network, and run the same command again"
+                f"{where}: cannot be {done} ({reason}); look at the address, the credentials, the "
+                "network and the packages (S3: simnfnd[cloud]), and run the same command again"
             ) from error
 
 
@@ -208,11 +202,10 @@ def fetched(path: Path, look: Callable[[Path], None] = lambda aside: None) -> No
         return
     from filelock import FileLock
 
-    number = zlib.crc32(path.name.encode()) % _LOCKS
     aside = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     with explain_os_errors(path, _FOLDER):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(path.parent.parent / f".fetching-{number:02d}"):
+        with FileLock(path.with_suffix(".lock")):
             if path.exists() or (content := Store(url).get(name)) is None:
                 return
             try:

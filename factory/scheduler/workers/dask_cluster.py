@@ -42,6 +42,7 @@ class DaskBackend(Backend):
 
     def __init__(self, workers: int, address: str | None) -> None:
         """Connect, or start a cluster of so many.  Raises FactoryError when neither works."""
+        import dask
         import distributed
 
         self._distributed: Any = distributed
@@ -57,7 +58,17 @@ class DaskBackend(Backend):
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         try:
             if address is None:
-                self._cluster = self._started(workers)
+                with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+                    self._cluster = self._distributed.LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        memory_limit=0,
+                        dashboard_address=None,
+                        preload=["simnfnd.factory.scheduler.workers"],
+                        env=dict.fromkeys(THREAD_VARIABLES, "1"),
+                        silence_logs=logging.CRITICAL,
+                    )
+                self._cluster.wait_for_workers(workers, timeout=_START_S)
             where = address or self._cluster.scheduler_address
             self._client = self._distributed.Client(where, timeout=_CONNECT_S, set_as_default=False)
             self._client.subscribe_topic(self._topic, self._heard)
@@ -75,23 +86,6 @@ class DaskBackend(Backend):
                 f"{where} ({error}); check the address, or start one (docs/cluster.md)"
             ) from error
         threading.Thread(target=self._watch, daemon=True).start()
-
-    def _started(self, workers: int) -> Any:
-        """A scheduler and its workers as processes of this machine."""
-        import dask
-
-        with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-            cluster = self._distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                memory_limit=0,
-                dashboard_address=None,
-                preload=["simnfnd.factory.scheduler.workers"],
-                env=dict.fromkeys(THREAD_VARIABLES, "1"),
-                silence_logs=logging.CRITICAL,
-            )
-        cluster.wait_for_workers(workers, timeout=_START_S)
-        return cluster
 
     def _count(self) -> None:
         """Take in workers that have come or gone."""
@@ -134,20 +128,16 @@ class DaskBackend(Backend):
     def _done(self, name: str, remote: Any) -> None:
         kind = ERROR
         value: Any = WorkerDied("its task was lost by Dask")
-        lost = (
-            TimeoutError,  # not of the task: `_end_late` has its limit
-            self._distributed.KilledWorker,
-            self._distributed.CancelledError,
-            self._distributed.scheduler.NoValidWorkerError,
-        )
+        dask, no_worker = self._distributed, self._distributed.scheduler.NoValidWorkerError
+        # A timeout is not the task's: `_end_late` has its limit.
+        lost = TimeoutError, dask.KilledWorker, dask.CancelledError, no_worker
         try:
             if remote.status == "finished":
                 kind, value = pickle.loads(remote.result(timeout=_RESULT_S))
             elif remote.status == "error":
                 raise remote.exception(timeout=_RESULT_S)
         except lost as error:
-            name_of = type(error).__name__
-            value = WorkerDied(f"native crash or kill, its Dask worker died ({name_of})")
+            value = WorkerDied(f"its Dask worker died or was lost ({type(error).__name__})")
         except Exception as error:
             value = error
         with self._lock:
