@@ -171,8 +171,8 @@ def whole_folder(folder: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-# Of this process: folder -> what `outlet` was given.
-_outlets: dict[Path, Callable[[str, bytes | None], None]] = {}
+# Of this process.
+_outlets: list[tuple[Path, Callable[[str, bytes | None], None]]] = []
 
 
 @contextmanager
@@ -182,14 +182,11 @@ def outlet(folder: Path, pass_on: Callable[[str, bytes | None], None]) -> Iterat
     folder: absolute.  pass_on: called with the name below it and the content, None when the file
     was removed or found absent; raises FactoryError when it cannot pass that on.
     """
-    before = _outlets.get(folder)
-    _outlets[folder] = pass_on
+    _outlets.append((folder, pass_on))
     try:
         yield
     finally:
-        del _outlets[folder]
-        if before:
-            _outlets[folder] = before
+        _outlets.remove((folder, pass_on))
 
 
 def remove_file(path: Path) -> None:
@@ -200,6 +197,6 @@ def remove_file(path: Path) -> None:
 
 def _pass_on(path: Path, content: bytes | None) -> None:
     place = Path(os.path.abspath(path))
-    for folder, pass_on in _outlets.items():
+    for folder, pass_on in dict(_outlets).items():
         if place.is_relative_to(folder):
             pass_on(place.relative_to(folder).as_posix(), content)

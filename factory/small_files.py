@@ -31,11 +31,9 @@ def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
     """The content of a regular file.  Raises OSError for any other kind, or a longer one."""
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
-        # One byte more: it may be growing.
-        content = b"" if size > most_bytes else file.read(size + 1)
-    if size > most_bytes or len(content) > most_bytes:
-        raise OSError(errno.EFBIG, f"longer than {most_bytes} bytes", str(path))
-    return content
+        if size > most_bytes:
+            raise OSError(errno.EFBIG, f"longer than {most_bytes} bytes", str(path))
+        return file.read(size)  # it may be growing
 
 
 def parse_json(content: bytes | str) -> Any:

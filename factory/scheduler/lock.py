@@ -85,12 +85,10 @@ class Publication:
 
     def pass_on(self, name: str, content: bytes | None) -> None:
         """As `files.outlet` says; shards stay in the copy as long as there is room."""
-        owner = _read_lock(self.store, self.lock)
-        if owner.get("token") != self.token:
-            by = f"by process {owner['pid']} on {owner.get('host')}" if "pid" in owner else "away"
+        if not self.holds():
             raise FactoryError(
-                f"{self.store.url}: was taken {by} while this run stood still; nothing more is "
-                "written"
+                f"{self.store.url}: was taken by another run while this one stood still; nothing "
+                "more is written"
             )
         if content is None:
             self.store.remove(name)

@@ -15,7 +15,6 @@ from ..errors import FactoryError
 from ..files import write_atomically
 from ..progress import Lines, clock, stage, terminal_bars
 from .plan import Job
-from .settings import Crew
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -33,15 +32,13 @@ class ProgressBar:
         samples that no frame gave, and the frames that failed.
     """
 
-    def __init__(self, job: Job, crew: Crew, total: int, settled: int) -> None:
+    def __init__(self, job: Job, total: int, settled: int) -> None:
         """total: planned samples.  settled: of them, those that need no work from the first."""
         self.frames = {"total": 0, "rendered": 0, "from_cache": 0, "failed": 0}
         self.settled, self.lost, self.lost_frames = settled, 0, 0
-        stem, _, suffix = STATUS_NAME.rpartition(".")
-        part = f".{job.shard.part}" if job.shard.part else ""
-        self._path = job.directory / f"{stem}{part}.{suffix}"
+        part = f".{job.shard.part}." if job.shard.part else "."
+        self._path = job.directory / STATUS_NAME.replace(".", part)
         self._total, self._first, self._pairs, self._failed = total, settled, settled, 0
-        self._workers = crew._asdict()
         self._begun, self._written = time.monotonic(), 0.0
         self._lines, self._shown = Lines(), ""
         self._bar: tqdm[Any] | None = None
@@ -109,7 +106,6 @@ class ProgressBar:
             "pairs_per_second": round((self._pairs - self._first) / max(gone_s, 1e-9), 3),
             "seconds_left": round(gone_s / share - gone_s) if share else None,
             "frames": self.frames,
-            "workers": self._workers,
         }
         # Whoever writes what matters reports a full disk.
         with suppress(FactoryError, OSError):

@@ -80,7 +80,7 @@ class Results:
         self._kept += result.kept
         if info is None:
             self._shards.pop(task.path, None)
-            path = self._job.recipe.directory / task.path
+            path = self._job.directory / task.path
             with explain_os_errors(path):
                 remove_file(path)
         else:

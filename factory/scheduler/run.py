@@ -63,7 +63,7 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
     frames = len({ref.name for task in todo for ref, _ in task.items}) if job.prepares else 0
     crew = job.scheduler.crew(len(todo), frames)
     total, left = (sum(task.samples for task in tasks) for tasks in (job.own_tasks, todo))
-    progress = ProgressBar(job, crew, total, total - left)
+    progress = ProgressBar(job, total, total - left)
     results.put_together()
     state = "broken"
     try:

@@ -49,7 +49,7 @@ class ShardResult:
 
 
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
-_built: dict[str, tuple[tuple[Any, ...], Any]] = {}
+_built: dict[Callable[[Any], Any], tuple[tuple[str, Any], Any]] = {}
 
 
 def prepare_frame(attempt: tuple[FrameRef, Recipe]) -> Prepared | Failure:
@@ -86,12 +86,11 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
 
 def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
     """The source or preparer of this process, built at its first task."""
-    key = (maker, recipe.provenance.config_hash, recipe.config)
-    name = f"{maker.__module__}.{maker.__qualname__}"
-    if name not in _built or _built[name][0] != key:
-        _built.pop(name, None)
-        _built[name] = (key, maker(recipe.config))
-    made: T = _built[name][1]
+    key = recipe.provenance.config_hash, recipe.config
+    if maker not in _built or _built[maker][0] != key:
+        _built.pop(maker, None)
+        _built[maker] = key, maker(recipe.config)
+    made: T = _built[maker][1]
     return made
 
 

@@ -53,10 +53,11 @@ class Store:
 
     def __post_init__(self) -> None:
         match = _URL.fullmatch(self.url)
-        if match is None or "::" in self.url or "?" in self.url or "#" in self.url:
-            raise FactoryError(f"{self.url}: no URL of a storage, such as s3://bucket/folder")
-        if match[1] in _FILES:
-            raise FactoryError(f"{self.url}: objects are stored, no files; mount it, give a folder")
+        if match is None or match[1] in _FILES or re.search(r"::|\?|#", self.url):
+            raise FactoryError(
+                f"{self.url}: no URL of objects, such as s3://bucket/folder; of files, mount it, "
+                "give a folder"
+            )
         object.__setattr__(self, "url", self.url.rstrip("/"))
 
     def sizes(self) -> dict[str, int]:

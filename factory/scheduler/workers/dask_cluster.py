@@ -77,13 +77,10 @@ class DaskBackend(Backend):
                 raise ValueError("it has no workers")
         except (TimeoutError, OSError, ValueError, RuntimeError) as error:
             self.close()
-            where = (
-                f"scheduler.address={address}: no Dask scheduler answers"
-                if address
-                else "scheduler.backend=dask: no cluster comes up on this machine"
-            )
+            key = f"address={address}" if address else "backend=dask"
             raise FactoryError(
-                f"{where} ({error}); check the address, or start one (docs/cluster.md)"
+                f"scheduler.{key}: no Dask cluster answers ({error}); check the address, or start "
+                "one (docs/cluster.md)"
             ) from error
         threading.Thread(target=self._watch, daemon=True).start()
 
@@ -129,7 +126,7 @@ class DaskBackend(Backend):
         kind = ERROR
         value: Any = WorkerDied("its task was lost by Dask")
         dask, no_worker = self._distributed, self._distributed.scheduler.NoValidWorkerError
-        # A timeout is not the task's: `_end_late` has its limit.
+        # A timeout is not the task's: `_watch` has its limit.
         lost = TimeoutError, dask.KilledWorker, dask.CancelledError, no_worker
         try:
             if remote.status == "finished":
@@ -146,23 +143,21 @@ class DaskBackend(Backend):
             (sent.future.set_exception if kind == ERROR else sent.future.set_result)(value)
 
     def _watch(self) -> None:
+        """Ends tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         while not self._stopped.wait(_LOOK_S):
             self._count()
-            self._end_late()
-
-    def _end_late(self) -> None:
-        """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
-        now = time.monotonic()
-        with self._lock:
-            gone = [k for k, one in self._tasks.items() if now > one.heard_at + one.task.silence_s]
-            self._late = [self._tasks.pop(name) for name in gone]
-        for sent in self._late:
-            with suppress(Exception):
-                processing = self._asked("processing", workers=None)
-                where = [worker for worker, keys in processing.items() if sent.remote.key in keys]
-                self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
-            sent.future.set_exception(TimeoutError())
-        self._late = []
+            now = time.monotonic()
+            with self._lock:
+                sent = self._tasks.items()
+                late = [k for k, one in sent if now > one.heard_at + one.task.silence_s]
+                self._late = [self._tasks.pop(name) for name in late]
+            for one in self._late:
+                with suppress(Exception):
+                    processing = self._asked("processing", workers=None)
+                    where = [place for place, keys in processing.items() if one.remote.key in keys]
+                    self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
+                one.future.set_exception(TimeoutError())
+            self._late = []
 
     def close(self) -> None:
         """Leave the cluster; one that was started here is taken down."""
