@@ -117,8 +117,7 @@ def explain_os_errors(path: Path, key: str = "dataset.dir") -> Iterator[None]:
 
 def _temporary_for(path: Path) -> Path:
     # The token keeps apart what numbers do not: process 1 of containers that share a host name.
-    owner = f"{space()}-{os.getpid()}-{secrets.token_hex(8)}"
-    return path.parent / f".{path.name}.{owner}.tmp"
+    return path.parent / f".{path.name}.{space()}-{os.getpid()}-{secrets.token_hex(8)}.tmp"
 
 
 @cache

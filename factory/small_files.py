@@ -44,14 +44,14 @@ def parse_json(content: bytes | str) -> Any:
         raise ValueError("nested too deeply") from error
 
 
-def parse_yaml(content: bytes) -> Any:
-    """YAML without aliases.  Raises ValueError for anything else."""
+def load_yaml(path: Path) -> Any:
+    """What a regular file of YAML without aliases says.  Raises OSError or ValueError."""
     import yaml  # whoever reads pictures alone does without
 
     loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     depth = 0
     try:
-        text = content.decode()
+        text = read_regular(path, _MOST_YAML_BYTES).decode()
         for event in yaml.parse(text, Loader=loader):
             if isinstance(event, yaml.AliasEvent):
                 raise ValueError("uses aliases, of which a few lines can stand for gigabytes")
@@ -62,11 +62,6 @@ def parse_yaml(content: bytes) -> Any:
         return yaml.load(text, Loader=loader)
     except yaml.YAMLError as error:
         raise ValueError(one_line(error)) from error
-
-
-def load_yaml(path: Path) -> Any:
-    """`parse_yaml` of a regular file.  Raises OSError or ValueError."""
-    return parse_yaml(read_regular(path, _MOST_YAML_BYTES))
 
 
 def one_line(error: BaseException, most: int = 160) -> str:

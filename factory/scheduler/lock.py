@@ -25,7 +25,7 @@ from filelock import FileLock, Timeout
 from ..errors import FactoryError
 from ..files import explain_os_errors, is_dead, outlet, space
 from ..small_files import parse_json, read_regular
-from ..storage.copies import Store, is_shard, make_room, take_copy, url_of
+from ..storage.copies import SHARD_NAME, Store, make_room, take_copy, url_of
 
 LOCK_NAME = ".lock"
 # Who only asks whether somebody is at work holds it for a moment.
@@ -94,7 +94,7 @@ class Publication:
             self.store.remove(name)
         else:
             self.store.put(name, content)
-            if is_shard(name) and not self.apart:
+            if SHARD_NAME.fullmatch(name) and not self.apart:
                 make_room(spare=self.folder / name)
 
     def text(self) -> bytes:

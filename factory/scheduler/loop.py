@@ -98,12 +98,8 @@ class Loop:
         error = future.exception()
         if told or error is None:
             self._barren_deaths = 0
-        if isinstance(error, TimeoutError):
-            limit_s = self._job.scheduler.frame_timeout_s
-            reason = f"took longer than scheduler.frame_timeout_s={limit_s:g}"
-            self._died(work, told, "timeout", reason)
-        elif isinstance(error, WorkerDied):
-            self._died(work, told, "crash", str(error))
+        if isinstance(error, TimeoutError | WorkerDied):
+            self._died(work, told, error)
         elif error is not None:
             raise error
         elif isinstance(work, FrameRef):
@@ -111,7 +107,12 @@ class Loop:
         else:
             self._settle(work, future.result())
 
-    def _died(self, work: _Work, told: _Told, kind: FailureKind, reason: str) -> None:
+    def _died(self, work: _Work, told: _Told, error: TimeoutError | WorkerDied) -> None:
+        kind: FailureKind = "crash"
+        reason = str(error)
+        if isinstance(error, TimeoutError):
+            limit_s = self._job.scheduler.frame_timeout_s
+            kind, reason = "timeout", f"took longer than scheduler.frame_timeout_s={limit_s:g}"
         if isinstance(work, FrameRef):
             refs, path = [work], ""
         else:

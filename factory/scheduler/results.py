@@ -86,8 +86,8 @@ class Results:
         else:
             self._shards[task.path] = info
         self._failures[task.path] = result.failures
-        told = failure_lines(result.failures, self._job.rerun_command)
-        outcome = ShardOutcome(task.path, self._manifest.config_hash, info, told)
+        lines = failure_lines(result.failures, self._job.rerun_command)
+        outcome = ShardOutcome(task.path, self._manifest.config_hash, info, lines)
         save_outcome(self._job.directory, outcome)
 
     def put_together(self) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ..settings import STRICT
@@ -20,11 +20,7 @@ RENDER, NOISE = "render", "noise"
 
 
 class Crew(NamedTuple):
-    """Numbers of worker processes.
-
-    render: may load Blender; they also add noise when nothing is left to render.
-    noise: light ones, for noise alone.
-    """
+    """Workers that may load Blender, which add noise when nothing is left to render; light ones."""
 
     render: int
     noise: int
@@ -42,11 +38,9 @@ class ShardSlice:
     index: Annotated[int, Field(ge=0)] = 0
     count: Annotated[int, Field(ge=1)] = 1
 
-    @model_validator(mode="after")
-    def _within(self) -> Self:
+    def __post_init__(self) -> None:
         if self.index >= self.count:
             raise ValueError(f"index must be 0 to count - 1 = {self.count - 1}, got {self.index}")
-        return self
 
     @property
     def part(self) -> str:
@@ -77,11 +71,9 @@ class SchedulerSettings:
     retries: Annotated[int, Field(ge=0)] = 1
     recycle_frames: Annotated[int, Field(ge=1)] = 200
 
-    @model_validator(mode="after")
-    def _address(self) -> Self:
+    def __post_init__(self) -> None:
         if self.address is not None and self.backend != "dask":
             raise ValueError("address is for scheduler.backend=dask only")
-        return self
 
     def crew(self, shards: int, frames: int) -> Crew:
         """How many workers of either kind for that many shards, and frames to prepare.

@@ -98,8 +98,7 @@ class _Shard:
     """Goes through the frames of one attempt and tells of each."""
 
     def __init__(self, attempt: ShardAttempt, recipe: Recipe) -> None:
-        self._task, self._recipe = attempt.task, recipe
-        self._lacking, self._given_up = attempt.lacking, attempt.given_up
+        self._attempt, self._task, self._recipe = attempt, attempt.task, recipe
         self._source: PairSource = _build(recipe.source, recipe)
         self._source.expect(attempt.keys)
         self._keys = dict(attempt.keys)
@@ -110,7 +109,8 @@ class _Shard:
     def result(self) -> ShardResult:
         """Write the shard, or say why it is not to be written."""
         task, recipe = self._task, self._recipe
-        lacking = [item for item in enumerate(task.items) if item[1][0].name in self._lacking]
+        todo, asked = enumerate(task.items), self._attempt.lacking
+        lacking = [item for item in todo if item[1][0].name in asked]
         failures = [failure for item in lacking if (failure := self._made(*item)[1])]
         if lacking and len(failures) == len(lacking):
             return ShardResult(None, tuple(failures), kept=True)
@@ -137,8 +137,8 @@ class _Shard:
     def _made(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
         """The checked pairs of one frame, or what kept it from giving them."""
         ref, variants = item
-        if ref.name in self._given_up:
-            return [], self._given_up[ref.name]
+        if ref.name in self._attempt.given_up:
+            return [], self._attempt.given_up[ref.name]
         tell(index, self._samples, len(self._failures))
         try:
             try:

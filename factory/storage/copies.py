@@ -25,7 +25,7 @@ _URL = re.compile(r"([a-z][a-z0-9+.-]*)://(.+)")
 # What is written there can be seen half finished.
 _FILES = ("file", "local", "ssh", "sftp", "ftp", "smb")
 _ORIGIN = ".origin"
-_SHARD = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")
+SHARD_NAME = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")
 # What lies beside the shards and is a reader's business.
 _SMALL = re.compile(
     r"README\.md|config\.yaml|index\.h5|preview\.png|failed\.jsonl|manifest\.json"
@@ -174,7 +174,7 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
             name = path.relative_to(folder).as_posix()
             differs = fresh or sizes.get(name) != path.stat().st_size
             gone = _SMALL.fullmatch(name) and name not in sizes
-            if gone or (is_shard(name) and differs):
+            if gone or (SHARD_NAME.fullmatch(name) and differs):
                 path.unlink(missing_ok=True)
         for name, size in sizes.items():
             if not _SMALL.fullmatch(name):
@@ -186,11 +186,6 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
                 write_atomically(folder / name, content, durable=False, key=_FOLDER)
 
 
-def is_shard(name: str) -> bool:
-    """Whether an object is a shard of a dataset."""
-    return _SHARD.fullmatch(name) is not None
-
-
 def fetched(path: Path, look: Callable[[Path], None] = lambda aside: None) -> None:
     """Fetch the shard of a copy that is not here; who else wants it now waits for that.
 
@@ -199,7 +194,7 @@ def fetched(path: Path, look: Callable[[Path], None] = lambda aside: None) -> No
     """
     url = url_of(path.parent.parent)
     name = f"{path.parent.name}/{path.name}"
-    if url is None or not is_shard(name) or path.exists():
+    if url is None or not SHARD_NAME.fullmatch(name) or path.exists():
         return
     from filelock import FileLock
 

@@ -92,7 +92,7 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         for name in THREAD_VARIABLES:
-            del os.environ[name]
+            os.environ.pop(name, None)
         os.environ.update({name: value for name, value in saved.items() if value is not None})
 
 
