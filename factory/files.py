@@ -117,8 +117,7 @@ def explain_os_errors(path: Path, key: str = "dataset.dir") -> Iterator[None]:
 
 def _temporary_for(path: Path) -> Path:
     # The token keeps apart what numbers do not: process 1 of containers that share a host name.
-    owner = f"{space()}-{os.getpid()}-{secrets.token_hex(8)}"
-    return path.parent / f".{path.name}.{owner}.tmp"
+    return path.parent / f".{path.name}.{space()}-{os.getpid()}-{secrets.token_hex(8)}.tmp"
 
 
 @cache
@@ -128,11 +127,10 @@ def space() -> str:
     That is one boot of one machine, and there one name space of process numbers: containers that
     share a host name have process 1 each.
     """
-    try:
+    told = socket.gethostname()
+    with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
         told = boot + os.readlink("/proc/self/ns/pid")
-    except (OSError, UnicodeDecodeError):
-        told = socket.gethostname()
     return hashlib.blake2b(told.encode(), digest_size=4).hexdigest()
 
 
@@ -172,8 +170,8 @@ def whole_folder(folder: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-# Of this process: folder -> what `outlet` was given.
-_outlets: dict[Path, Callable[[str, bytes | None], None]] = {}
+# Of this process.
+_outlets: list[tuple[Path, Callable[[str, bytes | None], None]]] = []
 
 
 @contextmanager
@@ -183,14 +181,11 @@ def outlet(folder: Path, pass_on: Callable[[str, bytes | None], None]) -> Iterat
     folder: absolute.  pass_on: called with the name below it and the content, None when the file
     was removed or found absent; raises FactoryError when it cannot pass that on.
     """
-    before = _outlets.get(folder)
-    _outlets[folder] = pass_on
+    _outlets.append((folder, pass_on))
     try:
         yield
     finally:
-        del _outlets[folder]
-        if before:
-            _outlets[folder] = before
+        _outlets.remove((folder, pass_on))
 
 
 def remove_file(path: Path) -> None:
@@ -201,6 +196,6 @@ def remove_file(path: Path) -> None:
 
 def _pass_on(path: Path, content: bytes | None) -> None:
     place = Path(os.path.abspath(path))
-    for folder, pass_on in _outlets.items():
+    for folder, pass_on in dict(_outlets).items():
         if place.is_relative_to(folder):
             pass_on(place.relative_to(folder).as_posix(), content)

@@ -65,10 +65,6 @@ class IsolatedProcess:
         self._lock = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
 
-    def close(self) -> None:
-        """End the process; the next call starts another."""
-        self._end(0)
-
     def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float = LIMIT_S) -> Any:
         """`function(*arguments)`; see `look_at`.  Its FactoryError names no file.
 
@@ -93,15 +89,15 @@ class IsolatedProcess:
             return kind, result
         except (EOFError, BrokenPipeError, ValueError, TypeError) as error:
             # It closes its pipes a moment before its exit code can be had.
-            if self._end(1) == -signal.SIGALRM:
+            if self.close(1) == -signal.SIGALRM:
                 raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
             raise FactoryError("crashes the library that reads it; it is damaged") from error
         except BaseException:
             self.close()
             raise
 
-    def _end(self, patience_s: float) -> int | None:
-        """Kill the process, unless it ends before; returns its exit code."""
+    def close(self, patience_s: float = 0) -> int | None:
+        """Kill the process, unless it ends before; its exit code.  The next call starts another."""
         child, self._child = self._child, None
         if child is None:
             return None
@@ -143,31 +139,41 @@ def _decode(file: IO[bytes]) -> Any:
 
 
 def _start(memory_bytes: int) -> subprocess.Popen[bytes]:
-    environment = dict(os.environ)
     # Modules are to be found as this process finds them, wherever it was started.
     # Blender puts folders of its own on the path, where half of bpy hides the whole.
     bpy = getattr(sys.modules.get("bpy"), "__file__", None)
     own = (f"{Path(bpy).parents[2]}{os.sep}",) if bpy else ()
     paths = [path or os.getcwd() for path in sys.path if not path.startswith(own)]
-    environment["PYTHONPATH"] = os.pathsep.join(paths)
     # Threads of numerical libraries reserve address space, and nothing is computed there.
-    environment["OMP_NUM_THREADS"] = environment["OPENBLAS_NUM_THREADS"] = "1"
+    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(
         [sys.executable, "-c", f"from {__name__} import serve; serve({memory_bytes})"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env=environment,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), **one_thread},
     )
 
 
 def serve(memory_bytes: int) -> None:
     """Answer the calls that come on standard input until it ends."""
+    import resource
+
+    import h5py  # noqa: F401  (counts as what the process has)
+
     # Ctrl-C is for the parent, which then ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
     # What libraries print must not get between the answers.
     os.dup2(2, 1)
-    _limit_memory(memory_bytes)
+    # What this process has reserved; systems without /proc know no such limit.
+    reserved = Path("/proc/self/statm")
+    pages = int(reserved.read_text().split()[0]) if reserved.exists() else 0
+    most = pages * resource.getpagesize() + memory_bytes
+    _, allowed = resource.getrlimit(resource.RLIMIT_AS)
+    most = most if allowed == resource.RLIM_INFINITY else min(most, allowed)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    # A core file of an expected crash is of no use.
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     while True:
         try:
             name, limit_s, folder, arguments = _decode(sys.stdin.buffer)
@@ -187,20 +193,3 @@ def serve(memory_bytes: int) -> None:
         signal.setitimer(signal.ITIMER_REAL, 0)
         answers.write(content)
         answers.flush()
-
-
-def _limit_memory(memory_bytes: int) -> None:
-    import resource
-
-    import h5py  # noqa: F401  (counts as what the process has)
-
-    # What this process has reserved; systems without /proc know no such limit.
-    reserved = Path("/proc/self/statm")
-    pages = int(reserved.read_text().split()[0]) if reserved.exists() else 0
-    most = pages * resource.getpagesize() + memory_bytes
-    _, allowed = resource.getrlimit(resource.RLIMIT_AS)
-    if allowed != resource.RLIM_INFINITY:
-        most = min(most, allowed)
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    # A core file of an expected crash is of no use.
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -96,10 +96,6 @@ class PairMaker:
         seen = self._camera.layers(ref)
         return [replace(pair, layers={**pair.layers, **seen}) if seen else pair for pair in made]
 
-    def ready(self, ref: FrameRef) -> bool:
-        """Whether the frame's render is at hand."""
-        return self.views.holds(ref)
-
     def expect(self, keys: Mapping[str, str]) -> None:
         """Keys of renders that are in the cache; see `sample.PairSource`."""
         if isinstance(self.views, CachedViews):

@@ -31,11 +31,9 @@ def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
     """The content of a regular file.  Raises OSError for any other kind, or a longer one."""
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
-        # One byte more: it may be growing.
-        content = b"" if size > most_bytes else file.read(size + 1)
-    if size > most_bytes or len(content) > most_bytes:
-        raise OSError(errno.EFBIG, f"longer than {most_bytes} bytes", str(path))
-    return content
+        if size > most_bytes:
+            raise OSError(errno.EFBIG, f"longer than {most_bytes} bytes", str(path))
+        return file.read(size)  # it may be growing
 
 
 def parse_json(content: bytes | str) -> Any:
@@ -46,14 +44,14 @@ def parse_json(content: bytes | str) -> Any:
         raise ValueError("nested too deeply") from error
 
 
-def parse_yaml(content: bytes) -> Any:
-    """YAML without aliases.  Raises ValueError for anything else."""
+def load_yaml(path: Path) -> Any:
+    """What a regular file of YAML without aliases says.  Raises OSError or ValueError."""
     import yaml  # whoever reads pictures alone does without
 
     loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     depth = 0
     try:
-        text = content.decode()
+        text = read_regular(path, _MOST_YAML_BYTES).decode()
         for event in yaml.parse(text, Loader=loader):
             if isinstance(event, yaml.AliasEvent):
                 raise ValueError("uses aliases, of which a few lines can stand for gigabytes")
@@ -64,11 +62,6 @@ def parse_yaml(content: bytes) -> Any:
         return yaml.load(text, Loader=loader)
     except yaml.YAMLError as error:
         raise ValueError(one_line(error)) from error
-
-
-def load_yaml(path: Path) -> Any:
-    """`parse_yaml` of a regular file.  Raises OSError or ValueError."""
-    return parse_yaml(read_regular(path, _MOST_YAML_BYTES))
 
 
 def one_line(error: BaseException, most: int = 160) -> str:

@@ -274,10 +274,10 @@ class PairSource(Protocol):
         """The columns that every pair's record has, in order."""
 
     def pairs(self, ref: FrameRef, variants: tuple[int, ...]) -> list[Pair]:
-        """All asked variants of one frame.  Raises FrameError when the frame is bad."""
+        """All asked variants of one frame.
 
-    def ready(self, ref: FrameRef) -> bool:
-        """Whether `pairs` has all that it needs; else a `Preparer` has to see the frame first."""
+        Raises FrameError when the frame is bad, NotRendered when a `Preparer` must see it first.
+        """
 
     def expect(self, keys: Mapping[str, str]) -> None:
         """Take the keys of frames that were prepared, by their names; those before are forgotten.

@@ -1,4 +1,4 @@
-"""One run at a time in a folder, or at a URL.
+"""One run at a time in a folder, or at a URL, to which what it writes then goes.
 
 In a folder that is a lock of the system, which ends with its process; the file names its owner for
 people.  At a URL it is an object that is only written where there is none.  Its owner holds it as
@@ -16,15 +16,16 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from ..errors import FactoryError
-from ..files import explain_os_errors, is_dead, space
+from ..files import explain_os_errors, is_dead, outlet, space
 from ..small_files import parse_json, read_regular
-from ..storage.copies import Store
+from ..storage.copies import SHARD_NAME, Store, make_room, take_copy, url_of
 
 LOCK_NAME = ".lock"
 # Who only asks whether somebody is at work holds it for a moment.
@@ -68,54 +69,99 @@ def owner_of(folder: Path) -> dict[str, Any] | None:
     return next((_owner(path) for path in paths if _is_held(path)), None)
 
 
-@contextmanager
-def url_locked(store: Store, part: str = "") -> Iterator[tuple[str, str]]:
-    """Within the block no other run writes at the URL.  Raises FactoryError when one does.
+@dataclass(frozen=True)
+class Publication:
+    """Passes on what is written into the copy of a dataset; goes to workers with each task.
 
-    part: as for `locked`.  Yields name and token of the lock: who finds another token has lost it.
+    folder: the copy, absolute.  lock, token: the object that must hold this token.
+    apart: workers see nothing of the folder, they run elsewhere.
     """
-    name, token, ended = _name(part), secrets.token_hex(16), threading.Event()
 
-    def text() -> bytes:
-        return json.dumps({"token": token, **_me(), "beat": time.time()}).encode()
+    folder: Path
+    store: Store
+    lock: str
+    token: str
+    apart: bool
 
-    def is_ours() -> bool:
-        return read_lock(store, name).get("token") == token
+    def pass_on(self, name: str, content: bytes | None) -> None:
+        """As `files.outlet` says; shards stay in the copy as long as there is room."""
+        if not self.holds():
+            raise FactoryError(
+                f"{self.store.url}: was taken by another run while this one stood still; nothing "
+                "more is written"
+            )
+        if content is None:
+            self.store.remove(name)
+        else:
+            self.store.put(name, content)
+            if SHARD_NAME.fullmatch(name) and not self.apart:
+                make_room(spare=self.folder / name)
+
+    def text(self) -> bytes:
+        """What the lock says."""
+        return json.dumps({"token": self.token, **_me(), "beat": time.time()}).encode()
+
+    def holds(self) -> bool:
+        """Whether the lock is ours."""
+        return _read_lock(self.store, self.lock).get("token") == self.token
+
+
+@contextmanager
+def publishing(
+    folder: Path, part: str = "", *, apart: bool = False
+) -> Iterator[Publication | None]:
+    """Within the block, what is written into the copy of a URL goes there; None for any other.
+
+    The copy is brought up to date first, and holds no shard then: what counts is at the URL.
+    Raises FactoryError when another run writes there, the URL holds something that is no dataset,
+    or the storage cannot keep two runs apart.
+    """
+    url = url_of(folder)
+    if url is None:
+        yield None
+        return
+    store, ended, token = Store(url), threading.Event(), secrets.token_hex(16)
+    one = Publication(Path(os.path.abspath(folder)), store, _name(part), token, apart)
 
     def beat() -> None:
         while not ended.wait(_BEAT_S):
             with suppress(FactoryError):
-                if is_ours():
-                    store.put(name, text())
+                if one.holds():
+                    store.put(one.lock, one.text())
 
-    if not store.create(name, text()):
-        dead = _refuse_if_held(store, name)
-        if read_lock(store, name) == dead:
-            store.remove(name)
-        if not store.create(name, text()):
-            raise FactoryError(f"{store.url}: another run takes its lock; try later")
+    if not store.create(one.lock, one.text()):
+        dead = _refuse_if_held(store, one.lock)
+        if _read_lock(store, one.lock) == dead:
+            store.remove(one.lock)
+        if not store.create(one.lock, one.text()):
+            raise FactoryError(f"{url}: another run takes its lock; try later")
     try:
         # Some servers do not know the condition and overwrite.
-        if store.create(name, text()):
+        if store.create(one.lock, one.text()):
             raise FactoryError(
-                f"{store.url}: this storage overwrites where it is told not to, so nothing would "
-                "keep two runs apart; make the dataset in a folder and copy it"
+                f"{url}: this storage overwrites where it is told not to, so nothing would keep "
+                "two runs apart; make the dataset in a folder and copy it"
             )
-        for other in _rivals(name, store.sizes()):
+        sizes = store.sizes()
+        for other in _rivals(one.lock, sizes):
             _refuse_if_held(store, other)
         threading.Thread(target=beat, daemon=True).start()
-        yield name, token
+        # Slices begin side by side.
+        foreign = sorted(name for name in sizes if not name.startswith(LOCK_NAME))
+        if foreign and not {"config.yaml", "manifest.json"} & set(foreign):
+            raise FactoryError(
+                f"dataset.dir: {url} holds other files ({', '.join(foreign[:3])}) and no dataset; "
+                "give an empty or new place with dataset.dir="
+            )
+        take_copy(folder, sizes, fresh=True)
+        with outlet(one.folder, one.pass_on):
+            yield one
     finally:
         ended.set()
         # Never another's; what cannot be removed is found dead later.
         with suppress(FactoryError):
-            if is_ours():
-                store.remove(name)
-
-
-def read_lock(store: Store, name: str) -> dict[str, Any]:
-    """What the lock of a URL says; empty when it is absent or says nothing."""
-    return _said(store.get(name) or b"")
+            if one.holds():
+                store.remove(one.lock)
 
 
 def _name(part: str) -> str:
@@ -133,33 +179,37 @@ def _rivals(own: str, names: Iterable[str]) -> list[str]:
 
 
 def _owner(path: Path) -> dict[str, Any]:
+    owner = {"pid": "?", "host": "?"}
     with suppress(OSError):
-        return {"pid": "?", "host": "?", **_said(read_regular(path, _MOST_BYTES))}
-    return {"pid": "?", "host": "?"}
+        owner |= _said(read_regular(path, _MOST_BYTES))
+    return owner
+
+
+def _read_lock(store: Store, name: str) -> dict[str, Any]:
+    return _said(store.get(name) or b"")
 
 
 def _said(content: bytes) -> dict[str, Any]:
+    """What a lock says; empty when that is nothing."""
     with suppress(ValueError):
-        said = parse_json(content)
-        return said if isinstance(said, dict) else {}
+        if isinstance(said := parse_json(content), dict):
+            return said
     return {}
 
 
 def _is_held(path: Path) -> bool:
-    lock = FileLock(path, thread_local=False)
     try:
-        lock.acquire(timeout=0)
+        with FileLock(path, timeout=0, thread_local=False):
+            return False
     except Timeout:
         return True
     except OSError:  # no file, or not ours to open
         return False
-    lock.release()
-    return False
 
 
 def _refuse_if_held(store: Store, name: str) -> dict[str, Any]:
     """What a lock says that nobody holds any more; raises FactoryError for any other."""
-    owner = read_lock(store, name)
+    owner = _read_lock(store, name)
     beat = owner.get("beat")
     beats = isinstance(beat, float) and abs(time.time() - beat) < _SILENT_S
     if beats and not (owner.get("space") == space() and is_dead(owner["pid"])):

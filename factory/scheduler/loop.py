@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from ..dataset.manifest import Failure, FailureKind
@@ -28,14 +28,8 @@ _POLL_S = 0.2
 _MAX_BARREN_DEATHS = 10
 
 
-@dataclass(eq=False)
-class _Frame:
-    """A frame to prepare, and the shards that wait for it."""
-
-    ref: FrameRef
-    waiting: list[ShardAttempt] = field(default_factory=list)
-
-
+# A shard to make, or a frame to prepare.
+_Work = ShardAttempt | FrameRef
 # What a worker told of its attempt last, if anything: see `make_shard`.
 _Told = deque[tuple[int | None, int, int]]
 
@@ -52,23 +46,23 @@ class Loop:
         self._job, self._recipe = job, job.recipe
         self._results, self._progress, self._backend = results, progress, backend
         self._ready: deque[ShardAttempt] = deque()
-        self._running: dict[Future[Any], tuple[ShardAttempt | _Frame, _Told]] = {}
-        self._deaths: Counter[tuple[ShardAttempt | _Frame, int | None]] = Counter()
+        self._running: dict[Future[Any], tuple[_Work, _Told]] = {}
+        self._deaths: Counter[tuple[_Work, int | None]] = Counter()
         self._barren_deaths = 0
         self._unsettled = len(results.todo)
         # Number of frames that a shard waits for.
         self._needs: Counter[ShardAttempt] = Counter()
-        frames: dict[str, _Frame] = {}
+        self._waiting: dict[FrameRef, list[ShardAttempt]] = {}
         for task in results.todo:
             shard = ShardAttempt(task, self._recipe, results.lacking.get(task.path, ()))
             for ref, _ in task.items if job.prepares else ():
                 if not shard.lacking or ref.name in shard.lacking:
-                    frames.setdefault(ref.name, _Frame(ref)).waiting.append(shard)
+                    self._waiting.setdefault(ref, []).append(shard)
                     self._needs[shard] += 1
             if not self._needs[shard]:
                 self._ready.append(shard)
-        self._preparing = deque(frames.values())
-        progress.frames["total"] = len(frames)
+        self._preparing = deque(self._waiting)
+        progress.frames["total"] = len(self._waiting)
 
     def run(self) -> None:
         """Go on until every shard is settled.
@@ -92,36 +86,35 @@ class Loop:
             task = Task(make_shard, shard, NOISE, limit_s, told.append)
             self._running[self._backend.submit(task)] = shard, told
         while self._preparing and self._free(RENDER):
-            frame, told = self._preparing.popleft(), _Told(maxlen=1)
-            task = Task(prepare_frame, (frame.ref, self._recipe), RENDER, limit_s, told.append)
-            self._running[self._backend.submit(task)] = frame, told
+            ref, told = self._preparing.popleft(), _Told(maxlen=1)
+            task = Task(prepare_frame, (ref, self._recipe), RENDER, limit_s, told.append)
+            self._running[self._backend.submit(task)] = ref, told
 
     def _free(self, kind: str) -> bool:
         # Each result is on record before more begins: in this process all would be done first.
         return self._backend.free(kind) and not any(map(Future.done, self._running))
 
-    def _take_result(self, work: ShardAttempt | _Frame, told: _Told, future: Future[Any]) -> None:
+    def _take_result(self, work: _Work, told: _Told, future: Future[Any]) -> None:
         error = future.exception()
         if told or error is None:
             self._barren_deaths = 0
-        if isinstance(error, TimeoutError):
-            limit_s = self._job.scheduler.frame_timeout_s
-            reason = f"took longer than scheduler.frame_timeout_s={limit_s:g}"
-            self._died(work, told, "timeout", reason)
-        elif isinstance(error, WorkerDied):
-            self._died(work, told, "crash", str(error))
+        if isinstance(error, TimeoutError | WorkerDied):
+            self._died(work, told, error)
         elif error is not None:
             raise error
-        elif isinstance(work, _Frame):
+        elif isinstance(work, FrameRef):
             self._prepared(work, future.result())
         else:
             self._settle(work, future.result())
 
-    def _died(
-        self, work: ShardAttempt | _Frame, told: _Told, kind: FailureKind, reason: str
-    ) -> None:
-        if isinstance(work, _Frame):
-            refs, path = [work.ref], ""
+    def _died(self, work: _Work, told: _Told, error: TimeoutError | WorkerDied) -> None:
+        kind: FailureKind = "crash"
+        reason = str(error)
+        if isinstance(error, TimeoutError):
+            limit_s = self._job.scheduler.frame_timeout_s
+            kind, reason = "timeout", f"took longer than scheduler.frame_timeout_s={limit_s:g}"
+        if isinstance(work, FrameRef):
+            refs, path = [work], ""
         else:
             refs, path = [ref for ref, _ in work.task.items], work.task.path
         failures: dict[str, Failure] = {}
@@ -142,38 +135,36 @@ class Loop:
             work.given_up = {**failures, **work.given_up}
             if len(work.given_up) < len(refs):
                 self._ready.appendleft(work)
-            else:
-                self._give_up(work)
+                return
+            # A finished shard that was only asked for the frames it lacks is as good as before.
+            asked = work.lacking or work.given_up
+            lost = tuple(one for name, one in work.given_up.items() if name in asked)
+            self._settle(work, ShardResult(None, lost, kept=bool(work.lacking)))
         elif failures:
-            self._prepared(work, failures[work.ref.name])
+            self._prepared(work, failures[work.name])
         else:
             self._preparing.appendleft(work)
 
-    def _prepared(self, frame: _Frame, result: Prepared | Failure) -> None:
+    def _prepared(self, ref: FrameRef, result: Prepared | Failure) -> None:
         if isinstance(result, Failure):
             self._progress.frames["failed"] += 1
         else:
             self._progress.frames["from_cache" if result.hit else "rendered"] += 1
             self._job.on_prepared(result.bytes)
-        for shard in frame.waiting:
+        for shard in self._waiting[ref]:
             if isinstance(result, Failure):
-                here = replace(result, shard=shard.task.path)
-                shard.given_up.setdefault(frame.ref.name, here)
+                shard.given_up.setdefault(ref.name, replace(result, shard=shard.task.path))
             elif result.key:
-                shard.keys[frame.ref.name] = result.key
+                shard.keys[ref.name] = result.key
             self._needs[shard] -= 1
             if not self._needs[shard]:
                 self._ready.append(shard)
-
-    def _give_up(self, shard: ShardAttempt) -> None:
-        # A finished shard that was only asked for the frames it lacks is as good as before.
-        asked = shard.lacking or shard.given_up
-        failures = tuple(one for name, one in shard.given_up.items() if name in asked)
-        self._settle(shard, ShardResult(None, failures, kept=bool(shard.lacking)))
 
     def _settle(self, shard: ShardAttempt, result: ShardResult) -> None:
         self._unsettled -= 1
         gone = {failure.ref.name for failure in result.failures}
         lost = sum(len(variants) for ref, variants in shard.task.items if ref.name in gone)
-        self._progress.settled(shard.task.samples, lost, len(result.failures))
+        self._progress.settled += shard.task.samples
+        self._progress.lost += lost
+        self._progress.lost_frames += len(gone)
         self._results.settle(shard.task, result)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from ..frame import FrameRef
 from .settings import SchedulerSettings, ShardSlice
 
 if TYPE_CHECKING:
-    from .publish import Publication
+    from .lock import Publication
 
 FrameVariants = tuple[FrameRef, tuple[int, ...]]
 
@@ -30,17 +30,13 @@ FrameVariants = tuple[FrameRef, tuple[int, ...]]
 class ShardTask:
     """One shard to make; small enough to be sent to any worker.
 
+    path: below the dataset's folder.
     items: (frame, variants of it to make), in the order of the samples.
     """
 
     split: str
-    index: int
+    path: str
     items: tuple[FrameVariants, ...]
-
-    @property
-    def path(self) -> str:
-        """Where the shard goes, below the dataset's folder."""
-        return f"{self.split}/shard-{self.index:05d}.h5"
 
     @cached_property
     def samples(self) -> int:
@@ -139,31 +135,26 @@ def plan_shards(
     """
     tasks: list[ShardTask] = []
     for split in SPLITS:
-        items = _limited(refs_by_split.get(split, ()), variants, (limits or {}).get(split))
-        shards = _cut(items, variants, shard_size)
-        tasks += [ShardTask(split, index, tuple(part)) for index, part in enumerate(shards)]
+        refs, limit = refs_by_split.get(split, ()), (limits or {}).get(split)
+        samples = len(refs) * variants
+        samples = samples if limit is None else min(limit, samples)
+        frames = -(-samples // variants)
+        chosen = [refs[k * len(refs) // frames] for k in range(frames)]
+        items = [(ref, tuple(range(variants))) for ref in chosen]
+        if samples % variants:
+            items[-1] = chosen[-1], tuple(range(samples % variants))
+        shards: list[tuple[FrameVariants, ...]]
+        if variants > shard_size:
+            shards = [
+                ((ref, numbers[start : start + shard_size]),)
+                for ref, numbers in items
+                for start in range(0, len(numbers), shard_size)
+            ]
+        else:
+            step = shard_size // variants
+            shards = [tuple(items[k : k + step]) for k in range(0, len(items), step)]
+        tasks += [
+            ShardTask(split, f"{split}/shard-{number:05d}.h5", shard)
+            for number, shard in enumerate(shards)
+        ]
     return tuple(tasks)
-
-
-def _limited(refs: Sequence[FrameRef], variants: int, limit: int | None) -> list[FrameVariants]:
-    everything = tuple(range(variants))
-    if limit is None or limit >= len(refs) * variants:
-        return [(ref, everything) for ref in refs]
-    frames = -(-limit // variants)
-    items = [(refs[k * len(refs) // frames], everything) for k in range(frames)]
-    if limit % variants:
-        items[-1] = (items[-1][0], everything[: limit % variants])
-    return items
-
-
-def _cut(
-    items: Sequence[FrameVariants], variants: int, shard_size: int
-) -> Iterator[Sequence[FrameVariants]]:
-    if variants > shard_size:
-        for ref, numbers in items:
-            for start in range(0, len(numbers), shard_size):
-                yield [(ref, numbers[start : start + shard_size])]
-        return
-    frames = shard_size // variants
-    for start in range(0, len(items), frames):
-        yield items[start : start + frames]

@@ -15,7 +15,6 @@ from ..errors import FactoryError
 from ..files import write_atomically
 from ..progress import Lines, clock, stage, terminal_bars
 from .plan import Job
-from .settings import Crew
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -29,18 +28,17 @@ class ProgressBar:
     """Counts of frames and pairs, shown on stderr and written to status.json.
 
     frames: counts of those to prepare (total) and of what became of them.
+    settled: planned samples of the shards that need no more work; lost, lost_frames: of those, the
+        samples that no frame gave, and the frames that failed.
     """
 
-    def __init__(self, job: Job, crew: Crew, total: int, settled: int) -> None:
-        """total: planned samples.  settled: of them, those that need no work any more."""
+    def __init__(self, job: Job, total: int, settled: int) -> None:
+        """total: planned samples.  settled: of them, those that need no work from the first."""
         self.frames = {"total": 0, "rendered": 0, "from_cache": 0, "failed": 0}
-        # Of the shards that are made, kept or given up; of them, those of frames that failed.
-        self._settled, self._lost, self._lost_frames = settled, 0, 0
-        stem, _, suffix = STATUS_NAME.rpartition(".")
-        part = f".{job.shard.part}" if job.shard.part else ""
-        self._path = job.directory / f"{stem}{part}.{suffix}"
+        self.settled, self.lost, self.lost_frames = settled, 0, 0
+        part = f".{job.shard.part}." if job.shard.part else "."
+        self._path = job.directory / STATUS_NAME.replace(".", part)
         self._total, self._first, self._pairs, self._failed = total, settled, settled, 0
-        self._workers = crew._asdict()
         self._begun, self._written = time.monotonic(), 0.0
         self._lines, self._shown = Lines(), ""
         self._bar: tqdm[Any] | None = None
@@ -51,19 +49,13 @@ class ProgressBar:
             self._bar = terminal_bars()(total=1.0, bar_format=form, ncols=columns, nrows=rows)
             self._draw()
 
-    def settled(self, samples: int, lost: int, failed: int) -> None:
-        """Count the planned samples of one shard that needs no more work, and what it lost."""
-        self._settled += samples
-        self._lost += lost
-        self._lost_frames += failed
-
     def show(self, shards: Sequence[tuple[object, int, int]]) -> None:
         """Show how far it is; cheap enough to be called several times a second.
 
         shards: what each that is being made has told: (frame, samples, failed frames).
         """
-        self._pairs = self._settled + sum(samples for _, samples, _ in shards)
-        self._failed = self._lost_frames + sum(failed for *_, failed in shards)
+        self._pairs = self.settled + sum(samples for _, samples, _ in shards)
+        self._failed = self.lost_frames + sum(failed for *_, failed in shards)
         self._draw()
         if time.monotonic() - self._written > _EVERY_S:
             self._written = time.monotonic()
@@ -80,8 +72,15 @@ class ProgressBar:
         return sum(self.frames.values()) - self.frames["total"]
 
     def _draw(self, *, last: bool = False) -> None:
-        counts = self._counts()
         gone_s, share = self._rate()
+        # Such as `frames 3/40 (1 from cache), pairs 2/40, 1 failed`.
+        counts = f"pairs {self._pairs - self.lost}/{self._total}"
+        if total := self.frames["total"]:
+            hits = self.frames["from_cache"]
+            cached = f" ({hits} from cache)" if hits else ""
+            counts = f"frames {self._prepared()}/{total}{cached}, {counts}"
+        if self._failed:
+            counts += f", {self._failed} failed"
         left = f", {clock(gone_s / share - gone_s)} left" if 0 < share < 1 and not last else ""
         text = f"{counts}; {clock(gone_s)} gone{left}"
         if self._bar is not None:
@@ -93,18 +92,6 @@ class ProgressBar:
             self._shown = counts
             stage(text)
 
-    def _counts(self) -> str:
-        """Such as `frames 3/40 (1 from cache), pairs 2/40, 1 failed`."""
-        parts = []
-        if self.frames["total"]:
-            hits = self.frames["from_cache"]
-            cached = f" ({hits} from cache)" if hits else ""
-            parts.append(f"frames {self._prepared()}/{self.frames['total']}{cached}")
-        parts.append(f"pairs {self._pairs - self._lost}/{self._total}")
-        if self._failed:
-            parts.append(f"{self._failed} failed")
-        return ", ".join(parts)
-
     def _rate(self) -> tuple[float, float]:
         """Seconds since the begin, and the part of this run's work that is done: 0 to 1."""
         whole = self.frames["total"] + _PAIR_SHARE * (self._total - self._first)
@@ -115,11 +102,10 @@ class ProgressBar:
         gone_s, share = self._rate()
         document = {
             "state": state,
-            "pairs": {"done": self._pairs - self._lost, "total": self._total},
+            "pairs": {"done": self._pairs - self.lost, "total": self._total},
             "pairs_per_second": round((self._pairs - self._first) / max(gone_s, 1e-9), 3),
             "seconds_left": round(gone_s / share - gone_s) if share else None,
             "frames": self.frames,
-            "workers": self._workers,
         }
         # Whoever writes what matters reports a full disk.
         with suppress(FactoryError, OSError):

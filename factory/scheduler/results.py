@@ -7,7 +7,6 @@ all of them, and they go.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,7 +22,6 @@ from ..dataset.manifest import (
     save_manifest,
     save_outcome,
 )
-from ..dataset.schema import SPLITS
 from ..files import explain_os_errors, remove_file
 from ..progress import stage
 from .plan import Job, ShardTask
@@ -34,14 +32,11 @@ from .worker import ShardResult
 class RunReport:
     """What a run did.
 
-    samples, shards: what the dataset now holds; samples_by_split: train and test.
-    kept: shards that an earlier run had finished.  failures: every frame without a sample.
-    frames: that were asked for.
+    samples: what the dataset now holds.  kept: shards that an earlier run had finished.
+    failures: every frame without a sample.  frames: that were asked for.
     """
 
     samples: int
-    samples_by_split: Mapping[str, int]
-    shards: int
     kept: int
     failures: tuple[Failure, ...]
     frames: int
@@ -84,7 +79,7 @@ class Results:
         self._kept += result.kept
         if info is None:
             self._shards.pop(task.path, None)
-            path = self._job.recipe.directory / task.path
+            path = self._job.directory / task.path
             with explain_os_errors(path):
                 remove_file(path)
         else:
@@ -113,11 +108,8 @@ class Results:
 
     def report(self) -> RunReport:
         """What the run did until now."""
-        manifest = replace(self._manifest, shards=self._shards)
         return RunReport(
-            samples=manifest.samples(),
-            samples_by_split={split: manifest.samples(split) for split in SPLITS},
-            shards=len(manifest.shards),
+            samples=sum(info.samples for info in self._shards.values()),
             kept=self._kept,
             failures=tuple(one for path in sorted(self._failures) for one in self._failures[path]),
             frames=len({ref.name for task in self._job.own_tasks for ref, _ in task.items}),

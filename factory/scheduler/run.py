@@ -15,14 +15,13 @@ from ..dataset.writer import write_index
 from ..errors import FactoryError
 from ..files import remove_stale_temporaries
 from ..progress import stage
-from .lock import locked
+from .lock import locked, publishing
 from .loop import Loop
 from .plan import Job, work_folder
 from .progress import ProgressBar
-from .publish import publishing
 from .results import Results, RunReport
-from .settings import Crew
-from .workers import Backend
+from .settings import NOISE, RENDER, Crew
+from .workers import Backend, Pool
 from .workers.local import LocalBackend
 from .workers.signals import Interrupted, stop_signals
 
@@ -64,7 +63,7 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
     frames = len({ref.name for task in todo for ref, _ in task.items}) if job.prepares else 0
     crew = job.scheduler.crew(len(todo), frames)
     total, left = (sum(task.samples for task in tasks) for tasks in (job.own_tasks, todo))
-    progress = ProgressBar(job, crew, total, total - left)
+    progress = ProgressBar(job, total, total - left)
     results.put_together()
     state = "broken"
     try:
@@ -98,7 +97,10 @@ def _backend(job: Job, crew: Crew, frames_per_shard: int) -> Backend:
         from .workers.dask_cluster import DaskBackend
 
         return DaskBackend(crew.total, job.scheduler.address)
-    return LocalBackend(job.scheduler.pools(crew, frames_per_shard), job.preload)
+    frames = job.scheduler.recycle_frames
+    heavy = Pool((RENDER, NOISE), crew.render, frames)
+    light = Pool((NOISE,), crew.noise, max(1, frames // frames_per_shard))
+    return LocalBackend((heavy, light), job.preload)
 
 
 def _tidy(job: Job) -> None:
@@ -110,8 +112,7 @@ def _tidy(job: Job) -> None:
 
 def _describe(job: Job, report: RunReport) -> None:
     """Write all that stands beside the shards."""
-    finished = load_manifest(job.directory)
-    if finished is not None and report.samples:
+    if (finished := load_manifest(job.directory)) is not None and report.samples:
         stage(f"writing index, card{' and preview' if job.dataset.preview_pairs else ''}")
         write_index(job.directory, finished)
         if job.dataset.preview_pairs:

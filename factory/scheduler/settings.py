@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ..settings import STRICT
-from .workers import Pool
 from .workers.machine import available_memory_bytes, usable_cores, workers_that_fit
 
 MAX_AUTO_WORKERS = 48
@@ -21,11 +20,7 @@ RENDER, NOISE = "render", "noise"
 
 
 class Crew(NamedTuple):
-    """Numbers of worker processes.
-
-    render: may load Blender; they also add noise when nothing is left to render.
-    noise: light ones, for noise alone.
-    """
+    """Workers that may load Blender, which add noise when nothing is left to render; light ones."""
 
     render: int
     noise: int
@@ -43,11 +38,9 @@ class ShardSlice:
     index: Annotated[int, Field(ge=0)] = 0
     count: Annotated[int, Field(ge=1)] = 1
 
-    @model_validator(mode="after")
-    def _within(self) -> Self:
+    def __post_init__(self) -> None:
         if self.index >= self.count:
             raise ValueError(f"index must be 0 to count - 1 = {self.count - 1}, got {self.index}")
-        return self
 
     @property
     def part(self) -> str:
@@ -78,40 +71,21 @@ class SchedulerSettings:
     retries: Annotated[int, Field(ge=0)] = 1
     recycle_frames: Annotated[int, Field(ge=1)] = 200
 
-    @model_validator(mode="after")
-    def _address(self) -> Self:
+    def __post_init__(self) -> None:
         if self.address is not None and self.backend != "dask":
             raise ValueError("address is for scheduler.backend=dask only")
-        return self
 
     def crew(self, shards: int, frames: int) -> Crew:
         """How many workers of either kind for that many shards, and frames to prepare.
 
         Raises FactoryError when the limits of this process allow none.
         """
-        memory_gb = available_memory_bytes() / 1e9 * _MEMORY_SHARE
-        if self.workers == "auto":
-            fitting = int(memory_gb / WORKER_GB)
-            total = max(1, min(usable_cores(), fitting, MAX_AUTO_WORKERS))
-        else:
-            total = self.workers
-        total = min(total, max(shards, frames))
+        memory_gb, cores = available_memory_bytes() / 1e9 * _MEMORY_SHARE, usable_cores()
+        total = max(1, min(cores, int(memory_gb / WORKER_GB), MAX_AUTO_WORKERS))
+        total = min(total if self.workers == "auto" else self.workers, max(shards, frames))
         if self.backend == "local":
             total = workers_that_fit(total)
-        if not frames:
-            return Crew(0, total)
-        if self.render_workers == "auto":
-            left_gb = memory_gb - total * WORKER_GB
-            render = max(1, min(usable_cores(), int(left_gb / (RENDERER_GB - WORKER_GB))))
-        else:
-            render = self.render_workers
+        room = int((memory_gb - total * WORKER_GB) / (RENDERER_GB - WORKER_GB))
+        render = max(1, min(cores, room)) if self.render_workers == "auto" else self.render_workers
         render = min(render, total, frames)
         return Crew(render, total - render)
-
-    def pools(self, crew: Crew, frames_per_shard: int) -> tuple[Pool, Pool]:
-        """The processes of `crew`, for shards of at most so many frames."""
-        shards_per_worker = max(1, self.recycle_frames // frames_per_shard)
-        return (
-            Pool((RENDER, NOISE), crew.render, self.recycle_frames),
-            Pool((NOISE,), crew.noise, shards_per_worker),
-        )

@@ -49,7 +49,7 @@ class ShardResult:
 
 
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
-_built: dict[str, tuple[tuple[Any, ...], Any]] = {}
+_built: dict[Callable[[Any], Any], tuple[tuple[str, Any], Any]] = {}
 
 
 def prepare_frame(attempt: tuple[FrameRef, Recipe]) -> Prepared | Failure:
@@ -86,12 +86,11 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
 
 def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
     """The source or preparer of this process, built at its first task."""
-    key = (maker, recipe.provenance.config_hash, recipe.config)
-    name = f"{maker.__module__}.{maker.__qualname__}"
-    if name not in _built or _built[name][0] != key:
-        _built.pop(name, None)
-        _built[name] = (key, maker(recipe.config))
-    made: T = _built[name][1]
+    key = recipe.provenance.config_hash, recipe.config
+    if maker not in _built or _built[maker][0] != key:
+        _built.pop(maker, None)
+        _built[maker] = key, maker(recipe.config)
+    made: T = _built[maker][1]
     return made
 
 
@@ -99,8 +98,7 @@ class _Shard:
     """Goes through the frames of one attempt and tells of each."""
 
     def __init__(self, attempt: ShardAttempt, recipe: Recipe) -> None:
-        self._task, self._recipe = attempt.task, recipe
-        self._lacking, self._given_up = attempt.lacking, attempt.given_up
+        self._attempt, self._task, self._recipe = attempt, attempt.task, recipe
         self._source: PairSource = _build(recipe.source, recipe)
         self._source.expect(attempt.keys)
         self._keys = dict(attempt.keys)
@@ -111,7 +109,8 @@ class _Shard:
     def result(self) -> ShardResult:
         """Write the shard, or say why it is not to be written."""
         task, recipe = self._task, self._recipe
-        lacking = [item for item in enumerate(task.items) if item[1][0].name in self._lacking]
+        todo, asked = enumerate(task.items), self._attempt.lacking
+        lacking = [item for item in todo if item[1][0].name in asked]
         failures = [failure for item in lacking if (failure := self._made(*item)[1])]
         if lacking and len(failures) == len(lacking):
             return ShardResult(None, tuple(failures), kept=True)
@@ -138,28 +137,24 @@ class _Shard:
     def _made(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
         """The checked pairs of one frame, or what kept it from giving them."""
         ref, variants = item
-        if ref.name in self._given_up:
-            return [], self._given_up[ref.name]
+        if ref.name in self._attempt.given_up:
+            return [], self._attempt.given_up[ref.name]
         tell(index, self._samples, len(self._failures))
         try:
-            self._prepare(ref)
             try:
                 pairs = self._source.pairs(ref, variants)
-            except NotRendered:  # it was damaged, or went this very moment
-                self._prepare(ref)
+            except NotRendered:  # nobody prepared it, it was damaged, or has gone from the cache
+                if self._recipe.preparer is None:
+                    raise
+                preparer: Preparer = _build(self._recipe.preparer, self._recipe)
+                self._keys[ref.name] = preparer.prepare(ref).key
+                self._source.expect(self._keys)
                 pairs = self._source.pairs(ref, variants)
             for pair in pairs:
                 check_pair(pair, self._axes, self._columns, ref.name)
             return pairs, None
         except Exception as error:
             return [], _failure(ref, error, self._task.path)
-
-    def _prepare(self, ref: FrameRef) -> None:
-        """Prepare a frame that nobody has, or whose render has gone from the cache again."""
-        if self._recipe.preparer is not None and not self._source.ready(ref):
-            preparer: Preparer = _build(self._recipe.preparer, self._recipe)
-            self._keys[ref.name] = preparer.prepare(ref).key
-            self._source.expect(self._keys)
 
 
 def _failure(ref: FrameRef, error: Exception, shard: str) -> Failure:

@@ -11,7 +11,6 @@ import hashlib
 import os
 import re
 import secrets
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ _URL = re.compile(r"([a-z][a-z0-9+.-]*)://(.+)")
 # What is written there can be seen half finished.
 _FILES = ("file", "local", "ssh", "sftp", "ftp", "smb")
 _ORIGIN = ".origin"
-_SHARD = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")
+SHARD_NAME = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")
 # What lies beside the shards and is a reader's business.
 _SMALL = re.compile(
     r"README\.md|config\.yaml|index\.h5|preview\.png|failed\.jsonl|manifest\.json"
@@ -34,7 +33,6 @@ _SMALL = re.compile(
 )
 _MOST_SMALL_BYTES = 1 << 28
 _FOLDER, _LIMIT, _KEPT_BYTES = "SIMNFND_CLOUD_CACHE", "SIMNFND_CLOUD_CACHE_BYTES", 10_000_000_000
-_LOCKS = 64  # lock files of each copy, which shards share by their names
 
 
 def is_url(name: object) -> bool:
@@ -55,10 +53,11 @@ class Store:
 
     def __post_init__(self) -> None:
         match = _URL.fullmatch(self.url)
-        if match is None or "::" in self.url or "?" in self.url or "#" in self.url:
-            raise FactoryError(f"{self.url}: no URL of a storage, such as s3://bucket/folder")
-        if match[1] in _FILES:
-            raise FactoryError(f"{self.url}: objects are stored, no files; mount it, give a folder")
+        if match is None or match[1] in _FILES or re.search(r"::|\?|#", self.url):
+            raise FactoryError(
+                f"{self.url}: no URL of objects, such as s3://bucket/folder; of files, mount it, "
+                "give a folder"
+            )
         object.__setattr__(self, "url", self.url.rstrip("/"))
 
     def sizes(self) -> dict[str, int]:
@@ -104,17 +103,13 @@ class Store:
 
             system, root = fsspec.core.url_to_fs(self.url)
             yield system, str(root).rstrip("/")
-        except ImportError as error:
-            raise FactoryError(
-                f"{self.url}: needs another package ({error}); S3: pip install 'simnfnd[cloud]'"
-            ) from error
         # Each storage's library has errors of its own.
         except Exception as error:
             where = f"{self.url}/{name}" if name else self.url
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise FactoryError(
-                f"{where}: cannot be {done} ({reason}); look at the address, the credentials and "
-                "the network, and run the same command again"
+                f"{where}: cannot be {done} ({reason}); look at the address, the credentials, the "
+                "network and the packages (S3: simnfnd[cloud]), and run the same command again"
             ) from error
 
 
@@ -179,7 +174,7 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
             name = path.relative_to(folder).as_posix()
             differs = fresh or sizes.get(name) != path.stat().st_size
             gone = _SMALL.fullmatch(name) and name not in sizes
-            if gone or (is_shard(name) and differs):
+            if gone or (SHARD_NAME.fullmatch(name) and differs):
                 path.unlink(missing_ok=True)
         for name, size in sizes.items():
             if not _SMALL.fullmatch(name):
@@ -191,11 +186,6 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
                 write_atomically(folder / name, content, durable=False, key=_FOLDER)
 
 
-def is_shard(name: str) -> bool:
-    """Whether an object is a shard of a dataset."""
-    return _SHARD.fullmatch(name) is not None
-
-
 def fetched(path: Path, look: Callable[[Path], None] = lambda aside: None) -> None:
     """Fetch the shard of a copy that is not here; who else wants it now waits for that.
 
@@ -204,15 +194,14 @@ def fetched(path: Path, look: Callable[[Path], None] = lambda aside: None) -> No
     """
     url = url_of(path.parent.parent)
     name = f"{path.parent.name}/{path.name}"
-    if url is None or not is_shard(name) or path.exists():
+    if url is None or not SHARD_NAME.fullmatch(name) or path.exists():
         return
     from filelock import FileLock
 
-    number = zlib.crc32(path.name.encode()) % _LOCKS
     aside = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     with explain_os_errors(path, _FOLDER):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(path.parent.parent / f".fetching-{number:02d}"):
+        with FileLock(path.with_suffix(".lock")):
             if path.exists() or (content := Store(url).get(name)) is None:
                 return
             try:

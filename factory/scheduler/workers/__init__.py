@@ -89,16 +89,15 @@ class Backend:
         """Stop all workers now, whatever they are doing."""
 
 
-def start_worker_process() -> None:
+def start_worker_process(worker: Any = None) -> None:
     """Leave Ctrl-C, which goes to every process of a terminal, to the parent; set up malloc."""
     with suppress(ValueError):  # not in the main thread: no signal would be delivered here
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_freed_memory()
 
 
-def dask_setup(worker: Any) -> None:
-    """Called by Dask in every new worker process, which has this module as its `--preload`."""
-    start_worker_process()
+# Called by Dask in every new worker process, which has this module as its `--preload`.
+dask_setup = start_worker_process
 
 
 def tell(*message: int | None) -> None:

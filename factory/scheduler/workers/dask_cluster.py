@@ -42,6 +42,7 @@ class DaskBackend(Backend):
 
     def __init__(self, workers: int, address: str | None) -> None:
         """Connect, or start a cluster of so many.  Raises FactoryError when neither works."""
+        import dask
         import distributed
 
         self._distributed: Any = distributed
@@ -57,7 +58,17 @@ class DaskBackend(Backend):
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         try:
             if address is None:
-                self._cluster = self._started(workers)
+                with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+                    self._cluster = self._distributed.LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        memory_limit=0,
+                        dashboard_address=None,
+                        preload=["simnfnd.factory.scheduler.workers"],
+                        env=dict.fromkeys(THREAD_VARIABLES, "1"),
+                        silence_logs=logging.CRITICAL,
+                    )
+                self._cluster.wait_for_workers(workers, timeout=_START_S)
             where = address or self._cluster.scheduler_address
             self._client = self._distributed.Client(where, timeout=_CONNECT_S, set_as_default=False)
             self._client.subscribe_topic(self._topic, self._heard)
@@ -66,32 +77,12 @@ class DaskBackend(Backend):
                 raise ValueError("it has no workers")
         except (TimeoutError, OSError, ValueError, RuntimeError) as error:
             self.close()
-            where = (
-                f"scheduler.address={address}: no Dask scheduler answers"
-                if address
-                else "scheduler.backend=dask: no cluster comes up on this machine"
-            )
+            key = f"address={address}" if address else "backend=dask"
             raise FactoryError(
-                f"{where} ({error}); check the address, or start one (docs/cluster.md)"
+                f"scheduler.{key}: no Dask cluster answers ({error}); check the address, or start "
+                "one (docs/cluster.md)"
             ) from error
         threading.Thread(target=self._watch, daemon=True).start()
-
-    def _started(self, workers: int) -> Any:
-        """A scheduler and its workers as processes of this machine."""
-        import dask
-
-        with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-            cluster = self._distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                memory_limit=0,
-                dashboard_address=None,
-                preload=["simnfnd.factory.scheduler.workers"],
-                env=dict.fromkeys(THREAD_VARIABLES, "1"),
-                silence_logs=logging.CRITICAL,
-            )
-        cluster.wait_for_workers(workers, timeout=_START_S)
-        return cluster
 
     def _count(self) -> None:
         """Take in workers that have come or gone."""
@@ -134,20 +125,16 @@ class DaskBackend(Backend):
     def _done(self, name: str, remote: Any) -> None:
         kind = ERROR
         value: Any = WorkerDied("its task was lost by Dask")
-        lost = (
-            TimeoutError,  # not of the task: `_end_late` has its limit
-            self._distributed.KilledWorker,
-            self._distributed.CancelledError,
-            self._distributed.scheduler.NoValidWorkerError,
-        )
+        dask, no_worker = self._distributed, self._distributed.scheduler.NoValidWorkerError
+        # A timeout is not the task's: `_watch` has its limit.
+        lost = TimeoutError, dask.KilledWorker, dask.CancelledError, no_worker
         try:
             if remote.status == "finished":
                 kind, value = pickle.loads(remote.result(timeout=_RESULT_S))
             elif remote.status == "error":
                 raise remote.exception(timeout=_RESULT_S)
         except lost as error:
-            name_of = type(error).__name__
-            value = WorkerDied(f"native crash or kill, its Dask worker died ({name_of})")
+            value = WorkerDied(f"its Dask worker died or was lost ({type(error).__name__})")
         except Exception as error:
             value = error
         with self._lock:
@@ -156,23 +143,21 @@ class DaskBackend(Backend):
             (sent.future.set_exception if kind == ERROR else sent.future.set_result)(value)
 
     def _watch(self) -> None:
+        """Ends tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         while not self._stopped.wait(_LOOK_S):
             self._count()
-            self._end_late()
-
-    def _end_late(self) -> None:
-        """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
-        now = time.monotonic()
-        with self._lock:
-            gone = [k for k, one in self._tasks.items() if now > one.heard_at + one.task.silence_s]
-            self._late = [self._tasks.pop(name) for name in gone]
-        for sent in self._late:
-            with suppress(Exception):
-                processing = self._asked("processing", workers=None)
-                where = [worker for worker, keys in processing.items() if sent.remote.key in keys]
-                self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
-            sent.future.set_exception(TimeoutError())
-        self._late = []
+            now = time.monotonic()
+            with self._lock:
+                sent = self._tasks.items()
+                late = [k for k, one in sent if now > one.heard_at + one.task.silence_s]
+                self._late = [self._tasks.pop(name) for name in late]
+            for one in self._late:
+                with suppress(Exception):
+                    processing = self._asked("processing", workers=None)
+                    where = [place for place, keys in processing.items() if one.remote.key in keys]
+                    self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
+                one.future.set_exception(TimeoutError())
+            self._late = []
 
     def close(self) -> None:
         """Leave the cluster; one that was started here is taken down."""

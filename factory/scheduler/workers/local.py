@@ -160,10 +160,8 @@ class _Worker:
         self._connection, theirs = multiprocessing.Pipe()
         with closing(theirs):  # so that its end of the connection ends with it
             self._started = template.started(self._forks, _work, (theirs, dict(os.environ)))
-        try:
+        with suppress(psutil.NoSuchProcess):  # gone already
             self._process = psutil.Process(self._started.pid)
-        except psutil.NoSuchProcess:
-            raise WorkerDied("its worker process ended at once") from None
         # At its end, multiprocessing would wait for all that live.
         weakref.finalize(self, _kill, self._process)
 
@@ -248,7 +246,6 @@ def _exit_with_parent() -> None:
 def _exit_text(exitcode: int | None) -> str:
     if exitcode is None or exitcode >= 0:
         return f"its worker process ended with exit code {exitcode}"
-    names = {number.value: number.name for number in signal.Signals}
-    name = names.get(-exitcode, f"signal {-exitcode}")
+    name = signal.Signals(-exitcode).name
     hint = ", perhaps for want of memory" if name == "SIGKILL" else ""
     return f"native crash, its worker process was killed by {name}{hint}"

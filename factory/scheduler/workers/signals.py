@@ -33,10 +33,9 @@ class Interrupted(KeyboardInterrupt):
 def stop_signals() -> Iterator[None]:
     """Within the block the first SIGINT or SIGTERM raises Interrupted; a second ends it all.
 
-    Stopping takes about a second.  After a second signal workers notice that their parent is gone,
-    and the next run removes what is left behind.  Both signals of one keypress (a shell's and a
-    terminal's) count as one.  In a thread that is not the main one, where Python delivers no
-    signals, nothing is changed.
+    After a second signal workers notice that their parent is gone, and the next run removes what
+    is left behind.  Both signals of one keypress (a shell's and a terminal's) count as one.  In a
+    thread that is not the main one, where Python delivers no signals, nothing is changed.
 
     Python throws away what is raised in the callback of a weak reference, and h5py has thousands of
     them while it reads a shard: a signal that came there is sent again a moment later.

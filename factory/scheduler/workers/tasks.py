@@ -71,14 +71,11 @@ class TaskPool:
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 task = running.pop(future)
-                result = _result(future, timeout_s(task))
+                result: R | TaskLost
+                try:
+                    result = future.result()
+                except TimeoutError:
+                    result = TaskLost(f"took longer than {timeout_s(task):g} s")
+                except WorkerDied as died:
+                    result = TaskLost(str(died))
                 yield task, result
-
-
-def _result(future: Future[R], timeout_s: float) -> R | TaskLost:
-    try:
-        return future.result()
-    except TimeoutError:
-        return TaskLost(f"took longer than {timeout_s:g} s")
-    except WorkerDied as died:
-        return TaskLost(str(died))

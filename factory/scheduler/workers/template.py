@@ -14,7 +14,6 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
@@ -22,17 +21,10 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
+    *(f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "NUMEXPR")),
+    *("VECLIB_MAXIMUM_THREADS", "OPENCV_FOR_THREADS_NUM"),
 )
 
-
-_lock = threading.Lock()
 # The process that started one, 0 for none; whoever is forked from that has none.
 _owner = 0
 
@@ -42,19 +34,16 @@ def start(modules: tuple[str, ...]) -> None:
 
     Without modules a fork would spare little, and nothing is started.
     """
-    if not modules or sys.platform != "linux":
+    if not modules or runs() or sys.platform != "linux":
         return
     global _owner
-    with _lock:
-        if runs():
-            return
-        held = hold_interrupts()
-        forkserver.set_forkserver_preload(list(modules))
-        # In a process that is itself a fork, it is another's.
-        with one_thread(), suppress(ChildProcessError):
-            forkserver.ensure_running()
-            _owner = os.getpid()
-        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+    held = hold_interrupts()
+    forkserver.set_forkserver_preload(list(modules))
+    # In a process that is itself a fork, it is another's.
+    with one_thread(), suppress(ChildProcessError):
+        forkserver.ensure_running()
+        _owner = os.getpid()
+    signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
@@ -103,7 +92,7 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         for name in THREAD_VARIABLES:
-            del os.environ[name]
+            os.environ.pop(name, None)
         os.environ.update({name: value for name, value in saved.items() if value is not None})
 
 

@@ -23,8 +23,7 @@ from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler import run
-from simnfnd.factory.scheduler.lock import url_locked
-from simnfnd.factory.scheduler.publish import publishing
+from simnfnd.factory.scheduler.lock import publishing
 from simnfnd.factory.scheduler.results import RunReport
 from simnfnd.factory.scheduler.settings import ShardSlice
 from simnfnd.factory.storage.copies import Store, folder_of, local_folder, url_of
@@ -66,8 +65,7 @@ def url(request: pytest.FixtureRequest, bucket: str, tmp_path: Path) -> str:
 
 
 def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> None:
-    report = make(folder_of(url))
-    assert (report.samples, report.shards) == (32, 4)
+    assert make(folder_of(url)).samples == 32
     found = contents(url)
     assert {name: found[name] for name in found if "/" in name} == shard_bytes(local)
     there = {path.name for path in local.iterdir() if path.is_file()}
@@ -157,14 +155,17 @@ def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path
 def test_two_runs_do_not_write_at_once(bucket: str) -> None:
     url = f"{bucket}/two"
     store = Store(url)
-    with url_locked(store) as (_, token):
+    with publishing(folder_of(url)) as first:
+        assert first is not None
         with pytest.raises(FactoryError, match="is being written by process"):
             make(folder_of(url))
-        with pytest.raises(FactoryError, match="is being written"), url_locked(store, "0-of-2"):
+        part = "0-of-2"
+        slice_of_it = publishing(folder_of(url, part), part)
+        with pytest.raises(FactoryError, match="is being written"), slice_of_it:
             pass
         assert contents(url).keys() == {".lock"}
         # Taken over while it stood still: it writes no more, and leaves the other's lock alone.
-        theirs = contents(url)[".lock"].replace(token.encode(), b"0" * 32)
+        theirs = contents(url)[".lock"].replace(first.token.encode(), b"0" * 32)
         store.put(".lock", theirs)
     assert contents(url) == {".lock": theirs}
 
@@ -179,7 +180,7 @@ def test_a_run_that_lost_its_url_writes_no_more(bucket: str, monkeypatch: Any) -
             put(self, ".lock", b'{"token": "another", "pid": 1, "host": "elsewhere"}')
 
     monkeypatch.setattr(Store, "put", steal)
-    with pytest.raises(FactoryError, match="taken by process 1 on elsewhere"):
+    with pytest.raises(FactoryError, match="taken by another run"):
         make(folder_of(url))
     assert [name for name in contents(url) if name.startswith("train/")] == ["train/shard-00000.h5"]
     assert "another" in contents(url)[".lock"].decode()
