@@ -102,4 +102,6 @@ def _geometry_of(shard: h5py.File) -> Callable[[int, Picture], FanGeometry | Non
             FanGeometry.from_record(sonar, shard["meta"][0])
     except (KeyError, TypeError, ValueError, IndexError):
         sonar = None
-    return lambda row, _: sonar and FanGeometry.from_record(sonar, shard["meta"][row])
+    if sonar is None:
+        return lambda row, _: None
+    return lambda row, _: FanGeometry.from_record(sonar, shard["meta"][row])
