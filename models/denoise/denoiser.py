@@ -8,7 +8,6 @@ added, and the picture with less noise denoised as it is, which finds edges and 
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.files import sha256_of
 from ...factory.sonar.geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
@@ -56,7 +56,7 @@ class Denoiser:
         path = find_weights(weights)
         self.runtime = open_runtime(path, device)
         self.name = path.name if path.stem == "weights" else path.stem
-        self.digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        self.digest = sha256_of(path)
         self.strength = np.float32(strength)
 
     @property

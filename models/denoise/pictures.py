@@ -47,9 +47,10 @@ class Denoising:
                 f"--frames {frames}: give an odd number up to {MOST_FRAMES}: a picture and as many "
                 "before it as after it"
             )
-        self.network, self.frames = network, frames
-        self._causal, self._calibrated = causal, calibrated
-        self.tally = Tally()
+        self.frames, self.tally = frames, Tally()
+        self._in_time = partial(
+            InTime, network, causal=causal, calibrated=calibrated, tally=self.tally
+        )
         self.maps: Counter[str] = Counter()
         self._last_map: Palette | None = None
 
@@ -76,14 +77,8 @@ class Denoising:
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
         alone: whether each is denoised by itself.
         """
-        stream = InTime(
-            self.network,
-            frames=1 if alone else self.frames,
-            causal=self._causal,
-            calibrated=self._calibrated,
-            tally=self.tally,
-            at_once=1 if alone else usable_cores(),
-        )
+        frames, at_once = (1, 1) if alone else (self.frames, usable_cores())
+        stream = self._in_time(frames=frames, at_once=at_once)
         for (key, picture, painted), levels in stream(shots):
             yield key, restored(levels, picture) if painted is None else painted.repainted(levels)
 
