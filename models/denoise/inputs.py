@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -168,8 +167,7 @@ class Geometries:
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
         # By the size of the pictures, too: a bag may have several topics.
         self._videos: dict[tuple[Path, tuple[int, ...]], FanGeometry | None] = {}
-        self._with_fan: Counter[Path] = Counter()
-        self._searched: Counter[Path] = Counter()
+        self._found: dict[Path, list[bool]] = {}  # in the pictures of a folder, video or bag
 
     def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
         """The geometry of a picture of `item`; None where it is not known."""
@@ -183,15 +181,13 @@ class Geometries:
         geometry, place = find_geometry(picture), item.source.parent
         if item.kind != "pictures":
             self._videos[key], place = geometry, item.source
-        self._with_fan[place] += geometry is not None
-        self._searched[place] += 1
+        self._found.setdefault(place, []).append(geometry is not None)
         return geometry
 
     def summary(self) -> Iterator[str]:
         """One line a folder, video or bag whose pictures were searched."""
-        for place, count in self._searched.items():
-            found = self._with_fan[place]
-            yield f"geometry: fan found in {found} of {count} pictures searched ({place})"
+        for place, fan in self._found.items():
+            yield f"geometry: fan found in {sum(fan)} of {len(fan)} pictures searched ({place})"
 
 
 class Finished:

@@ -78,7 +78,10 @@ def write_frames(
             elif (video := _video(partial, first.shape, rate_hz)) is not None and not path.is_dir():
                 _write_video(partial, frames, path, video)
             else:
-                _write_pictures(path, frames)
+                if path.is_file():
+                    raise FrameError(f"{path}: is there already; remove it, or give another --out")
+                for number, picture in enumerate(frames):
+                    write_image(path / f"{number:06d}.png", picture)
                 return
             os.replace(partial, path)
         finally:
@@ -129,14 +132,6 @@ def _write_video(partial: Path, frames: Frames, path: Path, writer: cv2.VideoWri
     capture.release()
     if held != count:
         raise FrameError(f"{path}: holds {max(held, 0)} of {count} frames; is the disk full?")
-
-
-def _write_pictures(path: Path, frames: Frames) -> None:
-    if path.is_file():
-        raise FrameError(f"{path}: is there already; remove it, or give another --out")
-    path.mkdir(exist_ok=True)
-    for number, picture in enumerate(frames):
-        write_image(path / f"{number:06d}.png", picture)
 
 
 def write_image(path: Path, image: Picture) -> None:
