@@ -57,7 +57,6 @@ def write_frames(
     ones; pages of a TIFF file where `path` is one; a .npy file where `source` is an array;
     NNNNNN.png in a folder of that name otherwise.  Files appear when they are whole.
     rate_hz: frames a second; None: unknown.  source: whose frames they are.
-    Raises FrameError when another file has the place of a folder.
     """
     frames = iter(pictures)
     first = next(frames, None)
@@ -78,8 +77,6 @@ def write_frames(
             elif (video := _video(partial, first.shape, rate_hz)) is not None and not path.is_dir():
                 _write_video(partial, frames, path, video)
             else:
-                if path.is_file():
-                    raise FrameError(f"{path}: is there already; remove it, or give another --out")
                 for number, picture in enumerate(frames):
                     write_image(path / f"{number:06d}.png", picture)
                 return

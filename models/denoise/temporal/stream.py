@@ -87,7 +87,7 @@ class _Ready:
     fused: Fused
     sigma: Grey
     geometry: FanGeometry | None
-    network: Grey | None = None
+    predictors: Predictors | None = None
 
 
 class InTime:
@@ -122,9 +122,8 @@ class InTime:
         self._measured: dict[int, _Ready] = {}
         self._newest, self._next = -1, 0
         self._last_fit: int | None = None
-        self._pool = ThreadPoolExecutor(at_once) if at_once > 1 else None
+        self._pool, self._under_way = ThreadPoolExecutor(at_once), at_once if at_once > 1 else 0
         self._running: deque[tuple[Any, Future[Grey]]] = deque()
-        self._at_once = at_once
 
     def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
         """The key of each frame and its levels, denoised."""
@@ -140,8 +139,7 @@ class InTime:
         while self._next <= self._newest:
             yield from self._one()
         yield from self._done(0)
-        if self._pool is not None:
-            self._pool.shutdown()
+        self._pool.shutdown()
         if self.strength.measured:
             self._tally.strengths.append(str(self.strength))
 
@@ -171,11 +169,8 @@ class InTime:
         key, weights = self._held[number].key, self.strength.weights
         self._next += 1
         self._held.pop(number - self._before - 1, None)
-        if self._pool is None:
-            yield key, self._denoised(ready, weights)
-            return
         self._running.append((key, self._pool.submit(self._denoised, ready, weights)))
-        yield from self._done(self._at_once)
+        yield from self._done(self._under_way)
 
     def _done(self, most: int) -> Iterator[tuple[Any, Grey]]:
         """What is denoised, in order, until at most so many are under way."""
@@ -229,27 +224,21 @@ class InTime:
         if network is None:
             return fused.picture
         if fused.picture.ndim == 3:
-            planes = [
-                replace(
-                    ready,
-                    fused=replace(fused, picture=np.ascontiguousarray(fused.picture[..., channel])),
-                    sigma=ready.sigma[..., channel],
-                )
-                for channel in range(fused.picture.shape[2])
-            ]
-            return np.stack([self._denoised(plane, weights) for plane in planes], axis=-1)
+            planes = []
+            for channel in range(fused.picture.shape[2]):
+                plane = replace(fused, picture=np.ascontiguousarray(fused.picture[..., channel]))
+                one = _Ready(plane, ready.sigma[..., channel], ready.geometry)
+                planes.append(self._denoised(one, weights))
+            return np.stack(planes, axis=-1)
         if self._frames == 1:
             return network(fused.picture, ready.geometry)
-        return weights.applied(self._predictors(ready), fused.frames)
+        return weights.applied(ready.predictors or self._predictors(ready), fused.frames)
 
     def _predictors(self, ready: _Ready) -> Predictors:
-        made = ready.network if ready.network is not None else self._by_network(ready)
-        return Predictors.of(ready.fused.picture, ready.sigma, made)
-
-    def _by_network(self, ready: _Ready) -> Grey:
         assert self._network is not None
         told = {"frames": ready.fused.frames} if self._told else {}
-        return self._network(ready.fused.picture, ready.geometry, **told)
+        made = self._network(ready.fused.picture, ready.geometry, **told)
+        return Predictors.of(ready.fused.picture, ready.sigma, made)
 
     def _calibrate(self, number: int) -> None:
         """Measure on a frame which strength predicts one outside its window."""
@@ -267,7 +256,8 @@ class InTime:
         one = np.ones_like(fused.frames)
         own = _Ready(Fused(levels, one, one), self._sigma(levels, one), ready.geometry)
         self.strength.add(False, self._predictors(own), target[0], where)
-        ready = self._measured[number] = replace(ready, network=self._by_network(ready))
+        found = self._predictors(ready)
+        self._measured[number] = replace(ready, predictors=found)
         full = where & (fused.frames > 0.8 * fused.frames.max())
-        self.strength.add(True, self._predictors(ready), target[0], full)
+        self.strength.add(True, found, target[0], full)
         self.strength.fit()
