@@ -6,10 +6,10 @@ fused frames at once as the caller allows, which changes no pixel.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,39 +47,6 @@ class Shot:
     shift_px: tuple[float, float] | None = None
 
 
-@dataclass
-class Tally:
-    """What was done: pictures, of which `alone` matched no neighbour; sums over pictures."""
-
-    pictures: int = 0
-    alone: int = 0
-    frames: float = 0.0
-    moved: float = 0.0
-    strengths: list[str] = field(default_factory=list)
-
-    def add(self, fused: Fused) -> None:
-        """A picture is fused."""
-        lit = grey_of(fused.picture) > _DARK
-        lit = lit if lit.any() else np.ones_like(lit)
-        self.pictures += 1
-        self.frames += float(fused.frames[lit].mean())
-        self.moved += 1 - float(fused.agrees[lit].mean())
-        self.alone += bool(fused.frames.max() <= 1)
-
-    def lines(self, frames: int) -> Iterator[str]:
-        """For the user; nothing where there was no sequence."""
-        if not self.pictures:
-            return
-        share = 1 / self.pictures
-        yield (
-            f"in time: {self.frames * share:.1f} of up to {frames} frames fused in a pixel, "
-            f"{100 * self.moved * share:.1f} % of pixels moved, {self.alone} of {self.pictures} "
-            "frames matched no neighbour"
-        )
-        for strength in self.strengths:
-            yield f"strength by the recording itself: {strength}"
-
-
 @dataclass(frozen=True, eq=False)
 class _Ready:
     """A fused frame.  sigma: (H, W) or (H, W, C) of the noise left in each pixel."""
@@ -95,8 +62,9 @@ class InTime:
 
     network: None: frames are fused, no more.  frames: of a window, odd.  causal: a window ends with
     its frame.  calibrated: whether the recording chooses the strength; else the usual one is taken.
-    tally: counts what is done.  at_once: networks that run at the same time; with 1 a frame comes
-    out as soon as its window is complete.  strength: chosen so far.
+    tally: what was done: `pictures`, of which `alone` matched no neighbour, and sums over these:
+    `frames` in a pixel, share of pixels that `moved`.  at_once: networks that run at the same time;
+    with 1 a frame comes out as soon as its window is complete.  strength: chosen so far.
     """
 
     def __init__(
@@ -106,14 +74,14 @@ class InTime:
         frames: int = FRAMES,
         causal: bool = False,
         calibrated: bool = True,
-        tally: Tally | None = None,
+        tally: dict[str, float] | None = None,
         at_once: int = 1,
     ) -> None:
         self._network, self._frames, self._causal = network, frames, causal
         self._before = frames - 1 if causal else frames // 2
         self._after = 0 if causal else frames // 2
         self._calibrated = calibrated and network is not None and frames > 1
-        self._tally = tally if tally is not None else Tally()
+        self._tally = tally if tally is not None else defaultdict(float)
         self._aligner, self._fusion = Aligner(2 * frames), Fusion()
         self._told = bool(getattr(network, "knows_frames", False))
         self.strength = Strength(frames, told=self._told)
@@ -140,8 +108,6 @@ class InTime:
             yield from self._one()
         yield from self._done(0)
         self._pool.shutdown()
-        if self.strength.measured:
-            self._tally.strengths.append(str(self.strength))
 
     def _wait(self) -> int:
         """How many frames are to come before one is denoised.
@@ -165,12 +131,20 @@ class InTime:
                 self._calibrate(number)
         ready = self._measured.pop(number, None) or self._ready(number)
         if self._frames > 1:
-            self._tally.add(ready.fused)
+            self._count(ready.fused)
         key, weights = self._held[number].key, self.strength.weights
         self._next += 1
         self._held.pop(number - self._before - 1, None)
         self._running.append((key, self._pool.submit(self._denoised, ready, weights)))
         yield from self._done(self._under_way)
+
+    def _count(self, fused: Fused) -> None:
+        lit = grey_of(fused.picture) > _DARK
+        lit = lit if lit.any() else np.ones_like(lit)
+        self._tally["pictures"] += 1
+        self._tally["frames"] += float(fused.frames[lit].mean())
+        self._tally["moved"] += 1 - float(fused.agrees[lit].mean())
+        self._tally["alone"] += bool(fused.frames.max() <= 1)
 
     def _done(self, most: int) -> Iterator[tuple[Any, Grey]]:
         """What is denoised, in order, until at most so many are under way."""
