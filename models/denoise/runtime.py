@@ -106,7 +106,7 @@ class OnnxNetwork:
 
         gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
         """
-        grid = PolarGrid.of(maps) if self.is_polar and _known(maps) else None
+        grid = PolarGrid.of(maps) if self.is_polar and "azimuth_rad" in maps else None
         if grid is None:
             found = inputs_of(gray, maps, self._stride)
         else:
@@ -122,7 +122,7 @@ class OnnxNetwork:
         image = gray + change
         if self._mask:
             image = image / (1 + np.exp(np.minimum(logits, _MOST)))
-        if _known(maps) and "sector" in maps:
+        if "sector" in maps:
             image = np.where(maps["sector"] > 0, image, gray)
         return np.asarray(image, np.float32), float(weight[0])
 
@@ -141,7 +141,7 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     arcs, beams = np.indices((rows, columns))
     nothing = np.zeros_like(gray)
     planes = nothing, nothing, nothing - 1  # which occurs in no known geometry
-    if _known(maps):
+    if "azimuth_rad" in maps:
         sector = maps.get("sector", np.ones_like(gray))
         radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
         planes = 2 * radius - 1, azimuth, 1 - sector
@@ -157,10 +157,6 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
         "frames": np.ascontiguousarray(maps.get("frames", nothing), np.float32)[None, None],
         "remove": vector(DEFAULT)[None],
     }
-
-
-def _known(maps: Maps) -> bool:
-    return "range_fraction" in maps and "azimuth_rad" in maps
 
 
 def _cells(plane: Gray, stride: int) -> Gray:
