@@ -105,14 +105,13 @@ def shipped_for(dataset: Path) -> list[str]:
     """Name of the weights that `simnfnd denoise` takes here; [] where nothing runs them."""
     if not all(map(find_spec, ("onnxruntime", "safetensors"))):
         return []
-    from ..models.denoise.inputs import Item
     from ..models.denoise.shards import made_of_points, opened_shard
     from ..models.pretrained import DEFAULT, POINTS
 
     shard = next(dataset.glob("*/shard-*.h5"), None)
     if shard is None:
         return [DEFAULT]
-    with opened_shard(Item(shard, Path(shard.name))) as opened:
+    with opened_shard(shard) as opened:
         return [POINTS if made_of_points(opened) else DEFAULT]
 
 

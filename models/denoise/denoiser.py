@@ -8,7 +8,6 @@ added, and the picture with less noise denoised as it is, which finds edges and 
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.files import sha256_of
 from ...factory.sonar.geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
@@ -56,7 +56,7 @@ class Denoiser:
         path = find_weights(weights)
         self.runtime = open_runtime(path, device)
         self.name = path.name if path.stem == "weights" else path.stem
-        self.digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        self.digest = sha256_of(path)
         self.strength = np.float32(strength)
 
     @property
@@ -78,22 +78,17 @@ class Denoiser:
         squared weights, where these add up to 1; None: a single frame.
         The weights get the picture by its `presentation_of`, and one of wide grain `by_scales`.
         """
-        given = presentation_of(gray, geometry)
-        told = None
-        if frames is not None and self.knows_frames:
-            told = np.broadcast_to(np.asarray(frames, np.float32), gray.shape)
-            told = averaged(np.rot90(told, given.quarter_turns))
-        return given.undone(self._denoise(given.shown(gray), given.geometry, told))
-
-    def _denoise(self, gray: Gray, geometry: FanGeometry | None, frames: Gray | None) -> Gray:
-        extras, widest = self.runtime.extras, self.runtime.wide_grain
+        given, shape = presentation_of(gray, geometry), gray.shape
+        gray, extras, widest = given.shown(gray), self.runtime.extras, self.runtime.wide_grain
         maps: dict[str, Gray] = {}
-        if geometry is not None and extras:
-            found = geometry.maps(0, 0, *gray.shape)
+        if given.geometry is not None and extras:
+            found = given.geometry.maps(0, 0, *gray.shape)
             maps = {name: found[name] for name in extras if name in found}
-        if frames is not None:
-            maps["frames"] = np.ascontiguousarray(frames, np.float32)
-            widest = 1.0 if frames.mean() > averaged(_SEVERAL) else widest
+        if frames is not None and self.knows_frames:
+            told = np.broadcast_to(np.asarray(frames, np.float32), shape)
+            told = averaged(np.rot90(told, given.quarter_turns))
+            maps["frames"] = np.ascontiguousarray(told, np.float32)
+            widest = 1.0 if told.mean() > averaged(_SEVERAL) else widest
         # Weights have seen black surroundings of a sector alone.
         outside = maps.get("sector", np.ones_like(gray)) <= 0
         bright = bool(outside.any()) and (gray[outside] > _LIT).mean() > _LIT_SHARE
@@ -101,9 +96,9 @@ class Denoiser:
         denoised = by_scales(shown, maps, self._denoise_whole, widest)
         if bright:
             denoised = np.where(outside, gray, denoised)
-        if self.strength == 1:
-            return denoised
-        return np.asarray(np.clip(gray + self.strength * (denoised - gray), 0, 1), np.float32)
+        if self.strength != 1:
+            denoised = np.clip(gray + self.strength * (denoised - gray), 0, 1).astype(np.float32)
+        return given.undone(denoised)
 
     def _denoise_whole(self, gray: Gray, maps: Maps) -> Gray:
         tiles: list[tuple[float, int]] = []

@@ -131,14 +131,14 @@ def _denoise_recording(item: Item, job: Job) -> None:
     several topics of a bag are denoised one by one.
     FrameError when it cannot be read, or a folder of a bag's name is there already.
     """
-    path, is_bag = job.out / item.relative, item.kind == "rosbag"
-    if is_bag and path.is_dir():
+    path = job.out / item.relative
+    if item.kind == "rosbag" and path.is_dir():
         raise FrameError(f"{path}: is there already; remove it, or give another --out")
     shown: list[tuple[Picture, Picture]] = []
     with _opened(item, job.topics) as recording:
         job.bar.total += len(recording)
         topics: tuple[str, ...] = getattr(recording, "topics", ())
-        frames = _frames(item, recording, job, shown, alone=len(topics) > 1)
+        frames = _frames(item, recording, job, shown)
         rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
         if item.kind in SEQUENCES:
             rate_hz = recording.rate_hz if isinstance(recording, VideoFile) else None
@@ -177,12 +177,7 @@ def _opened(item: Item, topics: Sequence[str]) -> Recording:
 
 
 def _frames(
-    item: Item,
-    recording: Recording,
-    job: Job,
-    shown: list[tuple[Picture, Picture]],
-    *,
-    alone: bool,
+    item: Item, recording: Recording, job: Job, shown: list[tuple[Picture, Picture]]
 ) -> Iterator[tuple[Frame, Picture]]:
     """Each frame and what became of it; the first are shown to compare.
 
@@ -201,9 +196,9 @@ def _frames(
             try:
                 yield job.denoising.shot(frame, frame.samples, partial(place, frame), turned_px)
             except ValueError as error:
-                what = "message" if item.kind == "rosbag" else "frame"
-                raise FrameError(f"{item.source}: {what} {frame.number}: {error}") from error
+                raise FrameError(f"{item.source}: frame {frame.number}: {error}") from error
 
+    alone = len(getattr(recording, "topics", ())) > 1
     for frame, samples in job.denoising.sequence(read(), alone=alone):
         if job.compare and frame.number < COMPARED:
             shown.append((_view(frame, frame.samples), _view(frame, samples)))

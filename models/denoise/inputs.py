@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,14 +34,10 @@ _LAST_NUMBER = re.compile(r"(|.*\D)(\d+)(\D*)", re.DOTALL)
 
 @dataclass(frozen=True)
 class Item:
-    """One input file (or a folder that is a bag) and its name below the output folder.
-
-    checked: a shard that another process has opened without harm.
-    """
+    """One input file (or a folder that is a bag) and its name below the output folder."""
 
     source: Path
     relative: Path
-    checked: bool = False
 
     @property
     def compared(self) -> Path:
@@ -52,9 +47,8 @@ class Item:
     @cached_property
     def kind(self) -> str:
         """`shard`, or the kind of recording; one picture is of kind `pictures`."""
-        if self.checked or self.source.suffix.lower() in HDF5_SUFFIXES:
-            return "shard"
-        return kind_of(self.source) or "pictures"
+        is_shard = self.source.suffix.lower() in HDF5_SUFFIXES
+        return "shard" if is_shard else kind_of(self.source) or "pictures"
 
 
 def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> list[Item]:
@@ -118,8 +112,9 @@ def _of_input(path: Path, out: Path) -> list[Item]:
     from ...factory.dataset.manifest import MANIFEST_NAME
 
     if (path / MANIFEST_NAME).is_file():
-        shards = PairDataset(path, "all").paths
-        return [Item(shard, shard.relative_to(path), checked=True) for shard in shards]
+        # Each is looked at when it is opened.
+        shards = PairDataset(path, "all", trusted=True).paths
+        return [_item(shard, path) for shard in shards]
     found = items_below(path, out)
     if not found:
         raise FactoryError(f"{path}: holds no image, shard, video or recording ({known})")
@@ -168,8 +163,7 @@ class Geometries:
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
         # By the size of the pictures, too: a bag may have several topics.
         self._videos: dict[tuple[Path, tuple[int, ...]], FanGeometry | None] = {}
-        self._with_fan: Counter[Path] = Counter()
-        self._searched: Counter[Path] = Counter()
+        self._found: dict[Path, list[bool]] = {}  # in the pictures of a folder, video or bag
 
     def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
         """The geometry of a picture of `item`; None where it is not known."""
@@ -183,15 +177,13 @@ class Geometries:
         geometry, place = find_geometry(picture), item.source.parent
         if item.kind != "pictures":
             self._videos[key], place = geometry, item.source
-        self._with_fan[place] += geometry is not None
-        self._searched[place] += 1
+        self._found.setdefault(place, []).append(geometry is not None)
         return geometry
 
     def summary(self) -> Iterator[str]:
         """One line a folder, video or bag whose pictures were searched."""
-        for place, count in self._searched.items():
-            found = self._with_fan[place]
-            yield f"geometry: fan found in {found} of {count} pictures searched ({place})"
+        for place, fan in self._found.items():
+            yield f"geometry: fan found in {sum(fan)} of {len(fan)} pictures searched ({place})"
 
 
 class Finished:
@@ -203,32 +195,25 @@ class Finished:
     def __init__(self, out: Path, digest: str, arguments: Sequence[str]) -> None:
         self._out, whole = out, json.dumps([digest, *arguments])
         self._command = hashlib.sha256(whole.encode()).hexdigest()
-        self._done: dict[str, list[int]] = {}
         try:
             kept = json.loads((out / NAME).read_bytes())
-            self._done = dict(kept["done"]) if kept["command"] == self._command else {}
+            self._done = set(kept["done"]) if kept["command"] == self._command else set()
         except (OSError, ValueError, TypeError, KeyError):
-            pass
+            self._done = set[str]()
 
     def __contains__(self, item: Item) -> bool:
-        """Whether a file is denoised and did not change since."""
-        done = self._done.get(str(item.relative))
-        return done == _state(item.source) and (self._out / item.relative).exists()
+        """Whether a file is denoised, and its result there."""
+        return str(item.relative) in self._done and (self._out / item.relative).exists()
 
     def add(self, item: Item) -> None:
         """A file is denoised."""
-        self._done[str(item.relative)] = _state(item.source)
+        self._done.add(str(item.relative))
 
     def save(self) -> None:
         """The run is stopped."""
-        content = json.dumps({"command": self._command, "done": self._done})
+        content = json.dumps({"command": self._command, "done": sorted(self._done)})
         write_atomically(self._out / NAME, content.encode(), key="--out")
 
     def forget(self) -> None:
         """The run came to its end."""
         (self._out / NAME).unlink(missing_ok=True)
-
-
-def _state(path: Path) -> list[int]:
-    found = path.stat()
-    return [found.st_size, found.st_mtime_ns]

@@ -5,7 +5,7 @@ The command, `simnfnd.denoise` and evaluation denoise by it, a picture or a sequ
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
@@ -18,7 +18,7 @@ from ...factory.scheduler.workers.machine import usable_cores
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.base import FULL_SCALE
 from ..recordings.palettes import SUM, Palette, find_painted
-from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot, Tally
+from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
 
 Gray = npt.NDArray[np.float32]
 Picture = npt.NDArray[Any]
@@ -30,7 +30,7 @@ class Denoising:
     """What a run does to pictures, and what it did.
 
     network, frames, causal, calibrated: see `InTime`.
-    tally: of pictures in time.  maps: colour map -> how many pictures had it.
+    maps: colour map -> how many pictures had it.
     """
 
     def __init__(
@@ -47,9 +47,11 @@ class Denoising:
                 f"--frames {frames}: give an odd number up to {MOST_FRAMES}: a picture and as many "
                 "before it as after it"
             )
-        self.network, self.frames = network, frames
-        self._causal, self._calibrated = causal, calibrated
-        self.tally = Tally()
+        self.frames, self._tally = frames, defaultdict[str, float](float)
+        self._strengths: list[str] = []
+        self._in_time = partial(
+            InTime, network, causal=causal, calibrated=calibrated, tally=self._tally
+        )
         self.maps: Counter[str] = Counter()
         self._last_map: Palette | None = None
 
@@ -76,16 +78,12 @@ class Denoising:
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
         alone: whether each is denoised by itself.
         """
-        stream = InTime(
-            self.network,
-            frames=1 if alone else self.frames,
-            causal=self._causal,
-            calibrated=self._calibrated,
-            tally=self.tally,
-            at_once=1 if alone else usable_cores(),
-        )
+        frames, at_once = (1, 1) if alone else (self.frames, usable_cores())
+        stream = self._in_time(frames=frames, at_once=at_once)
         for (key, picture, painted), levels in stream(shots):
             yield key, restored(levels, picture) if painted is None else painted.repainted(levels)
+        if stream.strength.measured:
+            self._strengths.append(str(stream.strength))
 
     def one(self, picture: Picture, place: Place) -> Picture:
         """A picture by itself, the same shape and dtype out.  Raises ValueError as `shot` does."""
@@ -100,7 +98,14 @@ class Denoising:
                 f"colour maps: {named}; their levels were denoised and painted again "
                 f"({SUM}: a map that is not known, by the sum of its channels)"
             )
-        yield from self.tally.lines(self.frames)
+        if pictures := self._tally["pictures"]:
+            yield (
+                f"in time: {self._tally['frames'] / pictures:.1f} of up to {self.frames} frames "
+                f"fused in a pixel, {100 * self._tally['moved'] / pictures:.1f} % of pixels moved, "
+                f"{self._tally['alone']:.0f} of {pictures:.0f} frames matched no neighbour"
+            )
+        for strength in self._strengths:
+            yield f"strength by the recording itself: {strength}"
 
 
 def check(picture: Picture) -> None:

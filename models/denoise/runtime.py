@@ -20,7 +20,7 @@ from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
 from ..networks import DEFAULT, vector
 from ..networks.weights import read_header, read_weights
-from ..pretrained import graphs
+from ..pretrained import shipped
 from .pictures import Gray
 
 Maps = Mapping[str, Gray]
@@ -37,11 +37,20 @@ def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
     not there, and packages that are not installed.
     """
     wished = json.dumps(structure(read_header(weights)["model"]), sort_keys=True).encode()
-    for graph in graphs():
+    for path in shipped().values():
         # The words are at the end of the file, and few.
-        if wished in graph.read_bytes():
+        if wished in (graph := path.with_suffix(".onnx")).read_bytes():
             return OnnxNetwork(weights, graph, device)
     return TorchNetwork(weights, device)
+
+
+def _on_gpu(device: str, there: bool) -> bool:
+    if device == "gpu" and not there:
+        raise FactoryError(
+            "--device gpu: no usable GPU here; install onnxruntime-gpu (for weights of your own a "
+            "torch for GPUs), or use --device cpu"
+        )
+    return there and device != "cpu"
 
 
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
@@ -75,31 +84,21 @@ class OnnxNetwork:
         require([Need("simnfnd denoise", "onnxruntime")])
         import onnxruntime
 
-        has_gpu = "CUDAExecutionProvider" in onnxruntime.get_available_providers()
-        if device == "gpu" and not has_gpu:
-            raise FactoryError(
-                "--device gpu: onnxruntime finds no usable GPU here; install onnxruntime-gpu, or "
-                "use --device cpu"
-            )
-        self.on_gpu = has_gpu and device != "cpu"
-        providers = ["CUDAExecutionProvider"] if self.on_gpu else []
+        cuda = "CUDAExecutionProvider"
+        self.on_gpu = _on_gpu(device, cuda in onnxruntime.get_available_providers())
+        providers = [*[cuda] * self.on_gpu, "CPUExecutionProvider"]
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
         # Waiting threads would burn as much time as computing ones.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         header, weights = read_weights(path)
-        self._kept = give_weights(
-            options, {f"network.{name}": one for name, one in weights.items()}
-        )
-        self._session = onnxruntime.InferenceSession(
-            graph.read_bytes(), options, providers=[*providers, "CPUExecutionProvider"]
-        )
-        facts = self._session.get_modelmeta().custom_metadata_map
-        model = json.loads(facts["model"])
-        self.extras = tuple(facts["extras"].split(","))
-        self.wide_grain = float(header["model"].get("wide_grain", 1.0))
-        self._stride, self.is_polar = int(facts["stride"]), bool(model["polar"])
-        self._mask = bool(model["mask"])
+        named = {f"network.{name}": one for name, one in weights.items()}
+        self._kept = give_weights(options, named)
+        self._session = onnxruntime.InferenceSession(str(graph), options, providers=providers)
+        facts, model = self._session.get_modelmeta().custom_metadata_map, header["model"]
+        self.extras, self._stride = tuple(facts["extras"].split(",")), int(facts["stride"])
+        self.wide_grain = float(model.get("wide_grain", 1.0))
+        self.is_polar, self._mask = bool(model["polar"]), bool(model["mask"])
         self._inputs = tuple(one.name for one in self._session.get_inputs())
 
     def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
@@ -107,13 +106,13 @@ class OnnxNetwork:
 
         gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
         """
-        grid = PolarGrid.of(maps) if self.is_polar and _known(maps) else None
+        grid = PolarGrid.of(maps) if self.is_polar and "azimuth_rad" in maps else None
         if grid is None:
             found = inputs_of(gray, maps, self._stride)
         else:
             sector = _sampled(maps.get("sector", np.ones_like(gray)), grid.in_fan)
-            shown = {**grid.maps, "sector": sector}
-            found = inputs_of(_sampled(gray, grid.in_fan), shown, self._stride, is_grid=True)
+            cells = {**grid.maps, "sector": sector}
+            found = inputs_of(_sampled(gray, grid.in_fan), cells, self._stride, is_grid=True)
         change, logits, weight = self._session.run(
             ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
         )
@@ -123,7 +122,7 @@ class OnnxNetwork:
         image = gray + change
         if self._mask:
             image = image / (1 + np.exp(np.minimum(logits, _MOST)))
-        if _known(maps) and "sector" in maps:
+        if "sector" in maps:
             image = np.where(maps["sector"] > 0, image, gray)
         return np.asarray(image, np.float32), float(weight[0])
 
@@ -138,36 +137,26 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     int64, the line of each cell at half resolution, and `remove` (1, 6).
     """
     rows, columns = (-(-side // stride) * stride // 2 for side in gray.shape)
-    if _known(maps):
+    # Columns count as beams and rows as arcs where nothing else is known.
+    arcs, beams = np.indices((rows, columns))
+    nothing = np.zeros_like(gray)
+    planes = nothing, nothing, nothing - 1  # which occurs in no known geometry
+    if "azimuth_rad" in maps:
         sector = maps.get("sector", np.ones_like(gray))
         radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
         planes = 2 * radius - 1, azimuth, 1 - sector
-    else:
-        # -1 occurs in no known geometry.
-        nothing = np.zeros_like(gray)
-        planes = nothing, nothing, nothing - 1
-    if _known(maps) and not is_grid:
-        inside = _cells(sector, stride) > 0
-        beams = _numbers(_cells(azimuth, stride), inside, columns)
-        arcs = _numbers(_cells(radius, stride), inside, rows)
-    else:
-        # Columns count as beams and rows as arcs.
-        beams = np.broadcast_to(np.arange(columns), (rows, columns))
-        arcs = np.broadcast_to(np.arange(rows)[:, None], (rows, columns))
+        if not is_grid:
+            inside = _cells(sector, stride) > 0
+            beams = _numbers(_cells(azimuth, stride), inside, columns)
+            arcs = _numbers(_cells(radius, stride), inside, rows)
     return {
         "noisy": np.ascontiguousarray(gray, np.float32)[None, None],
         "maps": np.stack(planes)[None].astype(np.float32),
-        "beams": np.ascontiguousarray(beams, np.int64).reshape(1, -1),
-        "arcs": np.ascontiguousarray(arcs, np.int64).reshape(1, -1),
-        "frames": np.ascontiguousarray(maps.get("frames", np.zeros_like(gray)), np.float32)[
-            None, None
-        ],
+        "beams": beams.reshape(1, -1),
+        "arcs": arcs.reshape(1, -1),
+        "frames": np.ascontiguousarray(maps.get("frames", nothing), np.float32)[None, None],
         "remove": vector(DEFAULT)[None],
     }
-
-
-def _known(maps: Maps) -> bool:
-    return "range_fraction" in maps and "azimuth_rad" in maps
 
 
 def _cells(plane: Gray, stride: int) -> Gray:
@@ -196,10 +185,7 @@ class TorchNetwork:
         from ..networks.weights import load_weights
 
         network = load_weights(path).network
-        has_gpu = torch.cuda.is_available()
-        if device == "gpu" and not has_gpu:
-            raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
-        self.on_gpu = has_gpu and device != "cpu"
+        self.on_gpu = _on_gpu(device, torch.cuda.is_available())
         self._device = "cuda" if self.on_gpu else "cpu"
         self._network = network.to(self._device)
         self.extras = network.extras
@@ -258,28 +244,25 @@ class PolarGrid:
         cell_azimuth = np.broadcast_to(left + (right_end - left) * across, radius.shape)
         row = (cell_range * np.cos(cell_azimuth) - first_ahead) / ahead_step
         column = (cell_range * np.sin(cell_azimuth) - first_right) / right_step
-        in_fan = [
-            _rounded((2 * place + 1) / np.float32(side) - 1, side)
-            for place, side in ((row, height), (column, width))
-        ]
+        in_fan = [(2 * row + 1) / np.float32(height) - 1, (2 * column + 1) / np.float32(width) - 1]
         in_grid = [
-            _rounded(2 * (values - least) / (most - least) - 1, side)
-            for values, least, most, side in (
-                (radius, near, far, height),
-                (azimuth, left, right_end, width),
-            )
+            2 * (radius - near) / (far - near) - 1,
+            2 * (azimuth - left) / (right_end - left) - 1,
         ]
-        return cls(in_fan, in_grid, {"range_fraction": cell_range, "azimuth_rad": cell_azimuth})
+        # Rounded as torch's `grid_sample` does, which has positions of -1 to 1 over a side.
+        in_pixels = [
+            [
+                ((at + 1) * np.float32(side) - 1) / 2
+                for at, side in zip(one, radius.shape, strict=True)
+            ]
+            for one in (in_fan, in_grid)
+        ]
+        return cls(*in_pixels, {"range_fraction": cell_range, "azimuth_rad": cell_azimuth})
 
 
 def _extent(values: Gray) -> tuple[np.float32, np.float32]:
     least = values.min()
     return least, max(values.max(), least + _SMALLEST)
-
-
-def _rounded(position: Gray, side: int) -> Gray:
-    """Pixels from a position of -1 to 1 over a side, rounded as torch's `grid_sample` does."""
-    return ((position + 1) * np.float32(side) - 1) / 2
 
 
 def _sampled(picture: Gray, at: Positions) -> Gray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import h5py
 
@@ -27,7 +28,7 @@ def denoise_shard(item: Item, job: Job) -> None:
     """
     # Made in memory and written in one go, like the shards themselves.
     with (
-        opened_shard(item) as source,
+        opened_shard(item.source) as source,
         h5py.File("denoised.h5", "w", driver="core", backing_store=False) as target,
     ):
         of_points = made_of_points(source)
@@ -72,15 +73,14 @@ def denoise_shard(item: Item, job: Job) -> None:
     job.done(item, denoise.name, of_points=of_points)
 
 
-def opened_shard(item: Item) -> h5py.File:
-    """The shard, opened; one that nobody has looked at is opened by another process first.
+def opened_shard(path: Path) -> h5py.File:
+    """The shard, opened, by another process first.
 
     Raises FrameError when it is not a shard of this program, or damaged.
     """
     try:
-        if not item.checked:
-            check_in_isolation([item.source])
-        return open_shard(item.source)
+        check_in_isolation([path])
+        return open_shard(path)
     except FactoryError as error:
         raise FrameError(str(error)) from error
 
@@ -102,4 +102,6 @@ def _geometry_of(shard: h5py.File) -> Callable[[int, Picture], FanGeometry | Non
             FanGeometry.from_record(sonar, shard["meta"][0])
     except (KeyError, TypeError, ValueError, IndexError):
         sonar = None
-    return lambda row, _: sonar and FanGeometry.from_record(sonar, shard["meta"][row])
+    if sonar is None:
+        return lambda row, _: None
+    return lambda row, _: FanGeometry.from_record(sonar, shard["meta"][row])

@@ -57,15 +57,18 @@ def write_frames(
     ones; pages of a TIFF file where `path` is one; a .npy file where `source` is an array;
     NNNNNN.png in a folder of that name otherwise.  Files appear when they are whole.
     rate_hz: frames a second; None: unknown.  source: whose frames they are.
-    Raises FrameError when another file has the place of a folder.
     """
     frames = iter(pictures)
     first = next(frames, None)
     if first is None:
         return
-    frames = itertools.chain([first], frames)
+    frames, is_even = (
+        itertools.chain([first], frames),
+        not any(side % 2 for side in first.shape[:2]),
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
-    _remove_stale(path)
+    for stale in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
+        stale.unlink(missing_ok=True)  # of a run that was killed
     partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     with explain_os_errors(path, "--out"):
         try:
@@ -75,22 +78,15 @@ def write_frames(
                 with closing(NpyWriter(partial, source.header)) as array:
                     for picture in frames:
                         array.add(picture.astype(source.header.dtype))
-            elif (video := _video(partial, first.shape, rate_hz)) is not None and not path.is_dir():
-                _write_video(partial, frames, path, video)
+            elif path.suffix.lower() in CODECS and rate_hz and not path.is_dir() and is_even:
+                _write_video(partial, frames, path, first.shape, rate_hz)
             else:
-                _write_pictures(path, frames)
+                for number, picture in enumerate(frames):
+                    write_image(path / f"{number:06d}.png", picture)
                 return
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
-
-
-def _remove_stale(path: Path) -> None:
-    """What runs that were killed left of this very file."""
-    for stale in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
-        number = stale.name.removesuffix(f".tmp{path.suffix}").rpartition(".")[2]
-        if number.isdecimal() and not Path("/proc", number).exists():
-            stale.unlink(missing_ok=True)
 
 
 def _write_pages(partial: Path, frames: Frames) -> None:
@@ -102,20 +98,13 @@ def _write_pages(partial: Path, frames: Frames) -> None:
             writer.newFrame()
 
 
-def _video(partial: Path, shape: tuple[int, ...], rate_hz: float | None) -> cv2.VideoWriter | None:
-    """A writer without loss; None where the container, the rate or the size do not allow it."""
-    code = CODECS.get(partial.suffix.lower())
-    if not code or not rate_hz or shape[0] % 2 or shape[1] % 2:
-        return None
+def _write_video(
+    partial: Path, frames: Frames, path: Path, shape: tuple[int, ...], rate_hz: float
+) -> None:
+    count, code = 0, cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
     # OpenCV tells everybody that MP4 has another name for PNG.
     with quiet_stderr():
-        fourcc = cv2.VideoWriter.fourcc(*code)
-        writer = cv2.VideoWriter(str(partial), fourcc, rate_hz, (shape[1], shape[0]))
-    return writer if writer.isOpened() else None
-
-
-def _write_video(partial: Path, frames: Frames, path: Path, writer: cv2.VideoWriter) -> None:
-    count = 0
+        writer = cv2.VideoWriter(str(partial), code, rate_hz, (shape[1], shape[0]))
     try:
         for picture in frames:
             grey = picture.ndim == 2
@@ -129,14 +118,6 @@ def _write_video(partial: Path, frames: Frames, path: Path, writer: cv2.VideoWri
     capture.release()
     if held != count:
         raise FrameError(f"{path}: holds {max(held, 0)} of {count} frames; is the disk full?")
-
-
-def _write_pictures(path: Path, frames: Frames) -> None:
-    if path.is_file():
-        raise FrameError(f"{path}: is there already; remove it, or give another --out")
-    path.mkdir(exist_ok=True)
-    for number, picture in enumerate(frames):
-        write_image(path / f"{number:06d}.png", picture)
 
 
 def write_image(path: Path, image: Picture) -> None:

@@ -15,9 +15,9 @@ POINTS = "simnfnd-paper"
 """Those for the paper's noise: shards of acoustics.formation=points, and where it is asked for."""
 
 
-def shipped(folder: Path | None = None) -> dict[str, Path]:
-    """Name -> file of the weights in `folder` (default: those that ship)."""
-    return {path.stem: path for path in sorted((folder or _FOLDER).glob("*.safetensors"))}
+def shipped() -> dict[str, Path]:
+    """Name -> file of the weights; beside each lies its graph (`.onnx`)."""
+    return {path.stem: path for path in sorted(_FOLDER.glob("*.safetensors"))}
 
 
 def find_weights(given: str | Path | None) -> Path:
@@ -39,11 +39,6 @@ def find_weights(given: str | Path | None) -> Path:
         f"weights={given}: no such file; train one with `simnfnd train dataset=DIR`; weights that "
         f"ship: {', '.join(known)}"
     )
-
-
-def graphs() -> tuple[Path, ...]:
-    """The graphs that ship: what onnxruntime computes of the weights of such a network."""
-    return tuple(sorted(_FOLDER.glob("*.onnx")))
 
 
 def _of_hub(repository: str) -> Path:

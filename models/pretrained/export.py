@@ -73,12 +73,9 @@ def main(arguments: Sequence[str]) -> int:
         print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
         return 0
     require(Need(f"--to {chosen.to}", module) for module in ("onnx", "onnxruntime"))
-    from .onnx_graph import OPSET, write_onnx, write_runtime
+    from .onnx_graph import OPSET, write_onnx
 
-    if chosen.to == "runtime":
-        difference = write_runtime(weights, out)
-    else:
-        difference = write_onnx(weights, chosen.geometry, out)
+    difference = write_onnx(weights, out, chosen.geometry if chosen.to == "onnx" else None)
     size_mb = out.stat().st_size / 1e6
     print(f"{out}: ONNX, opset {OPSET}, {size_mb:.2f} MB, within {difference:.1e} of torch")
     return 0

@@ -146,58 +146,43 @@ class RuntimeGraph(Graph):
         return {name: torch.from_numpy(found[name]) for name in self.inputs}
 
 
-def write_onnx(weights: Path, layout: Layout, out: Path) -> float:
-    """Write a network as a `.onnx` file of any height, width and number of pictures.
+def write_onnx(weights: Path, out: Path, layout: Layout | None) -> float:
+    """Write a network as a `.onnx` file of any height and width; how far it is from torch.
 
-    Returns how far it is from torch.  Raises FactoryError when onnxruntime does not get what torch
-    does, or the file cannot be written; nothing is written then.
+    layout: of pictures, of any number of which it denoises; None: the graph that
+    `denoise.runtime` computes, without the weights: the same network and versions of torch and onnx
+    give the same bytes.
+    Raises FactoryError for a network that cannot be written so, when onnxruntime does not get what
+    torch does, or the file cannot be written; nothing is written then.
     """
-    trained = load_weights(weights)
-    about = {
-        "simnfnd": __version__,
-        "model": json.dumps(dict(trained.model), sort_keys=True),
-        "weights_sha256": sha256_of(weights),
-    }
-    return _write(Graph(trained.network, layout), out, about, bare=False)
-
-
-def write_runtime(weights: Path, out: Path) -> float:
-    """Write the graph of a weights file, without its weights; how far it is from torch with them.
-
-    The same network and versions of torch and onnx give the same bytes, whatever its weights.
-    Raises FactoryError for another network, and as `write_onnx` does.
-    """
-    trained = load_weights(weights)
-    graph = RuntimeGraph(trained.network)
-    about = {
-        "model": json.dumps(structure(trained.model), sort_keys=True),
-        "extras": ",".join(trained.network.extras),
-        "stride": graph.network.core_stride,
-    }
-    return _write(graph, out, about, bare=True)
-
-
-def _write(graph: Graph, path: Path, about: Mapping[str, object], *, bare: bool) -> float:
-    """about: what the file says of itself.  bare: without the network's weights."""
     import onnxruntime
 
-    check_writable(path.parent, "--out")
-    content = _described(graph, _exported(graph, folded=not bare), about, bare)
+    trained, bare = load_weights(weights), layout is None
+    model = structure(trained.model) if bare else dict(trained.model)
+    graph = Graph(trained.network, layout) if layout else RuntimeGraph(trained.network)
+    about = {"model": json.dumps(model, sort_keys=True)}
+    if isinstance(graph, RuntimeGraph):
+        about |= {
+            "extras": ",".join(graph.network.extras),
+            "stride": str(graph.network.core_stride),
+        }
+    else:
+        about |= {"simnfnd": __version__, "weights_sha256": sha256_of(weights)}
+    check_writable(out.parent, "--out")
+    content = _content(graph, about, bare)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     if bare:
-        weights = {name: values.numpy() for name, values in graph.state_dict().items()}
-        kept = give_weights(options, weights)  # noqa: F841  (the session shares their memory)
+        given = {name: values.numpy() for name, values in graph.state_dict().items()}
+        kept = give_weights(options, given)  # noqa: F841  (the session shares their memory)
     session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-
-    def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
-        found: list[np.ndarray] = session.run(
+    difference = compared(
+        graph,
+        lambda inputs: session.run(
             list(graph.outputs), {name: values.numpy() for name, values in inputs.items()}
-        )
-        return found
-
-    difference = compared(graph, run)
-    write_atomically(path, content, key="--out")
+        ),
+    )
+    write_atomically(out, content, key="--out")
     return difference
 
 
@@ -224,8 +209,10 @@ def compared(graph: Graph, run: Run) -> float:
     return worst
 
 
-def _exported(graph: Graph, folded: bool) -> bytes:
-    """folded: with what follows from weights alone computed."""
+def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
+    """The file, its inputs and itself explained; bare: without weights, and nothing of them."""
+    import onnx
+
     content, inputs = io.BytesIO(), tuple(graph.example(*_TRACED).values())
     with warnings.catch_warnings(), torch.no_grad():
         # It warns of every choice that it keeps; `compared` sees whether one was wrong.
@@ -239,19 +226,12 @@ def _exported(graph: Graph, folded: bool) -> bytes:
             content,  # type: ignore[arg-type]
             dynamo=False,
             opset_version=OPSET,
-            do_constant_folding=folded,
+            do_constant_folding=not bare,
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
             dynamic_axes=graph.axes,
         )
-    return content.getvalue()
-
-
-def _described(graph: Graph, content: bytes, about: Mapping[str, object], bare: bool) -> bytes:
-    """The same file with its inputs and itself explained; bare: without weights."""
-    import onnx
-
-    model = onnx.load_model_from_string(content)
+    model = onnx.load_model_from_string(content.getvalue())
     for value in (*model.graph.input, *model.graph.output):
         value.doc_string = _WORDS.get(value.name, "")
     # What was traced before in this process has a part in the names of nodes and values.

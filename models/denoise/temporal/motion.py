@@ -46,19 +46,17 @@ class Motion:
     affine: (6,) shift right and down of the middle, and its change along x and y from the middle
         to the right edge (x by x, x by y, y by x, y by y), in reduced pixels.
     flow: (rows, columns, 2) what blocks moved besides; None: nothing.
-    alike: correlation of both frames, 0..1.
     """
 
     affine: Floats
     flow: Grey | None
-    alike: float
 
     def inverse(self, shape: tuple[int, int]) -> Motion:
         """Where the pixels of the other lie in this one.  shape: of the reduced pictures."""
         back = -self.affine
         if self.affine[2:].any():
             back = _affine(np.linalg.inv(_matrix(self.affine, shape)), shape)
-        return Motion(back, None if self.flow is None else -self.flow, self.alike)
+        return Motion(back, None if self.flow is None else -self.flow)
 
 
 class View:
@@ -91,7 +89,7 @@ class View:
         """Change of each pixel with each number of a motion, (6, pixels), and its Hessian."""
         along, down = self.slopes
         height, width = self.shape
-        x, y = _pixels(self.shape)
+        y, x = (axis.astype(np.float32) for axis in np.ogrid[:height, :width])
         half = np.float32(width / 2)
         x, y = (x - (width - 1) / 2) / half, (y - (height - 1) / 2) / half
         planes = [along, down, along * x, along * y, down * x, down * y]
@@ -154,7 +152,7 @@ class Aligner:
             return None
         if number - other == 1:
             self._last = affine
-        return Motion(affine, _blocks(view, seen, affine), alike)
+        return Motion(affine, _blocks(view, seen, affine))
 
     def _starts(self, number: int, other: int) -> list[Floats]:
         """By way of a frame between both, else by all that can be known."""
@@ -173,11 +171,12 @@ class Aligner:
 
 
 def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey | None]:
-    """A frame (H, W) as it looks where the other one was taken, and where it shows that, 0 or 1.
+    """A frame as it looks where the other one was taken, and where it shows that, (H, W) of 0 or 1.
 
-    None: everywhere.  Whole pixels are copied, others interpolated (bicubic).
+    grey: (H, W) or (H, W, C).  None: everywhere.  Whole pixels are copied, others interpolated
+    (bicubic).
     """
-    height, width = grey.shape
+    height, width = grey.shape[:2]
     down, right = factors(grey.shape)
     if motion.flow is None and not motion.affine.any():
         return grey, None
@@ -192,7 +191,7 @@ def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey | None]:
     if motion.flow is None:
         laid = cv2.warpAffine(grey, matrix, size, flags=how | cv2.WARP_INVERSE_MAP, **outside)
     else:
-        x, y = _pixels((height, width))
+        y, x = (axis.astype(np.float32) for axis in np.ogrid[:height, :width])
         m = matrix.astype(np.float32)
         flow = cv2.resize(motion.flow, size, interpolation=cv2.INTER_LINEAR)
         laid = cv2.remap(
@@ -202,7 +201,8 @@ def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey | None]:
             cv2.INTER_CUBIC,
             **outside,
         )
-    return np.clip(laid, 0, 1), (laid > -0.05).astype(np.float32)
+    shown = laid if laid.ndim == 2 else laid[..., 0]
+    return np.clip(laid, 0, 1), (shown > -0.05).astype(np.float32)
 
 
 def grey_of(levels: Grey) -> Grey:
@@ -250,11 +250,9 @@ def _whole(view: View, seen: View, starts: Sequence[Floats]) -> tuple[Floats, fl
     if not start.any() and np.abs(fine).max() < _STILL:
         return none, still
     down, right = factors(view.full)
-    whole, shift, turned = none.copy(), none.copy(), fine
-    whole[:2] = np.round(fine[:2] * [right, down]) / [right, down]
-    shift[:2] = fine[:2]
+    whole = np.r_[np.round(fine[:2] * [right, down]) / [right, down], none[2:]]
     chosen, alike = none, still
-    for candidate in (whole, shift, turned, start):
+    for candidate in (whole, np.r_[fine[:2], none[2:]], fine, start):
         if candidate.any():
             found = _correlation(view.band, _moved(seen.band, candidate, cv2.INTER_CUBIC))
             if found > alike + _BETTER * (1 - alike):
@@ -363,10 +361,3 @@ def _affine(matrix: Floats, shape: tuple[int, ...]) -> Floats:
 
 def _middle(shape: tuple[int, ...]) -> Floats:
     return np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
-
-
-def _pixels(shape: tuple[int, int]) -> tuple[Grey, Grey]:
-    """Columns (1, W) and rows (H, 1)."""
-    return np.arange(shape[1], dtype=np.float32)[None], np.arange(shape[0], dtype=np.float32)[
-        :, None
-    ]

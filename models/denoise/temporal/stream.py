@@ -6,10 +6,10 @@ fused frames at once as the caller allows, which changes no pixel.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,39 +47,6 @@ class Shot:
     shift_px: tuple[float, float] | None = None
 
 
-@dataclass
-class Tally:
-    """What was done: pictures, of which `alone` matched no neighbour; sums over pictures."""
-
-    pictures: int = 0
-    alone: int = 0
-    frames: float = 0.0
-    moved: float = 0.0
-    strengths: list[str] = field(default_factory=list)
-
-    def add(self, fused: Fused) -> None:
-        """A picture is fused."""
-        lit = grey_of(fused.picture) > _DARK
-        lit = lit if lit.any() else np.ones_like(lit)
-        self.pictures += 1
-        self.frames += float(fused.frames[lit].mean())
-        self.moved += 1 - float(fused.agrees[lit].mean())
-        self.alone += bool(fused.frames.max() <= 1)
-
-    def lines(self, frames: int) -> Iterator[str]:
-        """For the user; nothing where there was no sequence."""
-        if not self.pictures:
-            return
-        share = 1 / self.pictures
-        yield (
-            f"in time: {self.frames * share:.1f} of up to {frames} frames fused in a pixel, "
-            f"{100 * self.moved * share:.1f} % of pixels moved, {self.alone} of {self.pictures} "
-            "frames matched no neighbour"
-        )
-        for strength in self.strengths:
-            yield f"strength by the recording itself: {strength}"
-
-
 @dataclass(frozen=True, eq=False)
 class _Ready:
     """A fused frame.  sigma: (H, W) or (H, W, C) of the noise left in each pixel."""
@@ -87,7 +54,7 @@ class _Ready:
     fused: Fused
     sigma: Grey
     geometry: FanGeometry | None
-    network: Grey | None = None
+    predictors: Predictors | None = None
 
 
 class InTime:
@@ -95,8 +62,9 @@ class InTime:
 
     network: None: frames are fused, no more.  frames: of a window, odd.  causal: a window ends with
     its frame.  calibrated: whether the recording chooses the strength; else the usual one is taken.
-    tally: counts what is done.  at_once: networks that run at the same time; with 1 a frame comes
-    out as soon as its window is complete.  strength: chosen so far.
+    tally: what was done: `pictures`, of which `alone` matched no neighbour, and sums over these:
+    `frames` in a pixel, share of pixels that `moved`.  at_once: networks that run at the same time;
+    with 1 a frame comes out as soon as its window is complete.  strength: chosen so far.
     """
 
     def __init__(
@@ -106,14 +74,14 @@ class InTime:
         frames: int = FRAMES,
         causal: bool = False,
         calibrated: bool = True,
-        tally: Tally | None = None,
+        tally: dict[str, float] | None = None,
         at_once: int = 1,
     ) -> None:
         self._network, self._frames, self._causal = network, frames, causal
         self._before = frames - 1 if causal else frames // 2
         self._after = 0 if causal else frames // 2
         self._calibrated = calibrated and network is not None and frames > 1
-        self._tally = tally if tally is not None else Tally()
+        self._tally = tally if tally is not None else defaultdict(float)
         self._aligner, self._fusion = Aligner(2 * frames), Fusion()
         self._told = bool(getattr(network, "knows_frames", False))
         self.strength = Strength(frames, told=self._told)
@@ -122,9 +90,8 @@ class InTime:
         self._measured: dict[int, _Ready] = {}
         self._newest, self._next = -1, 0
         self._last_fit: int | None = None
-        self._pool = ThreadPoolExecutor(at_once) if at_once > 1 else None
+        self._pool, self._under_way = ThreadPoolExecutor(at_once), at_once if at_once > 1 else 0
         self._running: deque[tuple[Any, Future[Grey]]] = deque()
-        self._at_once = at_once
 
     def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
         """The key of each frame and its levels, denoised."""
@@ -140,10 +107,7 @@ class InTime:
         while self._next <= self._newest:
             yield from self._one()
         yield from self._done(0)
-        if self._pool is not None:
-            self._pool.shutdown()
-        if self.strength.measured:
-            self._tally.strengths.append(str(self.strength))
+        self._pool.shutdown()
 
     def _wait(self) -> int:
         """How many frames are to come before one is denoised.
@@ -167,15 +131,20 @@ class InTime:
                 self._calibrate(number)
         ready = self._measured.pop(number, None) or self._ready(number)
         if self._frames > 1:
-            self._tally.add(ready.fused)
+            self._count(ready.fused)
         key, weights = self._held[number].key, self.strength.weights
         self._next += 1
         self._held.pop(number - self._before - 1, None)
-        if self._pool is None:
-            yield key, self._denoised(ready, weights)
-            return
         self._running.append((key, self._pool.submit(self._denoised, ready, weights)))
-        yield from self._done(self._at_once)
+        yield from self._done(self._under_way)
+
+    def _count(self, fused: Fused) -> None:
+        lit = grey_of(fused.picture) > _DARK
+        lit = lit if lit.any() else np.ones_like(lit)
+        self._tally["pictures"] += 1
+        self._tally["frames"] += float(fused.frames[lit].mean())
+        self._tally["moved"] += 1 - float(fused.agrees[lit].mean())
+        self._tally["alone"] += bool(fused.frames.max() <= 1)
 
     def _done(self, most: int) -> Iterator[tuple[Any, Grey]]:
         """What is denoised, in order, until at most so many are under way."""
@@ -229,27 +198,21 @@ class InTime:
         if network is None:
             return fused.picture
         if fused.picture.ndim == 3:
-            planes = [
-                replace(
-                    ready,
-                    fused=replace(fused, picture=np.ascontiguousarray(fused.picture[..., channel])),
-                    sigma=ready.sigma[..., channel],
-                )
-                for channel in range(fused.picture.shape[2])
-            ]
-            return np.stack([self._denoised(plane, weights) for plane in planes], axis=-1)
+            planes = []
+            for channel in range(fused.picture.shape[2]):
+                plane = replace(fused, picture=np.ascontiguousarray(fused.picture[..., channel]))
+                one = _Ready(plane, ready.sigma[..., channel], ready.geometry)
+                planes.append(self._denoised(one, weights))
+            return np.stack(planes, axis=-1)
         if self._frames == 1:
             return network(fused.picture, ready.geometry)
-        return weights.applied(self._predictors(ready), fused.frames)
+        return weights.applied(ready.predictors or self._predictors(ready), fused.frames)
 
     def _predictors(self, ready: _Ready) -> Predictors:
-        made = ready.network if ready.network is not None else self._by_network(ready)
-        return Predictors.of(ready.fused.picture, ready.sigma, made)
-
-    def _by_network(self, ready: _Ready) -> Grey:
         assert self._network is not None
         told = {"frames": ready.fused.frames} if self._told else {}
-        return self._network(ready.fused.picture, ready.geometry, **told)
+        made = self._network(ready.fused.picture, ready.geometry, **told)
+        return Predictors.of(ready.fused.picture, ready.sigma, made)
 
     def _calibrate(self, number: int) -> None:
         """Measure on a frame which strength predicts one outside its window."""
@@ -267,7 +230,8 @@ class InTime:
         one = np.ones_like(fused.frames)
         own = _Ready(Fused(levels, one, one), self._sigma(levels, one), ready.geometry)
         self.strength.add(False, self._predictors(own), target[0], where)
-        ready = self._measured[number] = replace(ready, network=self._by_network(ready))
+        found = self._predictors(ready)
+        self._measured[number] = replace(ready, predictors=found)
         full = where & (fused.frames > 0.8 * fused.frames.max())
-        self.strength.add(True, self._predictors(ready), target[0], full)
+        self.strength.add(True, found, target[0], full)
         self.strength.fit()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from simnfnd.models.denoise.inputs import find_items, sequences
 from simnfnd.models.denoise.pictures import Denoising
 from simnfnd.models.denoise.temporal.fusion import Fusion
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
-from simnfnd.models.denoise.temporal.stream import InTime, Shot, Tally
+from simnfnd.models.denoise.temporal.stream import InTime, Shot
 from simnfnd.models.denoise.temporal.strength import Strength
 from simnfnd.models.recordings import open_recording
 
@@ -71,8 +72,8 @@ def shots(frames: list[Grey]) -> Iterator[Shot]:
 
 def through(
     frames: list[Grey], *, window: int = 7, causal: bool = False, calibrated: bool = True
-) -> tuple[list[Grey], Tally]:
-    tally = Tally()
+) -> tuple[list[Grey], dict[str, float]]:
+    tally = defaultdict[str, float](float)
     stream = InTime(as_it_is, frames=window, causal=causal, calibrated=calibrated, tally=tally)
     found = list(stream(shots(frames)))
     assert [key for key, _ in found] == list(range(len(frames)))
@@ -104,11 +105,11 @@ def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
     def halving(gray: Grey, geometry: FanGeometry | None = None) -> Grey:
         return gray / 2
 
-    tally = Tally()
-    for number, picture in InTime(halving, tally=tally)(shots(frames)):
+    denoising = Denoising(halving)
+    shuffled = (denoising.shot(n, frame, lambda picture: None) for n, frame in enumerate(frames))
+    for number, picture in denoising.sequence(shuffled):
         np.testing.assert_allclose(picture, frames[number] / 2, atol=1e-6)
-    assert tally.alone == len(frames)
-    assert next(tally.lines(7)).endswith("9 of 9 frames matched no neighbour")
+    assert next(denoising.summary()).endswith("9 of 9 frames matched no neighbour")
 
 
 def test_where_nothing_moves_all_frames_count() -> None:
@@ -116,8 +117,8 @@ def test_where_nothing_moves_all_frames_count() -> None:
     frames = [noisy(truth, number) for number in range(14)]
     found, tally = through(frames, calibrated=False)
     plain = np.mean(frames[3:10], axis=0)
-    assert tally.frames / tally.pictures > 5.8  # the first and last have fewer neighbours
-    assert tally.alone == 0
+    assert tally["frames"] / tally["pictures"] > 5.8  # the first and last have fewer neighbours
+    assert tally["alone"] == 0
     # The usual strength takes a little total variation: no worse than the mean.
     assert error(found[6], truth) < 1.03 * error(plain, truth)
 
@@ -152,7 +153,7 @@ def test_a_moving_sonar_keeps_what_it_gains() -> None:
     wide = scene()
     truth = [view(wide, 2 * n - 12, 1.3 * n - 8) for n in range(12)]
     found, tally = through([noisy(one, n) for n, one in enumerate(truth)], calibrated=False)
-    assert tally.alone == 0
+    assert tally["alone"] == 0
     assert error(found[6], truth[6]) < 0.6 * NOISE
 
 
