@@ -24,7 +24,6 @@ from typing import Any
 import cv2
 import numpy as np
 import psutil
-from scipy.io import savemat
 
 from benchmarks.shared import Options, Section, Table, in_own_process
 from simnfnd.factory.dataset.manifest import INDEX_NAME, MANIFEST_NAME
@@ -270,19 +269,6 @@ def _png(path: Path) -> None:
     write_black_png(path, 40_000)
 
 
-def _npz(path: Path) -> None:
-    np.savez_compressed(path, picture=np.zeros((2, 24_000, 24_000), np.uint8))
-
-
-def _npz_aside(path: Path) -> None:
-    large = np.zeros((2, 24_000, 24_000), np.uint8)
-    np.savez_compressed(path, picture=np.zeros((64, 64), np.uint8), large=large)
-
-
-def _mat(path: Path) -> None:
-    savemat(path, {"picture": np.zeros((24_000, 48_000), np.uint8)}, do_compression=True)
-
-
 def _tiff(path: Path) -> None:
     page = np.zeros((8000, 8000), np.uint16)
     assert cv2.imwritemulti(str(path), [page] * 10, (cv2.IMWRITE_TIFF_COMPRESSION, 8))
@@ -307,8 +293,7 @@ def _h5(path: Path) -> None:
 
 
 _BOMBS: dict[str, Callable[[Path], None]] = {
-    "a.png": _png, "a.npz": _npz, "b.npz": _npz_aside, "a.mat": _mat, "a.tif": _tiff,
-    "a.npy": _npy, "a.h5": _h5,
+    "a.png": _png, "a.tif": _tiff, "a.npy": _npy, "a.h5": _h5,
 }  # fmt: skip
 
 

@@ -15,9 +15,8 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError, FrameError
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings import Frame, Recording, open_recording
-from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
-from ..recordings.pictures import VideoFile, in_unit_range, read_picture
+from ..recordings.pictures import ArrayFile, VideoFile, read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .inputs import Item
 from .pictures import Denoising, Picture, Place, Seen
@@ -63,8 +62,6 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
         for item in items[first:]:
             try:
                 picture = read_picture(item.source)
-                if picture.dtype == np.float32:
-                    in_unit_range(picture, str(item.source))
                 yield job.denoising.seen(item, picture, partial(job.geometry_of, item))
             except (FactoryError, ValueError) as error:
                 text = str(error)

@@ -19,10 +19,8 @@ from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..data.fans import read_fans
 from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, is_bag_folder, kind_of
-from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
-from ..recordings.arrays import is_table
-from ..recordings.base import ARRAY_SUFFIX
 from ..recordings.fan_finder import find_geometry
+from ..recordings.pictures import is_table
 
 PING_KINDS = ("aris", "ddf", "oculus")
 """Recordings (`simnfnd.models.recordings`) whose frames are pings, not pictures."""
@@ -135,7 +133,7 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
                 f"{path}: neither an image nor a shard nor a video or recording "
                 f"({', '.join(SUFFIXES)})"
             )
-        yield Item(path, _output_of(Path(path.name)))
+        yield Item(path, Path(path.name))
     elif not path.is_dir():
         raise FactoryError(f"{path}: no such file or folder")
     elif is_bag_folder(path):
@@ -177,16 +175,10 @@ def items_below(folder: Path, out: Path) -> list[Item]:
         and not is_table(file)
     ]
     return [
-        Item(file, _output_of(file.relative_to(folder)))
+        Item(file, file.relative_to(folder))
         for file in sorted([*bags, *files])
         if not file.resolve().is_relative_to(out.resolve())
     ]
-
-
-def _output_of(relative: Path) -> Path:
-    """The name of what is made of a file: arrays of all formats become .npy files."""
-    arrays = relative.suffix.lower() in ARRAY_SUFFIXES
-    return relative.with_suffix(ARRAY_SUFFIX) if arrays else relative
 
 
 class Geometries:

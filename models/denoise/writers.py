@@ -17,8 +17,8 @@ from PIL import Image, TiffImagePlugin
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
 from ...factory.quiet import quiet_stderr
-from ..recordings.arrays import ArrayFile, Header, NpyWriter
 from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording, swapped
+from ..recordings.pictures import ArrayFile, NpyWriter
 
 Frames = Iterator[npt.NDArray[Any]]
 
@@ -70,7 +70,7 @@ def write_frames(
         if path.suffix.lower() in TIFF_SUFFIXES:
             _write_pages(partial, frames, path)
         elif isinstance(source, ArrayFile):
-            _write_array(partial, frames, path, source.header)
+            _write_array(partial, frames, path, source.stored)
         elif (video := _video(partial, first.shape, rate_hz)) is not None and not path.is_dir():
             _write_video(partial, frames, path, video)
         else:
@@ -105,13 +105,13 @@ def _write_pages(partial: Path, frames: Frames, path: Path) -> None:
             writer.close()
 
 
-def _write_array(partial: Path, frames: Frames, path: Path, header: Header) -> None:
+def _write_array(partial: Path, frames: Frames, path: Path, like: npt.NDArray[Any]) -> None:
     with explain_os_errors(path, "--out"):
-        writer = NpyWriter(partial, header)
+        writer = NpyWriter(partial, like)
     try:
         for picture in frames:
             with explain_os_errors(path, "--out"):
-                writer.add(picture.astype(header.dtype))
+                writer.add(picture.astype(like.dtype))
     finally:
         with explain_os_errors(path, "--out"):
             writer.close()

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,8 @@ from .base import (
     MOST_RANGES,
     Beams,
     Device,
-    FileOfFrames,
     Frame,
+    Recording,
     Samples,
     explained,
     known,
@@ -65,8 +65,7 @@ ITEM = layout_of(
 )
 
 
-@dataclass(frozen=True)
-class _Message:
+class _Message(NamedTuple):
     """Where a message lies; packed: by zlib behind four bytes.  time_s: of the log, where known."""
 
     offset: int
@@ -75,7 +74,7 @@ class _Message:
     time_s: float | None = None
 
 
-class OculusFile(FileOfFrames):
+class OculusFile(Recording):
     """A file of raw Oculus messages or a log of ViewPoint; a `Recording` of its pings."""
 
     def _open(self) -> None:
@@ -85,21 +84,22 @@ class OculusFile(FileOfFrames):
         self._pings: list[_Message] = []
         self._end = 0
         for one in self._items() if magic == LOG_MAGIC else self._messages():
-            header = _header(self._content(one, HEADER.itemsize))
+            header = _record(self._content(one, HEADER.itemsize), HEADER)
             if header["id"] == MAGIC and header["kind"] == SIMPLE_PING:
                 self._pings.append(one)
-        if not self._pings:
+        self.count = len(self._pings)
+        if not self.count:
             raise FrameError(f"{self.path}: holds no whole Oculus ping; it is cut short or damaged")
         if self._end < self.size:
             self.warning = (
-                f"{self.path}: damaged or cut short at byte {self._end}; the {len(self._pings)} "
-                "pings before are read"
+                f"{self.path}: damaged or cut short at byte {self._end}; the {self.count} pings "
+                "before are read"
             )
 
     def _messages(self) -> Iterator[_Message]:
         """Each whole message of a file that holds nothing else; `_end`: where the last one ends."""
         while self.size - self._end >= HEADER.itemsize:
-            header = _header(self.bytes_at(self._end, HEADER.itemsize, "a header"))
+            header = self.record_at(self._end, HEADER, "a header")
             one = _Message(self._end, HEADER.itemsize + int(header["payload"]))
             if header["id"] != MAGIC or one.size > min(self.size - self._end, _MOST_BYTES):
                 return
@@ -108,12 +108,12 @@ class OculusFile(FileOfFrames):
 
     def _items(self) -> Iterator[_Message]:
         """The same of a log."""
-        log = np.frombuffer(self.bytes_at(0, LOG.itemsize, "its header"), LOG)[0]
+        log = self.record_at(0, LOG, "its header")
         if log["encryption"]:
             raise FrameError(f"{self.path}: is encrypted; export it from ViewPoint without")
         self._end = int(self.within("the size of its header", log["size"], LOG.itemsize, 4096))
         while self.size - self._end >= ITEM.itemsize:
-            item = np.frombuffer(self.bytes_at(self._end, ITEM.itemsize, "an item"), ITEM)[0]
+            item = self.record_at(self._end, ITEM, "an item")
             begins, size = self._end + int(item["size"]), int(item["payload"])
             if (
                 item["magic"] != ITEM_MAGIC
@@ -133,23 +133,17 @@ class OculusFile(FileOfFrames):
         with explained(f"{self.path}: a message cannot be unpacked; it is damaged"):
             return zlib.decompressobj().decompress(content[4:], most)
 
-    def __len__(self) -> int:
-        return len(self._pings)
-
     def _read(self, number: int) -> Frame:
         one, what = self._pings[number], f"ping {number}"
         content = self._content(one)
-        size = len(content)
-        version = int(_header(content)["version"])
-        layout = PING_2 if version == 2 else PING_1
-        if size < layout.itemsize:
-            raise FrameError(f"{self.path}: {what} is shorter than its header; it is damaged")
-        ping: np.void = np.frombuffer(content, layout, count=1)[0]
+        second = _record(content, HEADER)["version"] == 2
+        layout = PING_2 if second else PING_1
+        ping = _record(content, layout)
         ranges = int(self.within(f"{what}: nRanges", ping["ranges"], 2, MOST_RANGES))
         beams = int(self.within(f"{what}: nBeams", ping["beams"], 2, MOST_BEAMS))
         step = self.within(f"{what}: rangeResolution", ping["range_step_m"], 1e-5, 100)
         far = self.within(f"{what}: its last range", ranges * step, 0, MOST_RANGE_M)
-        if layout.itemsize + 2 * beams > size:
+        if layout.itemsize + 2 * beams > len(content):
             raise FrameError(f"{self.path}: {what} ends within its bearings; it is damaged")
         bearings = np.frombuffer(content, "<i2", count=beams, offset=layout.itemsize) / 100.0
         if np.any(np.diff(bearings) <= 0) or np.abs(bearings).max() > 90:
@@ -158,7 +152,7 @@ class OculusFile(FileOfFrames):
             number,
             self._samples(content, ping, ranges, beams, what),
             Beams(tuple(np.deg2rad(bearings).tolist()), 0.0, far),
-            time_s=one.time_s or (known(ping["start_s"], 1e10) if version == 2 else None),
+            time_s=one.time_s or (known(ping["start_s"], 1e10) if second else None),
             pose=pose_of(ping),
             device=Device(
                 name="Oculus",
@@ -173,16 +167,14 @@ class OculusFile(FileOfFrames):
         self, content: bytes, ping: np.void, ranges: int, beams: int, what: str
     ) -> Samples:
         """(ranges, beams) uint8 or uint16."""
-        if ping["data_size"] not in (0, 1):
-            raise FrameError(
-                f"{self.path}: {what} has samples of {8 * (int(ping['data_size']) + 1)} bits; "
-                "8 and 16 can be read"
-            )
         width = int(ping["data_size"]) + 1
+        if width > 2:
+            raise FrameError(
+                f"{self.path}: {what} has samples of {8 * width} bits; 8 and 16 can be read"
+            )
         # Each row may begin with the gain that it was amplified by.
         extra = 4 if int(ping["flags"]) & _SENDS_GAIN else 0
-        stride = extra + beams * width
-        start = int(ping["image_offset"])
+        stride, start = extra + beams * width, int(ping["image_offset"])
         if start + ranges * stride > len(content):
             raise FrameError(f"{self.path}: {what} ends within its samples; it is damaged")
         rows = np.frombuffer(content, np.uint8, count=ranges * stride, offset=start)
@@ -190,6 +182,7 @@ class OculusFile(FileOfFrames):
         return rows if width == 1 else rows.view("<u2").astype(np.uint16)
 
 
-def _header(content: bytes) -> np.void:
-    header: np.void = np.frombuffer(content.ljust(HEADER.itemsize, b"\0"), HEADER, count=1)[0]
-    return header
+def _record(content: bytes, layout: np.dtype[np.void]) -> np.void:
+    """The header that a message begins with; what is missing of it is 0, which is of no ping."""
+    record: np.void = np.frombuffer(content.ljust(layout.itemsize, b"\0"), layout, count=1)[0]
+    return record

@@ -1,4 +1,4 @@
-"""Picture files, one or a folder of them by name, files of pages (TIFF, animated GIF), and videos.
+"""Picture files, one or a folder of them by name; arrays, pages (TIFF, animated GIF) and videos.
 
 A video is opened only where its first bytes are those of a container for films: FFmpeg goes by the
 content, and would take a playlist named `a.avi` for a list of other files and addresses to open.
@@ -7,11 +7,9 @@ content, and would take a playlist named `a.avi` for a list of other files and a
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,46 +17,45 @@ from PIL import Image
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.quiet import quiet_stderr
-from .arrays import ArrayFile, is_table
 from .base import (
     ARRAY_SUFFIX,
     FULL_SCALE,
     PICTURE_SUFFIXES,
     TOO_LARGE,
-    FileOfFrames,
+    Ended,
     Frame,
     Recording,
     Samples,
-    ask_bytes,
     ask_pixels,
     explained,
     swapped,
 )
 from .palettes import grey_of_colours
 
-_PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
-_FORMATS = ("TIFF", "GIF")
+RATIO = 200
+"""Times its size that a stranger's file of pages may unpack to; a small one to `ALWAYS_BYTES`."""
+ALWAYS_BYTES = 1 << 28
+LEAST_SIDE_PX = 16
+"""Smaller arrays are tables: poses, matrices, bearings."""
+_COLOURS = ((1,), (3,), (4,))
+_FORMAT: Any = np.lib.format  # whose functions are not typed
 
 
 class Pictures(Recording):
-    """A `Recording` of pictures as they are stored, (H, W) or (H, W, colours)."""
+    """A `Recording` of pictures as they are stored, (H, W) or (H, W, colours).
 
-    def __init__(self, path: Path) -> None:
-        """A file, or a folder with files right in it.  Raises FactoryError when there are none."""
-        super().__init__(path)
-        self.files = [path]
-        if path.is_dir():
-            found = sorted(path.iterdir())
-            self.files = [
-                one
-                for one in found
-                if one.suffix.lower() in PICTURE_SUFFIXES and one.is_file() and not is_table(one)
-            ]
-        if not self.files or not self.files[0].is_file():
-            raise FactoryError(f"{path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")
+    Of a file, or of a folder with files right in it.
+    """
 
-    def __len__(self) -> int:
-        return len(self.files)
+    def _open(self) -> None:
+        self.files = [self.path]
+        if self.path.is_dir():
+            files = sorted(one for one in self.path.iterdir() if one.is_file())
+            kinds = PICTURE_SUFFIXES
+            self.files = [one for one in files if one.suffix.lower() in kinds and not is_table(one)]
+        self.count = len(self.files)
+        if not self.count:
+            raise FactoryError(f"{self.path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")
 
     def _read(self, number: int) -> Frame:
         return Frame(number, read_picture(self.files[number]))
@@ -87,17 +84,14 @@ def decoded(content: bytes, what: str) -> Samples:
     import cv2  # an extra
 
     # Its size first: a small file can decode to gigabytes.
-    kinds = ", ".join(FULL_SCALE)
-    with _opened(BytesIO(content), what, f"picture of {kinds}") as header:
+    with _opened(BytesIO(content), what, f"picture of {', '.join(FULL_SCALE)}") as header:
         ask_pixels(what, *header.size)
     # libjpeg and libtiff write to the terminal about damage that they pass over.
     with explained(f"{what}: not a readable picture"), quiet_stderr():
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise FrameError(f"{what}: not a readable picture")
-    if str(picture.dtype) not in FULL_SCALE:
-        raise FrameError(f"{what}: pixels are {picture.dtype}; expected {kinds}")
-    return np.asarray(picture)
+    return as_samples(np.asarray(picture), what)
 
 
 def _opened(
@@ -111,25 +105,108 @@ def _opened(
             raise FrameError(f"{what}: {TOO_LARGE}") from error
 
 
+def as_samples(page: Samples, what: str) -> Samples:
+    """A page whose numbers are grey values as they are: uint8, uint16, or floats as float32.
+
+    what: names it in errors.  Raises FrameError for other dtypes, NaN and floats outside 0..1.
+    """
+    if page.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # infinite: outside 0..1
+            page = page.astype(np.float32)
+    if str(page.dtype) not in FULL_SCALE:
+        raise FrameError(f"{what}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}")
+    if page.dtype == np.float32 and not (page.min() >= 0 and page.max() <= 1):
+        raise FrameError(
+            f"{what}: floats must be grey values from 0 to 1, these are {page.min():g} to "
+            f"{page.max():g}; scale them (of echoes in linear units the logarithm)"
+        )
+    return page
+
+
 def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
-    """Float32 with full scale 1, of the same shape.  Raises FrameError for floats outside 0..1."""
-    scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
-    if not (scaled.min() >= 0 and scaled.max() <= 1):
-        raise FrameError(f"{what}: float pixels must lie in 0..1; divide by full scale")
-    return np.asarray(scaled)
+    """Float32 with full scale 1, of the same shape.  Raises FrameError as `as_samples` does."""
+    samples = as_samples(picture, what)
+    return samples.astype(np.float32) / np.float32(FULL_SCALE[str(samples.dtype)])
 
 
 def read_grey(path: Path) -> npt.NDArray[np.float32]:
     """(H, W) float32 in 0..1 of a file; of colours see `grey_of_colours`.  Raises FrameError."""
     picture = read_picture(path)
-    grey = in_unit_range(picture, str(path))
-    return grey if picture.ndim == 2 else grey_of_colours(picture)
+    return in_unit_range(picture, str(path)) if picture.ndim == 2 else grey_of_colours(picture)
+
+
+class ArrayFile(Recording):
+    """A `Recording` of the pictures in a .npy file, colours (red first there) in BGR order.
+
+    stored: the array, (H, W), (N, H, W), or either with colours, mapped.
+    """
+
+    def _open(self) -> None:
+        self.stored = _load(self.path)
+        pages = _pages(self.stored)
+        if pages is None:
+            raise FrameError(
+                f"{self.path}: holds no pictures; expected (H, W), (H, W, 3), (N, H, W) or "
+                f"(N, H, W, 3), {LEAST_SIDE_PX} pixels or more on a side"
+            )
+        ask_pixels(str(self.path), pages.shape[2], pages.shape[1])
+        self._stack, self.count = pages, len(pages)
+
+    def _read(self, number: int) -> Frame:
+        what = f"{self.path}: picture {number + 1}" if self.count > 1 else str(self.path)
+        return Frame(number, as_samples(np.ascontiguousarray(swapped(self._stack[number])), what))
+
+
+def kind_of_array(path: Path) -> str | None:
+    """`pictures` for a .npy file of one or that cannot be read, `array` of several, else None."""
+    try:
+        stored = _load(path)
+    except FrameError:
+        return "pictures"
+    pages = _pages(stored)
+    return None if pages is None else "array" if pages.ndim == stored.ndim else "pictures"
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is an array that holds no pictures: folders have such beside them."""
+    return path.suffix.lower() == ARRAY_SUFFIX and kind_of_array(path) is None
+
+
+def _load(path: Path) -> Samples:
+    with explained(f"{path}: not a readable array", reason=True):
+        return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+
+
+def _pages(array: Samples) -> Samples | None:
+    """(N, H, W) or (N, H, W, colours) by an array's shape; None where it cannot be pictures."""
+    single = array.ndim == 2 or array.shape[2:] in _COLOURS
+    pages = array[None] if single else array
+    fits = pages.ndim == 3 or (pages.ndim == 4 and pages.shape[3:] in _COLOURS)
+    if array.dtype.kind not in "uif" or not fits or not len(pages):
+        return None
+    return pages if min(pages.shape[1:3]) >= LEAST_SIDE_PX else None
+
+
+class NpyWriter:
+    """Writes an array of pictures as a .npy file, picture by picture; close it."""
+
+    def __init__(self, path: Path, like: Samples) -> None:
+        """like: an array of the shape and dtype.  Raises OSError, as do the others."""
+        self._dtype = like.dtype.newbyteorder("=")
+        self._file = path.open("wb")
+        said = {"descr": self._dtype.str, "fortran_order": False, "shape": like.shape}
+        _FORMAT.write_array_header_1_0(self._file, said)
+        self.close = self._file.close
+
+    def add(self, picture: Samples) -> None:
+        """The next picture, (H, W) or (H, W, colours) in BGR order."""
+        self._file.write(np.ascontiguousarray(swapped(picture), self._dtype).tobytes())
 
 
 def is_stack(path: Path) -> bool:
     """Whether a file is a TIFF whose second page is as large as the first (no smaller copy)."""
     try:
-        with explained("no stack"), Image.open(path, formats=_FORMATS[:1]) as image:
+        with explained("no stack"), Image.open(path, formats=("TIFF",)) as image:
             first = image.size
             image.seek(1)
             return image.size == first
@@ -137,49 +214,38 @@ def is_stack(path: Path) -> bool:
         return False
 
 
-class StackFile(FileOfFrames):
+class StackFile(Recording):
     """A TIFF or GIF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
 
     def _open(self) -> None:
-        self._image = _opened(self._file, str(self.path), "TIFF or GIF file", _FORMATS)
-        with explained(f"{self.path}: not a readable TIFF or GIF file"):
-            self._count = int(getattr(self._image, "n_frames", 1))
+        assert self._file is not None
+        what, kind = str(self.path), "TIFF or GIF file"
+        self._image = _opened(self._file, what, kind, ("TIFF", "GIF"))
+        with explained(f"{what}: not a readable {kind}"):
+            self.count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
-        ask_pixels(str(self.path), width, height)
-        mode = self._image.mode
-        wide = 2 if "16" in mode else 4 if mode in ("I", "F") else len(self._image.getbands())
-        ask_bytes(str(self.path), self._count * width * height * wide, self.size, streamed=True)
-
-    def __len__(self) -> int:
-        return self._count
+        ask_pixels(what, width, height)
+        needed, most = self.count * width * height, ALWAYS_BYTES + RATIO * self.size
+        if needed > most:
+            raise FrameError(
+                f"{what}: unpacks to {needed:,} bytes or more, at most {most:,} are read ({RATIO} "
+                "times the file's size); if it is sound, save it uncompressed or in parts"
+            )
 
     def _read(self, number: int) -> Frame:
-        page = self._page(number)
-        if page.dtype == np.float32:
-            in_unit_range(page, f"{self.path}: page {number + 1}")
-        return Frame(number, page)
-
-    def _page(self, number: int) -> Samples:
-        """A page as it is stored, colours in BGR order.  Raises FrameError."""
-        with explained(f"{self.path}: page {number + 1} cannot be read"), quiet_stderr():
+        what = f"{self.path}: page {number + 1}"
+        with explained(f"{what} cannot be read"), quiet_stderr():
             self._image.seek(number)
-            # ImageJ writes 16 bits with the most significant byte first.
-            size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
-            if self._image.format == "GIF":
-                return _untinted(swapped(np.asarray(self._image.convert("RGB"))))
-            if size == self._first and mode in _PAGES:
-                return np.ascontiguousarray(swapped(np.asarray(self._image)))
-        raise FrameError(
-            f"{self.path}: page {number + 1} has {size[0]} x {size[1]} pixels of kind {mode}, the "
-            f"first {self._first[0]} x {self._first[1]}; expected one size and "
-            f"{', '.join(_PAGES.values())}"
-        )
-
-    def close(self) -> None:
-        """See `Recording`."""
-        if hasattr(self, "_image"):
-            self._image.close()
-        super().close()
+            size, colours = self._image.size, self._image.format == "GIF" or self._image.mode == "P"
+            page = np.asarray(self._image.convert("RGB") if colours else self._image)
+        if size != self._first:
+            raise FrameError(
+                f"{what} has {size[0]} x {size[1]} pixels, the first "
+                f"{self._first[0]} x {self._first[1]}; expected one size"
+            )
+        # ImageJ writes 16 bits with the most significant byte first.
+        page = np.ascontiguousarray(swapped(page))
+        return Frame(number, as_samples(_untinted(page) if colours else page, what))
 
 
 _MOST_TINT = 6  # of 255: codecs tint grey pictures by a few levels, and by others in each frame
@@ -190,7 +256,7 @@ _OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _ONLY = "protocol_whitelist;file|format_whitelist;avi,mov,matroska"
 
 
-class VideoFile(FileOfFrames):
+class VideoFile(Recording):
     """A video; a `Recording` of pictures.  Grey ones come as (H, W), others as (H, W, 3) BGR.
 
     rate_hz: frames a second; None where the file does not say.
@@ -199,44 +265,26 @@ class VideoFile(FileOfFrames):
     def _open(self) -> None:
         import cv2  # an extra
 
-        if not _is_film(self.bytes_at(0, min(16, self.size), "its first bytes")):
+        head = self.bytes_at(0, min(16, self.size), "its first bytes")
+        riff = head[:4] == b"RIFF" and head[8:12] == b"AVI "
+        if not (riff or head[4:8] in _BOXES or head[:4] == _MATROSKA):
             raise FrameError(f"{self.path}: not a readable video (no AVI, MP4, MOV or Matroska)")
+        os.environ[_OPTIONS] = _ONLY
         # An absolute path is never an address, as tcp:127.0.0.1:80.avi is.
-        with _only_files(), quiet_stderr():
+        with quiet_stderr():
             self._capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
+        del os.environ[_OPTIONS]
         width = self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)
         height = self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
         count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate = self._capture.get(cv2.CAP_PROP_FPS)
-        if not (width >= 1 and height >= 1):
+        if not (width >= 1 and height >= 1 and count >= 1):
             raise FrameError(f"{self.path}: not a readable video")
         ask_pixels(str(self.path), width, height)
         # A frame takes a byte at least, whatever the file says.
-        self._count = int(min(max(count, 0), self.size))
+        self.count = int(min(count, self.size))
         self.rate_hz = rate if 0 < rate < 1e4 else None
         self._next = 0
-        if not self._count:
-            raise FrameError(f"{self.path}: not a readable video (it has no frames)")
-
-    def __len__(self) -> int:
-        return self._count
-
-    def close(self) -> None:
-        """See `Recording`."""
-        if hasattr(self, "_capture"):
-            self._capture.release()
-        super().close()
-
-    def __iter__(self) -> Iterator[Frame]:
-        """All frames that are there: the number in a video's header is often too large."""
-        for number in range(self._count):
-            try:
-                yield self[number]
-            except FrameError:
-                if number == 0:
-                    raise
-                self.warning = f"{self.path}: ends after {number} of {self._count} frames"
-                return
 
     def _read(self, number: int) -> Frame:
         import cv2
@@ -248,28 +296,9 @@ class VideoFile(FileOfFrames):
             there, picture = self._capture.read()
         self._next = number + 1 if there else -1
         if not there:
-            raise FrameError(what)
+            raise Ended(what)
         time_s = number / self.rate_hz if self.rate_hz else None
         return Frame(number, _untinted(np.asarray(picture, np.uint8)), time_s=time_s)
-
-
-def _is_film(head: bytes) -> bool:
-    """Whether a file begins as AVI, MP4 and MOV, or Matroska and WebM do."""
-    if head[:4] == b"RIFF":
-        return head[8:12] == b"AVI "
-    return head[4:8] in _BOXES or head[:4] == _MATROSKA
-
-
-@contextmanager
-def _only_files() -> Iterator[None]:
-    before = os.environ.get(_OPTIONS)
-    os.environ[_OPTIONS] = _ONLY
-    try:
-        yield
-    finally:
-        os.environ.pop(_OPTIONS)
-        if before is not None:
-            os.environ[_OPTIONS] = before
 
 
 def _untinted(picture: Samples) -> Samples:

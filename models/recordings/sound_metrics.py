@@ -7,14 +7,13 @@ after "DIDSON V5.26 Data File and Ethernet Structure" as public readers of it ag
 
 from __future__ import annotations
 
-import calendar
 import os
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors
@@ -23,8 +22,8 @@ from .base import (
     MOST_RANGES,
     Beams,
     Device,
-    FileOfFrames,
     Frame,
+    Recording,
     Samples,
     known,
     layout_of,
@@ -69,7 +68,7 @@ _DDF_FILE = layout_of(
 )
 _DDF_FRAME = layout_of(
     """
-    frametime 4 u4  date 20 V24  hsecond 44 i4  windowstart 52 i4  windowlength 56 i4
+    frametime 4 u4  date 20 6i4  hsecond 44 i4  windowstart 52 i4  windowlength 56 i4
     receivergain 68 i4  depth_m 128 f4  pitch_deg 136 f4  roll_deg 144 f4  heading_deg 152 f4
     pan_deg 160 f4  tilt_deg 164 f4  latitude_deg 172 f8  longitude_deg 180 f8  configflags 192 i4
     """,
@@ -87,41 +86,33 @@ _WINDOWS = {
 _SOUND_M_S = 1500.0
 
 
-class _SoundMetricsFile(FileOfFrames):
+class _SoundMetricsFile(Recording):
     """What both formats share.
 
     beams, ranges: of every frame.  file_size, frame_size: bytes of a header.  layout: of a frame's.
     """
 
     beams = ranges = 0
-    file_size: int
-    frame_size: int
+    file_size = frame_size = 1024
     layout: np.dtype[np.void]
 
     def _count_frames(self) -> None:
         """Raises FrameError when there is none; notes a rest as a warning."""
-        stride = self.frame_size + self.beams * self.ranges
-        self._count, rest = divmod(self.size - self.file_size, stride)
-        if self._count < 1:
+        self.count, rest = divmod(self.size - self.file_size, self._place(1) - self._place(0))
+        if self.count < 1:
             raise FrameError(f"{self.path}: ends within its first frame; the file is cut short")
         if rest:
-            self.warning = f"{self.path}: ends within frame {self._count}, which is left out"
+            self.warning = f"{self.path}: ends within frame {self.count}, which is left out"
 
-    def __len__(self) -> int:
-        return self._count
-
-    def _head(self, number: int) -> bytes:
-        offset = self.file_size + number * (self.frame_size + self.beams * self.ranges)
-        return self.bytes_at(offset, self.frame_size, f"the header of frame {number}")
+    def _place(self, number: int) -> int:
+        return self.file_size + number * (self.frame_size + self.beams * self.ranges)
 
     def _header(self, number: int) -> np.void:
-        header: np.void = np.frombuffer(self._head(number), self.layout, count=1)[0]
-        return header
+        return self.record_at(self._place(number), self.layout, f"the header of frame {number}")
 
     def _samples(self, number: int) -> Samples:
         """(ranges, beams) uint8, beams as they are stored."""
-        count = self.beams * self.ranges
-        offset = self.file_size + (number + 1) * (self.frame_size + count) - count
+        offset, count = self._place(number) + self.frame_size, self.beams * self.ranges
         content = self.bytes_at(offset, count, f"frame {number}")
         return np.frombuffer(content, np.uint8).reshape(self.ranges, self.beams)
 
@@ -129,7 +120,6 @@ class _SoundMetricsFile(FileOfFrames):
 class ArisFile(_SoundMetricsFile):
     """An ARIS recording; a `Recording`."""
 
-    file_size = frame_size = 1024
     layout = _ARIS_FRAME
 
     def _open(self) -> None:
@@ -188,24 +178,21 @@ class ArisFile(_SoundMetricsFile):
         cannot be written.
         """
         partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        wanted = self.ranges, self.beams
         with explain_os_errors(path, "--out"):
             try:
                 with partial.open("wb") as file:
                     file.write(self.bytes_at(0, self.file_size, "its header"))
-                    for number, frame in zip(range(len(self)), samples, strict=True):
-                        file.write(self._head(number))
-                        file.write(self._as_stored(frame).tobytes())
+                    for number, frame in zip(range(self.count), samples, strict=True):
+                        if frame.shape != wanted or frame.dtype != np.uint8:
+                            said = f"{frame.dtype} {frame.shape}"
+                            raise ValueError(f"samples are {said}; expected uint8 {wanted}")
+                        what = f"the header of frame {number}"
+                        file.write(self.bytes_at(self._place(number), self.frame_size, what))
+                        file.write(frame[:, ::-1].tobytes())
                 os.replace(partial, path)
             finally:
                 partial.unlink(missing_ok=True)
-
-    def _as_stored(self, samples: npt.NDArray[np.uint8]) -> Samples:
-        wanted = self.ranges, self.beams
-        if samples.shape != wanted or samples.dtype != np.uint8:
-            raise ValueError(
-                f"samples are {samples.dtype} {samples.shape}; expected uint8 {wanted}"
-            )
-        return samples[:, ::-1]
 
 
 class DdfFile(_SoundMetricsFile):
@@ -221,8 +208,7 @@ class DdfFile(_SoundMetricsFile):
             hint = "; rename it to .aris" if head == SIGNATURE else ""
             raise FrameError(f"{self.path}: DDF version {head[3]}; 3 and 4 can be read{hint}")
         self.file_size, self.frame_size = _DDF_HEADERS[head[3]]
-        content = self.bytes_at(0, _DDF_FILE.itemsize, "its header")
-        self._told: np.void = np.frombuffer(content, _DDF_FILE)[0]
+        self._told = self.record_at(0, _DDF_FILE, "its header")
         self.beams = int(self._told["numbeams"])
         if self.beams not in (48, 96):
             raise FrameError(f"{self.path}: has {self.beams} beams; a DIDSON has 48 or 96")
@@ -295,8 +281,9 @@ def _didson_azimuths_rad(beams: int) -> tuple[float, ...]:
 
 def _time_s(header: np.void) -> float | None:
     """By the sonar's own clock, taken as UTC, else by that of the computer; None without either."""
-    date = np.frombuffer(header["date"].tobytes(), "<i4").tolist()  # year to second
-    lowest, highest = (1990, 1, 1, 0, 0, 0), (2100, 12, 31, 23, 59, 60)
-    if not all(a <= b <= c for a, b, c in zip(lowest, date, highest, strict=True)):
+    date = header["date"].tolist()  # year to second
+    try:
+        start_s = datetime(*date, tzinfo=UTC).timestamp()
+    except (ValueError, OverflowError):
         return float(header["frametime"]) or None
-    return calendar.timegm((*date, 0, 0, 0)) + min(max(int(header["hsecond"]), 0), 99) / 100
+    return start_s + min(max(int(header["hsecond"]), 0), 99) / 100

@@ -15,7 +15,6 @@ from tests.models.recordings.fan_pictures import fan, preset
 from tests.models.recordings.recording_files import (
     pings,
     write_aris,
-    write_array,
     write_ddf,
     write_oculus,
     write_stack,
@@ -64,21 +63,6 @@ def test_stacks_and_arrays_become_the_same(tmp_path: Path, halving: Halving, dty
     assert pages.dtype == dtype
     assert np.abs(pages - given / 2.0).max() <= 0.5
     assert (out / "compare" / "a.png").is_file()
-
-
-@pytest.mark.parametrize("name", ["a.npz", "b.mat"])
-def test_arrays_in_files_of_several(tmp_path: Path, halving: Halving, name: str) -> None:
-    """The pictures come back as a .npy file."""
-    given = pings(5, 41, 48)
-    folder = tmp_path / "in"
-    folder.mkdir()
-    write_array(folder / name, given, poses=np.zeros((5, 4, 4)))
-    write_array(folder / f"z{name}", np.zeros((5, 4, 4)))
-    out = tmp_path / "out"
-    assert main([str(folder), "--out", str(out)]) == 0
-    assert [path.name for path in out.iterdir()] == [f"{name[0]}.npy"]
-    found = np.load(out / f"{name[0]}.npy")
-    assert np.abs(found - given / 2.0).max() <= 0.5
 
 
 def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-import scipy.io
 from PIL import Image
 
 from tests.project_files import ROOT
@@ -180,24 +179,7 @@ def write_log(path: Path, samples: Bytes, *, packed: bool = False) -> Path:
     return path
 
 
-def write_array(path: Path, pictures: Any, **others: Any) -> Path:
-    """Pictures (N, H, W) or (N, H, W, 3) named `frames`, and what else lies beside them.
-
-    a.npz, a.mat: compressed; b.npz, b.mat: plain.
-    """
-    arrays = {"frames": np.asarray(pictures), **others}
-    plain = path.stem == "b"
-    if path.suffix == ".npy":
-        np.save(path, pictures)
-    elif path.suffix == ".npz":
-        (np.savez if plain else np.savez_compressed)(path, **arrays)
-    else:
-        named = {name: matlab(array) for name, array in arrays.items()}
-        scipy.io.savemat(path, named, do_compression=not plain)
+def write_array(path: Path, pictures: Any) -> Path:
+    """Pictures (N, H, W) or (N, H, W, 3) as a .npy file."""
+    np.save(path, pictures)
     return path
-
-
-def matlab(array: Any) -> Any:
-    """An array of pictures as MATLAB keeps them, the number of the picture last."""
-    array = np.asarray(array)
-    return np.moveaxis(array, 0, -1) if array.ndim > 2 else array
