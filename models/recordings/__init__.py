@@ -11,35 +11,14 @@ from pathlib import Path
 
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
-from .base import (
-    ARRAY_SUFFIX,
-    PICTURE_SUFFIXES,
-    TIFF_SUFFIXES,
-    Beams,
-    Device,
-    Frame,
-    Pose,
-    Recording,
-)
+from .base import ARRAY_SUFFIX, PICTURE_SUFFIXES, TIFF_SUFFIXES, Frame, Recording
 
-__all__ = [
-    "PICTURE_SUFFIXES",
-    "SEQUENCES",
-    "Beams",
-    "Device",
-    "Frame",
-    "Pose",
-    "Recording",
-    "is_bag_folder",
-    "is_recording",
-    "kind_of",
-    "open_recording",
-]
+__all__ = ["PICTURE_SUFFIXES", "Frame", "Recording", "is_recording", "kind_of", "open_recording"]
 
 READERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "aris": ("sound_metrics:ArisFile", (".aris",)),
-    "ddf": ("sound_metrics:DdfFile", (".ddf",)),
-    "oculus": ("oculus:OculusFile", (".raw", ".oculus")),
+    "aris": ("sonar_files:ArisFile", (".aris",)),
+    "ddf": ("sonar_files:DdfFile", (".ddf",)),
+    "oculus": ("sonar_files:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": ("pictures:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "stack": ("pictures:StackFile", (".gif",)),
@@ -96,8 +75,8 @@ def open_recording(path: str | Path) -> Recording:
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
-    if kind in ("video", "pictures"):
-        require([Need(f"{path}", "cv2")])
     module, name = READERS[kind][0].split(":")
+    if module in ("pictures", "rosbag"):
+        require([Need(f"{path}", "cv2")])
     recording: Recording = getattr(import_module(f".{module}", __name__), name)(where)
     return recording

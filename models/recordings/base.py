@@ -106,13 +106,15 @@ class Recording(ABC):
 
     A reader adds `_open` and `_read`.
     warning: what is wrong with the file though its frames can be read, in one line; mostly empty.
-    count: how many frames the file says it has.
+    count: how many frames the file says it has.  files: those of pictures, else none.
     """
+
+    _file: IO[bytes] | None = None
 
     def __init__(self, path: Path) -> None:
         """Raises FactoryError when it cannot be opened, or holds no whole frame."""
         self.path, self.warning, self.count = path, "", 0
-        self._file: IO[bytes] | None = None
+        self.files: list[Path] = []
         try:
             if not path.is_dir():
                 self._file, self.size = open_regular(path), path.stat().st_size
@@ -163,15 +165,15 @@ class Recording(ABC):
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def __del__(self) -> None:
+        self.close()
+
     def bytes_at(self, offset: int, count: int, what: str) -> bytes:
         """`count` bytes of the file.  Raises FrameError when it ends before."""
         content = b""
         if self._file is not None and 0 <= offset <= self.size - count:
-            try:
-                self._file.seek(offset)
-                content = self._file.read(count)
-            except OSError as error:
-                raise FrameError(f"{self.path}: cannot be read ({error.strerror})") from error
+            self._file.seek(offset)
+            content = self._file.read(count)
         if len(content) != count:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
         return content
@@ -235,18 +237,3 @@ def pose_of(header: np.void) -> Pose:
     """What those fields of a header say that are named as fields of `Pose`."""
     names = set(header.dtype.names or ()) & set(Pose.__dataclass_fields__)
     return Pose(**{name: known(header[name]) for name in names})
-
-
-def layout_of(fields: str, size: int | None = None) -> np.dtype[Any]:
-    """The dtype of a header, little end first.
-
-    fields: "NAME KIND ..." of all fields in order, or, of a header of `size` bytes, "NAME OFFSET
-        KIND ..." of those that are read.
-    """
-    words = fields.split()
-    if size is None:
-        return np.dtype([(words[at], f"<{words[at + 1]}") for at in range(0, len(words), 2)])
-    names, offsets, kinds = words[::3], map(int, words[1::3]), words[2::3]
-    formats = [f"<{kind}" for kind in kinds]
-    made: Any = {"names": names, "formats": formats, "offsets": [*offsets], "itemsize": size}
-    return np.dtype(made)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -25,14 +26,16 @@ _MAPS = (
     *("DEEPGREEN", "OCEAN", "HOT", "BONE", "PINK", "AUTUMN", "WINTER", "SUMMER", "SPRING", "COOL"),
 )
 """Of OpenCV; those that end as they begin are no scale of levels."""
-_JET_OF_MATPLOTLIB = (
-    ((0, 0.11, 0.34, 0.65, 1), (0.5, 1, 1, 0, 0)),
-    ((0, 0.125, 0.375, 0.64, 0.91, 1), (0, 0, 1, 1, 0, 0)),
-    ((0, 0.35, 0.66, 0.89, 1), (0, 0, 1, 1, 0.5)),
-)
-"""Levels, and blue, green and red at these, 0 to 1: beside OpenCV's by 1.6 of 255 on average."""
-_RED = (((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 1, 1)))
-"""Black, red, white: of chart plotters."""
+_OTHERS = {
+    "jet": (
+        ((0, 0.11, 0.34, 0.65, 1), (0.5, 1, 1, 0, 0)),
+        ((0, 0.125, 0.375, 0.64, 0.91, 1), (0, 0, 1, 1, 0, 0)),
+        ((0, 0.35, 0.66, 0.89, 1), (0, 0, 1, 1, 0.5)),
+    ),
+    "red": (((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 1, 1))),
+}
+"""Levels, and blue, green and red at these, 0 to 1, of Matplotlib's jet (beside OpenCV's by 1.6 of
+255 on average), and of chart plotters: black, red, white."""
 _LOOKED_AT = 4000  # pixels from which a map is told
 _FLAT = 0.1  # part of the pixels from which one colour counts as background
 _NEAR, _BLURRED = 12.0, 36.0  # of 255: how far pixels may lie beside a map; JPEG mixes colours
@@ -115,12 +118,11 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     before it; a known one is kept where it fits.  A known map is told by its colours; of others
     each sum of the three channels must have one colour.
     """
-    if picture.ndim != 3 or picture.shape[2] not in (3, 4) or str(picture.dtype) not in FULL_SCALE:
+    full = FULL_SCALE.get(str(picture.dtype))
+    if full is None or picture.ndim != 3 or picture.shape[2] not in (3, 4):
         return None
     flat = picture[..., :3].reshape(-1, 3)
-    if not len(flat) or (flat == flat[:, :1]).all():
-        return None
-    if picture.dtype == np.float32 and not (flat.min() >= 0 and flat.max() <= 1):
+    if (flat == flat[:, :1]).all() or not (flat.min() >= 0 and flat.max() <= full):
         return None
     codes = _codes(flat)
     seen = _foreground(codes.reshape(picture.shape[:2]))
@@ -136,11 +138,10 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     colours = _uncoded(codes)
     misses = palette.misses(colours)
     near = misses <= (_COLOURED if palette.name == GREY else _BLURRED)
-    levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
     mixed = float((misses[place] > _MIXED).mean()) > _MIXED_SHARE
-    shape = picture.shape[:2]
-    known = near[place].reshape(shape)
-    return Painted(picture, palette, *_without_marks(levels[place].reshape(shape), known, mixed))
+    levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
+    levels, known = (one[place].reshape(picture.shape[:2]) for one in (levels, near))
+    return Painted(picture, palette, *_without_marks(levels, known, mixed))
 
 
 def _without_marks(
@@ -153,19 +154,16 @@ def _without_marks(
     """
     if known.all() or not known.any():
         return levels, known
-    import cv2  # an extra, as are pictures with colours
-
-    unknown = (~known).astype(np.uint8)
-    wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
-    size = (_STROKE, _STROKE)
+    unknown, size = (~known).astype(np.uint8), (_STROKE, _STROKE)
+    wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones(size, np.uint8))
     there = cv2.blur(known.astype(np.float32), size)
     means = cv2.blur(levels * known, size) / np.maximum(there, np.float32(1e-6))
     drawn = (unknown > wide) & (there > 0)
     filled = np.where(drawn, means, levels).astype(np.float32)
-    if not mixed:
-        return filled, known
-    _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
-    return filled, known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))
+    if mixed:
+        _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
+        known = known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))
+    return filled, known
 
 
 def grey_of_colours(picture: Samples) -> Levels:
@@ -179,8 +177,6 @@ def grey_of_colours(picture: Samples) -> Levels:
     found = find_painted(picture)
     if found is not None:
         return found.levels
-    import cv2  # an extra, as are pictures with colours
-
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(scaled[..., :3]), cv2.COLOR_BGR2GRAY))
 
 
@@ -222,24 +218,19 @@ def _fits(palette: Palette, seen: Colours, near: float) -> bool:
 
 @cache
 def _known() -> tuple[Palette, ...]:
-    """Maps of OpenCV, blue first and red first; none without OpenCV."""
-    try:
-        import cv2  # an extra
-    except ImportError:
-        return ()
+    """Known maps, blue first and red first."""
     ramp = np.arange(256, dtype=np.uint8)[:, None]
     at = (np.arange(256) / 255).astype(np.float32)
     maps = [
         (name.lower(), cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name}"))[:, 0])
         for name in _MAPS
     ]
-    jet, red = (
-        np.rint(255 * np.stack([np.interp(at, *channel) for channel in channels], axis=1))
-        for channels in (_JET_OF_MATPLOTLIB, _RED)
-    )
+    for name, channels in _OTHERS.items():
+        colours = np.stack([np.interp(at, *channel) for channel in channels], axis=1)
+        maps.append((name, np.rint(255 * colours)))
     return tuple(
         Palette(name, np.ascontiguousarray(one, np.float32), at)
-        for name, colours in (*maps, ("jet", jet), ("red", red))
+        for name, colours in maps
         for one in (colours, colours[:, ::-1])
     )
 
@@ -281,8 +272,5 @@ def _uncoded(codes: npt.NDArray[np.uint32]) -> Colours:
 def _nearest(colours: Colours, known: Colours) -> npt.NDArray[np.int64]:
     """(N,) number of the nearest of the known colours; a few thousand at a time."""
     half = np.square(known).sum(axis=1) / 2
-    parts = [
-        np.argmin(half - colours[start : start + 8192] @ known.T, axis=1)
-        for start in range(0, len(colours), 8192)
-    ]
-    return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+    parts = np.split(colours, range(8192, len(colours), 8192))
+    return np.concatenate([np.argmin(half - part @ known.T, axis=1) for part in parts])

@@ -7,10 +7,12 @@ content, and would take a playlist named `a.avi` for a list of other files and a
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
@@ -44,12 +46,17 @@ _FORMAT: Any = np.lib.format  # whose functions are not typed
 class Pictures(Recording):
     """A `Recording` of pictures as they are stored, (H, W) or (H, W, colours).
 
-    Of a file, or of a folder with files right in it.
+    Of a file, or of a folder with files right in it, all by name or those that are given.
     """
 
+    def __init__(self, path: Path, files: Sequence[Path] = ()) -> None:
+        """Raises FactoryError when there are none."""
+        self._given = files
+        super().__init__(path)
+
     def _open(self) -> None:
-        self.files = [self.path]
-        if self.path.is_dir():
+        self.files = list(self._given) or [self.path]
+        if self.path.is_dir() and not self._given:
             files = sorted(one for one in self.path.iterdir() if one.is_file())
             kinds = PICTURE_SUFFIXES
             self.files = [one for one in files if one.suffix.lower() in kinds and not is_table(one)]
@@ -81,8 +88,6 @@ def decoded(content: bytes, what: str) -> Samples:
 
     what: names it in errors.  Raises FrameError when it cannot be read or is too large.
     """
-    import cv2  # an extra
-
     # Its size first: a small file can decode to gigabytes.
     with _opened(BytesIO(content), what, f"picture of {', '.join(FULL_SCALE)}") as header:
         ask_pixels(what, *header.size)
@@ -263,8 +268,6 @@ class VideoFile(Recording):
     """
 
     def _open(self) -> None:
-        import cv2  # an extra
-
         head = self.bytes_at(0, min(16, self.size), "its first bytes")
         riff = head[:4] == b"RIFF" and head[8:12] == b"AVI "
         if not (riff or head[4:8] in _BOXES or head[:4] == _MATROSKA):
@@ -287,8 +290,6 @@ class VideoFile(Recording):
         self._next = 0
 
     def _read(self, number: int) -> Frame:
-        import cv2
-
         what = f"{self.path}: frame {number} cannot be read"
         with explained(what, reason=True), quiet_stderr():
             if number != self._next:
@@ -303,8 +304,6 @@ class VideoFile(Recording):
 
 def _untinted(picture: Samples) -> Samples:
     """Grey pictures without their three nearly equal channels."""
-    import cv2
-
     middle = picture[..., 1:2].astype(np.int16)
     if np.abs(picture - middle).max() > _MOST_TINT:
         return picture

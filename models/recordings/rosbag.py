@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from copy import deepcopy
 from functools import lru_cache
@@ -19,6 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from ...factory.cli.extras import Need, require
@@ -50,24 +51,6 @@ SONAR = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 
-_NUMBERS = ("UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "UINT64", "INT64")
-_DTYPES = "".join(
-    f"uint32 DTYPE_{name}={number}\n"
-    for number, name in enumerate((*_NUMBERS, "FLOAT32", "FLOAT64"))
-)
-# https://github.com/apl-ocean-engineering/marine_msgs, whose field names and types these are.
-_DEFINITIONS = {
-    "marine_acoustic_msgs/msg/PingInfo": (
-        "float32 frequency\nfloat32 sound_speed\nfloat32[] tx_beamwidths\nfloat32[] rx_beamwidths\n"
-    ),
-    "marine_acoustic_msgs/msg/SonarImageData": (
-        f"bool is_bigendian\n{_DTYPES}uint32 dtype\nuint32 beam_count\nuint8[] data\n"
-    ),
-    SONAR: (
-        "std_msgs/Header header\nPingInfo ping_info\ngeometry_msgs/Vector3[] beam_directions\n"
-        "float32[] ranges\nSonarImageData image\n"
-    ),
-}
 # SonarImageData.DTYPE_* that a frame can hold.
 _SONAR_DTYPES = {0: "u1", 2: "u2", 8: "f4"}
 # Encoding of an Image -> type and number of its channels, which stay in their order.
@@ -79,7 +62,6 @@ _ENCODINGS = {
     **dict.fromkeys(("rgba8", "bgra8", "8UC4"), ("u1", 4)),
     **dict.fromkeys(("rgb16", "bgr16", "16UC3"), ("u2", 3)),
 }
-_JPEG, _PNG = b"\xff\xd8", b"\x89PNG"
 _DAMAGED = "cannot be read, it is damaged or no bag"
 # RIHS01 of a type of which neither the bag nor this program knows more than the name.
 _UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"
@@ -100,7 +82,7 @@ class RosBag(Recording):
         super().__init__(path)
 
     def _open(self) -> None:
-        require([Need(f"{self.path}", name, extra="ros") for name in ("cv2", "rosbags")])
+        require([Need(f"{self.path}", "rosbags")])
         self.version = 1 if self.path.suffix.lower() == ".bag" and self.path.is_file() else 2
         with closing(self._reader()) as reader:
             self._connections = list(reader.connections)
@@ -266,12 +248,15 @@ class RosBag(Recording):
 
 @lru_cache(maxsize=2)
 def typestore(version: int) -> Typestore:
-    """The types of ROS 1 or 2, with those of marine_acoustic_msgs."""
+    """The types of ROS 1 or 2, with those of marine_acoustic_msgs.
+
+    Their field names and types are those of https://github.com/apl-ocean-engineering/marine_msgs.
+    """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-    for name, text in _DEFINITIONS.items():
-        store.register(get_types_from_msg(text, name))
+    text = Path(__file__).with_name("ProjectedSonarImage.msg").read_text(encoding="utf-8")
+    store.register(get_types_from_msg(text, SONAR))
     return store
 
 
@@ -288,19 +273,16 @@ def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, what: s
     in errors.  Raises FrameError when its parts contradict each other or cannot be read.
     """
     stamp = message.header.stamp
-    time_s = stamp.sec + stamp.nanosec * 1e-9 if stamp.sec or stamp.nanosec else bag_time_s
+    time_s = stamp.sec + stamp.nanosec * 1e-9 or bag_time_s
     name = message.header.frame_id or "unknown"
     samples = _PIXELS[msgtype](message, what)
     # As this machine orders bytes, and in one piece.
     samples = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
     if msgtype != SONAR:
         return Frame(number, samples, time_s=time_s, device=Device(name))
-    info = message.ping_info
-    device = Device(
-        name,
-        frequency_khz=known(info.frequency / 1000) or None,
-        sound_speed_m_s=known(info.sound_speed, 1e4) or None,
-    )
+    frequency_khz = known(message.ping_info.frequency / 1000) or None
+    speed_m_s = known(message.ping_info.sound_speed, 1e4) or None
+    device = Device(name, frequency_khz=frequency_khz, sound_speed_m_s=speed_m_s)
     return Frame(number, samples, _beams(message, what), time_s, device=device)
 
 
@@ -320,9 +302,7 @@ def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any
     if msgtype != COMPRESSED:
         _PIXELS[msgtype](changed, what)[...] = samples
         return changed
-    import cv2  # an extra
-
-    jpeg = bytes(message.data[:2]) == _JPEG
+    jpeg = bytes(message.data[:2]) == b"\xff\xd8"
     options = [cv2.IMWRITE_JPEG_QUALITY, 100] if jpeg else []
     done, content = cv2.imencode(".jpg" if jpeg else ".png", samples, options)
     assert done
@@ -341,55 +321,43 @@ def _picture(message: Any, what: str) -> Samples:
             f"({', '.join(_ENCODINGS)})"
         )
     kind, channels = _ENCODINGS[message.encoding]
-    dtype = np.dtype((">" if message.is_bigendian else "<") + kind)
+    dtype, held = np.dtype((">" if message.is_bigendian else "<") + kind), len(message.data)
     row = width * channels * dtype.itemsize
-    if not (
-        0 < height * width <= MOST_PIXELS and row <= step and height * step == len(message.data)
-    ):
+    if not 0 < height * width <= MOST_PIXELS or row > step or height * step != held:
         raise FrameError(
-            f"{what} says {width} x {height} pixels in rows of {step} bytes, and holds "
-            f"{len(message.data)} bytes; it is damaged"
+            f"{what} says {width} x {height} pixels in rows of {step} bytes, and holds {held} "
+            "bytes; it is damaged"
         )
     strides = (step, channels * dtype.itemsize, dtype.itemsize)
     pixels: Samples = np.ndarray((height, width, channels), dtype, message.data, strides=strides)
     return pixels[..., 0] if channels == 1 else pixels
 
 
-def _decoded(message: Any, what: str) -> Samples:
-    """The pixels of a CompressedImage."""
-    if not bytes(message.data[:4]).startswith((_JPEG, _PNG)):
-        raise FrameError(
-            f"{what} is compressed as {str(message.format)[:40]!r}; JPEG and PNG can be read"
-        )
-    return decoded(bytes(message.data), what)
-
-
 def _samples(message: Any, what: str) -> Samples:
     """(ranges, beams) of a ProjectedSonarImage, in its own memory."""
-    image, ranges = message.image, len(message.ranges)
-    beams = int(image.beam_count)
+    image, ranges, beams = message.image, len(message.ranges), int(message.image.beam_count)
     if image.dtype not in _SONAR_DTYPES:
         raise FrameError(
             f"{what} has samples of type {image.dtype}; uint8 (0), uint16 (2) and float32 (8) can "
             "be read"
         )
     dtype = np.dtype((">" if image.is_bigendian else "<") + _SONAR_DTYPES[image.dtype])
-    held = len(image.data)
-    if not (
-        2 <= ranges <= MOST_RANGES
-        and 2 <= beams <= MOST_BEAMS
-        and beams == len(message.beam_directions)
-        and ranges * beams * dtype.itemsize == held
-    ):
+    fits = 2 <= ranges <= MOST_RANGES and 2 <= beams <= MOST_BEAMS
+    directions, held = len(message.beam_directions), len(image.data)
+    if not fits or beams != directions or ranges * beams * dtype.itemsize != held:
         raise FrameError(
-            f"{what} says {ranges} ranges, {beams} beams and {len(message.beam_directions)} "
-            f"directions, and holds {held} bytes; it is damaged"
+            f"{what} says {ranges} ranges, {beams} beams and {directions} directions, and holds "
+            f"{held} bytes; it is damaged"
         )
     samples: Samples = np.ndarray((ranges, beams), dtype, image.data)
     return samples
 
 
-_PIXELS = {SONAR: _samples, IMAGE: _picture, COMPRESSED: _decoded}
+_PIXELS: dict[str, Callable[[Any, str], Samples]] = {
+    SONAR: _samples,
+    IMAGE: _picture,
+    COMPRESSED: lambda message, what: decoded(bytes(message.data), what),
+}
 """What a frame shows, by the type of its message."""
 
 
@@ -407,17 +375,12 @@ def _beams(message: Any, what: str) -> Beams:
     if bearings[0] > bearings[-1]:
         bearings = -bearings
     ranges = np.asarray(message.ranges, np.float64)
-    if not (np.isfinite(bearings).all() and np.all(np.diff(bearings) > 0)):
-        raise FrameError(f"{what} has beams in disorder; it is damaged")
-    if not np.abs(bearings).max() <= np.pi / 2:
-        raise FrameError(
-            f"{what} has beams that look back; sectors of up to 180 degrees can be read"
-        )
+    ahead = np.abs(bearings).max() <= np.pi / 2
+    if not (ahead and np.isfinite(bearings).all() and np.all(np.diff(bearings) > 0)):
+        raise FrameError(f"{what} has beams in disorder, or that look back; it cannot be used")
     step = (ranges[-1] - ranges[0]) / (len(ranges) - 1)
     even = np.abs(ranges - np.linspace(ranges[0], ranges[-1], len(ranges))).max() < step
     if not (even and ranges[-1] + step / 2 <= MOST_RANGE_M and ranges[0] + step / 2 > 0):
-        raise FrameError(
-            f"{what} has ranges that do not ascend evenly from 0 m on; they cannot be used"
-        )
+        raise FrameError(f"{what} has ranges that do not ascend evenly from 0 m on")
     near = max(0.0, float(ranges[0] - step / 2))
     return Beams(tuple(bearings.tolist()), near, float(ranges[-1] + step / 2))

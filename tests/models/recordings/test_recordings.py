@@ -14,7 +14,7 @@ import pytest
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import is_recording, kind_of, open_recording
 from simnfnd.models.recordings.base import Beams
-from simnfnd.models.recordings.sound_metrics import ArisFile, beam_centres_deg
+from simnfnd.models.recordings.sonar_files import ArisFile, beam_centres_deg
 from simnfnd.models.recordings.views import fan_of, grey_of, polar_geometry
 from tests.models.recordings.recording_files import (
     DATA,

@@ -1,23 +1,30 @@
-"""Recordings of Sound Metrics' sonars: ARIS (`.aris`) and DIDSON (`.ddf`, versions 3 and 4).
+"""Recordings of sonars: ARIS (`.aris`), DIDSON (`.ddf`, versions 3 and 4), Oculus (`.raw`, logs).
 
-A file header, then frames of one size, each a header and one byte a sample, row by row from the
-nearest.  ARIS after the ARIS File SDK (https://github.com/SoundMetrics/aris-file-sdk, MIT), DIDSON
-after "DIDSON V5.26 Data File and Ethernet Structure" as public readers of it agree.
+Sound Metrics': a file header, then frames of one size, each a header and one byte a sample, row by
+row from the nearest.  Blueprint Subsea's Oculus: messages with a header of 16 bytes; a ping's goes
+on with its settings, a bearing a beam in hundredths of a degree, and the samples row by row from
+the nearest.  Messages of other kinds are passed over.  A log of ViewPoint (`.oculus`) has items, of
+which those of kind 10 hold a message each, plain or packed by zlib.
+sonar_headers.csv names the documents.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+import zlib
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from functools import cache
+from itertools import groupby
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors
 from .base import (
+    MOST_BEAMS,
     MOST_RANGE_M,
     MOST_RANGES,
     Beams,
@@ -25,31 +32,15 @@ from .base import (
     Frame,
     Recording,
     Samples,
+    explained,
     known,
-    layout_of,
     pose_of,
 )
 
 SIGNATURE = b"DDF\5"
 """Of an ARIS file and of each of its frames."""
 
-# The fields that are read; offsets of FrameHeader.h, names too but for the pose.
-_ARIS_FRAME = layout_of(
-    """
-    FrameTime 4 u8  Version 12 S4  ReceiverGain 68 u4  depth_m 128 f4  heading_deg 160 f4
-    pitch_deg 164 f4  roll_deg 168 f4  latitude_deg 172 f8  longitude_deg 180 f8  pan_deg 244 f4
-    tilt_deg 248 f4  PingMode 436 u4  FrequencyHiLow 440 u4  SamplePeriod 452 u4
-    SoundSpeed 464 f4  SamplesPerBeam 468 u4  SampleStartDelay 476 u4  LargeLens 480 u4
-    TheSystemType 484 u4  SonarSerialNumber 488 u4  ReorderedSamples 516 u4
-    """,
-    1024,
-)
-_BEAMS_OF_PING_MODES = {
-    **dict.fromkeys((1, 2), 48),
-    **dict.fromkeys((3, 4, 5), 96),
-    **dict.fromkeys((6, 7, 8), 64),
-    **dict.fromkeys((9, 10, 11, 12), 128),
-}
+_BEAMS_OF_PING_MODES = (0, 48, 48, 96, 96, 96, 64, 64, 64, 128, 128, 128, 128)
 # System type -> name and its low and high frequency, kHz.
 _SYSTEMS = {
     0: ("ARIS 1800", (1100, 1800)),
@@ -59,21 +50,6 @@ _SYSTEMS = {
 
 # Version -> bytes of the file's and of a frame's header; both have the fields at the same places.
 _DDF_HEADERS = {3: (512, 256), 4: (1024, 1024)}
-_DDF_FILE = layout_of(
-    """
-    resolution 12 i4  numbeams 16 i4  samplerate 20 f4  samplesperchannel 24 i4  reverse 40 i4
-    serialnumber 44 i4
-    """,
-    512,
-)
-_DDF_FRAME = layout_of(
-    """
-    frametime 4 u4  date 20 6i4  hsecond 44 i4  windowstart 52 i4  windowlength 56 i4
-    receivergain 68 i4  depth_m 128 f4  pitch_deg 136 f4  roll_deg 144 f4  heading_deg 152 f4
-    pan_deg 160 f4  tilt_deg 164 f4  latitude_deg 172 f8  longitude_deg 180 f8  configflags 192 i4
-    """,
-    256,
-)
 _CLASSIC, _LONG_RANGE = 1, 2
 # Configuration flags -> metres a step of the window's start at high frequency (twice that at low),
 # and window lengths in metres, of codes 0 to 3 (HF) or 2 to 5 (LF).
@@ -86,6 +62,25 @@ _WINDOWS = {
 _SOUND_M_S = 1500.0
 
 
+def _table(name: str) -> list[list[str]]:
+    """The rows of a table beside this module."""
+    lines = Path(__file__).with_name(name).read_text(encoding="utf-8").splitlines()
+    return [line.split(",") for line in lines if not line.startswith("#")]
+
+
+@cache
+def layouts() -> dict[str, np.dtype[Any]]:
+    """Header -> its fields that are read."""
+    found = {}
+    for header, rows in groupby(_table("sonar_headers.csv"), key=lambda row: row[0]):
+        *fields, end = rows
+        _, names, kinds, places = zip(*fields, strict=True)
+        made: Any = {"names": names, "formats": [f"<{kind}" for kind in kinds]}
+        made |= {"offsets": list(map(int, places)), "itemsize": int(end[3])}
+        found[header] = np.dtype(made)
+    return found
+
+
 class _SoundMetricsFile(Recording):
     """What both formats share.
 
@@ -94,7 +89,7 @@ class _SoundMetricsFile(Recording):
 
     beams = ranges = 0
     file_size = frame_size = 1024
-    layout: np.dtype[np.void]
+    layout: str
 
     def _count_frames(self) -> None:
         """Raises FrameError when there is none; notes a rest as a warning."""
@@ -108,7 +103,8 @@ class _SoundMetricsFile(Recording):
         return self.file_size + number * (self.frame_size + self.beams * self.ranges)
 
     def _header(self, number: int) -> np.void:
-        return self.record_at(self._place(number), self.layout, f"the header of frame {number}")
+        layout, what = layouts()[self.layout], f"the header of frame {number}"
+        return self.record_at(self._place(number), layout, what)
 
     def _samples(self, number: int) -> Samples:
         """(ranges, beams) uint8, beams as they are stored."""
@@ -120,7 +116,7 @@ class _SoundMetricsFile(Recording):
 class ArisFile(_SoundMetricsFile):
     """An ARIS recording; a `Recording`."""
 
-    layout = _ARIS_FRAME
+    layout = "aris_frame"
 
     def _open(self) -> None:
         head = self.bytes_at(0, 4, "its first bytes")
@@ -198,7 +194,7 @@ class ArisFile(_SoundMetricsFile):
 class DdfFile(_SoundMetricsFile):
     """A DIDSON recording; a `Recording`."""
 
-    layout = _DDF_FRAME
+    layout = "ddf_frame"
 
     def _open(self) -> None:
         head = self.bytes_at(0, 4, "its first bytes")
@@ -208,7 +204,7 @@ class DdfFile(_SoundMetricsFile):
             hint = "; rename it to .aris" if head == SIGNATURE else ""
             raise FrameError(f"{self.path}: DDF version {head[3]}; 3 and 4 can be read{hint}")
         self.file_size, self.frame_size = _DDF_HEADERS[head[3]]
-        self._told = self.record_at(0, _DDF_FILE, "its header")
+        self._told = self.record_at(0, layouts()["ddf_file"], "its header")
         self.beams = int(self._told["numbeams"])
         if self.beams not in (48, 96):
             raise FrameError(f"{self.path}: has {self.beams} beams; a DIDSON has 48 or 96")
@@ -259,8 +255,7 @@ def beam_centres_deg() -> dict[str, tuple[float, ...]]:
 
     Of the BeamWidths_*.h files of the SDK, whose licence stands in the table.
     """
-    lines = Path(__file__).with_name("aris_beams.csv").read_text(encoding="utf-8").splitlines()
-    rows = [line.split(",") for line in lines if not line.startswith("#")]
+    rows = _table("aris_beams.csv")
     return {name: tuple(map(float, centres)) for name, *centres in rows}
 
 
@@ -287,3 +282,136 @@ def _time_s(header: np.void) -> float | None:
     except (ValueError, OverflowError):
         return float(header["frametime"]) or None
     return start_s + min(max(int(header["hsecond"]), 0), 99) / 100
+
+
+MAGIC = 0x4F53
+LOG_MAGIC, ITEM_MAGIC, SONAR_ITEM = 0x11223344, 0xAABBCCDD, 10
+SIMPLE_PING = 0x23
+_SENDS_GAIN = 0x04
+_MOST_BYTES = 1 << 26  # of one message
+
+_HEADER_BYTES = 16
+
+
+class _Message(NamedTuple):
+    """Where a message lies; packed: by zlib behind four bytes.  time_s: of the log, where known."""
+
+    offset: int
+    size: int
+    packed: bool = False
+    time_s: float | None = None
+
+
+class OculusFile(Recording):
+    """A file of raw Oculus messages or a log of ViewPoint; a `Recording` of its pings."""
+
+    def _open(self) -> None:
+        magic = int.from_bytes(self.bytes_at(0, 4, "its first bytes"), "little")
+        if magic != LOG_MAGIC and magic & 0xFFFF != MAGIC:
+            raise FrameError(f"{self.path}: not a file of raw Oculus messages")
+        self._pings: list[_Message] = []
+        self._end = 0
+        for one in self._items() if magic == LOG_MAGIC else self._messages():
+            header = _record(self._content(one, _HEADER_BYTES), "oculus_message")
+            if header["id"] == MAGIC and header["kind"] == SIMPLE_PING:
+                self._pings.append(one)
+        self.count = len(self._pings)
+        if not self.count:
+            raise FrameError(f"{self.path}: holds no whole Oculus ping; it is cut short or damaged")
+        if self._end < self.size:
+            self.warning = (
+                f"{self.path}: damaged or cut short at byte {self._end}; the {self.count} pings "
+                "before are read"
+            )
+
+    def _messages(self) -> Iterator[_Message]:
+        """Each whole message of a file that holds nothing else; `_end`: where the last one ends."""
+        while self.size - self._end >= _HEADER_BYTES:
+            header = self.record_at(self._end, layouts()["oculus_message"], "a header")
+            one = _Message(self._end, _HEADER_BYTES + int(header["payload"]))
+            if header["id"] != MAGIC or one.size > min(self.size - self._end, _MOST_BYTES):
+                return
+            self._end += one.size
+            yield one
+
+    def _items(self) -> Iterator[_Message]:
+        """The same of a log."""
+        head, layout = layouts()["viewpoint_log"], layouts()["viewpoint_item"]
+        log = self.record_at(0, head, "its header")
+        if log["encryption"]:
+            raise FrameError(f"{self.path}: is encrypted; export it from ViewPoint without")
+        self._end = int(self.within("the size of its header", log["size"], head.itemsize, 4096))
+        while self.size - self._end >= layout.itemsize:
+            item = self.record_at(self._end, layout, "an item")
+            begins, size = self._end + int(item["size"]), int(item["payload"])
+            if (
+                item["magic"] != ITEM_MAGIC
+                or not layout.itemsize <= item["size"] <= 4096
+                or size > min(self.size - begins, _MOST_BYTES)
+            ):
+                return
+            self._end = begins + size
+            if item["kind"] == SONAR_ITEM:
+                yield _Message(begins, size, bool(item["compression"]), known(item["time_s"], 1e10))
+
+    def _content(self, one: _Message, most: int = _MOST_BYTES) -> bytes:
+        """The first bytes of a message, all by default."""
+        if not one.packed:
+            return self.bytes_at(one.offset, min(one.size, most), "a message")
+        content = self.bytes_at(one.offset, one.size, "a message")
+        with explained(f"{self.path}: a message cannot be unpacked; it is damaged"):
+            return zlib.decompressobj().decompress(content[4:], most)
+
+    def _read(self, number: int) -> Frame:
+        one, what = self._pings[number], f"ping {number}"
+        content = self._content(one)
+        second = _record(content, "oculus_message")["version"] == 2
+        ping = _record(content, "oculus_ping_2" if second else "oculus_ping")
+        ranges = int(self.within(f"{what}: nRanges", ping["ranges"], 2, MOST_RANGES))
+        beams = int(self.within(f"{what}: nBeams", ping["beams"], 2, MOST_BEAMS))
+        step = self.within(f"{what}: rangeResolution", ping["range_step_m"], 1e-5, 100)
+        far = self.within(f"{what}: its last range", ranges * step, 0, MOST_RANGE_M)
+        if ping.nbytes + 2 * beams > len(content):
+            raise FrameError(f"{self.path}: {what} ends within its bearings; it is damaged")
+        bearings = np.frombuffer(content, "<i2", count=beams, offset=ping.nbytes) / 100.0
+        if np.any(np.diff(bearings) <= 0) or np.abs(bearings).max() > 90:
+            raise FrameError(f"{self.path}: {what} has bearings in disorder; it is damaged")
+        return Frame(
+            number,
+            self._samples(content, ping, ranges, beams, what),
+            Beams(tuple(np.deg2rad(bearings).tolist()), 0.0, far),
+            time_s=one.time_s or (known(ping["start_s"], 1e10) if second else None),
+            pose=pose_of(ping),
+            device=Device(
+                name="Oculus",
+                serial_number=int(ping["source"]),
+                frequency_khz=known(float(ping["frequency_hz"]) / 1000),
+                sound_speed_m_s=known(ping["speed_m_s"], 1e4),
+                gain_percent=known(ping["gain_percent"], 1e3),
+            ),
+        )
+
+    def _samples(
+        self, content: bytes, ping: np.void, ranges: int, beams: int, what: str
+    ) -> Samples:
+        """(ranges, beams) uint8 or uint16."""
+        width = int(ping["data_size"]) + 1
+        if width > 2:
+            raise FrameError(
+                f"{self.path}: {what} has samples of {8 * width} bits; 8 and 16 can be read"
+            )
+        # Each row may begin with the gain that it was amplified by.
+        extra = 4 if int(ping["flags"]) & _SENDS_GAIN else 0
+        stride, start = extra + beams * width, int(ping["image_offset"])
+        if start + ranges * stride > len(content):
+            raise FrameError(f"{self.path}: {what} ends within its samples; it is damaged")
+        rows = np.frombuffer(content, np.uint8, count=ranges * stride, offset=start)
+        rows = np.ascontiguousarray(rows.reshape(ranges, stride)[:, extra:])
+        return rows if width == 1 else rows.view("<u2").astype(np.uint16)
+
+
+def _record(content: bytes, header: str) -> np.void:
+    """The header that a message begins with; what is missing of it is 0, which is of no ping."""
+    layout = layouts()[header]
+    record: np.void = np.frombuffer(content.ljust(layout.itemsize, b"\0"), layout, count=1)[0]
+    return record
