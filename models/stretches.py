@@ -149,16 +149,13 @@ def _shots(
 
 @dataclass(frozen=True, eq=False)
 class Still:
-    """One stretch.
-
-    frames: (H, W) float32 in 0..1.  targets: one for each frame, NaN where none is known: outside
-    the sector and where something moves.  laid: the frames with the scene where the first has it.
-    geometry: of all frames.  recording: number of the one that they are from.
-    """
+    """One stretch, its pictures (H, W) float32 in 0..1."""
 
     frames: list[Image]
     targets: list[Image]
+    """One for each frame, NaN outside the sector and where something moves."""
     laid: list[Image]
+    """The frames with the scene where the first has it."""
     geometry: FanGeometry | None
     recording: int = 0
 
@@ -172,14 +169,11 @@ class Still:
 
 @dataclass(frozen=True, eq=False)
 class Lessons:
-    """learning: what is learned from.  held: what is measured on; no frame of it is learned from.
-
-    same: whether the frames held out belong to the only stretch there is.
-    """
+    """Stretches that are learned from, and those that are held out to measure on."""
 
     learning: list[Still]
     held: list[Still]
-    same: bool
+    same: bool  # whether the frames held out belong to the only stretch there is
 
 
 def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
@@ -199,10 +193,8 @@ def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
         (kept, whole), count = known[0], max(1, len(known[0][0]) // 5)
         # Targets of the frames that are learned from must not know the others.
         learning = [still for _, still in _stills(kept[:-count])]
-        frames, targets, laid = (
-            all_[-count:] for all_ in (whole.frames, whole.targets, whole.laid)
-        )
-        held = replace(whole, frames=frames, targets=targets, laid=laid)
+        last = {name: getattr(whole, name)[-count:] for name in ("frames", "targets", "laid")}
+        held = replace(whole, **last)
         return Lessons(learning, [held], same=True) if learning else None
     stills = [still for _, still in known]
     parts = [list(part) for _, part in groupby(stills, key=lambda still: still.recording)]

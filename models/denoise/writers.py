@@ -18,7 +18,7 @@ from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
 from ...factory.quiet import quiet_stderr
 from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording, swapped
-from ..recordings.pictures import ArrayFile, NpyWriter
+from ..recordings.pictures import ArrayFile, write_array
 
 Frames = Iterator[npt.NDArray[Any]]
 
@@ -70,7 +70,8 @@ def write_frames(
         if path.suffix.lower() in TIFF_SUFFIXES:
             _write_pages(partial, frames, path)
         elif isinstance(source, ArrayFile):
-            _write_array(partial, frames, path, source.stored)
+            with explain_os_errors(path, "--out"), partial.open("wb") as file:
+                write_array(file, frames, source.stored)
         elif (video := _video(partial, first.shape, rate_hz)) is not None and not path.is_dir():
             _write_video(partial, frames, path, video)
         else:
@@ -100,18 +101,6 @@ def _write_pages(partial: Path, frames: Frames, path: Path) -> None:
             with explain_os_errors(path, "--out"):
                 page.save(writer, format="TIFF", compression="tiff_adobe_deflate")
                 writer.newFrame()
-    finally:
-        with explain_os_errors(path, "--out"):
-            writer.close()
-
-
-def _write_array(partial: Path, frames: Frames, path: Path, like: npt.NDArray[Any]) -> None:
-    with explain_os_errors(path, "--out"):
-        writer = NpyWriter(partial, like)
-    try:
-        for picture in frames:
-            with explain_os_errors(path, "--out"):
-                writer.add(picture.astype(like.dtype))
     finally:
         with explain_os_errors(path, "--out"):
             writer.close()

@@ -172,8 +172,11 @@ class Recording(ABC):
         """`count` bytes of the file.  Raises FrameError when it ends before."""
         content = b""
         if self._file is not None and 0 <= offset <= self.size - count:
-            self._file.seek(offset)
-            content = self._file.read(count)
+            try:
+                self._file.seek(offset)
+                content = self._file.read(count)
+            except OSError as error:
+                raise FrameError(f"{self.path}: cannot be read ({error.strerror})") from error
         if len(content) != count:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
         return content

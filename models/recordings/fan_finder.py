@@ -4,8 +4,8 @@ A fan picture is lit inside a sector and black outside it, mostly with far range
 lit with one probability inside the sector and with another outside; the outline with the greatest
 likelihood wins, so holes (shadows, noise that reaches zero) and specks (ringing of JPEG or MPEG,
 text) cost little each.  The share of the outline that the picture really shows decides whether it
-is accepted.  Where none is, the finder turns the picture by quarters, then tries the largest area
-of a screen alone, and last searches a V of white lines, as chart plotters draw it.
+is accepted.  Where none is, the picture is turned by quarters, then the largest area of a screen is
+tried alone, and last a V of white lines is searched, as chart plotters draw it.
 """
 
 from __future__ import annotations
@@ -35,13 +35,11 @@ _SURE_ODD = 0.8  # turned fans, and fans on screens
 _MOST_BLACK = 48  # of 255: a border lighter than this is no black one
 _LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
 _LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
-_SMALLEST = 32  # pixels a side
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _SURE_SQUEEZE, _MOST_SQUEEZE = 1.95, 2.0
 _GROUND_SPREADS = 2, 6
 """Of 255: the ground of a screen; that of a video is not quite flat, and the wider the spread, the
 farther it reaches into a fan's grain."""
-_DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
 _LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
 
@@ -67,7 +65,7 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     full rectangle.  Raises ValueError for another shape.
     """
     grey = _bytes(picture)
-    if min(grey.shape) < _SMALLEST:
+    if min(grey.shape) < 32:
         return None
     for spread in (None, *_GROUND_SPREADS):
         shown = grey if spread is None else _largest_part(grey, spread)
@@ -109,24 +107,16 @@ def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
     lit = grey > black
     apex_x, apex_y, far, near_px, *tangents, squeeze = sector
     first, last = map(math.atan, tangents)
-    if (
-        min(-first, last) < math.radians(_LEAST_HALF_DEG)
-        or max(-first, last) > math.radians(_MOST_HALF_DEG)
-        or (lit & (_inside(sector, *grey.shape) == 0)).mean() > _MOST_OUTSIDE
-        or abs(math.log(squeeze)) > math.log(_SURE_SQUEEZE)
-    ):
+    half, other = max(-first, last), min(-first, last)
+    if not _LEAST_HALF_DEG <= math.degrees(other) <= math.degrees(half) <= _MOST_HALF_DEG:
         return None
-    geometry = FanGeometry(
-        "fan",
-        near_fraction=near_px / far,
-        sector_rad=2 * max(-first, last),
-        azimuth_min_rad=first,
-        azimuth_max_rad=last,
-        apex_x_px=apex_x,
-        apex_y_px=apex_y,
-        far_px=far,
-        x_scale=squeeze,
-    )
+    if abs(math.log(squeeze)) > math.log(_SURE_SQUEEZE):
+        return None
+    if (lit & (_inside(sector, *grey.shape) == 0)).mean() > _MOST_OUTSIDE:
+        return None
+    place = {"apex_x_px": apex_x, "apex_y_px": apex_y, "near_px": near_px, "far_px": far}
+    fan = FanGeometry.fan(2 * half, **place, x_scale=squeeze)
+    geometry = replace(fan, azimuth_min_rad=first, azimuth_max_rad=last)
     confidence = _confidence(lit, geometry)
     moved = replace(geometry, apex_x_px=apex_x + left, apex_y_px=apex_y + top)
     return FoundFan(moved, confidence) if confidence >= sure else None
@@ -154,7 +144,7 @@ def _bytes(picture: npt.NDArray[Any]) -> Bytes:
     full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
     # Samples of 10 or 12 bits in files of 16 leave most of the scale empty.
     brightest = float(np.nan_to_num(picture, posinf=0).max(initial=0))
-    full = brightest if 0 < brightest < _DIM * full else full
+    full = brightest if 0 < brightest < full / 4 else full
     # A level that is not zero stays one.
     return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
 
@@ -226,8 +216,6 @@ def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
 
 
 _SIDE = 160  # the picture is made about this large for the first guess
-_LEAST_AREA = 0.03  # of the picture
-_PLAINLY = 30.0  # logarithm of a likelihood ratio
 _NONE = 1e15  # cost of an outline that is no sector
 
 
@@ -244,9 +232,9 @@ def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
             return None
         outline = fit.improve(outline, size_px, squeezed=False)
     squeezed = fit.improve(outline, 0.5, squeezed=True)
-    # Pixels are square unless the arcs say plainly that they are not.
+    # Pixels are square unless the arcs say plainly that they are not: by this log-likelihood.
     changed, square = fit.costs([squeezed.tolist(), outline.tolist()])
-    outline = squeezed if changed < square - _PLAINLY else outline
+    outline = squeezed if changed < square - 30.0 else outline
     return _sector(fit.polish(outline).tolist(), rows)
 
 
@@ -268,7 +256,7 @@ def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, floa
     dense = cv2.morphologyEx(dense, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=8)
     part = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]) if count > 1 else labels > 0
-    if part.mean() < _LEAST_AREA:
+    if part.mean() < 0.03:
         return None
     rows, last_column = np.flatnonzero(part.any(axis=1)), part.shape[1] - 1
     left, mirrored = (_edge(rows, one.argmax(axis=1)) for one in (part[rows], part[rows, ::-1]))
@@ -365,17 +353,12 @@ class _Likelihood:
         np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
         if whole:
             rows[0], rows[1] = np.ceil(rows[0] - 0.5), np.floor(rows[1] + 0.5)
-        np.maximum(rows, 0.0, out=rows)
-        np.minimum(rows, self._height, out=rows)
+        np.minimum(np.maximum(rows, 0.0, out=rows), self._height, out=rows)
         np.minimum(rows[0], rows[1], out=rows[0])  # nothing where last < first
         at = rows.astype(np.int64)
-        part = rows - at
-        at *= self._width
-        at += columns
+        part, at = rows - at, at * self._width + columns
         here = self._above.take(at)
-        at += self._width
-        np.multiply(part, self._above.take(at) - here, out=lit)
-        lit += here
+        lit[:] = part * (self._above.take(at + self._width) - here) + here
         # One after the other, so that the sums do not depend on how NumPy splits them.
         sums: Numbers = (found[:, 1] - found[:, 0]).cumsum(axis=-1)[..., -1]
         return sums
@@ -398,11 +381,7 @@ class _Likelihood:
         steps = np.diag([size_px] * 6 + [0.05])[:free, :free]
         fixed = outline[free:].tolist()
         simplex = np.vstack([outline[:free], outline[:free] + steps])
-
-        def cost(values: Numbers) -> float:
-            return float(self.costs([values.tolist() + fixed])[0])
-
-        best = _lowest(cost, simplex, most=40 * free)
+        best = _lowest(lambda values: self.costs([values.tolist() + fixed])[0], simplex, 40 * free)
         return np.concatenate([best, outline[free:]])
 
     def polish(self, outline: Numbers) -> Numbers:
@@ -468,34 +447,30 @@ def limits(sectors: Numbers, x: Numbers) -> Numbers:
     """
     apex_x, apex_y, _, _, *_, squeeze = by_name = sectors.T[..., None]
     across = (x - apex_x) / squeeze
-    reach = np.square(by_name[2:4]) - across * across
-    ahead: Numbers = np.sqrt(np.maximum(reach, 0.0, out=reach), out=reach)
+    ahead: Numbers = np.sqrt(np.maximum(np.square(by_name[2:4]) - across * across, 0.0))
     # An edge lies ahead on its own side alone.
-    edges = across / by_name[4:6]
-    np.maximum(ahead[1], np.maximum(edges[0], edges[1]), out=ahead[1])
-    return np.subtract(apex_y, ahead, out=ahead)
+    ahead[1] = np.maximum(ahead[1], (across / by_name[4:6]).max(axis=0))
+    return np.asarray(apex_y - ahead)
 
 
 _WHITE = 200  # of 255
-_WIDE = np.ones((9, 9), np.uint8)  # echoes and panels are as wide as that, lines are not
-_LEAST_LENGTH = 0.2  # of the picture's width: a line's length
 _LEAST_DEG, _MOST_DEG = 3.0, 75.0  # a line's angle against the picture's rows
 _ALIKE_DEG = 1.0  # by which both angles may differ
-_GAP_PX = 12.0  # between the sonar and the beginning of a line
 _TRIED = 8  # of the longest lines
-_MOST_DRAWN = 0.05  # of the picture: where more is thin and bright, it is speckle
 _ARC_SHARE = 0.35  # of an arc within the picture that must be white
 
 
 def _find_drawn(grey: Bytes) -> FoundFan | None:
     """The fan between two white lines as far as the outermost arc."""
     mask = (grey >= _WHITE).astype(np.uint8)
-    lines = mask - cv2.morphologyEx(mask, cv2.MORPH_OPEN, _WIDE)
+    # Echoes and panels are as wide as that, lines are not.
+    lines = mask - cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
     height, width = lines.shape
-    if lines.mean() > _MOST_DRAWN:
+    if lines.mean() > 0.05:  # where more is thin and bright, it is speckle
         return None
-    found = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, _LEAST_LENGTH * width, _GAP_PX)
-    sides: tuple[list[tuple[float, ...]], list[tuple[float, ...]]] = [], []
+    # A fifth of the width or longer; there may be 12 pixels between the sonar and where one begins.
+    found = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, 0.2 * width, 12.0)
+    sides: tuple[list[tuple[float, ...]], ...] = [], []
     for x1, y1, x2, y2 in () if found is None else found.reshape(-1, 4).astype(float):
         slope = math.degrees(math.atan2(y2 - y1, x2 - x1))  # x1 <= x2
         if _LEAST_DEG <= abs(slope) <= _MOST_DEG:
@@ -518,10 +493,7 @@ def _find_drawn(grey: Bytes) -> FoundFan | None:
 def _farthest_arc(
     lines: npt.NDArray[Any], x: float, y: float, half: float
 ) -> list[tuple[float, float]]:
-    """Radius of the outermost circle about the sonar that is drawn within the fan, and its share.
-
-    Of none, nothing.
-    """
+    """Radius of the outermost circle about the sonar that is drawn in the fan, and its share."""
     height, width = lines.shape
     bearings = np.linspace(-half, half, 720)[10:-10]
     radii = np.arange(height / 4, math.hypot(width, height))[:, None]

@@ -69,7 +69,10 @@ class Palette:
         """(N,) levels of colours, those of the nearest colours of the map."""
         if self.name == SUM:
             return np.asarray(colours.mean(axis=1) / np.float32(255))
-        return self.at[_nearest(colours, self.colours)]
+        half = np.square(self.colours).sum(axis=1) / 2
+        parts = np.split(colours, range(8192, len(colours), 8192))
+        nearest = [np.argmin(half - part @ self.colours.T, axis=1) for part in parts]
+        return self.at[np.concatenate(nearest)]
 
     def painted(self, levels: Levels) -> Colours:
         """(..., 3) colours of levels, between the map's own in proportion."""
@@ -135,35 +138,25 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
         return None
     # Few colours stand for many pixels.
     codes, place = np.unique(codes, return_inverse=True)
-    colours = _uncoded(codes)
+    colours, size = _uncoded(codes), (_STROKE, _STROKE)
     misses = palette.misses(colours)
     near = misses <= (_COLOURED if palette.name == GREY else _BLURRED)
-    mixed = float((misses[place] > _MIXED).mean()) > _MIXED_SHARE
     levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
     levels, known = (one[place].reshape(picture.shape[:2]) for one in (levels, near))
-    return Painted(picture, palette, *_without_marks(levels, known, mixed))
-
-
-def _without_marks(
-    levels: Levels, known: npt.NDArray[np.bool_], mixed: bool
-) -> tuple[Levels, npt.NDArray[np.bool_]]:
-    """Levels and what is known of them where specks, lines and letters are of no map.
-
-    They get the mean of what is known around them, else weights would see black ones; where JPEG or
-    a video mixed the colours specks are levels like others, elsewhere what somebody drew.
-    """
     if known.all() or not known.any():
-        return levels, known
-    unknown, size = (~known).astype(np.uint8), (_STROKE, _STROKE)
+        return Painted(picture, palette, levels, known)
+    # Specks, lines and letters of no map get the mean of what is known around them, else weights
+    # would see black ones.
+    unknown = (~known).astype(np.uint8)
     wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones(size, np.uint8))
     there = cv2.blur(known.astype(np.float32), size)
     means = cv2.blur(levels * known, size) / np.maximum(there, np.float32(1e-6))
     drawn = (unknown > wide) & (there > 0)
-    filled = np.where(drawn, means, levels).astype(np.float32)
-    if mixed:
+    # Where JPEG or a video mixed the colours specks are levels like others, else somebody drew.
+    if float((misses[place] > _MIXED).mean()) > _MIXED_SHARE:
         _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
         known = known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))
-    return filled, known
+    return Painted(picture, palette, np.where(drawn, means, levels).astype(np.float32), known)
 
 
 def grey_of_colours(picture: Samples) -> Levels:
@@ -187,28 +180,27 @@ def _palette_of(seen: Colours) -> Palette | None:
         return drawn_over
     own = _by_sums(seen)
     fit = {one: one.misses(seen).mean() for one in (*_known(), own) if _fits(one, seen, _NEAR)}
-    if not fit:
-        # JPEG of half the quality lies 9 beside a map on average, a murky photograph 14.
-        blurred = {one: one.misses(seen).mean() for one in _known() if _fits(one, seen, _BLURRED)}
-        fit = {one: miss for one, miss in blurred.items() if miss <= _NEAR}
+    # JPEG of half the quality lies 9 beside a map on average, a murky photograph 14.
+    for one in () if fit else _known():
+        if _fits(one, seen, _BLURRED) and (miss := one.misses(seen).mean()) <= _NEAR:
+            fit[one] = miss
     return min(fit, key=lambda one: fit[one] + (one is own), default=None)
 
 
 def _exact(seen: Colours) -> Palette | None:
     """The map, or grey, of most pixels, where marks in other colours are the rest."""
     coloured = seen[np.ptp(seen, axis=1) > _GREY]
-    grey = None
+    fit: dict[Palette, float] = {}
     if len(coloured) < (1 - _EXACT_SHARE) * len(seen):
         ramp = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, axis=1)
-        grey = Palette(GREY, ramp, ramp[:, 0] / np.float32(255))
-    if len(coloured) < max(_SOME * len(seen), _LEAST):
-        return grey
-    few = coloured[:: max(1, len(coloured) // 300)]
-    misses = {one: np.minimum(one.misses(few), _NEAR) for one in _known()}
-    fit = {
-        one: miss.mean() for one, miss in misses.items() if (miss <= _EXACT).mean() >= _EXACT_SHARE
-    }
-    return min(fit, key=lambda one: fit[one], default=grey)
+        fit[Palette(GREY, ramp, ramp[:, 0] / np.float32(255))] = np.inf
+    if len(coloured) >= max(_SOME * len(seen), _LEAST):
+        few = coloured[:: max(1, len(coloured) // 300)]
+        for one in _known():
+            misses = np.minimum(one.misses(few), _NEAR)
+            if (misses <= _EXACT).mean() >= _EXACT_SHARE:
+                fit[one] = misses.mean()
+    return min(fit, key=lambda one: fit[one], default=None)
 
 
 def _fits(palette: Palette, seen: Colours, near: float) -> bool:
@@ -265,12 +257,4 @@ def _codes(flat: npt.NDArray[Any]) -> npt.NDArray[np.uint32]:
 
 
 def _uncoded(codes: npt.NDArray[np.uint32]) -> Colours:
-    channels = [codes >> shift & 255 for shift in (0, 8, 16)]
-    return np.asarray(np.stack(channels, axis=1), np.float32)
-
-
-def _nearest(colours: Colours, known: Colours) -> npt.NDArray[np.int64]:
-    """(N,) number of the nearest of the known colours; a few thousand at a time."""
-    half = np.square(known).sum(axis=1) / 2
-    parts = np.split(colours, range(8192, len(colours), 8192))
-    return np.concatenate([np.argmin(half - part @ known.T, axis=1) for part in parts])
+    return np.stack([codes >> shift & 255 for shift in (0, 8, 16)], axis=1).astype(np.float32)

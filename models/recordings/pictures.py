@@ -7,7 +7,7 @@ content, and would take a playlist named `a.avi` for a list of other files and a
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
@@ -40,7 +40,6 @@ ALWAYS_BYTES = 1 << 28
 LEAST_SIDE_PX = 16
 """Smaller arrays are tables: poses, matrices, bearings."""
 _COLOURS = ((1,), (3,), (4,))
-_FORMAT: Any = np.lib.format  # whose functions are not typed
 
 
 class Pictures(Recording):
@@ -192,20 +191,16 @@ def _pages(array: Samples) -> Samples | None:
     return pages if min(pages.shape[1:3]) >= LEAST_SIDE_PX else None
 
 
-class NpyWriter:
-    """Writes an array of pictures as a .npy file, picture by picture; close it."""
+def write_array(file: IO[bytes], pictures: Iterable[Samples], like: Samples) -> None:
+    """Write a .npy file with the shape and dtype of `like`, picture by picture.
 
-    def __init__(self, path: Path, like: Samples) -> None:
-        """like: an array of the shape and dtype.  Raises OSError, as do the others."""
-        self._dtype = like.dtype.newbyteorder("=")
-        self._file = path.open("wb")
-        said = {"descr": self._dtype.str, "fortran_order": False, "shape": like.shape}
-        _FORMAT.write_array_header_1_0(self._file, said)
-        self.close = self._file.close
-
-    def add(self, picture: Samples) -> None:
-        """The next picture, (H, W) or (H, W, colours) in BGR order."""
-        self._file.write(np.ascontiguousarray(swapped(picture), self._dtype).tobytes())
+    pictures: (H, W) or (H, W, colours) in BGR order.  Raises OSError.
+    """
+    dtype = like.dtype.newbyteorder("=")
+    write_header: Any = np.lib.format.write_array_header_1_0  # is not typed
+    write_header(file, {"descr": dtype.str, "fortran_order": False, "shape": like.shape})
+    for picture in pictures:
+        file.write(np.ascontiguousarray(swapped(picture), dtype).tobytes())
 
 
 def is_stack(path: Path) -> bool:
@@ -244,10 +239,8 @@ class StackFile(Recording):
             size, colours = self._image.size, self._image.format == "GIF" or self._image.mode == "P"
             page = np.asarray(self._image.convert("RGB") if colours else self._image)
         if size != self._first:
-            raise FrameError(
-                f"{what} has {size[0]} x {size[1]} pixels, the first "
-                f"{self._first[0]} x {self._first[1]}; expected one size"
-            )
+            own, first = (f"{width} x {height}" for width, height in (size, self._first))
+            raise FrameError(f"{what} has {own} pixels, the first {first}")
         # ImageJ writes 16 bits with the most significant byte first.
         page = np.ascontiguousarray(swapped(page))
         return Frame(number, as_samples(_untinted(page) if colours else page, what))

@@ -57,14 +57,13 @@ _SONAR_DTYPES = {0: "u1", 2: "u2", 8: "f4"}
 _ENCODINGS = {
     **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
     **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
-    "32FC1": ("f4", 1),
+    **dict.fromkeys(("32FC1",), ("f4", 1)),
     **dict.fromkeys(("rgb8", "bgr8", "8UC3"), ("u1", 3)),
     **dict.fromkeys(("rgba8", "bgra8", "8UC4"), ("u1", 4)),
     **dict.fromkeys(("rgb16", "bgr16", "16UC3"), ("u2", 3)),
 }
 _DAMAGED = "cannot be read, it is damaged or no bag"
-# RIHS01 of a type of which neither the bag nor this program knows more than the name.
-_UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"
+_UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"  # of a type of which only the name is known
 
 
 class RosBag(Recording):
@@ -89,10 +88,11 @@ class RosBag(Recording):
         chosen = self._found()
         self._chosen = {one.id for one in chosen}
         self.topics = tuple(dict.fromkeys(one.topic for one in chosen))
+        self._files = list(self.path.iterdir()) if self.path.is_dir() else [self.path]
         # A message takes a byte at least, whatever the bag says.
-        stated = sum(max(0, int(one.msgcount)) for one in chosen)
-        self.count = min(stated, sum(file.stat().st_size for file in self._files()))
-        if not self.count:
+        stated = sum(int(one.msgcount) for one in chosen)
+        self.count = min(stated, sum(file.stat().st_size for file in self._files))
+        if self.count < 1:
             raise FactoryError(f"{self.path}: holds no message on {', '.join(self.topics)}")
         self._next, self._frames = 0, self._messages(chosen)
 
@@ -161,10 +161,17 @@ class RosBag(Recording):
     def _write(self, samples: Iterator[Samples], target: Path) -> None:
         store, damaged = typestore(self.version), f"{self.path}: cannot be copied"
         serialized = store.serialize_ros1 if self.version == 1 else store.serialize_cdr
-        number = 0
+        kind, number = "md5sum" if self.version == 1 else "rihs01", 0
         with self._writer(target) as writer:
-            with explained(damaged, passing=OSError, reason=True):
-                targets = {one.id: self._added(writer, one) for one in self._connections}
+            added = {}
+            for one in self._connections:
+                is_known = one.msgtype in store.fielddefs
+                digest = digest_of(one.msgtype, self.version) if is_known else _UNKNOWN_DIGEST
+                about = {kind: one.digest or digest, **one.ext._asdict()}
+                with explained(damaged, passing=OSError, reason=True):
+                    added[one.id] = writer.add_connection(
+                        one.topic, one.msgtype, msgdef=one.msgdef.data, **about
+                    )
             for one, time_ns, data, message in self._messages(self._connections):
                 content: bytes | memoryview = data
                 if message is not None:
@@ -175,7 +182,7 @@ class RosBag(Recording):
                     content = serialized(changed, one.msgtype)
                     number += 1
                 with explained(damaged, passing=OSError, reason=True):
-                    writer.write(targets[one.id], time_ns, content)
+                    writer.write(added[one.id], time_ns, content)
         if next(samples, None) is not None:
             raise ValueError(f"{self.path}: has fewer frames than samples were given")
 
@@ -187,21 +194,9 @@ class RosBag(Recording):
 
         if self.version == 1:
             return Writer1(target)
-        mcap = any(".mcap" in file.suffixes for file in self._files())
+        mcap = any(".mcap" in file.suffixes for file in self._files)
         plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
         return Writer2(target, version=8, storage_plugin=plugin)
-
-    def _added(self, writer: Any, one: Connection) -> Connection:
-        """The connection in another bag."""
-        is_known = one.msgtype in typestore(self.version).fielddefs
-        digest = one.digest or (
-            digest_of(one.msgtype, self.version) if is_known else _UNKNOWN_DIGEST
-        )
-        of_version = {"md5sum" if self.version == 1 else "rihs01": digest, **one.ext._asdict()}
-        added: Connection = writer.add_connection(
-            one.topic, one.msgtype, msgdef=one.msgdef.data, **of_version
-        )
-        return added
 
     def _reader(self) -> Reader1 | Reader2:
         """The bag, opened once more, as two that read in turns would lose their places."""
@@ -240,10 +235,6 @@ class RosBag(Recording):
 
     def _named(self, number: int) -> str:
         return f"{self.path}: message {number} of {', '.join(self.topics)}"
-
-    def _files(self) -> list[Path]:
-        folder = self.path
-        return [one for one in folder.iterdir() if one.is_file()] if folder.is_dir() else [folder]
 
 
 @lru_cache(maxsize=2)

@@ -82,14 +82,11 @@ def layouts() -> dict[str, np.dtype[Any]]:
 
 
 class _SoundMetricsFile(Recording):
-    """What both formats share.
+    """What both formats share."""
 
-    beams, ranges: of every frame.  file_size, frame_size: bytes of a header.  layout: of a frame's.
-    """
-
-    beams = ranges = 0
-    file_size = frame_size = 1024
-    layout: str
+    beams = ranges = 0  # of every frame
+    file_size = frame_size = 1024  # bytes of a header
+    layout: str  # of a frame's header
 
     def _count_frames(self) -> None:
         """Raises FrameError when there is none; notes a rest as a warning."""
@@ -130,7 +127,7 @@ class ArisFile(_SoundMetricsFile):
     def _beam_count(self, header: np.void) -> int:
         if header["Version"] != SIGNATURE:
             raise FrameError(f"{self.path}: a frame has no frame's signature; it is damaged")
-        return _BEAMS_OF_PING_MODES[int(self.within("PingMode", int(header["PingMode"]), 1, 12))]
+        return _BEAMS_OF_PING_MODES[int(self.within("PingMode", header["PingMode"], 1, 12))]
 
     def _read(self, number: int) -> Frame:
         header = self._header(number)
@@ -214,13 +211,17 @@ class DdfFile(_SoundMetricsFile):
 
     def _read(self, number: int) -> Frame:
         header, samples = self._header(number), self._samples(number)
-        near, far = self._window(header)
         samples = samples if self._told["reverse"] else samples[:, ::-1]
+        try:  # by the sonar's own clock, taken as UTC, else by that of the computer
+            seconds = datetime(*header["date"].tolist(), tzinfo=UTC).timestamp()
+            time_s = seconds + min(max(int(header["hsecond"]), 0), 99) / 100
+        except (ValueError, OverflowError):
+            time_s = float(header["frametime"])
         return Frame(
             number,
             np.ascontiguousarray(samples),
-            Beams(_didson_azimuths_rad(self.beams), near, far),
-            time_s=_time_s(header),
+            Beams(_didson_azimuths_rad(self.beams), *self._window(header)),
+            time_s=time_s or None,
             pose=pose_of(header),
             device=Device(
                 name="DIDSON",
@@ -230,22 +231,19 @@ class DdfFile(_SoundMetricsFile):
         )
 
     def _window(self, header: np.void) -> tuple[float, float]:
-        """First and last range, metres.
-
-        Where the code of the window's length is none of the document's, the rate of the samples
-        says how long it is, as Echoview reads it.
-        """
+        """First and last range, metres."""
         step_m, lengths_m = _WINDOWS[int(header["configflags"]) & (_CLASSIC | _LONG_RANGE)]
         high, rate_hz = bool(self._told["resolution"]), float(self._told["samplerate"])
-        start = self.within("windowstart", header["windowstart"], 0, 200)
-        near = step_m * start * (1 if high else 2)
+        near = step_m * self.within("windowstart", header["windowstart"], 0, 200)
+        near *= 1 if high else 2
         code = int(header["windowlength"])
+        # Where the code is none of the document's, the rate of the samples says how long the window
+        # is, as Echoview reads it.
         if not 0 <= code <= 3 and np.isfinite(rate_hz) and rate_hz > 0:
             length = self.ranges * _SOUND_M_S / (2 * rate_hz)
             self.within("the length of the window", length, 0.1, MOST_RANGE_M)
         else:
-            code = int(self.within("windowlength", code, 0, 3))
-            length = lengths_m[code + (0 if high else 2)]
+            length = lengths_m[int(self.within("windowlength", code, 0, 3)) + (0 if high else 2)]
         return near, near + length
 
 
@@ -261,10 +259,8 @@ def beam_centres_deg() -> dict[str, tuple[float, ...]]:
 
 @cache
 def _didson_azimuths_rad(beams: int) -> tuple[float, ...]:
-    """Bearings of the beams' centres: the lens bends them a little.
-
-    The maker's polynomial gives the number of the beam (from 1) at a bearing in degrees.
-    """
+    """Bearings of the beams' centres: the lens bends them a little."""
+    # The maker's polynomial gives the number of the beam (from 1) at a bearing in degrees.
     bearing = np.linspace(-16, 16, 3201)
     if beams == 96:
         number = 1.012 * (0.0030 * bearing**3 - 0.0055 * bearing**2 + 2.6829 * bearing + 48.04) + 1
@@ -274,32 +270,20 @@ def _didson_azimuths_rad(beams: int) -> tuple[float, ...]:
     return tuple(np.deg2rad(centres).tolist())
 
 
-def _time_s(header: np.void) -> float | None:
-    """By the sonar's own clock, taken as UTC, else by that of the computer; None without either."""
-    date = header["date"].tolist()  # year to second
-    try:
-        start_s = datetime(*date, tzinfo=UTC).timestamp()
-    except (ValueError, OverflowError):
-        return float(header["frametime"]) or None
-    return start_s + min(max(int(header["hsecond"]), 0), 99) / 100
-
-
 MAGIC = 0x4F53
 LOG_MAGIC, ITEM_MAGIC, SONAR_ITEM = 0x11223344, 0xAABBCCDD, 10
 SIMPLE_PING = 0x23
 _SENDS_GAIN = 0x04
 _MOST_BYTES = 1 << 26  # of one message
 
-_HEADER_BYTES = 16
-
 
 class _Message(NamedTuple):
-    """Where a message lies; packed: by zlib behind four bytes.  time_s: of the log, where known."""
+    """Where a message lies."""
 
     offset: int
     size: int
-    packed: bool = False
-    time_s: float | None = None
+    packed: bool = False  # by zlib behind four bytes
+    time_s: float | None = None  # of the log
 
 
 class OculusFile(Recording):
@@ -309,50 +293,41 @@ class OculusFile(Recording):
         magic = int.from_bytes(self.bytes_at(0, 4, "its first bytes"), "little")
         if magic != LOG_MAGIC and magic & 0xFFFF != MAGIC:
             raise FrameError(f"{self.path}: not a file of raw Oculus messages")
-        self._pings: list[_Message] = []
-        self._end = 0
-        for one in self._items() if magic == LOG_MAGIC else self._messages():
-            header = _record(self._content(one, _HEADER_BYTES), "oculus_message")
+        self._pings, self._end = list[_Message](), 0
+        for one in self._messages(magic == LOG_MAGIC):
+            header = _record(self._content(one, 16), "oculus_message")
             if header["id"] == MAGIC and header["kind"] == SIMPLE_PING:
                 self._pings.append(one)
         self.count = len(self._pings)
         if not self.count:
             raise FrameError(f"{self.path}: holds no whole Oculus ping; it is cut short or damaged")
         if self._end < self.size:
-            self.warning = (
-                f"{self.path}: damaged or cut short at byte {self._end}; the {self.count} pings "
-                "before are read"
-            )
+            read = f"the {self.count} pings before are read"
+            self.warning = f"{self.path}: damaged or cut short at byte {self._end}; {read}"
 
-    def _messages(self) -> Iterator[_Message]:
-        """Each whole message of a file that holds nothing else; `_end`: where the last one ends."""
-        while self.size - self._end >= _HEADER_BYTES:
-            header = self.record_at(self._end, layouts()["oculus_message"], "a header")
-            one = _Message(self._end, _HEADER_BYTES + int(header["payload"]))
-            if header["id"] != MAGIC or one.size > min(self.size - self._end, _MOST_BYTES):
-                return
-            self._end += one.size
-            yield one
-
-    def _items(self) -> Iterator[_Message]:
-        """The same of a log."""
-        head, layout = layouts()["viewpoint_log"], layouts()["viewpoint_item"]
-        log = self.record_at(0, head, "its header")
-        if log["encryption"]:
-            raise FrameError(f"{self.path}: is encrypted; export it from ViewPoint without")
-        self._end = int(self.within("the size of its header", log["size"], head.itemsize, 4096))
+    def _messages(self, is_log: bool) -> Iterator[_Message]:
+        """Each whole message of a log, or of a file that holds nothing else, up to `_end`."""
+        layout = layouts()["viewpoint_item" if is_log else "oculus_message"]
+        if is_log:
+            log = self.record_at(0, layouts()["viewpoint_log"], "its header")
+            if log["encryption"]:
+                raise FrameError(f"{self.path}: is encrypted; export it from ViewPoint without")
+            self._end = int(self.within("the size of its header", log["size"], 48, 4096))
         while self.size - self._end >= layout.itemsize:
-            item = self.record_at(self._end, layout, "an item")
-            begins, size = self._end + int(item["size"]), int(item["payload"])
-            if (
-                item["magic"] != ITEM_MAGIC
-                or not layout.itemsize <= item["size"] <= 4096
-                or size > min(self.size - begins, _MOST_BYTES)
-            ):
+            head = self.record_at(self._end, layout, "a header")
+            if is_log:
+                begins, size = self._end + int(head["size"]), int(head["payload"])
+                fits = head["magic"] == ITEM_MAGIC and layout.itemsize <= head["size"] <= 4096
+            else:
+                begins, size = self._end, layout.itemsize + int(head["payload"])
+                fits = head["id"] == MAGIC
+            if not fits or begins + size > self.size:
                 return
             self._end = begins + size
-            if item["kind"] == SONAR_ITEM:
-                yield _Message(begins, size, bool(item["compression"]), known(item["time_s"], 1e10))
+            if not is_log:
+                yield _Message(begins, size)
+            elif head["kind"] == SONAR_ITEM:
+                yield _Message(begins, size, bool(head["compression"]), known(head["time_s"], 1e10))
 
     def _content(self, one: _Message, most: int = _MOST_BYTES) -> bytes:
         """The first bytes of a message, all by default."""
@@ -376,9 +351,21 @@ class OculusFile(Recording):
         bearings = np.frombuffer(content, "<i2", count=beams, offset=ping.nbytes) / 100.0
         if np.any(np.diff(bearings) <= 0) or np.abs(bearings).max() > 90:
             raise FrameError(f"{self.path}: {what} has bearings in disorder; it is damaged")
+        width, start = int(ping["data_size"]) + 1, int(ping["image_offset"])
+        if width > 2:
+            raise FrameError(
+                f"{self.path}: {what} has samples of {8 * width} bits; 8 and 16 can be read"
+            )
+        # Each row may begin with the gain that it was amplified by.
+        extra = 4 if int(ping["flags"]) & _SENDS_GAIN else 0
+        stride = extra + beams * width
+        if start + ranges * stride > len(content):
+            raise FrameError(f"{self.path}: {what} ends within its samples; it is damaged")
+        rows = np.frombuffer(content, np.uint8, count=ranges * stride, offset=start)
+        rows = np.ascontiguousarray(rows.reshape(ranges, stride)[:, extra:])
         return Frame(
             number,
-            self._samples(content, ping, ranges, beams, what),
+            rows if width == 1 else rows.view("<u2").astype(np.uint16),
             Beams(tuple(np.deg2rad(bearings).tolist()), 0.0, far),
             time_s=one.time_s or (known(ping["start_s"], 1e10) if second else None),
             pose=pose_of(ping),
@@ -390,24 +377,6 @@ class OculusFile(Recording):
                 gain_percent=known(ping["gain_percent"], 1e3),
             ),
         )
-
-    def _samples(
-        self, content: bytes, ping: np.void, ranges: int, beams: int, what: str
-    ) -> Samples:
-        """(ranges, beams) uint8 or uint16."""
-        width = int(ping["data_size"]) + 1
-        if width > 2:
-            raise FrameError(
-                f"{self.path}: {what} has samples of {8 * width} bits; 8 and 16 can be read"
-            )
-        # Each row may begin with the gain that it was amplified by.
-        extra = 4 if int(ping["flags"]) & _SENDS_GAIN else 0
-        stride, start = extra + beams * width, int(ping["image_offset"])
-        if start + ranges * stride > len(content):
-            raise FrameError(f"{self.path}: {what} ends within its samples; it is damaged")
-        rows = np.frombuffer(content, np.uint8, count=ranges * stride, offset=start)
-        rows = np.ascontiguousarray(rows.reshape(ranges, stride)[:, extra:])
-        return rows if width == 1 else rows.view("<u2").astype(np.uint16)
 
 
 def _record(content: bytes, header: str) -> np.void:
