@@ -23,12 +23,9 @@ from .recordings.views import grey_of, polar_geometry, presentation_of
 
 Image = npt.NDArray[np.float32]
 
-RUN = 16
-"""So many frames that follow each other are read together where not all can be."""
-MOST_FRAMES = 256
-"""Of all recordings together; of more, runs that are evenly spread are read."""
-LEAST = 4
-"""Fewer frames make no stretch: too little is known of what stands still."""
+RUN = 16  # frames that follow each other are read together where not all can be
+MOST_FRAMES = 256  # of all recordings together; of more, runs that are evenly spread are read
+LEAST = 4  # fewer frames make no stretch: too little is known of what stands still
 _ALIKE = 0.75  # of pictures in any order
 _FOLLOWS = 0.3  # of frames that follow each other: raw pings of one scene have .3 to .5
 _LEAST_ALIGNED = 3
@@ -53,11 +50,11 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Frames in the order of time.  shuffled: as far as their names tell; they may be anything."""
+    """Frames in the order of time."""
 
     name: str
     shots: list[Shot]
-    shuffled: bool = False
+    shuffled: bool = False  # as far as their names tell; they may be anything
 
 
 @dataclass
@@ -78,11 +75,12 @@ def read_clips(
     Raises FactoryError when there are none.
     """
     items = find_items(paths, out)
-    if shard := next((item for item in items if item.kind == "shard"), None):
-        raise FactoryError(
-            f"{shard.source}: belongs to a dataset; `simnfnd train` learns from these, and "
-            "`simnfnd adapt` from recordings, videos and pictures"
-        )
+    for item in items:
+        if item.kind == "shard":
+            raise FactoryError(
+                f"{item.source}: belongs to a dataset; `simnfnd train` learns from these, and "
+                "`simnfnd adapt` from recordings, videos and pictures"
+            )
     found, sources, counts = Found(), sequences(items), []
     for source in sources:
         try:

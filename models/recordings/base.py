@@ -28,8 +28,7 @@ FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 Samples = npt.NDArray[Any]
 
-MOST_PIXELS = 1 << 26
-"""Of a picture, whatever it is packed into."""
+MOST_PIXELS = 1 << 26  # of a picture, whatever it is packed into
 TOO_LARGE = f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
 MOST_RANGES, MOST_BEAMS = 8192, 4096
 MOST_RANGE_M = 2000.0
@@ -50,19 +49,15 @@ class Beams:
 
 @dataclass(frozen=True)
 class Pose:
-    """How the sonar stood, as far as the file says; None where it does not.
+    """How the sonar stood, as far as the file says; None where it does not."""
 
-    heading_deg, pitch_deg, roll_deg: of the sonar's compass.  depth_m: of the platform.
-    pan_deg, tilt_deg: of a rotator.  latitude_deg, longitude_deg: of a GPS.
-    """
-
-    heading_deg: float | None = None
+    heading_deg: float | None = None  # of the sonar's compass, as the next two
     pitch_deg: float | None = None
     roll_deg: float | None = None
-    depth_m: float | None = None
-    pan_deg: float | None = None
+    depth_m: float | None = None  # of the platform
+    pan_deg: float | None = None  # of a rotator
     tilt_deg: float | None = None
-    latitude_deg: float | None = None
+    latitude_deg: float | None = None  # of a GPS
     longitude_deg: float | None = None
 
 

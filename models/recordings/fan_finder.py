@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -24,43 +24,28 @@ from ...factory.sonar.geometry import FanGeometry
 from .palettes import find_painted
 
 Numbers = npt.NDArray[np.float64]
+# apex_x, apex_y, far_px, near_px, tangents of the edges' bearings, pixels along x for one along y.
 Sector = tuple[float, float, float, float, float, float, float]
-"""apex_x, apex_y, far_px, near_px, tangents of the left and the right edge's bearings, and pixels
-along x for one along y."""
 Bytes = npt.NDArray[np.uint8]
 
-SURE = 0.7
-"""Fans found with less confidence are not returned."""
-_SURE_ODD = 0.8  # turned fans, and fans on screens
+_SURE = 0.7  # share of the outline that must be seen
+_SURE_ODD = 0.8  # of turned fans, and of fans on screens
 _MOST_BLACK = 48  # of 255: a border lighter than this is no black one
 _LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
 _LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _SURE_SQUEEZE, _MOST_SQUEEZE = 1.95, 2.0
+# Of 255: the ground of a screen; a video's is not quite flat, and the wider it may spread, the
+# farther it reaches into a fan's grain.
 _GROUND_SPREADS = 2, 6
-"""Of 255: the ground of a screen; that of a video is not quite flat, and the wider the spread, the
-farther it reaches into a fan's grain."""
 _LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
 
 
-@dataclass(frozen=True)
-class FoundFan:
-    """A fan as it lies in a picture.
-
-    geometry: in pixels and shares of the largest range; metres cannot be seen.
-    confidence: 0..1, the share of the outline (both edges and the far arc, in equal parts) at which
-        the picture is lit just inside and black just outside.  A fan whose outline is half in the
-        dark has 0.5.
-    """
-
-    geometry: FanGeometry
-    confidence: float
-
-
-def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
+def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
     """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
 
+    In pixels and shares of the largest range; metres cannot be seen.
     None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
     full rectangle.  Raises ValueError for another shape.
     """
@@ -69,23 +54,19 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
         return None
     for spread in (None, *_GROUND_SPREADS):
         shown = grey if spread is None else _largest_part(grey, spread)
-        for turns in () if shown is None else (0, 2, 1, 3):
-            sure = _SURE_ODD if turns or spread else SURE
+        if shown is None:
+            continue
+        for turns in (0, 2, 1, 3):
+            sure = _SURE_ODD if turns or spread else _SURE
             found = _find_upright(np.ascontiguousarray(np.rot90(shown, turns)), sure)
             if found is not None:
-                geometry = found.geometry.turned_back(turns, *grey.shape)
+                geometry = found.turned_back(turns, *grey.shape)
                 if not turns or geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
-                    return replace(found, geometry=geometry)
+                    return geometry
     return _find_drawn(grey)
 
 
-def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
-    """The geometry of the fan that `find_fan` sees, if it sees one."""
-    found = find_fan(picture)
-    return None if found is None else found.geometry
-
-
-def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
+def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
     """The fan with far range on top."""
     # The border: the lesser of both upper corners, which no fan reaches; text may be in the other.
     size = max(2, min(grey.shape) // 40)
@@ -117,9 +98,9 @@ def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
     place = {"apex_x_px": apex_x, "apex_y_px": apex_y, "near_px": near_px, "far_px": far}
     fan = FanGeometry.fan(2 * half, **place, x_scale=squeeze)
     geometry = replace(fan, azimuth_min_rad=first, azimuth_max_rad=last)
-    confidence = _confidence(lit, geometry)
-    moved = replace(geometry, apex_x_px=apex_x + left, apex_y_px=apex_y + top)
-    return FoundFan(moved, confidence) if confidence >= sure else None
+    if _confidence(lit, geometry) < sure:
+        return None
+    return replace(geometry, apex_x_px=apex_x + left, apex_y_px=apex_y + top)
 
 
 def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
@@ -156,7 +137,10 @@ def _inside(sector: Sector, height: int, width: int) -> Bytes:
 
 
 def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
-    """See `FoundFan`."""
+    """0..1, the share of the outline at which all is lit just inside and black just outside.
+
+    Both edges and the far arc, in equal parts: a fan whose outline is half in the dark has 0.5.
+    """
     count, first, last = _PIECES * 12, fan.azimuth_min_rad, fan.azimuth_max_rad
     # Some pixels away from the outline, as shares of the largest range.
     away = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
@@ -414,30 +398,28 @@ def _lowest(cost: Callable[[Numbers], float], corners: Numbers, most: int) -> Nu
         corners, costs = corners[by], costs[by]
         still = costs[-1] - costs[0] <= 1.0 and np.abs(corners[1:] - corners[0]).max() <= 0.05
         if still or looks >= most:
-            return corners[0]
+            break
         middle, worst = np.add.reduce(corners[:-1]) / size, corners[-1]
         tried = 2 * middle - worst
         found = cost(tried)
         looks += 1
         if not costs[0] <= found < costs[-2]:
             if looks >= most:
-                return corners[0]
-            outside = found < costs[-1]
-            part = expand if found < costs[0] else contract if outside else -contract
+                break
+            lowest, outside = found < costs[0], found < costs[-1]
+            part = expand if lowest else contract if outside else -contract
             further = (1 + part) * middle - part * worst
             there = cost(further)
             looks += 1
-            if found < costs[0]:
-                if there < found:
-                    tried, found = further, there
-            elif there > found or there >= costs[-1]:
+            if there < found if lowest else there <= found and there < costs[-1]:
+                tried, found = further, there
+            elif not lowest:
                 corners[1:] = corners[0] + shrink * (corners[1:] - corners[0])
                 costs[1:] = [cost(corner) for corner in corners[1:]]
                 looks += size
                 continue
-            else:
-                tried, found = further, there
         corners[-1], costs[-1] = tried, found
+    return np.asarray(corners[0])
 
 
 def limits(sectors: Numbers, x: Numbers) -> Numbers:
@@ -460,7 +442,7 @@ _TRIED = 8  # of the longest lines
 _ARC_SHARE = 0.35  # of an arc within the picture that must be white
 
 
-def _find_drawn(grey: Bytes) -> FoundFan | None:
+def _find_drawn(grey: Bytes) -> FanGeometry | None:
     """The fan between two white lines as far as the outermost arc."""
     mask = (grey >= _WHITE).astype(np.uint8)
     # Echoes and panels are as wide as that, lines are not.
@@ -484,16 +466,14 @@ def _find_drawn(grey: Bytes) -> FoundFan | None:
         if abs(down + up) > _ALIKE_DEG or not (0 < x < width and height / 2 < y < height):
             continue
         half = math.pi / 2 - math.radians(down - up) / 2
-        for far, seen in _farthest_arc(lines, x, y, half):
-            fan = FanGeometry.fan(2 * half, apex_x_px=x, apex_y_px=y, near_px=0.0, far_px=far)
-            return FoundFan(fan, seen)
+        far = _farthest_arc(lines, x, y, half)
+        if far is not None:
+            return FanGeometry.fan(2 * half, apex_x_px=x, apex_y_px=y, near_px=0.0, far_px=far)
     return None
 
 
-def _farthest_arc(
-    lines: npt.NDArray[Any], x: float, y: float, half: float
-) -> list[tuple[float, float]]:
-    """Radius of the outermost circle about the sonar that is drawn in the fan, and its share."""
+def _farthest_arc(lines: npt.NDArray[Any], x: float, y: float, half: float) -> float | None:
+    """Radius of the outermost circle about the sonar that is drawn in the fan."""
     height, width = lines.shape
     bearings = np.linspace(-half, half, 720)[10:-10]
     radii = np.arange(height / 4, math.hypot(width, height))[:, None]
@@ -504,6 +484,5 @@ def _farthest_arc(
     )
     count = there.sum(axis=1)
     share = np.where(count >= 180, lit.sum(axis=1) / np.maximum(count, 1), 0)
-    return [
-        (float(radii[at, 0]), float(share[at])) for at in np.flatnonzero(share >= _ARC_SHARE)[-1:]
-    ]
+    arcs = np.flatnonzero(share >= _ARC_SHARE)
+    return float(radii[arcs[-1], 0]) if len(arcs) else None

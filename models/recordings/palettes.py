@@ -21,11 +21,11 @@ Colours = npt.NDArray[np.float32]
 """(N, 3), 0 to 255."""
 Levels = npt.NDArray[np.float32]
 
+# Of OpenCV; those that end as they begin are no scale of levels.
 _MAPS = (
     *("JET", "TURBO", "RAINBOW", "PARULA", "VIRIDIS", "PLASMA", "INFERNO", "MAGMA", "CIVIDIS"),
     *("DEEPGREEN", "OCEAN", "HOT", "BONE", "PINK", "AUTUMN", "WINTER", "SUMMER", "SPRING", "COOL"),
 )
-"""Of OpenCV; those that end as they begin are no scale of levels."""
 _OTHERS = {
     "jet": (
         ((0, 0.11, 0.34, 0.65, 1), (0.5, 1, 1, 0, 0)),
@@ -47,9 +47,9 @@ _MIXED, _MIXED_SHARE = 2.0, 0.1  # so far beside a map, of 255, lie so many wher
 _SPECK = 30  # pixels of what mixing leaves
 _STROKE = 7  # pixels: what is as wide as that is a page or a panel, not a line
 _GREY, _COLOURED = 3.0, 6.0  # of 255: what channels of a grey picture, of marks on it differ by
+# How near a known map half of the colours lie where others were drawn over it, and part of the
+# pixels that must have colours at all.
 _EXACT, _EXACT_SHARE, _SOME = 1.5, 0.5, 0.2
-"""How near a known map half of the colours lie where others were drawn over it, and part of the
-pixels that must have colours at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +72,12 @@ class Palette:
         half = np.square(self.colours).sum(axis=1) / 2
         parts = np.split(colours, range(8192, len(colours), 8192))
         nearest = [np.argmin(half - part @ self.colours.T, axis=1) for part in parts]
-        return self.at[np.concatenate(nearest)]
+        return np.asarray(self.at[np.concatenate(nearest)])
 
     def painted(self, levels: Levels) -> Colours:
         """(..., 3) colours of levels, between the map's own in proportion."""
         channels = [np.interp(levels, self.at, self.colours[:, k]) for k in range(3)]
-        return np.stack(channels, axis=-1).astype(np.float32)
+        return np.asarray(np.stack(channels, axis=-1), np.float32)
 
     def misses(self, colours: Colours) -> npt.NDArray[np.float32]:
         """(N,) root mean square distance of the channels from the map, of 255."""
@@ -90,17 +90,14 @@ SUM, GREY = "sum", "grey"
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """A picture whose colours stand for levels.
+    """A picture whose colours stand for levels."""
 
-    picture: (H, W, C) as it is stored.  levels: (H, W) in 0..1.  known: (H, W), False where a
-    colour is none of the map: a line of text, the page around the fan; the level is 0 there, or, of
-    a small mark, that of its surroundings.
-    """
-
-    picture: Samples
+    picture: Samples  # (H, W, C) as it is stored
     palette: Palette
-    levels: Levels
+    levels: Levels  # (H, W) in 0..1
     known: npt.NDArray[np.bool_]
+    """(H, W), False where a colour is none of the map: a line of text, the page around the fan; the
+    level is 0 there, or, of a small mark, that of its surroundings."""
 
     def repainted(self, levels: Levels) -> Samples:
         """The picture with other levels, (H, W); what did not change keeps its very colours."""
@@ -138,11 +135,11 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
         return None
     # Few colours stand for many pixels.
     codes, place = np.unique(codes, return_inverse=True)
-    colours, size = _uncoded(codes), (_STROKE, _STROKE)
+    colours, size, shape = _uncoded(codes), (_STROKE, _STROKE), picture.shape[:2]
     misses = palette.misses(colours)
     near = misses <= (_COLOURED if palette.name == GREY else _BLURRED)
     levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
-    levels, known = (one[place].reshape(picture.shape[:2]) for one in (levels, near))
+    levels, known = levels[place].reshape(shape), near[place].reshape(shape)
     if known.all() or not known.any():
         return Painted(picture, palette, levels, known)
     # Specks, lines and letters of no map get the mean of what is known around them, else weights
@@ -257,4 +254,4 @@ def _codes(flat: npt.NDArray[Any]) -> npt.NDArray[np.uint32]:
 
 
 def _uncoded(codes: npt.NDArray[np.uint32]) -> Colours:
-    return np.stack([codes >> shift & 255 for shift in (0, 8, 16)], axis=1).astype(np.float32)
+    return np.asarray(np.stack([codes >> k & 255 for k in (0, 8, 16)], axis=1), np.float32)

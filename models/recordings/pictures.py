@@ -34,22 +34,17 @@ from .base import (
 )
 from .palettes import grey_of_colours
 
-RATIO = 200
-"""Times its size that a stranger's file of pages may unpack to; a small one to `ALWAYS_BYTES`."""
-ALWAYS_BYTES = 1 << 28
-LEAST_SIDE_PX = 16
-"""Smaller arrays are tables: poses, matrices, bearings."""
+# Times its size that a stranger's file of pages may unpack to, and what a small one may.
+RATIO, ALWAYS_BYTES = 200, 1 << 28
+LEAST_SIDE_PX = 16  # smaller arrays are tables: poses, matrices, bearings
 _COLOURS = ((1,), (3,), (4,))
 
 
 class Pictures(Recording):
-    """A `Recording` of pictures as they are stored, (H, W) or (H, W, colours).
-
-    Of a file, or of a folder with files right in it, all by name or those that are given.
-    """
+    """A `Recording` of picture files: one, those given, or all right in a folder, by name."""
 
     def __init__(self, path: Path, files: Sequence[Path] = ()) -> None:
-        """Raises FactoryError when there are none."""
+        """files: below the folder `path`.  Raises FactoryError when there are none."""
         self._given = files
         super().__init__(path)
 
@@ -88,7 +83,7 @@ def decoded(content: bytes, what: str) -> Samples:
     what: names it in errors.  Raises FrameError when it cannot be read or is too large.
     """
     # Its size first: a small file can decode to gigabytes.
-    with _opened(BytesIO(content), what, f"picture of {', '.join(FULL_SCALE)}") as header:
+    with _opened(BytesIO(content), what) as header:
         ask_pixels(what, *header.size)
     # libjpeg and libtiff write to the terminal about damage that they pass over.
     with explained(f"{what}: not a readable picture"), quiet_stderr():
@@ -98,11 +93,9 @@ def decoded(content: bytes, what: str) -> Samples:
     return as_samples(np.asarray(picture), what)
 
 
-def _opened(
-    file: IO[bytes], what: str, kind: str, formats: tuple[str, ...] | None = None
-) -> Image.Image:
+def _opened(file: IO[bytes], what: str, formats: tuple[str, ...] | None = None) -> Image.Image:
     """A picture whose pixels are not read yet.  Raises FrameError."""
-    with explained(f"{what}: not a readable {kind}"):
+    with explained(f"{what}: not a readable picture"):
         try:
             return Image.open(file, formats=formats)
         except Image.DecompressionBombError as error:
@@ -219,17 +212,17 @@ class StackFile(Recording):
 
     def _open(self) -> None:
         assert self._file is not None
-        what, kind = str(self.path), "TIFF or GIF file"
-        self._image = _opened(self._file, what, kind, ("TIFF", "GIF"))
-        with explained(f"{what}: not a readable {kind}"):
+        what = str(self.path)
+        self._image = _opened(self._file, what, ("TIFF", "GIF"))
+        with explained(f"{what}: not a readable picture"):
             self.count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
         ask_pixels(what, width, height)
-        needed, most = self.count * width * height, ALWAYS_BYTES + RATIO * self.size
-        if needed > most:
+        needed = self.count * width * height
+        if needed > ALWAYS_BYTES + RATIO * self.size:
             raise FrameError(
-                f"{what}: unpacks to {needed:,} bytes or more, at most {most:,} are read ({RATIO} "
-                "times the file's size); if it is sound, save it uncompressed or in parts"
+                f"{what}: unpacks to {needed:,} bytes, at most {RATIO} times its size are read; if "
+                "it is sound, save it uncompressed or in parts"
             )
 
     def _read(self, number: int) -> Frame:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from copy import deepcopy
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -43,8 +44,6 @@ from .pictures import decoded
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
     from rosbags.typesys.store import Typestore
 
 SONAR = "marine_acoustic_msgs/msg/ProjectedSonarImage"
@@ -83,6 +82,7 @@ class RosBag(Recording):
     def _open(self) -> None:
         require([Need(f"{self.path}", "rosbags")])
         self.version = 1 if self.path.suffix.lower() == ".bag" and self.path.is_file() else 2
+        self._library: Any = import_module(f"rosbags.rosbag{self.version}")
         with closing(self._reader()) as reader:
             self._connections = list(reader.connections)
         chosen = self._found()
@@ -109,16 +109,13 @@ class RosBag(Recording):
             kinds = "ProjectedSonarImage, Image or CompressedImage"
             raise FactoryError(f"{self.path}: holds no topic with pictures ({kinds})")
         if chosen is fit and len({one.topic for one in fit}) > 1:
-            raise FactoryError(
-                f"{self.path}: has pictures on several topics ({names}); say with --topic which of "
-                "them are of a sonar"
-            )
+            said = f"has pictures on several topics ({names}); say with --topic"
+            raise FactoryError(f"{self.path}: {said} which of them are of a sonar")
         for one in chosen:
             if one.digest not in ("", "*", None, digest_of(one.msgtype, self.version)):
-                raise FactoryError(
-                    f"{self.path}: {one.topic} has another {one.msgtype} than this program knows "
-                    f"(its fingerprint is {one.digest[:80]})"
-                )
+                other = f"another {one.msgtype} than this program knows"
+                stated = f"its fingerprint is {one.digest[:80]}"
+                raise FactoryError(f"{self.path}: {one.topic} has {other} ({stated})")
         return chosen
 
     def _read(self, number: int) -> Frame:
@@ -132,16 +129,9 @@ class RosBag(Recording):
         self._next = self.count
         raise Ended(f"{self.path}: ends before frame {number}; it is cut short or damaged")
 
-    def close(self) -> None:
-        """See `Recording`."""
-        super().close()
-        if hasattr(self, "_frames"):
-            self._frames.close()
-
     def rewrite(self, samples: Iterable[Samples], path: Path) -> None:
-        """The same bag with other samples in its frames, as another file or folder.
+        """The same bag with other samples in its frames; all else is copied.
 
-        All else is copied: other topics, headers and stamps, the times of recording.
         samples: of each frame in order, in the shape and type of `Frame.samples`.
         Raises ValueError for samples of another shape, type or number, FrameError when the bag is
         damaged, FactoryError when `path` is there or cannot be written.
@@ -188,23 +178,17 @@ class RosBag(Recording):
 
     def _writer(self, target: Path) -> Any:
         """Of the same kind of bag, without compression."""
-        from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-
         if self.version == 1:
-            return Writer1(target)
+            return self._library.Writer(target)
         mcap = any(".mcap" in file.suffixes for file in self._files)
-        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-        return Writer2(target, version=8, storage_plugin=plugin)
+        plugins = self._library.StoragePlugin
+        plugin = plugins.MCAP if mcap else plugins.SQLITE3
+        return self._library.Writer(target, version=8, storage_plugin=plugin)
 
-    def _reader(self) -> Reader1 | Reader2:
+    def _reader(self) -> Any:
         """The bag, opened once more, as two that read in turns would lose their places."""
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader as Reader2
-
         with explained(f"{self.path}: {_DAMAGED}", reason=True):
-            reader = Reader1(self.path) if self.version == 1 else Reader2(self.path)
+            reader = self._library.Reader(self.path)
             reader.open()
         return reader
 
@@ -217,8 +201,7 @@ class RosBag(Recording):
         """
         store, number = typestore(self.version), 0
         read = store.deserialize_ros1 if self.version == 1 else store.deserialize_cdr
-        with closing(self._reader()) as reader:
-            found = reader.messages(connections)
+        with closing(self._reader()) as reader, closing(reader.messages(connections)) as found:
             while True:
                 with explained(f"{self.path}: {_DAMAGED}", reason=True):
                     stored = next(found, None)

@@ -2,10 +2,9 @@
 
 Sound Metrics': a file header, then frames of one size, each a header and one byte a sample, row by
 row from the nearest.  Blueprint Subsea's Oculus: messages with a header of 16 bytes; a ping's goes
-on with its settings, a bearing a beam in hundredths of a degree, and the samples row by row from
-the nearest.  Messages of other kinds are passed over.  A log of ViewPoint (`.oculus`) has items, of
-which those of kind 10 hold a message each, plain or packed by zlib.
-sonar_headers.csv names the documents.
+on with its settings, a bearing a beam in hundredths of a degree, and the samples.  Messages of
+other kinds are passed over.  A log of ViewPoint (`.oculus`) has items, of which those of kind 10
+hold a message each, plain or packed by zlib.  sonar_headers.csv names the documents.
 """
 
 from __future__ import annotations
@@ -37,28 +36,22 @@ from .base import (
     pose_of,
 )
 
-SIGNATURE = b"DDF\5"
-"""Of an ARIS file and of each of its frames."""
-
+SIGNATURE = b"DDF\5"  # of an ARIS file and of each of its frames
 _BEAMS_OF_PING_MODES = (0, 48, 48, 96, 96, 96, 64, 64, 64, 128, 128, 128, 128)
 # System type -> name and its low and high frequency, kHz.
-_SYSTEMS = {
-    0: ("ARIS 1800", (1100, 1800)),
-    1: ("ARIS 3000", (1800, 3000)),
-    2: ("ARIS 1200", (700, 1200)),
-}
+_SYSTEMS = {0: ("ARIS 1800", 1100, 1800), 1: ("ARIS 3000", 1800, 3000), 2: ("ARIS 1200", 700, 1200)}
 
 # Version -> bytes of the file's and of a frame's header; both have the fields at the same places.
 _DDF_HEADERS = {3: (512, 256), 4: (1024, 1024)}
-_CLASSIC, _LONG_RANGE = 1, 2
-# Configuration flags -> metres a step of the window's start at high frequency (twice that at low),
-# and window lengths in metres, of codes 0 to 3 (HF) or 2 to 5 (LF).
-_WINDOWS = {
-    0: (0.419, (1.25, 2.5, 5.0, 10.0, 20.0, 40.0)),
-    _CLASSIC: (0.375, (1.125, 2.25, 4.5, 9.0, 18.0, 36.0)),
-    _LONG_RANGE: (0.419, (2.5, 5.0, 10.0, 20.0, 40.0, 70.0)),
-    _CLASSIC | _LONG_RANGE: (0.375, (2.25, 4.5, 9.0, 18.0, 36.0, 72.0)),
-}
+# Of configuration flags 0 (none), 1 (classic), 2 (long range) and 3 (both): metres a step of the
+# window's start at high frequency (twice that at low), and window lengths in metres, of codes 0 to
+# 3 (HF) or 2 to 5 (LF).
+_WINDOWS = (
+    (0.419, (1.25, 2.5, 5.0, 10.0, 20.0, 40.0)),
+    (0.375, (1.125, 2.25, 4.5, 9.0, 18.0, 36.0)),
+    (0.419, (2.5, 5.0, 10.0, 20.0, 40.0, 70.0)),
+    (0.375, (2.25, 4.5, 9.0, 18.0, 36.0, 72.0)),
+)
 _SOUND_M_S = 1500.0
 
 
@@ -146,8 +139,7 @@ class ArisFile(_SoundMetricsFile):
         # The beam table goes by the number of beams, and by whether a telephoto lens is on.
         lens = "3000" if self.beams in (64, 128) else "telephoto" if header["LargeLens"] else "1800"
         azimuths = np.deg2rad(beam_centres_deg()[f"{lens}_{self.beams}"])
-        name, frequencies = _SYSTEMS.get(int(header["TheSystemType"]), ("ARIS", None))
-        high = int(header["FrequencyHiLow"] != 0)
+        name, low_khz, high_khz = _SYSTEMS.get(int(header["TheSystemType"]), ("ARIS", None, None))
         return Frame(
             number,
             np.ascontiguousarray(self._samples(number)[:, ::-1]),  # beam 0 is the rightmost
@@ -157,16 +149,15 @@ class ArisFile(_SoundMetricsFile):
             device=Device(
                 name=name,
                 serial_number=int(header["SonarSerialNumber"]),
-                frequency_khz=frequencies[high] if frequencies else None,
+                frequency_khz=high_khz if header["FrequencyHiLow"] else low_khz,
                 sound_speed_m_s=speed,
                 gain_db=known(header["ReceiverGain"], 100),
             ),
         )
 
     def rewrite(self, samples: Iterable[Samples], path: Path) -> None:
-        """The same recording with other samples, in the same order, as another file.
+        """The same recording with other samples, (ranges, beams) uint8 of each frame, as a file.
 
-        samples: (ranges, beams) uint8 of each frame, as `Frame.samples` has them.
         Raises ValueError for samples of another shape, type or number, FactoryError when `path`
         cannot be written.
         """
@@ -213,7 +204,7 @@ class DdfFile(_SoundMetricsFile):
         header, samples = self._header(number), self._samples(number)
         samples = samples if self._told["reverse"] else samples[:, ::-1]
         try:  # by the sonar's own clock, taken as UTC, else by that of the computer
-            seconds = datetime(*header["date"].tolist(), tzinfo=UTC).timestamp()
+            seconds = datetime(*header["date"].tolist()).replace(tzinfo=UTC).timestamp()
             time_s = seconds + min(max(int(header["hsecond"]), 0), 99) / 100
         except (ValueError, OverflowError):
             time_s = float(header["frametime"])
@@ -232,7 +223,7 @@ class DdfFile(_SoundMetricsFile):
 
     def _window(self, header: np.void) -> tuple[float, float]:
         """First and last range, metres."""
-        step_m, lengths_m = _WINDOWS[int(header["configflags"]) & (_CLASSIC | _LONG_RANGE)]
+        step_m, lengths_m = _WINDOWS[int(header["configflags"]) & 3]
         high, rate_hz = bool(self._told["resolution"]), float(self._told["samplerate"])
         near = step_m * self.within("windowstart", header["windowstart"], 0, 200)
         near *= 1 if high else 2

@@ -26,15 +26,11 @@ _ECC_STEPS = cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-5
 
 @dataclass(frozen=True, eq=False)
 class StaticGroup:
-    """Frames of one scene that stands still.
-
-    numbers: of the frames among the pictures that were searched, in order.
-    shifts_px: (N, 2) right and down, by which the scene lies away from where the first frame has
-    it.
-    """
+    """Frames of one scene that stands still, by their numbers among the pictures, in order."""
 
     numbers: tuple[int, ...]
     shifts_px: npt.NDArray[np.float64]
+    """(N, 2) right and down, by which the scene lies away from where the first frame has it."""
 
 
 def find_groups(

@@ -19,7 +19,7 @@ from ...factory.errors import FactoryError
 from ...factory.sonar.fan import fan_table
 from ...factory.sonar.geometry import FanGeometry
 from . import open_recording
-from .base import FULL_SCALE, Beams, Frame, Recording
+from .base import FULL_SCALE, Beams, Frame
 
 if TYPE_CHECKING:
     from ...factory.sonar.settings import SonarSettings
@@ -91,13 +91,7 @@ def _edges_rad(beams: Beams) -> tuple[float, float]:
     return max(left, -math.pi / 2), min(right, math.pi / 2)
 
 
-@lru_cache(maxsize=1)
-def _opened(path: Path) -> Recording:
-    """The recording that this process read last, kept open for its next frame."""
-    return open_recording(path)
-
-
-close_last = _opened.cache_clear
+_opened = lru_cache(maxsize=1)(open_recording)  # the last stays open for its next frame
 
 
 def frame_picture(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
@@ -119,21 +113,17 @@ def frame_picture(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
 
 
 _SHARE = 99.5  # percentile of the pixels that are not zero
+# Bright pixels below the first make a picture dark; below the second they come to the last.
 _DARK, _DARKER, _WANTED = 0.25, 0.125, 0.5
-"""Bright pixels below the first make a picture dark; below the second they come to the last."""
 
 
 @dataclass(frozen=True)
 class Presentation:
-    """What is done to a picture before networks see it, and undone after.
+    """What is done to a picture before networks see it, and undone after."""
 
-    quarter_turns: counter-clockwise.  gain: what the picture is multiplied by.  geometry: of the
-    picture that networks see; None where it is not known.
-    """
-
-    quarter_turns: int
-    gain: np.float32
-    geometry: FanGeometry | None
+    quarter_turns: int  # counter-clockwise
+    gain: np.float32  # what the picture is multiplied by
+    geometry: FanGeometry | None  # of the picture that networks see; None where it is not known
 
     def shown(self, grey: Grey) -> Grey:
         """A picture, (H, W) in 0..1, as networks see it; those beside it in time are alike."""
