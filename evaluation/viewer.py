@@ -32,7 +32,6 @@ from ..factory.dataset.reader import reading
 from ..factory.errors import FactoryError
 from ..factory.files import write_atomically
 from ..models.recordings import Recording, is_recording, open_recording
-from ..models.recordings.pictures import Pictures
 from ..models.recordings.views import fan_of, grey_of
 from .metrics.statistics import evenly
 
@@ -288,10 +287,10 @@ def open_shown(path: Path, after: Path | None = None) -> Shown:
 
 def _opened(path: Path) -> Recording:
     recording = open_recording(path)
-    if isinstance(recording, Pictures):
-        # Those of denoised pings have their samples beside the fans.
-        fans = [file for file in recording.files if not file.stem.endswith("_polar")]
-        recording.files = fans or recording.files
+    # Pictures of denoised pings have their samples beside the fans.
+    fans = [file for file in recording.files if not file.stem.endswith("_polar")]
+    if fans:
+        recording.files, recording.count = fans, len(fans)
     return recording
 
 

@@ -5,30 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..factory.errors import FactoryError, FrameError
+from ..factory.errors import FactoryError
 from ..factory.sonar.geometry import FanGeometry
 from .denoise.inputs import Geometries, Item, find_items, sequences
-from .recordings import open_recording
+from .recordings import Recording, open_recording
 from .recordings.palettes import grey_of_colours
-from .recordings.pictures import read_grey
-from .recordings.static import aligned, find_groups, moving, references, shifted
+from .recordings.pictures import Pictures
+from .recordings.static import aligned, find_groups, laid_over, moving
 from .recordings.views import grey_of, polar_geometry, presentation_of
 
 Image = npt.NDArray[np.float32]
 
-RUN = 16
-"""So many frames that follow each other are read together where not all can be."""
-MOST_FRAMES = 256
-"""Of all recordings together; of more, runs that are evenly spread are read."""
-LEAST = 4
-"""Fewer frames make no stretch: too little is known of what stands still."""
+RUN = 16  # frames that follow each other are read together where not all can be
+MOST_FRAMES = 256  # of all recordings together; of more, runs that are evenly spread are read
+LEAST = 4  # fewer frames make no stretch: too little is known of what stands still
 _ALIKE = 0.75  # of pictures in any order
 _FOLLOWS = 0.3  # of frames that follow each other: raw pings of one scene have .3 to .5
 _LEAST_ALIGNED = 3
@@ -53,11 +50,11 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Frames in the order of time.  shuffled: as far as their names tell; they may be anything."""
+    """Frames in the order of time."""
 
     name: str
     shots: list[Shot]
-    shuffled: bool = False
+    shuffled: bool = False  # as far as their names tell; they may be anything
 
 
 @dataclass
@@ -78,18 +75,24 @@ def read_clips(
     Raises FactoryError when there are none.
     """
     items = find_items(paths, out)
-    if shard := next((item for item in items if item.kind == "shard"), None):
-        raise FactoryError(
-            f"{shard.source}: belongs to a dataset; `simnfnd train` learns from these, and "
-            "`simnfnd adapt` from recordings, videos and pictures"
-        )
-    found = Found()
-    sources = sequences(items)
-    counts = [_count(source, found) for source in sources]
+    for item in items:
+        if item.kind == "shard":
+            raise FactoryError(
+                f"{item.source}: belongs to a dataset; `simnfnd train` learns from these, and "
+                "`simnfnd adapt` from recordings, videos and pictures"
+            )
+    found, sources, counts = Found(), sequences(items), []
+    for source in sources:
+        try:
+            with _opened(source) as recording:
+                counts.append(len(recording))
+        except FactoryError as error:
+            found.skipped.append(str(error))
+            counts.append(0)
     found.frames = sum(counts)
     share = min(1.0, most / max(found.frames, 1))
     for source, count in zip(sources, counts, strict=True):
-        if shots := list(_shots(source, runs(count, share), geometries, found)):
+        if count and (shots := list(_shots(source, runs(count, share), geometries, found))):
             name = source[0].source.name
             found.clips.append(Clip(name, presented(shots), source[0].kind == "pictures"))
     if not found.clips:
@@ -108,7 +111,7 @@ def presented(shots: list[Shot]) -> list[Shot]:
 
 def runs(count: int, share: float) -> list[int]:
     """Numbers of about `share` of `count` frames: whole runs of `RUN`, evenly spread."""
-    if share >= 1 or not count:
+    if share >= 1:
         return list(range(count))
     total = -(-count // RUN)
     kept = max(1, int(share * total))
@@ -116,90 +119,59 @@ def runs(count: int, share: float) -> list[int]:
     return [frame for run in first for frame in range(run * RUN, min(run * RUN + RUN, count))]
 
 
-def _count(source: list[Item], found: Found) -> int:
-    """Number of frames; notes a recording that cannot be opened."""
+def _opened(source: list[Item]) -> Recording:
+    path = source[0].source
     if source[0].kind == "pictures":
-        return len(source)
-    try:
-        with open_recording(source[0].source) as recording:
-            return len(recording)
-    except FactoryError as error:
-        found.skipped.append(str(error))
-        return 0
+        return Pictures(path.parent, [item.source for item in source])
+    return open_recording(path)
 
 
 def _shots(
     source: list[Item], numbers: list[int], geometries: Geometries, found: Found
 ) -> Iterator[Shot]:
-    """Frames by their numbers; notes damaged pictures, and where a recording is damaged."""
-    if source[0].kind == "pictures":
+    """Frames by their numbers; notes those that are damaged."""
+    with _opened(source) as recording:
         for number in numbers:
             try:
-                grey = read_grey(source[number].source)
+                frame = recording[number]
             except FactoryError as error:
                 found.skipped.append(str(error))
                 continue
-            yield Shot(grey, geometries.of(source[number], grey))
-    elif numbers:
-        with open_recording(source[0].source) as recording:
-            try:
-                for number in numbers:
-                    frame = recording[number]
-                    if frame.beams is not None:
-                        geometry = polar_geometry(frame.beams, len(frame.samples))
-                        yield Shot(grey_of(frame), geometry)
-                        continue
-                    is_grey = frame.samples.ndim == 2
-                    grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
-                    yield Shot(grey, geometries.of(source[0], grey))
-            except FrameError as error:
-                found.skipped.append(str(error))
+            if frame.beams is not None:
+                yield Shot(grey_of(frame), polar_geometry(frame.beams, len(frame.samples)))
+                continue
+            is_grey = frame.samples.ndim == 2
+            grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
+            yield Shot(grey, geometries.of(source[number if recording.files else 0], grey))
 
 
 @dataclass(frozen=True, eq=False)
 class Still:
-    """One stretch.
-
-    frames: (H, W) float32 in 0..1.  targets: one for each frame, NaN where none is known: outside
-    the sector and where something moves.  geometry: of all frames.  recording: number of the one
-    that they are from.  laid: the frames with the scene where the first has it.
-    """
+    """One stretch, its pictures (H, W) float32 in 0..1."""
 
     frames: list[Image]
     targets: list[Image]
+    """One for each frame, NaN outside the sector and where something moves."""
+    laid: list[Image]
+    """The frames with the scene where the first has it."""
     geometry: FanGeometry | None
     recording: int = 0
-    laid: list[Image] = field(default_factory=list)
 
     def averaged(self, first: int, count: int) -> tuple[Image, Image]:
         """The mean of `count` frames from `first` on, and that of all others, NaN where unknown."""
-        inside = np.zeros(len(self.laid), bool)
-        inside[first : first + count] = True
-        own = np.mean([one for one, is_in in zip(self.laid, inside, strict=True) if is_in], axis=0)
-        rest = [one for one, is_in in zip(self.laid, inside, strict=True) if not is_in]
-        target = np.where(np.isfinite(self.targets[0]), np.mean(rest, axis=0), np.nan)
+        own = np.mean(self.laid[first : first + count], axis=0)
+        rest = np.mean(self.laid[:first] + self.laid[first + count :], axis=0)
+        target = np.where(np.isfinite(self.targets[0]), rest, np.nan)
         return np.asarray(own, np.float32), np.asarray(target, np.float32)
-
-    def only(self, numbers: Sequence[int]) -> Still:
-        """Some of the frames, with the targets that they have."""
-        return replace(
-            self,
-            frames=[self.frames[i] for i in numbers],
-            targets=[self.targets[i] for i in numbers],
-            laid=[self.laid[i] for i in numbers],
-        )
 
 
 @dataclass(frozen=True, eq=False)
 class Lessons:
-    """learning: what is learned from.  held: what is measured on; no frame of it is learned from.
-
-    same: whether the frames held out belong to the only stretch there is.
-    """
+    """Stretches that are learned from, and those that are held out to measure on."""
 
     learning: list[Still]
     held: list[Still]
-    same: bool
+    same: bool  # whether the frames held out belong to the only stretch there is
 
 
 def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
@@ -215,54 +187,44 @@ def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
         for shots in _stretches(clip)
         for kept, still in _stills(shots)
     ]
-    if not known:
-        return None
+    if len(known) == 1:
+        (kept, whole), count = known[0], max(1, len(known[0][0]) // 5)
+        # Targets of the frames that are learned from must not know the others.
+        learning = [still for _, still in _stills(kept[:-count])]
+        last = {name: getattr(whole, name)[-count:] for name in ("frames", "targets", "laid")}
+        held = replace(whole, **last)
+        return Lessons(learning, [held], same=True) if learning else None
     stills = [still for _, still in known]
-    if len(known) > 1:
-        return Lessons(*_held_out(stills), same=False)
-    (kept, whole), count = known[0], max(1, len(known[0][0]) // 5)
-    # Targets of the frames that are learned from must not know the others.
-    learning = [still for _, still in _stills(kept[:-count])]
-    held = whole.only(range(len(kept) - count, len(kept)))
-    return Lessons(learning, [held], same=True) if learning else None
-
-
-def _held_out(stills: list[Still]) -> tuple[list[Still], list[Still]]:
-    """Two or more stretches in the order of their recordings: to learn from, and held out."""
     parts = [list(part) for _, part in groupby(stills, key=lambda still: still.recording)]
     if all(len(part) == 1 for part in parts):
         parts = [stills]
-    counts = [max(1, round(len(part) / 5)) if len(part) > 1 else 0 for part in parts]
-    learning, held = [], []
-    for part, count in zip(parts, counts, strict=True):
-        learning += part[: len(part) - count]
-        held += part[len(part) - count :]
-    return learning, held
+    lessons = Lessons([], [], same=False)
+    for part in parts:
+        count = max(1, round(len(part) / 5)) if len(part) > 1 else 0
+        lessons.learning.extend(part[: len(part) - count])
+        lessons.held.extend(part[len(part) - count :])
+    return lessons if stills else None
 
 
 def _stretches(clip: Clip) -> list[list[Shot]]:
     """The shots of each stretch: of those that follow each other first, then of the rest."""
-    left = list(range(len(clip.shots)))
-    found: list[list[int]] = []
-    pieces = np.array_split(left, max(1, math.ceil(len(left) / RUN)))
-    for piece in pieces:
-        # Frames that follow each other show one scene unless it is plain that they do not.
-        found += _groups(clip, piece.tolist(), _ALIKE if clip.shuffled else _FOLLOWS)
-    taken = {number for group in found for number in group}
-    found += _groups(clip, [number for number in left if number not in taken], _ALIKE)
+    numbers = range(len(clip.shots))
+    # Frames that follow each other show one scene unless it is plain that they do not.
+    alike = _ALIKE if clip.shuffled else _FOLLOWS
+    pieces = np.array_split(numbers, max(1, math.ceil(len(numbers) / RUN)))
+    found = [group for piece in pieces for group in _groups(clip, piece.tolist(), alike)]
+    taken = set(chain(*found))
+    found += _groups(clip, [number for number in numbers if number not in taken], _ALIKE)
     return [[clip.shots[i] for i in group] for group in sorted(found)]
 
 
 def _groups(clip: Clip, numbers: list[int], alike: float) -> list[list[int]]:
     shots = [clip.shots[i] for i in numbers]
-    groups = find_groups(
-        [shot.grey for shot in shots], [shot.sector for shot in shots], least=LEAST, alike=alike
-    )
+    greys, sectors = [shot.grey for shot in shots], [shot.sector for shot in shots]
     found = []
-    for group in groups:
+    for group in find_groups(greys, sectors, least=LEAST, alike=alike):
         own = sorted(numbers[i] for i in group.numbers)
-        parts = np.array_split(own, max(1, len(own) // RUN))
-        found += [part.tolist() for part in parts]
+        found += [part.tolist() for part in np.array_split(own, max(1, len(own) // RUN))]
     return found
 
 
@@ -274,14 +236,15 @@ def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
         return []
     kept = [shots[i] for i in group.numbers]
     frames = [shot.grey for shot in kept]
-    laid = [shifted(frame, shift) for frame, shift in zip(frames, group.shifts_px, strict=True)]
+    laid = laid_over(frames, group, 0, range(len(frames)))
     # Where all frames show the sector and nothing moves.
     margin = 2 * math.ceil(float(np.abs(group.shifts_px).max())) + 3
     inner = cv2.erode(sector.astype(np.uint8), np.ones((margin, margin), np.uint8)).astype(bool)
     known = inner & ~moving(laid, sector)
     if known.sum() < _LEAST_KNOWN * sector.sum():
         return []
-    targets = [
-        np.where(known, target, np.nan).astype(np.float32) for target in references(frames, group)
-    ]
-    return [(kept, Still(frames, targets, shots[0].geometry, laid=laid))]
+    places = range(len(frames))
+    others = (laid_over(frames, group, one, [k for k in places if k != one]) for one in places)
+    means = (np.mean(each, axis=0, dtype=np.float64) for each in others)
+    targets = [np.where(known, mean, np.nan).astype(np.float32) for mean in means]
+    return [(kept, Still(frames, targets, laid, shots[0].geometry))]

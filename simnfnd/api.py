@@ -181,11 +181,9 @@ class OpenRecording:
     """An opened recording: iterate, index or measure it; close it, or use it in `with`."""
 
     def __init__(self, recording: Recording) -> None:
-        from .models.recordings.pictures import Pictures
-
         self._recording = recording
         # Pictures of a folder may have a fan each.
-        self._moves = isinstance(recording, Pictures)
+        self._moves = bool(recording.files)
         self._found: dict[tuple[int, ...], FanGeometry | None] = {}
 
     def __len__(self) -> int:

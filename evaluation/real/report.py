@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
-from ...models.recordings.views import close_last
 from ..methods import shown
 from ..recorded import frame_of, open_input
 from ..report.document import Example, Section, write_report
@@ -59,7 +58,6 @@ def evaluate(settings: RealSettings) -> None:
     check_writable(settings.folder, "out")
     with TaskPool(settings.workers) as pool:
         outcome = judge(settings, stretches, pool)
-    close_last()
     frame_of.cache_clear()
     print(write(settings.folder, settings.name, [*notes, *outcome.notes], outcome))
     print(f"report: {settings.folder / 'real.html'}")

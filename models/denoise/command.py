@@ -41,7 +41,7 @@ def main(arguments: Sequence[str]) -> int:
         "inputs",
         nargs="+",
         metavar="IN",
-        help="image, folder, shard, video, .aris, .ddf, .raw, bag or array (.npy, .npz, .mat)",
+        help="image, folder, shard, video, .aris, .ddf, .raw, bag or array (.npy)",
     )
     parser.add_argument("--out", required=True, help="folder for the results; names are kept")
     parser.add_argument(

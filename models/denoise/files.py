@@ -16,9 +16,8 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.sonar.geometry import FanGeometry
 from ..pretrained import DEFAULT, POINTS
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
-from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
-from ..recordings.pictures import VideoFile, read_picture
+from ..recordings.pictures import ArrayFile, VideoFile, read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .denoiser import Denoiser
 from .inputs import Finished, Geometries, Item

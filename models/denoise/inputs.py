@@ -18,10 +18,9 @@ from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..data.fans import read_fans
 from ..recordings import READERS, is_bag_folder, kind_of
-from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
-from ..recordings.arrays import is_table
-from ..recordings.base import ARRAY_SUFFIX
+from ..recordings.base import ARRAY_SUFFIX, ARRAY_SUFFIXES
 from ..recordings.fan_finder import find_geometry
+from ..recordings.pictures import is_table
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (*(suffix for _, suffixes in READERS.values() for suffix in suffixes), *HDF5_SUFFIXES)

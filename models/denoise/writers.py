@@ -6,7 +6,6 @@ import glob
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,8 @@ from PIL import Image, TiffImagePlugin
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
 from ...factory.quiet import quiet_stderr
-from ..recordings.arrays import ArrayFile, NpyWriter
 from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording, swapped
+from ..recordings.pictures import ArrayFile, write_array
 
 Picture = npt.NDArray[Any]
 Frames = Iterator[Picture]
@@ -62,10 +61,8 @@ def write_frames(
     first = next(frames, None)
     if first is None:
         return
-    frames, is_even = (
-        itertools.chain([first], frames),
-        not any(side % 2 for side in first.shape[:2]),
-    )
+    frames = itertools.chain([first], frames)
+    is_even = not any(side % 2 for side in first.shape[:2])
     path.parent.mkdir(parents=True, exist_ok=True)
     for stale in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
         stale.unlink(missing_ok=True)  # of a run that was killed
@@ -75,9 +72,8 @@ def write_frames(
             if path.suffix.lower() in TIFF_SUFFIXES:
                 _write_pages(partial, frames)
             elif isinstance(source, ArrayFile):
-                with closing(NpyWriter(partial, source.header)) as array:
-                    for picture in frames:
-                        array.add(picture.astype(source.header.dtype))
+                with partial.open("wb") as file:
+                    write_array(file, frames, source.stored)
             elif path.suffix.lower() in CODECS and rate_hz and not path.is_dir() and is_even:
                 _write_video(partial, frames, path, first.shape, rate_hz)
             else:

@@ -7,52 +7,28 @@ says which files it reads.
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
+from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
-from .arrays import SUFFIXES, kind_of_arrays
-from .base import (
-    PICTURE_SUFFIXES,
-    TIFF_SUFFIXES,
-    Beams,
-    Device,
-    Frame,
-    Pose,
-    Recording,
-)
+from .base import ARRAY_SUFFIXES, PICTURE_SUFFIXES, TIFF_SUFFIXES, Frame, Recording
 
-__all__ = [
-    "PICTURE_SUFFIXES",
-    "SEQUENCES",
-    "Beams",
-    "Device",
-    "Frame",
-    "Pose",
-    "Recording",
-    "is_bag_folder",
-    "is_recording",
-    "kind_of",
-    "open_recording",
-]
+__all__ = ["PICTURE_SUFFIXES", "Frame", "Recording", "is_recording", "kind_of", "open_recording"]
 
 READERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "aris": ("sound_metrics:ArisFile", (".aris",)),
-    "ddf": ("sound_metrics:DdfFile", (".ddf",)),
-    "oculus": ("oculus:OculusFile", (".raw", ".oculus")),
+    "aris": ("sonar_files:ArisFile", (".aris",)),
+    "ddf": ("sonar_files:DdfFile", (".ddf",)),
+    "oculus": ("sonar_files:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": ("pictures:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "stack": ("pictures:StackFile", (".gif",)),
-    "array": ("arrays:ArrayFile", (".npz", ".mat")),
+    "array": ("pictures:ArrayFile", (".npz", ".mat")),
     "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),
 }
 """Kind -> ("module:class", suffixes of its files); stacks also have those of TIFF, arrays .npy."""
 
 SEQUENCES = ("video", "stack", "array")
 """Kinds whose frames are pictures, one after the other."""
-
-# What OpenCV and SciPy read, which are an extra; bags say themselves what they need.
-_NEEDS = {"video": "cv2", "pictures": "cv2", ".mat": "scipy"}
 
 
 def is_bag_folder(folder: Path) -> bool:
@@ -65,24 +41,20 @@ def is_bag_folder(folder: Path) -> bool:
 def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; None for others.
 
-    A TIFF file of several pages is a `stack`, a file of arrays an `array` (but .npy of one
-    picture); one that holds no pictures is of no kind.  A folder is `rosbag` when it holds a bag of
-    ROS 2, and `pictures` otherwise.
+    A TIFF file of several pages is a `stack`; a .npy file of several pictures, .npz and .mat are
+    an `array`, and of no kind when they hold no pictures.  A folder is `rosbag` when it holds a bag
+    of ROS 2, and `pictures` otherwise.
     """
     if path.is_dir():
         return "rosbag" if is_bag_folder(path) else "pictures"
     suffix = path.suffix.lower()
-    if suffix in TIFF_SUFFIXES and path.is_file():
-        from .pictures import is_stack
+    if suffix in (*TIFF_SUFFIXES, *ARRAY_SUFFIXES) and path.is_file():
+        from .pictures import is_stack, kind_of_array
 
-        if is_stack(path):
-            return "stack"
-    if suffix in SUFFIXES and path.is_file():
-        return kind_of_arrays(path)
-    for kind, (_, suffixes) in READERS.items():
-        if suffix in suffixes:
-            return kind
-    return None
+        if suffix in ARRAY_SUFFIXES:
+            return kind_of_array(path)
+        return "stack" if is_stack(path) else "pictures"
+    return next((kind for kind, (_, known) in READERS.items() if suffix in known), None)
 
 
 def is_recording(path: Path) -> bool:
@@ -98,16 +70,13 @@ def open_recording(path: str | Path) -> Recording:
     where = Path(path).expanduser()
     if not where.exists():
         raise FactoryError(f"{path}: no such file or folder")
-    kind, suffix = kind_of(where), where.suffix.lower()
-    if suffix in SUFFIXES and kind is None:
-        kind = "array"  # which says what it lacks
+    is_array = where.suffix.lower() in ARRAY_SUFFIXES
+    kind = kind_of(where) or ("array" if is_array else None)  # which says what it lacks
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
-    needed = _NEEDS.get(kind) or _NEEDS.get(suffix)
-    if needed and find_spec(needed) is None:
-        raise FactoryError(f"{path}: needs {needed}: pip install 'simnfnd[sonar]'")
     module, name = READERS[kind][0].split(":")
-    reader = getattr(import_module(f".{module}", __name__), name)
-    recording: Recording = reader(where)
+    if module in ("pictures", "rosbag"):
+        require([Need(f"{path}", "cv2")])
+    recording: Recording = getattr(import_module(f".{module}", __name__), name)(where)
     return recording

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,29 +23,19 @@ from ...factory.small_files import open_regular
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 ARRAY_SUFFIX = ".npy"
-PICTURE_SUFFIXES = (
-    *(".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX),
-)
+ARRAY_SUFFIXES = (ARRAY_SUFFIX, ".npz", ".mat")
+PICTURE_SUFFIXES = (".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX)
 FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 Samples = npt.NDArray[Any]
 
-RATIO = 200
-"""Times its size that a stranger's file may unpack to; a small one to `ALWAYS_BYTES`, and none to
-more than `MOST_BYTES` at once.  Raw sonar pictures are mostly black and pack 5 to 50 times."""
-ALWAYS_BYTES = 1 << 28
-MOST_BYTES = 1 << 31
-MOST_PIXELS = 1 << 26
-"""Of a picture, whatever it is packed into."""
+# Times its size that a stranger's file may unpack to; a small one to `ALWAYS_BYTES`, and none to
+# more than `MOST_BYTES` at once.  Raw sonar pictures are mostly black and pack 5 to 50 times.
+RATIO, ALWAYS_BYTES, MOST_BYTES = 200, 1 << 28, 1 << 31
+MOST_PIXELS = 1 << 26  # of a picture, whatever it is packed into
 TOO_LARGE = f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
 MOST_RANGES, MOST_BEAMS = 8192, 4096
 MOST_RANGE_M = 2000.0
-_POSE = {
-    **dict.fromkeys(("heading_deg", "pitch_deg", "roll_deg"), 360.0),
-    **dict.fromkeys(("pan_deg", "tilt_deg"), 720.0),
-    **{"depth_m": 1e6, "latitude_deg": 90.0, "longitude_deg": 180.0},
-}
-"""What is more than that is absurd."""
 
 
 @dataclass(frozen=True)
@@ -63,19 +53,15 @@ class Beams:
 
 @dataclass(frozen=True)
 class Pose:
-    """How the sonar stood, as far as the file says; None where it does not.
+    """How the sonar stood, as far as the file says; None where it does not."""
 
-    heading_deg, pitch_deg, roll_deg: of the sonar's compass.  depth_m: of the platform.
-    pan_deg, tilt_deg: of a rotator.  latitude_deg, longitude_deg: of a GPS.
-    """
-
-    heading_deg: float | None = None
+    heading_deg: float | None = None  # of the sonar's compass, as the next two
     pitch_deg: float | None = None
     roll_deg: float | None = None
-    depth_m: float | None = None
-    pan_deg: float | None = None
+    depth_m: float | None = None  # of the platform
+    pan_deg: float | None = None  # of a rotator
     tilt_deg: float | None = None
-    latitude_deg: float | None = None
+    latitude_deg: float | None = None  # of a GPS
     longitude_deg: float | None = None
 
 
@@ -110,37 +96,67 @@ class Frame:
     device: Device = field(default_factory=Device)
 
 
+class Ended(FrameError):
+    """The file holds fewer frames than it says."""
+
+
 class Recording(ABC):
     """An opened recording; close it, or use it in a `with` statement.
 
+    A reader adds `_open` and `_read`.
     warning: what is wrong with the file though its frames can be read, in one line; mostly empty.
+    count: how many frames the file says it has.  files: those of pictures, else none.
     """
 
+    _file: IO[bytes] | None = None
+
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.warning = ""
+        """Raises FactoryError when it cannot be opened, or holds no whole frame."""
+        self.path, self.warning, self.count = path, "", 0
+        self.files: list[Path] = []
+        try:
+            if not path.is_dir():
+                self._file, self.size = open_regular(path), path.stat().st_size
+            self._open()
+        except OSError as error:
+            raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
+        except FactoryError as error:
+            self.close()
+            raise FactoryError(str(error)) from error
 
     @abstractmethod
-    def __len__(self) -> int:
-        """How many frames there are."""
+    def _open(self) -> None:
+        """Count the frames.  Raises FactoryError when there are none of this kind."""
 
     @abstractmethod
     def _read(self, number: int) -> Frame:
         """Read a frame that is there.  Raises FrameError when it is damaged."""
 
+    def __len__(self) -> int:
+        return self.count
+
     def __getitem__(self, number: int) -> Frame:
         """One frame.  Raises IndexError, and FrameError when it cannot be used."""
-        if not 0 <= number < len(self):
-            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
+        if not 0 <= number < self.count:
+            raise IndexError(f"{self.path}: frame {number} of {self.count}")
         return self._read(number)
 
     def __iter__(self) -> Iterator[Frame]:
-        """All frames in order.  Raises FrameError at one that cannot be used."""
-        for number in range(len(self)):
-            yield self[number]
+        """All frames that are there, in order.  Raises FrameError at one that cannot be used."""
+        for number in range(self.count):
+            try:
+                frame = self._read(number)
+            except Ended:
+                if not number:
+                    raise
+                self.warning = f"{self.path}: ends after {number} of {self.count} frames"
+                return
+            yield frame
 
-    def close(self) -> None:  # noqa: B027  some hold nothing open
+    def close(self) -> None:
         """Let go of the file."""
+        if self._file is not None:
+            self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -148,36 +164,13 @@ class Recording(ABC):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-
-class FileOfFrames(Recording):
-    """What readers of one file share; they add `_open`, `__len__` and `_read`."""
-
-    def __init__(self, path: Path) -> None:
-        """Raises FactoryError when the file cannot be opened, or holds no whole frame."""
-        super().__init__(path)
-        try:
-            self.size = path.stat().st_size
-            self._file = open_regular(path)
-        except OSError as error:
-            raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
-        try:
-            self._open()
-        except FrameError as error:
-            self.close()
-            raise FactoryError(str(error)) from error
-
-    @abstractmethod
-    def _open(self) -> None:
-        """Read what the file says of all frames.  Raises FrameError when it is of another kind."""
-
-    def close(self) -> None:
-        """See `Recording`."""
-        self._file.close()
+    def __del__(self) -> None:
+        self.close()
 
     def bytes_at(self, offset: int, count: int, what: str) -> bytes:
-        """`count` bytes.  Raises FrameError when the file ends before."""
+        """`count` bytes of the file.  Raises FrameError when it ends before."""
         content = b""
-        if 0 <= offset <= self.size - count:
+        if self._file is not None and 0 <= offset <= self.size - count:
             try:
                 self._file.seek(offset)
                 content = self._file.read(count)
@@ -186,6 +179,12 @@ class FileOfFrames(Recording):
         if len(content) != count:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
         return content
+
+    def record_at(self, offset: int, layout: np.dtype[Any], what: str) -> np.void:
+        """The header of this layout.  Raises FrameError when the file ends before."""
+        content = self.bytes_at(offset, layout.itemsize, what)
+        record: np.void = np.frombuffer(content, layout)[0]
+        return record
 
     def within(self, what: str, value: float, least: float, most: float) -> float:
         """`value`.  Raises FrameError unless it is a number from `least` to `most`."""
@@ -240,10 +239,7 @@ def ask_pixels(what: str, width: float, height: float) -> None:
 
 
 def swapped(picture: Samples) -> Samples:
-    """Colours in OpenCV's order (BGR), or the other way round; numbers as the machine orders them.
-
-    picture: (H, W) or (H, W, C); what is beside three colours stays where it is.
-    """
+    """(H, W) or (H, W, C), red first as blue first or the other way round, in native byte order."""
     if picture.ndim == 3 and picture.shape[2] >= 3:
         picture = np.concatenate([picture[..., 2::-1], picture[..., 3:]], axis=2)
     return picture.astype(picture.dtype.newbyteorder("="), copy=False)
@@ -256,21 +252,5 @@ def known(value: float, most: float = 1e6) -> float | None:
 
 def pose_of(header: np.void) -> Pose:
     """What those fields of a header say that are named as fields of `Pose`."""
-    names = header.dtype.names or ()
-    return Pose(**{name: known(header[name], _POSE[name]) for name in names if name in _POSE})
-
-
-def layout_of(fields: str, size: int | None = None) -> np.dtype[Any]:
-    """The dtype of a header, little end first.
-
-    fields: "NAME KIND ..." of all fields in order, or, of a header of `size` bytes, "NAME OFFSET
-        KIND ..." of those that are read.
-    """
-    words = fields.split()
-    step = 2 if size is None else 3
-    names, kinds = words[::step], [f"<{kind}" for kind in words[step - 1 :: step]]
-    if size is None:
-        return np.dtype(list(zip(names, kinds, strict=True)))
-    offsets = [int(word) for word in words[1::3]]
-    made: Any = {"names": names, "formats": kinds, "offsets": offsets, "itemsize": size}
-    return np.dtype(made)
+    names = set(header.dtype.names or ()) & set(Pose.__dataclass_fields__)
+    return Pose(**{name: known(header[name]) for name in names})

@@ -4,16 +4,16 @@ A fan picture is lit inside a sector and black outside it, mostly with far range
 lit with one probability inside the sector and with another outside; the outline with the greatest
 likelihood wins, so holes (shadows, noise that reaches zero) and specks (ringing of JPEG or MPEG,
 text) cost little each.  The share of the outline that the picture really shows decides whether it
-is accepted.  Where none is, the finder turns the picture by quarters, then tries the largest area
-of a screen alone, and last searches a V of white lines, as chart plotters draw it.
+is accepted.  Where none is, the picture is turned by quarters, then the largest area of a screen is
+tried alone, and last a V of white lines is searched, as chart plotters draw it.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import cv2
@@ -24,83 +24,54 @@ from ...factory.sonar.geometry import FanGeometry
 from .palettes import find_painted
 
 Numbers = npt.NDArray[np.float64]
+# apex_x, apex_y, far_px, near_px, tangents of the edges' bearings, pixels along x for one along y.
 Sector = tuple[float, float, float, float, float, float, float]
-"""apex_x, apex_y, far_px, near_px, tangents of the left and the right edge's bearings, and pixels
-along x for one along y."""
 Bytes = npt.NDArray[np.uint8]
 
-_MOST_BLACK = 48
-"""Of 255: a border lighter than this is no black one."""
-_HOLES = np.ones((7, 7), np.uint8)  # of zeros in a fan
+_SURE = 0.7  # share of the outline that must be seen
+_SURE_ODD = 0.8  # of turned fans, and of fans on screens
+_MOST_BLACK = 48  # of 255: a border lighter than this is no black one
 _LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
-SURE = 0.7
-"""Fans found with less confidence are not returned."""
-_SURE_ODD = 0.8  # turned fans, and fans on screens
 _LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
-
-_SMALLEST = 32  # pixels a side
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
-_SURE_SQUEEZE = 1.95
-_GROUND_SPREADS = 2, 6  # of 255: the ground of a screen
-_DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
+_SURE_SQUEEZE, _MOST_SQUEEZE = 1.95, 2.0
+# Of 255: the ground of a screen; a video's is not quite flat, and the wider it may spread, the
+# farther it reaches into a fan's grain.
+_GROUND_SPREADS = 2, 6
 _LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
 
 
-@dataclass(frozen=True)
-class FoundFan:
-    """A fan as it lies in a picture.
-
-    geometry: in pixels and shares of the largest range; metres cannot be seen.
-    confidence: 0..1, the share of the outline (both edges and the far arc, in equal parts) at which
-        the picture is lit just inside and black just outside.  A fan whose outline is half in the
-        dark has 0.5.
-    """
-
-    geometry: FanGeometry
-    confidence: float
-
-
-def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
+def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
     """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
 
+    In pixels and shares of the largest range; metres cannot be seen.
     None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
     full rectangle.  Raises ValueError for another shape.
     """
     grey = _bytes(picture)
-    if min(grey.shape) < _SMALLEST:
+    if min(grey.shape) < 32:
         return None
-    found = _find_upright(grey, SURE) or _find_turned(grey)
-    # A video's ground is not quite flat; the wider, the farther it reaches into a fan's grain.
-    for spread in _GROUND_SPREADS:
-        if found is not None:
-            break
-        alone = _largest_part(grey, spread)
-        if alone is not None:
-            found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
-    return found or _find_drawn(grey)
+    for spread in (None, *_GROUND_SPREADS):
+        shown = grey if spread is None else _largest_part(grey, spread)
+        if shown is None:
+            continue
+        for turns in (0, 2, 1, 3):
+            sure = _SURE_ODD if turns or spread else _SURE
+            found = _find_upright(np.ascontiguousarray(np.rot90(shown, turns)), sure)
+            if found is not None:
+                geometry = found.turned_back(turns, *grey.shape)
+                if not turns or geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
+                    return geometry
+    return _find_drawn(grey)
 
 
-def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
-    """The geometry of the fan that `find_fan` sees, if it sees one."""
-    found = find_fan(picture)
-    return None if found is None else found.geometry
-
-
-def _find_turned(grey: Bytes) -> FoundFan | None:
-    """The fan with far range elsewhere."""
-    for turns in (2, 1, 3):
-        found = _find_upright(np.ascontiguousarray(np.rot90(grey, turns)), _SURE_ODD)
-        if found is not None:
-            geometry = found.geometry.turned_back(turns, *grey.shape)
-            if geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
-                return replace(found, geometry=geometry)
-    return None
-
-
-def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
+def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
     """The fan with far range on top."""
-    black = _black(grey)
+    # The border: the lesser of both upper corners, which no fan reaches; text may be in the other.
+    size = max(2, min(grey.shape) // 40)
+    corners = grey[:size, :size], grey[:size, -size:]
+    black = min(int(np.quantile(corner, 0.99)) for corner in corners)
     if black > _MOST_BLACK:
         return None
     grey, top, left = _cropped(grey, black)
@@ -108,47 +79,36 @@ def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
     if sector is None:
         return None
     # JPEG and MPEG ring on both sides of an edge: there the border is not quite black.
-    ringing = min(_level_beside(grey, sector), _MOST_BLACK)
-    if ringing > black:
-        again = fit_sector(grey > ringing)
-        if again is not None:
-            black, sector = ringing, again
-    half_deg = np.rad2deg(np.arctan([-sector[4], sector[5]]))
-    if half_deg.min() < _LEAST_HALF_DEG or half_deg.max() > _MOST_HALF_DEG:
+    inside = _inside(sector, *grey.shape)
+    near, wide = (cv2.dilate(inside, np.ones((side, side), np.uint8)) for side in (5, 17))
+    beside = grey[(wide > 0) & (near == 0)]
+    ringing = min(int(np.quantile(beside, 0.97)), _MOST_BLACK) if beside.size else 0
+    if ringing > black and (again := fit_sector(grey > ringing)) is not None:
+        black, sector = ringing, again
+    lit = grey > black
+    apex_x, apex_y, far, near_px, *tangents, squeeze = sector
+    first, last = map(math.atan, tangents)
+    half, other = max(-first, last), min(-first, last)
+    if not _LEAST_HALF_DEG <= math.degrees(other) <= math.degrees(half) <= _MOST_HALF_DEG:
         return None
-    outside = (grey > black) & (_inside(sector, *grey.shape) == 0)
-    if outside.mean() > _MOST_OUTSIDE:
+    if abs(math.log(squeeze)) > math.log(_SURE_SQUEEZE):
         return None
-    if abs(math.log(sector[6])) > math.log(_SURE_SQUEEZE):
+    if (lit & (_inside(sector, *grey.shape) == 0)).mean() > _MOST_OUTSIDE:
         return None
-    geometry = _geometry(sector)
-    confidence = _confidence(grey > black, geometry)
-    if confidence < sure:
+    place = {"apex_x_px": apex_x, "apex_y_px": apex_y, "near_px": near_px, "far_px": far}
+    fan = FanGeometry.fan(2 * half, **place, x_scale=squeeze)
+    geometry = replace(fan, azimuth_min_rad=first, azimuth_max_rad=last)
+    if _confidence(lit, geometry) < sure:
         return None
-    moved = replace(
-        geometry, apex_x_px=geometry.apex_x_px + left, apex_y_px=geometry.apex_y_px + top
-    )
-    return FoundFan(moved, confidence)
-
-
-def _black(grey: Bytes) -> int:
-    """The level of the border: the lesser of both upper corners', which no fan reaches.
-
-    There may be text in the other.
-    """
-    size = max(2, min(grey.shape) // 40)
-    corners = grey[:size, :size], grey[:size, -size:]
-    return min(int(np.quantile(corner, 0.99)) for corner in corners)
+    return replace(geometry, apex_x_px=apex_x + left, apex_y_px=apex_y + top)
 
 
 def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
     """What is not border, with some border around it; its first row and column."""
-    lit = grey > black
     spans = []
-    for share in (lit.mean(axis=1), lit.mean(axis=0)):
-        some = np.flatnonzero(share > 0.02)
-        ends = (int(some[0]), int(some[-1]) + 1) if len(some) else (0, len(share))
-        spans.append(slice(max(ends[0] - 16, 0), ends[1] + 16))
+    for share in ((grey > black).mean(axis=1), (grey > black).mean(axis=0)):
+        some = np.flatnonzero(share > 0.02).tolist() or [0, len(share) - 1]
+        spans.append(slice(max(some[0] - 16, 0), some[-1] + 17))
     rows, columns = spans
     return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
 
@@ -165,7 +125,7 @@ def _bytes(picture: npt.NDArray[Any]) -> Bytes:
     full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
     # Samples of 10 or 12 bits in files of 16 leave most of the scale empty.
     brightest = float(np.nan_to_num(picture, posinf=0).max(initial=0))
-    full = brightest if 0 < brightest < _DIM * full else full
+    full = brightest if 0 < brightest < full / 4 else full
     # A level that is not zero stays one.
     return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
 
@@ -176,101 +136,70 @@ def _inside(sector: Sector, height: int, width: int) -> Bytes:
     return np.asarray((row >= top) & (row <= bottom), np.uint8)
 
 
-def _level_beside(grey: Bytes, sector: Sector) -> int:
-    """The level below which 97 % of the pixels lie that are 2 to 8 pixels outside the sector."""
-    inside = _inside(sector, *grey.shape)
-    near = cv2.dilate(inside, np.ones((5, 5), np.uint8))
-    wide = cv2.dilate(inside, np.ones((17, 17), np.uint8))
-    beside = grey[(wide > 0) & (near == 0)]
-    return int(np.quantile(beside, 0.97)) if beside.size else 0
-
-
-def _geometry(sector: Sector) -> FanGeometry:
-    apex_x, apex_y, far, near, left, right, squeeze = sector
-    first, last = math.atan(left), math.atan(right)
-    return FanGeometry(
-        "fan",
-        near_fraction=near / far,
-        sector_rad=2 * max(-first, last),
-        azimuth_min_rad=first,
-        azimuth_max_rad=last,
-        apex_x_px=apex_x,
-        apex_y_px=apex_y,
-        far_px=far,
-        x_scale=squeeze,
-    )
-
-
 def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
-    """See `FoundFan`."""
-    count = _PIECES * 12
+    """0..1, the share of the outline at which all is lit just inside and black just outside.
+
+    Both edges and the far arc, in equal parts: a fan whose outline is half in the dark has 0.5.
+    """
+    count, first, last = _PIECES * 12, fan.azimuth_min_rad, fan.azimuth_max_rad
     # Some pixels away from the outline, as shares of the largest range.
     away = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
     ranges = np.linspace(fan.near_fraction + 0.03, 0.97, count)[:, None]
-    bearings = np.linspace(fan.azimuth_min_rad, fan.azimuth_max_rad, count + 8)[4:-4, None]
+    bearings = np.linspace(first, last, count + 8)[4:-4, None]
+    aside = away / ranges
+    sides = (
+        ((ranges, first + aside), (ranges, first - aside)),
+        ((ranges, last - aside), (ranges, last + aside)),
+        ((1 - away, bearings), (1 + away, bearings)),
+    )
     seen = []
-    for edge_rad, side in ((fan.azimuth_min_rad, -1.0), (fan.azimuth_max_rad, 1.0)):
-        inner = _lit_share(lit, fan, ranges, edge_rad - side * away / ranges)
-        outer = _lit_share(lit, fan, ranges, edge_rad + side * away / ranges)
-        seen.append(_seen(inner, outer))
-    inner = _lit_share(lit, fan, 1 - away, bearings)
-    outer = _lit_share(lit, fan, 1 + away, bearings)
-    seen.append(_seen(inner, outer))
+    for side in sides:
+        # Outside the picture all is black, and inside there must be something.
+        inner, outer = (_lit_share(lit, *fan.pixels(*places)) for places in side)
+        seen.append((inner > 0.1) & (outer < 0.35 * inner))
     return float(np.mean(seen))
 
 
-def _seen(inner: Numbers, outer: Numbers) -> npt.NDArray[np.bool_]:
-    # Outside the picture all is black, and inside there must be something.
-    inner, outer = np.nan_to_num(inner), np.nan_to_num(outer)
-    return np.asarray((inner > 0.1) & (outer < 0.35 * inner))
+def _lit_share(lit: npt.NDArray[np.bool_], row: Numbers, column: Numbers) -> Numbers:
+    """(_PIECES,) share of lit pixels of each piece of the outline; 0 outside the picture."""
+    hit, there = (found.reshape(_PIECES, -1).sum(axis=1) for found in _at(lit, row, column))
+    return np.asarray(hit / np.maximum(there, 1))
 
 
-def _lit_share(
-    lit: npt.NDArray[np.bool_],
-    fan: FanGeometry,
-    ranges: npt.NDArray[Any],
-    bearings: npt.NDArray[Any],
-) -> Numbers:
-    """(_PIECES,) share of lit pixels of each piece of the outline, NaN outside the picture."""
-    height, width = lit.shape
-    row, column = (np.rint(place).astype(int) for place in fan.pixels(ranges, bearings))
-    row, column = np.broadcast_arrays(row, column)
+def _at(
+    values: npt.NDArray[Any], row: Numbers, column: Numbers
+) -> tuple[npt.NDArray[Any], npt.NDArray[np.bool_]]:
+    """Values of the nearest pixels of (H, W), 0 outside it, and where it is not outside."""
+    height, width = values.shape
+    row, column = np.broadcast_arrays(np.rint(row).astype(int), np.rint(column).astype(int))
     there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    hit = there & lit[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
-    counts = there.reshape(_PIECES, -1).sum(axis=1)
-    share = hit.reshape(_PIECES, -1).sum(axis=1) / np.maximum(counts, 1)
-    return np.where(counts > 0, share, np.nan)
-
-
-def _border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The outermost pixels of (H, W), in one row."""
-    return np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
+    return there * values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], there
 
 
 def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
     """What is largest on a flat ground, alone on black: a fan amid text and panels."""
-    ground = int(np.median(_border(grey)))
+    rim = np.ones(grey.shape, bool)
+    rim[1:-1, 1:-1] = False
+    ground = int(np.median(grey[rim]))
     shown = grey
     if ground > spread:
         # What reaches in from the picture's border.
         alike = (np.abs(grey.astype(np.int16) - ground) <= spread).astype(np.uint8)
         _, parts = cv2.connectedComponents(alike, connectivity=4)
-        reached = np.isin(parts, np.setdiff1d(_border(parts), 0))
-        shown = np.where(reached, 0, grey).astype(np.uint8)
-    lit = cv2.morphologyEx((shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, _HOLES)
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=4)
+        shown = np.where(np.isin(parts, np.setdiff1d(parts[rim], 0)), 0, grey).astype(np.uint8)
+    closed = cv2.morphologyEx(
+        (shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8)
+    )
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=4)
     if count < (2 if ground > spread else 3):
         return None  # a single one on black is no other picture than before
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    if not _LEAST_PART <= stats[largest, cv2.CC_STAT_AREA] / grey.size <= _MOST_PART:
-        return None
-    return np.where(parts == largest, shown, 0).astype(np.uint8)
+    share = stats[largest, cv2.CC_STAT_AREA] / grey.size
+    alone = np.where(parts == largest, shown, 0).astype(np.uint8)
+    return alone if _LEAST_PART <= share <= _MOST_PART else None
 
 
 _SIDE = 160  # the picture is made about this large for the first guess
-_LEAST_AREA = 0.03  # of the picture
-_PLAINLY = 30.0  # logarithm of a likelihood ratio
-_MOST_SQUEEZE = 2.0
 _NONE = 1e15  # cost of an outline that is no sector
 
 
@@ -281,18 +210,15 @@ def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
         return None
     outline, rows, cell = guess
     fit = _Likelihood(lit, rows)
-    if not fit.learn(outline):
-        return None
-    outline = fit.improve(outline, cell, squeezed=False)
-    # Now that the shares inside and outside are known better.
-    if not fit.learn(outline):
-        return None
-    outline = fit.improve(outline, 1.0, squeezed=False)
+    # Twice: after the first the shares inside and outside are known better.
+    for size_px in (cell, 1.0):
+        if not fit.learn(outline):
+            return None
+        outline = fit.improve(outline, size_px, squeezed=False)
     squeezed = fit.improve(outline, 0.5, squeezed=True)
-    # Pixels are square unless the arcs say plainly that they are not.
+    # Pixels are square unless the arcs say plainly that they are not: by this log-likelihood.
     changed, square = fit.costs([squeezed.tolist(), outline.tolist()])
-    if changed < square - _PLAINLY:
-        outline = squeezed
+    outline = squeezed if changed < square - 30.0 else outline
     return _sector(fit.polish(outline).tolist(), rows)
 
 
@@ -313,22 +239,16 @@ def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, floa
     dense = (share > 0.4 * np.median(some)).astype(np.uint8)
     dense = cv2.morphologyEx(dense, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=8)
-    if count < 2:
+    part = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]) if count > 1 else labels > 0
+    if part.mean() < 0.03:
         return None
-    part = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])
-    if part.mean() < _LEAST_AREA:
+    rows, last_column = np.flatnonzero(part.any(axis=1)), part.shape[1] - 1
+    left, mirrored = (_edge(rows, one.argmax(axis=1)) for one in (part[rows], part[rows, ::-1]))
+    if left is None or mirrored is None or left[0] + mirrored[0] <= 1e-3:
         return None
-    rows = np.flatnonzero(part.any(axis=1))
-    first = part[rows].argmax(axis=1)
-    last = part.shape[1] - 1 - part[rows, ::-1].argmax(axis=1)
-    left, right = _edge(rows, first), _edge(rows, part.shape[1] - 1 - last)
-    if left is None or right is None:
-        return None
-    right = np.array([-right[0], part.shape[1] - 1 - right[1]])
-    if left[0] - right[0] <= 1e-3:
-        return None
+    right = np.array([-mirrored[0], last_column - mirrored[1]])
     apex_row = (right[1] - left[1]) / (left[0] - right[0])
-    apex_column = int(np.clip(np.polyval(left, apex_row), 1, part.shape[1] - 2))
+    apex_column = int(np.clip(np.polyval(left, apex_row), 1, last_column - 1))
     ahead = np.flatnonzero(part[:, apex_column - 1 : apex_column + 2].any(axis=1))
     if not len(ahead):
         return None
@@ -417,17 +337,12 @@ class _Likelihood:
         np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
         if whole:
             rows[0], rows[1] = np.ceil(rows[0] - 0.5), np.floor(rows[1] + 0.5)
-        np.maximum(rows, 0.0, out=rows)
-        np.minimum(rows, self._height, out=rows)
+        np.minimum(np.maximum(rows, 0.0, out=rows), self._height, out=rows)
         np.minimum(rows[0], rows[1], out=rows[0])  # nothing where last < first
         at = rows.astype(np.int64)
-        part = rows - at
-        at *= self._width
-        at += columns
+        part, at = rows - at, at * self._width + columns
         here = self._above.take(at)
-        at += self._width
-        np.multiply(part, self._above.take(at) - here, out=lit)
-        lit += here
+        lit[:] = part * (self._above.take(at + self._width) - here) + here
         # One after the other, so that the sums do not depend on how NumPy splits them.
         sums: Numbers = (found[:, 1] - found[:, 0]).cumsum(axis=-1)[..., -1]
         return sums
@@ -450,11 +365,7 @@ class _Likelihood:
         steps = np.diag([size_px] * 6 + [0.05])[:free, :free]
         fixed = outline[free:].tolist()
         simplex = np.vstack([outline[:free], outline[:free] + steps])
-
-        def cost(values: Numbers) -> float:
-            return float(self.costs([values.tolist() + fixed])[0])
-
-        best = _lowest(cost, simplex, most=40 * free)
+        best = _lowest(lambda values: self.costs([values.tolist() + fixed])[0], simplex, 40 * free)
         return np.concatenate([best, outline[free:]])
 
     def polish(self, outline: Numbers) -> Numbers:
@@ -472,54 +383,42 @@ class _Likelihood:
         return outline
 
 
-def _lowest(cost: Callable[[Numbers], float], simplex: Numbers, most: int) -> Numbers:
-    """Where the cost is lowest near a simplex (N + 1, N), by at most `most` looks at it.
+def _lowest(cost: Callable[[Numbers], float], corners: Numbers, most: int) -> Numbers:
+    """Where the cost is lowest near a simplex (N + 1, N), by at most about `most` looks at it.
 
     Nelder and Mead 1965 with the parameters of Gao and Han 2012; it stops where no corner is more
     than .05 away and 1 above.  SciPy has it, too, and takes a third of a second to import.
     """
-    size = simplex.shape[1]
+    size = corners.shape[1]
     expand, contract, shrink = 1 + 2 / size, 0.75 - 1 / (2 * size), 1 - 1 / size
-    costs = [cost(corner) for corner in simplex]
+    costs = np.array([cost(corner) for corner in corners])
     looks = len(costs)
-    by = np.argsort(costs, kind="stable")
-    corners, costs = simplex[by], [costs[place] for place in by]
-    while looks < most:
-        if costs[-1] - costs[0] <= 1.0 and np.abs(corners[1:] - corners[0]).max() <= 0.05:
+    while True:
+        by = np.argsort(costs, kind="stable")
+        corners, costs = corners[by], costs[by]
+        still = costs[-1] - costs[0] <= 1.0 and np.abs(corners[1:] - corners[0]).max() <= 0.05
+        if still or looks >= most:
             break
         middle, worst = np.add.reduce(corners[:-1]) / size, corners[-1]
         tried = 2 * middle - worst
         found = cost(tried)
         looks += 1
-        if costs[0] <= found < costs[-2]:
-            pass
-        elif looks >= most:
-            break
-        elif found < costs[0]:
-            further = (1 + expand) * middle - expand * worst
+        if not costs[0] <= found < costs[-2]:
+            if looks >= most:
+                break
+            lowest, outside = found < costs[0], found < costs[-1]
+            part = expand if lowest else contract if outside else -contract
+            further = (1 + part) * middle - part * worst
             there = cost(further)
             looks += 1
-            if there < found:
+            if there < found if lowest else there <= found and there < costs[-1]:
                 tried, found = further, there
-        else:
-            outside = found < costs[-1]
-            limit = found if outside else costs[-1]
-            part = contract if outside else -contract
-            tried = (1 + part) * middle - part * worst
-            found = cost(tried)
-            looks += 1
-            if found > limit or (not outside and found == limit):
-                for number in range(1, min(len(corners), most - looks + 1)):
-                    corners[number] = corners[0] + shrink * (corners[number] - corners[0])
-                    costs[number] = cost(corners[number])
+            elif not lowest:
+                corners[1:] = corners[0] + shrink * (corners[1:] - corners[0])
+                costs[1:] = [cost(corner) for corner in corners[1:]]
                 looks += size
-                by = np.argsort(costs, kind="stable")
-                corners, costs = corners[by], [costs[place] for place in by]
                 continue
-        place = bisect_right(costs, found, hi=size)
-        corners[place + 1 :] = corners[place:-1].copy()
-        corners[place] = tried
-        costs[place:] = [found, *costs[place:-1]]
+        corners[-1], costs[-1] = tried, found
     return np.asarray(corners[0])
 
 
@@ -530,77 +429,60 @@ def limits(sectors: Numbers, x: Numbers) -> Numbers:
     """
     apex_x, apex_y, _, _, *_, squeeze = by_name = sectors.T[..., None]
     across = (x - apex_x) / squeeze
-    reach = np.square(by_name[2:4]) - across * across
-    ahead: Numbers = np.sqrt(np.maximum(reach, 0.0, out=reach), out=reach)
+    ahead: Numbers = np.sqrt(np.maximum(np.square(by_name[2:4]) - across * across, 0.0))
     # An edge lies ahead on its own side alone.
-    edges = across / by_name[4:6]
-    np.maximum(ahead[1], np.maximum(edges[0], edges[1]), out=ahead[1])
-    return np.subtract(apex_y, ahead, out=ahead)
+    ahead[1] = np.maximum(ahead[1], (across / by_name[4:6]).max(axis=0))
+    return np.asarray(apex_y - ahead)
 
 
 _WHITE = 200  # of 255
-_WIDE = np.ones((9, 9), np.uint8)  # echoes and panels are as wide as that, lines are not
-_LEAST_LENGTH = 0.2  # of the picture's width: a line's length
 _LEAST_DEG, _MOST_DEG = 3.0, 75.0  # a line's angle against the picture's rows
 _ALIKE_DEG = 1.0  # by which both angles may differ
-_GAP_PX = 12.0  # between the sonar and the beginning of a line
 _TRIED = 8  # of the longest lines
-_MOST_DRAWN = 0.05  # of the picture: where more is thin and bright, it is speckle
 _ARC_SHARE = 0.35  # of an arc within the picture that must be white
 
 
-def _find_drawn(grey: Bytes) -> FoundFan | None:
-    """The fan between two white lines as far as the outermost arc.
-
-    grey: (H, W), or levels of a map, of which white is the highest.
-    """
+def _find_drawn(grey: Bytes) -> FanGeometry | None:
+    """The fan between two white lines as far as the outermost arc."""
     mask = (grey >= _WHITE).astype(np.uint8)
-    lines = mask - cv2.morphologyEx(mask, cv2.MORPH_OPEN, _WIDE)
+    # Echoes and panels are as wide as that, lines are not.
+    lines = mask - cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
     height, width = lines.shape
-    if lines.mean() > _MOST_DRAWN:
+    if lines.mean() > 0.05:  # where more is thin and bright, it is speckle
         return None
-    found = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, _LEAST_LENGTH * width, _GAP_PX)
-    if found is None:
-        return None
-    left: list[tuple[float, ...]] = []
-    right: list[tuple[float, ...]] = []
-    for x1, y1, x2, y2 in found.reshape(-1, 4).astype(float):
+    # A fifth of the width or longer; there may be 12 pixels between the sonar and where one begins.
+    found = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, 0.2 * width, 12.0)
+    sides: tuple[list[tuple[float, ...]], ...] = [], []
+    for x1, y1, x2, y2 in () if found is None else found.reshape(-1, 4).astype(float):
         slope = math.degrees(math.atan2(y2 - y1, x2 - x1))  # x1 <= x2
         if _LEAST_DEG <= abs(slope) <= _MOST_DEG:
-            (left if slope > 0 else right).append((math.hypot(x2 - x1, y2 - y1), slope, x1, y1))
-    for _, down, x1, y1 in sorted(left, reverse=True)[:_TRIED]:
-        for _, up, x2, y2 in sorted(right, reverse=True)[:_TRIED]:
-            # Where both meet is the sonar.
-            fall, rise = math.tan(math.radians(down)), math.tan(math.radians(up))
-            x = (y2 - y1 + fall * x1 - rise * x2) / (fall - rise)
-            y = y1 + fall * (x - x1)
-            if abs(down + up) > _ALIKE_DEG or not (0 < x < width and height / 2 < y < height):
-                continue
-            half = math.pi / 2 - math.radians(down - up) / 2
-            arc = _farthest_arc(lines, x, y, half)
-            if arc is not None:
-                far, seen = arc
-                place = {"apex_x_px": x, "apex_y_px": y, "near_px": 0.0, "far_px": far}
-                return FoundFan(FanGeometry.fan(2 * half, **place), seen)
+            sides[slope < 0].append((math.hypot(x2 - x1, y2 - y1), slope, x1, y1))
+    longest = (sorted(side, reverse=True)[:_TRIED] for side in sides)
+    for (_, down, x1, y1), (_, up, x2, y2) in product(*longest):
+        # Where both meet is the sonar.
+        fall, rise = math.tan(math.radians(down)), math.tan(math.radians(up))
+        x = (y2 - y1 + fall * x1 - rise * x2) / (fall - rise)
+        y = y1 + fall * (x - x1)
+        if abs(down + up) > _ALIKE_DEG or not (0 < x < width and height / 2 < y < height):
+            continue
+        half = math.pi / 2 - math.radians(down - up) / 2
+        far = _farthest_arc(lines, x, y, half)
+        if far is not None:
+            return FanGeometry.fan(2 * half, apex_x_px=x, apex_y_px=y, near_px=0.0, far_px=far)
     return None
 
 
-def _farthest_arc(
-    lines: npt.NDArray[Any], x: float, y: float, half: float
-) -> tuple[float, float] | None:
-    """Radius of the outermost circle about the sonar that is drawn within the fan, and its share.
-
-    None where there is none.
-    """
+def _farthest_arc(lines: npt.NDArray[Any], x: float, y: float, half: float) -> float | None:
+    """Radius of the outermost circle about the sonar that is drawn in the fan."""
     height, width = lines.shape
     bearings = np.linspace(-half, half, 720)[10:-10]
     radii = np.arange(height / 4, math.hypot(width, height))[:, None]
-    column = np.rint(x + radii * np.sin(bearings)).astype(int)
-    row = np.rint(y - radii * np.cos(bearings)).astype(int)
-    there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    near = cv2.dilate(lines, np.ones((3, 3), np.uint8))
-    lit = near[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] * there
+    lit, there = _at(
+        cv2.dilate(lines, np.ones((3, 3), np.uint8)),
+        y - radii * np.cos(bearings),
+        x + radii * np.sin(bearings),
+    )
     count = there.sum(axis=1)
     share = np.where(count >= 180, lit.sum(axis=1) / np.maximum(count, 1), 0)
     arcs = np.flatnonzero(share >= _ARC_SHARE)
-    return (float(radii[arcs[-1], 0]), float(share[arcs[-1]])) if len(arcs) else None
+    return float(radii[arcs[-1], 0]) if len(arcs) else None

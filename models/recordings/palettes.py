@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -20,19 +21,21 @@ Colours = npt.NDArray[np.float32]
 """(N, 3), 0 to 255."""
 Levels = npt.NDArray[np.float32]
 
+# Of OpenCV; those that end as they begin are no scale of levels.
 _MAPS = (
     *("JET", "TURBO", "RAINBOW", "PARULA", "VIRIDIS", "PLASMA", "INFERNO", "MAGMA", "CIVIDIS"),
     *("DEEPGREEN", "OCEAN", "HOT", "BONE", "PINK", "AUTUMN", "WINTER", "SUMMER", "SPRING", "COOL"),
 )
-"""Of OpenCV; those that end as they begin are no scale of levels."""
-_JET_OF_MATPLOTLIB = (
-    ((0, 0.11, 0.34, 0.65, 1), (0.5, 1, 1, 0, 0)),
-    ((0, 0.125, 0.375, 0.64, 0.91, 1), (0, 0, 1, 1, 0, 0)),
-    ((0, 0.35, 0.66, 0.89, 1), (0, 0, 1, 1, 0.5)),
-)
-"""Levels, and blue, green and red at these, 0 to 1: beside OpenCV's by 1.6 of 255 on average."""
-_RED = (((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 1, 1)))
-"""Black, red, white: of chart plotters."""
+_OTHERS = {
+    "jet": (
+        ((0, 0.11, 0.34, 0.65, 1), (0.5, 1, 1, 0, 0)),
+        ((0, 0.125, 0.375, 0.64, 0.91, 1), (0, 0, 1, 1, 0, 0)),
+        ((0, 0.35, 0.66, 0.89, 1), (0, 0, 1, 1, 0.5)),
+    ),
+    "red": (((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 1, 1))),
+}
+"""Levels, and blue, green and red at these, 0 to 1, of Matplotlib's jet (beside OpenCV's by 1.6 of
+255 on average), and of chart plotters: black, red, white."""
 _LOOKED_AT = 4000  # pixels from which a map is told
 _FLAT = 0.1  # part of the pixels from which one colour counts as background
 _NEAR, _BLURRED = 12.0, 36.0  # of 255: how far pixels may lie beside a map; JPEG mixes colours
@@ -44,9 +47,9 @@ _MIXED, _MIXED_SHARE = 2.0, 0.1  # so far beside a map, of 255, lie so many wher
 _SPECK = 30  # pixels of what mixing leaves
 _STROKE = 7  # pixels: what is as wide as that is a page or a panel, not a line
 _GREY, _COLOURED = 3.0, 6.0  # of 255: what channels of a grey picture, of marks on it differ by
+# How near a known map half of the colours lie where others were drawn over it, and part of the
+# pixels that must have colours at all.
 _EXACT, _EXACT_SHARE, _SOME = 1.5, 0.5, 0.2
-"""How near a known map half of the colours lie where others were drawn over it, and part of the
-pixels that must have colours at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +69,15 @@ class Palette:
         """(N,) levels of colours, those of the nearest colours of the map."""
         if self.name == SUM:
             return np.asarray(colours.mean(axis=1) / np.float32(255))
-        return self.at[_nearest(colours, self.colours)]
+        half = np.square(self.colours).sum(axis=1) / 2
+        parts = np.split(colours, range(8192, len(colours), 8192))
+        nearest = [np.argmin(half - part @ self.colours.T, axis=1) for part in parts]
+        return np.asarray(self.at[np.concatenate(nearest)])
 
     def painted(self, levels: Levels) -> Colours:
         """(..., 3) colours of levels, between the map's own in proportion."""
         channels = [np.interp(levels, self.at, self.colours[:, k]) for k in range(3)]
-        return np.stack(channels, axis=-1).astype(np.float32)
+        return np.asarray(np.stack(channels, axis=-1), np.float32)
 
     def misses(self, colours: Colours) -> npt.NDArray[np.float32]:
         """(N,) root mean square distance of the channels from the map, of 255."""
@@ -84,17 +90,14 @@ SUM, GREY = "sum", "grey"
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """A picture whose colours stand for levels.
+    """A picture whose colours stand for levels."""
 
-    picture: (H, W, C) as it is stored.  levels: (H, W) in 0..1.  known: (H, W), False where a
-    colour is none of the map: a line of text, the page around the fan; the level is 0 there, or, of
-    a small mark, that of its surroundings.
-    """
-
-    picture: Samples
+    picture: Samples  # (H, W, C) as it is stored
     palette: Palette
-    levels: Levels
+    levels: Levels  # (H, W) in 0..1
     known: npt.NDArray[np.bool_]
+    """(H, W), False where a colour is none of the map: a line of text, the page around the fan; the
+    level is 0 there, or, of a small mark, that of its surroundings."""
 
     def repainted(self, levels: Levels) -> Samples:
         """The picture with other levels, (H, W); what did not change keeps its very colours."""
@@ -115,12 +118,11 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     before it; a known one is kept where it fits.  A known map is told by its colours; of others
     each sum of the three channels must have one colour.
     """
-    if picture.ndim != 3 or picture.shape[2] not in (3, 4) or str(picture.dtype) not in FULL_SCALE:
+    full = FULL_SCALE.get(str(picture.dtype))
+    if full is None or picture.ndim != 3 or picture.shape[2] not in (3, 4):
         return None
     flat = picture[..., :3].reshape(-1, 3)
-    if not len(flat) or (flat == flat[:, :1]).all():
-        return None
-    if picture.dtype == np.float32 and not (flat.min() >= 0 and flat.max() <= 1):
+    if (flat == flat[:, :1]).all() or not (flat.min() >= 0 and flat.max() <= full):
         return None
     codes = _codes(flat)
     seen = _foreground(codes.reshape(picture.shape[:2]))
@@ -133,39 +135,25 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
         return None
     # Few colours stand for many pixels.
     codes, place = np.unique(codes, return_inverse=True)
-    colours = _uncoded(codes)
+    colours, size, shape = _uncoded(codes), (_STROKE, _STROKE), picture.shape[:2]
     misses = palette.misses(colours)
     near = misses <= (_COLOURED if palette.name == GREY else _BLURRED)
     levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
-    mixed = float((misses[place] > _MIXED).mean()) > _MIXED_SHARE
-    shape = picture.shape[:2]
-    known = near[place].reshape(shape)
-    return Painted(picture, palette, *_without_marks(levels[place].reshape(shape), known, mixed))
-
-
-def _without_marks(
-    levels: Levels, known: npt.NDArray[np.bool_], mixed: bool
-) -> tuple[Levels, npt.NDArray[np.bool_]]:
-    """Levels and what is known of them where specks, lines and letters are of no map.
-
-    They get the mean of what is known around them, else weights would see black ones; where JPEG or
-    a video mixed the colours specks are levels like others, elsewhere what somebody drew.
-    """
+    levels, known = levels[place].reshape(shape), near[place].reshape(shape)
     if known.all() or not known.any():
-        return levels, known
-    import cv2  # an extra, as are pictures with colours
-
+        return Painted(picture, palette, levels, known)
+    # Specks, lines and letters of no map get the mean of what is known around them, else weights
+    # would see black ones.
     unknown = (~known).astype(np.uint8)
-    wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
-    size = (_STROKE, _STROKE)
+    wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones(size, np.uint8))
     there = cv2.blur(known.astype(np.float32), size)
     means = cv2.blur(levels * known, size) / np.maximum(there, np.float32(1e-6))
     drawn = (unknown > wide) & (there > 0)
-    filled = np.where(drawn, means, levels).astype(np.float32)
-    if not mixed:
-        return filled, known
-    _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
-    return filled, known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))
+    # Where JPEG or a video mixed the colours specks are levels like others, else somebody drew.
+    if float((misses[place] > _MIXED).mean()) > _MIXED_SHARE:
+        _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
+        known = known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))
+    return Painted(picture, palette, np.where(drawn, means, levels).astype(np.float32), known)
 
 
 def grey_of_colours(picture: Samples) -> Levels:
@@ -179,8 +167,6 @@ def grey_of_colours(picture: Samples) -> Levels:
     found = find_painted(picture)
     if found is not None:
         return found.levels
-    import cv2  # an extra, as are pictures with colours
-
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(scaled[..., :3]), cv2.COLOR_BGR2GRAY))
 
 
@@ -191,28 +177,27 @@ def _palette_of(seen: Colours) -> Palette | None:
         return drawn_over
     own = _by_sums(seen)
     fit = {one: one.misses(seen).mean() for one in (*_known(), own) if _fits(one, seen, _NEAR)}
-    if not fit:
-        # JPEG of half the quality lies 9 beside a map on average, a murky photograph 14.
-        blurred = {one: one.misses(seen).mean() for one in _known() if _fits(one, seen, _BLURRED)}
-        fit = {one: miss for one, miss in blurred.items() if miss <= _NEAR}
+    # JPEG of half the quality lies 9 beside a map on average, a murky photograph 14.
+    for one in () if fit else _known():
+        if _fits(one, seen, _BLURRED) and (miss := one.misses(seen).mean()) <= _NEAR:
+            fit[one] = miss
     return min(fit, key=lambda one: fit[one] + (one is own), default=None)
 
 
 def _exact(seen: Colours) -> Palette | None:
     """The map, or grey, of most pixels, where marks in other colours are the rest."""
     coloured = seen[np.ptp(seen, axis=1) > _GREY]
-    grey = None
+    fit: dict[Palette, float] = {}
     if len(coloured) < (1 - _EXACT_SHARE) * len(seen):
         ramp = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, axis=1)
-        grey = Palette(GREY, ramp, ramp[:, 0] / np.float32(255))
-    if len(coloured) < max(_SOME * len(seen), _LEAST):
-        return grey
-    few = coloured[:: max(1, len(coloured) // 300)]
-    misses = {one: np.minimum(one.misses(few), _NEAR) for one in _known()}
-    fit = {
-        one: miss.mean() for one, miss in misses.items() if (miss <= _EXACT).mean() >= _EXACT_SHARE
-    }
-    return min(fit, key=lambda one: fit[one], default=grey)
+        fit[Palette(GREY, ramp, ramp[:, 0] / np.float32(255))] = np.inf
+    if len(coloured) >= max(_SOME * len(seen), _LEAST):
+        few = coloured[:: max(1, len(coloured) // 300)]
+        for one in _known():
+            misses = np.minimum(one.misses(few), _NEAR)
+            if (misses <= _EXACT).mean() >= _EXACT_SHARE:
+                fit[one] = misses.mean()
+    return min(fit, key=lambda one: fit[one], default=None)
 
 
 def _fits(palette: Palette, seen: Colours, near: float) -> bool:
@@ -222,24 +207,19 @@ def _fits(palette: Palette, seen: Colours, near: float) -> bool:
 
 @cache
 def _known() -> tuple[Palette, ...]:
-    """Maps of OpenCV, blue first and red first; none without OpenCV."""
-    try:
-        import cv2  # an extra
-    except ImportError:
-        return ()
+    """Known maps, blue first and red first."""
     ramp = np.arange(256, dtype=np.uint8)[:, None]
     at = (np.arange(256) / 255).astype(np.float32)
     maps = [
         (name.lower(), cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name}"))[:, 0])
         for name in _MAPS
     ]
-    jet, red = (
-        np.rint(255 * np.stack([np.interp(at, *channel) for channel in channels], axis=1))
-        for channels in (_JET_OF_MATPLOTLIB, _RED)
-    )
+    for name, channels in _OTHERS.items():
+        colours = np.stack([np.interp(at, *channel) for channel in channels], axis=1)
+        maps.append((name, np.rint(255 * colours)))
     return tuple(
         Palette(name, np.ascontiguousarray(one, np.float32), at)
-        for name, colours in (*maps, ("jet", jet), ("red", red))
+        for name, colours in maps
         for one in (colours, colours[:, ::-1])
     )
 
@@ -274,15 +254,4 @@ def _codes(flat: npt.NDArray[Any]) -> npt.NDArray[np.uint32]:
 
 
 def _uncoded(codes: npt.NDArray[np.uint32]) -> Colours:
-    channels = [codes >> shift & 255 for shift in (0, 8, 16)]
-    return np.asarray(np.stack(channels, axis=1), np.float32)
-
-
-def _nearest(colours: Colours, known: Colours) -> npt.NDArray[np.int64]:
-    """(N,) number of the nearest of the known colours; a few thousand at a time."""
-    half = np.square(known).sum(axis=1) / 2
-    parts = [
-        np.argmin(half - colours[start : start + 8192] @ known.T, axis=1)
-        for start in range(0, len(colours), 8192)
-    ]
-    return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+    return np.asarray(np.stack([codes >> k & 255 for k in (0, 8, 16)], axis=1), np.float32)

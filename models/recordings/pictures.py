@@ -1,4 +1,4 @@
-"""Picture files, one or a folder of them by name, files of pages (TIFF, animated GIF), and videos.
+"""Picture files, one or a folder of them by name; arrays, pages (TIFF, animated GIF) and videos.
 
 A video is opened only where its first bytes are those of a container for films: FFmpeg goes by the
 content, and would take a playlist named `a.avi` for a list of other files and addresses to open.
@@ -6,26 +6,30 @@ content, and would take a playlist named `a.avi` for a list of other files and a
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+from zipfile import ZipFile
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
 from ...factory.errors import FactoryError, FrameError
+from ...factory.isolated import look_at
 from ...factory.quiet import quiet_stderr
-from .arrays import ArrayFile, is_table
 from .base import (
     ARRAY_SUFFIX,
+    ARRAY_SUFFIXES,
     FULL_SCALE,
     PICTURE_SUFFIXES,
     TOO_LARGE,
-    FileOfFrames,
+    Ended,
     Frame,
     Recording,
     Samples,
@@ -36,29 +40,31 @@ from .base import (
 )
 from .palettes import grey_of_colours
 
-_PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
-_FORMATS = ("TIFF", "GIF")
+LEAST_SIDE_PX = 16  # smaller arrays are tables: poses, matrices, bearings
+_COLOURS = ((1,), (3,), (4,))
+# MATLAB's class -> dtype; the others (logical, char, cell, struct, sparse) are no pictures.
+_MATLAB = {"double": "f8", "single": "f4"} | {
+    f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4)
+}
 
 
 class Pictures(Recording):
-    """A `Recording` of pictures as they are stored, (H, W) or (H, W, colours)."""
+    """A `Recording` of picture files: one, those given, or all right in a folder, by name."""
 
-    def __init__(self, path: Path) -> None:
-        """A file, or a folder with files right in it.  Raises FactoryError when there are none."""
+    def __init__(self, path: Path, files: Sequence[Path] = ()) -> None:
+        """files: below the folder `path`.  Raises FactoryError when there are none."""
+        self._given = files
         super().__init__(path)
-        self.files = [path]
-        if path.is_dir():
-            found = sorted(path.iterdir())
-            self.files = [
-                one
-                for one in found
-                if one.suffix.lower() in PICTURE_SUFFIXES and one.is_file() and not is_table(one)
-            ]
-        if not self.files or not self.files[0].is_file():
-            raise FactoryError(f"{path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")
 
-    def __len__(self) -> int:
-        return len(self.files)
+    def _open(self) -> None:
+        self.files = list(self._given) or [self.path]
+        if self.path.is_dir() and not self._given:
+            files = sorted(one for one in self.path.iterdir() if one.is_file())
+            kinds = PICTURE_SUFFIXES
+            self.files = [one for one in files if one.suffix.lower() in kinds and not is_table(one)]
+        self.count = len(self.files)
+        if not self.count:
+            raise FactoryError(f"{self.path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")
 
     def _read(self, number: int) -> Frame:
         return Frame(number, read_picture(self.files[number]))
@@ -84,52 +90,204 @@ def decoded(content: bytes, what: str) -> Samples:
 
     what: names it in errors.  Raises FrameError when it cannot be read or is too large.
     """
-    import cv2  # an extra
-
     # Its size first: a small file can decode to gigabytes.
-    kinds = ", ".join(FULL_SCALE)
-    with _opened(BytesIO(content), what, f"picture of {kinds}") as header:
+    with _opened(BytesIO(content), what) as header:
         ask_pixels(what, *header.size)
     # libjpeg and libtiff write to the terminal about damage that they pass over.
     with explained(f"{what}: not a readable picture"), quiet_stderr():
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise FrameError(f"{what}: not a readable picture")
-    if str(picture.dtype) not in FULL_SCALE:
-        raise FrameError(f"{what}: pixels are {picture.dtype}; expected {kinds}")
-    return np.asarray(picture)
+    return as_samples(np.asarray(picture), what)
 
 
-def _opened(
-    file: IO[bytes], what: str, kind: str, formats: tuple[str, ...] | None = None
-) -> Image.Image:
+def _opened(file: IO[bytes], what: str, formats: tuple[str, ...] | None = None) -> Image.Image:
     """A picture whose pixels are not read yet.  Raises FrameError."""
-    with explained(f"{what}: not a readable {kind}"):
+    with explained(f"{what}: not a readable picture"):
         try:
             return Image.open(file, formats=formats)
         except Image.DecompressionBombError as error:
             raise FrameError(f"{what}: {TOO_LARGE}") from error
 
 
+def as_samples(page: Samples, what: str) -> Samples:
+    """A page whose numbers are grey values as they are: uint8, uint16, or floats as float32.
+
+    what: names it in errors.  Raises FrameError for other dtypes, NaN and floats outside 0..1.
+    """
+    if page.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # infinite: outside 0..1
+            page = page.astype(np.float32)
+    if str(page.dtype) not in FULL_SCALE:
+        raise FrameError(f"{what}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}")
+    if page.dtype == np.float32 and not (page.min() >= 0 and page.max() <= 1):
+        raise FrameError(
+            f"{what}: floats must be grey values from 0 to 1, these are {page.min():g} to "
+            f"{page.max():g}; scale them (of echoes in linear units the logarithm)"
+        )
+    return page
+
+
 def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
-    """Float32 with full scale 1, of the same shape.  Raises FrameError for floats outside 0..1."""
-    scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
-    if not (scaled.min() >= 0 and scaled.max() <= 1):
-        raise FrameError(f"{what}: float pixels must lie in 0..1; divide by full scale")
-    return np.asarray(scaled)
+    """Float32 with full scale 1, of the same shape.  Raises FrameError as `as_samples` does."""
+    samples = as_samples(picture, what)
+    return samples.astype(np.float32) / np.float32(FULL_SCALE[str(samples.dtype)])
 
 
 def read_grey(path: Path) -> npt.NDArray[np.float32]:
     """(H, W) float32 in 0..1 of a file; of colours see `grey_of_colours`.  Raises FrameError."""
     picture = read_picture(path)
-    grey = in_unit_range(picture, str(path))
-    return grey if picture.ndim == 2 else grey_of_colours(picture)
+    return in_unit_range(picture, str(path)) if picture.ndim == 2 else grey_of_colours(picture)
+
+
+class ArrayFile(Recording):
+    """A `Recording` of the pictures in a file's one array of them, in BGR order (red first there).
+
+    stored: the array, (H, W), (N, H, W), or either with colours; mapped in a .npy file.  The others
+    are .npz and .mat (MATLAB up to version 7, where the number of the picture is the last axis).
+    """
+
+    def _open(self) -> None:
+        found = _arrays(self.path)
+        if not found:
+            raise FrameError(
+                f"{self.path}: holds no pictures; expected (H, W), (H, W, 3), (N, H, W) or "
+                f"(N, H, W, 3), {LEAST_SIDE_PX} pixels or more on a side"
+            )
+        if len(found) > 1:
+            raise FrameError(
+                f"{self.path}: holds several arrays of pictures ({', '.join(list(found)[:6])}); "
+                "save the one that is meant as .npy"
+            )
+        ((name, (shape, dtype)),) = found.items()
+        height, width = shape[:2] if _is_single(shape) else shape[1:3]
+        ask_pixels(str(self.path), width, height)
+        if self.path.suffix.lower() != ARRAY_SUFFIX:
+            ask_bytes(f"{self.path}: {name}", math.prod(shape) * dtype.itemsize, self.size)
+        with explained(f"{self.path}: cannot be read; is the file damaged?", reason=True):
+            self.stored = _load(self.path, name)
+        self._stack = self.stored[None] if _is_single(shape) else self.stored
+        self.count = len(self._stack)
+
+    def _read(self, number: int) -> Frame:
+        what = f"{self.path}: picture {number + 1}" if self.count > 1 else str(self.path)
+        return Frame(number, as_samples(np.ascontiguousarray(swapped(self._stack[number])), what))
+
+
+def kind_of_array(path: Path) -> str | None:
+    """`pictures` for a .npy file of one, `array` for others, None where none is of pictures.
+
+    Of a file that cannot be read, as if it held some.
+    """
+    alone = path.suffix.lower() == ARRAY_SUFFIX
+    try:
+        found = _arrays(path)
+    except FactoryError:
+        return "pictures" if alone else "array"
+    if not found:
+        return None
+    return "pictures" if alone and _is_single(found[""][0]) else "array"
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file of arrays holds no pictures: folders have such beside them."""
+    return path.suffix.lower() in ARRAY_SUFFIXES and kind_of_array(path) is None
+
+
+def _is_single(shape: tuple[int, ...]) -> bool:
+    """Whether an array is one picture, without an axis for their number."""
+    return len(shape) == 2 or shape[2:] in _COLOURS
+
+
+def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+    """Name -> shape and dtype of the arrays that may be pictures; nothing is unpacked.
+
+    Raises FactoryError.
+    """
+    suffix = path.suffix.lower()
+    with explained(f"{path}: not a readable array", reason=True):
+        if suffix == ".mat":
+            # SciPy may crash over a damaged file, so another process looks at it first.
+            listed = look_at(path, list_matlab, str(path))
+        elif suffix == ".npz":
+            listed = list(_members(path))
+        else:
+            array = _load(path, "")
+            listed = [("", array.shape, array.dtype)]
+        found = {name: (tuple(shape), np.dtype(kind)) for name, shape, kind in listed}
+    return {name: one for name, one in found.items() if _may_be_pictures(*one)}
+
+
+def _may_be_pictures(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
+    pages = (1, *shape) if _is_single(shape) else shape
+    fits = len(pages) == 3 or (len(pages) == 4 and pages[3:] in _COLOURS)
+    return dtype.kind in "uif" and fits and pages[0] > 0 and min(pages[1:3]) >= LEAST_SIDE_PX
+
+
+def _members(path: Path) -> Iterator[tuple[str, tuple[int, ...], np.dtype[Any]]]:
+    """(name, shape, dtype) of the arrays in a .npz file."""
+    formats: Any = np.lib.format  # whose functions are not typed
+    with ZipFile(path) as archive:
+        for name in archive.namelist():
+            if name.endswith(ARRAY_SUFFIX):
+                with archive.open(name) as stream:
+                    version = "1_0" if formats.read_magic(stream) == (1, 0) else "2_0"
+                    shape, _, dtype = getattr(formats, f"read_array_header_{version}")(stream)
+                yield name.removesuffix(ARRAY_SUFFIX), shape, dtype
+
+
+def list_matlab(path: str) -> list[list[Any]]:
+    """[name, shape, dtype] of the numbers in a file, the number of the picture first.
+
+    May crash, see `look_at`.
+    """
+    import scipy.io
+
+    found = [one for one in scipy.io.whosmat(path) if one[2] in _MATLAB]
+    return [[name, _stacked(shape), _MATLAB[kind]] for name, shape, kind in found]
+
+
+def _stacked(shape: Sequence[int]) -> list[int]:
+    """The shape with the last axis first where it counts pictures, (H, W, N) or (H, W, 3, N)."""
+    sizes = [int(size) for size in shape]
+    single = len(sizes) == 2 or sizes[2:] == [3]  # four are rather four pictures
+    return sizes if single else [sizes[-1], *sizes[:-1]]
+
+
+def _load(path: Path, name: str) -> Samples:
+    """An array of a file.  May raise nearly anything."""
+    suffix = path.suffix.lower()
+    if suffix == ".mat":
+        import scipy.io
+
+        # Where numbers are complex SciPy would leave out the imaginary part.
+        warnings.simplefilter("error", np.exceptions.ComplexWarning)
+        # With its class: whole numbers of class double are stored as smaller ones.
+        array = scipy.io.loadmat(path, mat_dtype=True, variable_names=[name])[name]
+        is_stack = _stacked(array.shape) != list(array.shape)
+        return np.asarray(np.moveaxis(array, -1, 0) if is_stack else array)
+    if suffix == ".npz":
+        with ZipFile(path) as archive, archive.open(name + ARRAY_SUFFIX) as stream:
+            return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+    return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+
+
+def write_array(file: IO[bytes], pictures: Iterable[Samples], like: Samples) -> None:
+    """Write a .npy file with the shape and dtype of `like`, picture by picture.
+
+    pictures: (H, W) or (H, W, colours) in BGR order.  Raises OSError.
+    """
+    dtype = like.dtype.newbyteorder("=")
+    write_header: Any = np.lib.format.write_array_header_1_0  # is not typed
+    write_header(file, {"descr": dtype.str, "fortran_order": False, "shape": like.shape})
+    for picture in pictures:
+        file.write(np.ascontiguousarray(swapped(picture), dtype).tobytes())
 
 
 def is_stack(path: Path) -> bool:
     """Whether a file is a TIFF whose second page is as large as the first (no smaller copy)."""
     try:
-        with explained("no stack"), Image.open(path, formats=_FORMATS[:1]) as image:
+        with explained("no stack"), Image.open(path, formats=("TIFF",)) as image:
             first = image.size
             image.seek(1)
             return image.size == first
@@ -137,49 +295,31 @@ def is_stack(path: Path) -> bool:
         return False
 
 
-class StackFile(FileOfFrames):
+class StackFile(Recording):
     """A TIFF or GIF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
 
     def _open(self) -> None:
-        self._image = _opened(self._file, str(self.path), "TIFF or GIF file", _FORMATS)
-        with explained(f"{self.path}: not a readable TIFF or GIF file"):
-            self._count = int(getattr(self._image, "n_frames", 1))
+        assert self._file is not None
+        what = str(self.path)
+        self._image = _opened(self._file, what, ("TIFF", "GIF"))
+        with explained(f"{what}: not a readable picture"):
+            self.count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
-        ask_pixels(str(self.path), width, height)
-        mode = self._image.mode
-        wide = 2 if "16" in mode else 4 if mode in ("I", "F") else len(self._image.getbands())
-        ask_bytes(str(self.path), self._count * width * height * wide, self.size, streamed=True)
-
-    def __len__(self) -> int:
-        return self._count
+        ask_pixels(what, width, height)
+        ask_bytes(what, self.count * width * height, self.size, streamed=True)
 
     def _read(self, number: int) -> Frame:
-        page = self._page(number)
-        if page.dtype == np.float32:
-            in_unit_range(page, f"{self.path}: page {number + 1}")
-        return Frame(number, page)
-
-    def _page(self, number: int) -> Samples:
-        """A page as it is stored, colours in BGR order.  Raises FrameError."""
-        with explained(f"{self.path}: page {number + 1} cannot be read"), quiet_stderr():
+        what = f"{self.path}: page {number + 1}"
+        with explained(f"{what} cannot be read"), quiet_stderr():
             self._image.seek(number)
-            # ImageJ writes 16 bits with the most significant byte first.
-            size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
-            if self._image.format == "GIF":
-                return _untinted(swapped(np.asarray(self._image.convert("RGB"))))
-            if size == self._first and mode in _PAGES:
-                return np.ascontiguousarray(swapped(np.asarray(self._image)))
-        raise FrameError(
-            f"{self.path}: page {number + 1} has {size[0]} x {size[1]} pixels of kind {mode}, the "
-            f"first {self._first[0]} x {self._first[1]}; expected one size and "
-            f"{', '.join(_PAGES.values())}"
-        )
-
-    def close(self) -> None:
-        """See `Recording`."""
-        if hasattr(self, "_image"):
-            self._image.close()
-        super().close()
+            size, colours = self._image.size, self._image.format == "GIF" or self._image.mode == "P"
+            page = np.asarray(self._image.convert("RGB") if colours else self._image)
+        if size != self._first:
+            own, first = (f"{width} x {height}" for width, height in (size, self._first))
+            raise FrameError(f"{what} has {own} pixels, the first {first}")
+        # ImageJ writes 16 bits with the most significant byte first.
+        page = np.ascontiguousarray(swapped(page))
+        return Frame(number, as_samples(_untinted(page) if colours else page, what))
 
 
 _MOST_TINT = 6  # of 255: codecs tint grey pictures by a few levels, and by others in each frame
@@ -190,57 +330,35 @@ _OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _ONLY = "protocol_whitelist;file|format_whitelist;avi,mov,matroska"
 
 
-class VideoFile(FileOfFrames):
+class VideoFile(Recording):
     """A video; a `Recording` of pictures.  Grey ones come as (H, W), others as (H, W, 3) BGR.
 
     rate_hz: frames a second; None where the file does not say.
     """
 
     def _open(self) -> None:
-        import cv2  # an extra
-
-        if not _is_film(self.bytes_at(0, min(16, self.size), "its first bytes")):
+        head = self.bytes_at(0, min(16, self.size), "its first bytes")
+        riff = head[:4] == b"RIFF" and head[8:12] == b"AVI "
+        if not (riff or head[4:8] in _BOXES or head[:4] == _MATROSKA):
             raise FrameError(f"{self.path}: not a readable video (no AVI, MP4, MOV or Matroska)")
+        os.environ[_OPTIONS] = _ONLY
         # An absolute path is never an address, as tcp:127.0.0.1:80.avi is.
-        with _only_files(), quiet_stderr():
+        with quiet_stderr():
             self._capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
+        del os.environ[_OPTIONS]
         width = self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)
         height = self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
         count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate = self._capture.get(cv2.CAP_PROP_FPS)
-        if not (width >= 1 and height >= 1):
+        if not (width >= 1 and height >= 1 and count >= 1):
             raise FrameError(f"{self.path}: not a readable video")
         ask_pixels(str(self.path), width, height)
         # A frame takes a byte at least, whatever the file says.
-        self._count = int(min(max(count, 0), self.size))
+        self.count = int(min(count, self.size))
         self.rate_hz = rate if 0 < rate < 1e4 else None
         self._next = 0
-        if not self._count:
-            raise FrameError(f"{self.path}: not a readable video (it has no frames)")
-
-    def __len__(self) -> int:
-        return self._count
-
-    def close(self) -> None:
-        """See `Recording`."""
-        if hasattr(self, "_capture"):
-            self._capture.release()
-        super().close()
-
-    def __iter__(self) -> Iterator[Frame]:
-        """All frames that are there: the number in a video's header is often too large."""
-        for number in range(self._count):
-            try:
-                yield self[number]
-            except FrameError:
-                if number == 0:
-                    raise
-                self.warning = f"{self.path}: ends after {number} of {self._count} frames"
-                return
 
     def _read(self, number: int) -> Frame:
-        import cv2
-
         what = f"{self.path}: frame {number} cannot be read"
         with explained(what, reason=True), quiet_stderr():
             if number != self._next:
@@ -248,34 +366,13 @@ class VideoFile(FileOfFrames):
             there, picture = self._capture.read()
         self._next = number + 1 if there else -1
         if not there:
-            raise FrameError(what)
+            raise Ended(what)
         time_s = number / self.rate_hz if self.rate_hz else None
         return Frame(number, _untinted(np.asarray(picture, np.uint8)), time_s=time_s)
 
 
-def _is_film(head: bytes) -> bool:
-    """Whether a file begins as AVI, MP4 and MOV, or Matroska and WebM do."""
-    if head[:4] == b"RIFF":
-        return head[8:12] == b"AVI "
-    return head[4:8] in _BOXES or head[:4] == _MATROSKA
-
-
-@contextmanager
-def _only_files() -> Iterator[None]:
-    before = os.environ.get(_OPTIONS)
-    os.environ[_OPTIONS] = _ONLY
-    try:
-        yield
-    finally:
-        os.environ.pop(_OPTIONS)
-        if before is not None:
-            os.environ[_OPTIONS] = before
-
-
 def _untinted(picture: Samples) -> Samples:
     """Grey pictures without their three nearly equal channels."""
-    import cv2
-
     middle = picture[..., 1:2].astype(np.int16)
     if np.abs(picture - middle).max() > _MOST_TINT:
         return picture

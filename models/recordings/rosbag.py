@@ -11,16 +11,19 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections.abc import Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from copy import copy
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
+from copy import deepcopy
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
+from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import explain_os_errors
 from .base import (
@@ -30,6 +33,7 @@ from .base import (
     MOST_RANGES,
     Beams,
     Device,
+    Ended,
     Frame,
     Recording,
     Samples,
@@ -40,45 +44,25 @@ from .pictures import decoded
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
     from rosbags.typesys.store import Typestore
 
 SONAR = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 
-# https://github.com/apl-ocean-engineering/marine_msgs, whose field names and types these are.
-_DEFINITIONS = {
-    "marine_acoustic_msgs/msg/PingInfo": (
-        "float32 frequency\nfloat32 sound_speed\nfloat32[] tx_beamwidths\nfloat32[] rx_beamwidths\n"
-    ),
-    "marine_acoustic_msgs/msg/SonarImageData": (
-        "bool is_bigendian\nuint32 DTYPE_UINT8=0\nuint32 DTYPE_INT8=1\nuint32 DTYPE_UINT16=2\n"
-        "uint32 DTYPE_INT16=3\nuint32 DTYPE_UINT32=4\nuint32 DTYPE_INT32=5\nuint32 DTYPE_UINT64=6\n"
-        "uint32 DTYPE_INT64=7\nuint32 DTYPE_FLOAT32=8\nuint32 DTYPE_FLOAT64=9\nuint32 dtype\n"
-        "uint32 beam_count\nuint8[] data\n"
-    ),
-    SONAR: (
-        "std_msgs/Header header\nPingInfo ping_info\ngeometry_msgs/Vector3[] beam_directions\n"
-        "float32[] ranges\nSonarImageData image\n"
-    ),
-}
 # SonarImageData.DTYPE_* that a frame can hold.
 _SONAR_DTYPES = {0: "u1", 2: "u2", 8: "f4"}
 # Encoding of an Image -> type and number of its channels, which stay in their order.
 _ENCODINGS = {
     **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
     **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
-    "32FC1": ("f4", 1),
+    **dict.fromkeys(("32FC1",), ("f4", 1)),
     **dict.fromkeys(("rgb8", "bgr8", "8UC3"), ("u1", 3)),
     **dict.fromkeys(("rgba8", "bgra8", "8UC4"), ("u1", 4)),
     **dict.fromkeys(("rgb16", "bgr16", "16UC3"), ("u2", 3)),
 }
-_JPEG, _PNG = b"\xff\xd8", b"\x89PNG"
 _DAMAGED = "cannot be read, it is damaged or no bag"
-# RIHS01 of a type of which neither the bag nor this program knows more than the name.
-_UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"
+_UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"  # of a type of which only the name is known
 
 
 class RosBag(Recording):
@@ -92,79 +76,62 @@ class RosBag(Recording):
 
     def __init__(self, path: Path, topics: Sequence[str] = ()) -> None:
         """Raises FactoryError when the bag cannot be read or has no such topics."""
-        try:
-            import cv2  # noqa: F401  (of the same extra)
-            import rosbags  # noqa: F401  (an extra)
-        except ImportError as error:
-            raise FactoryError(
-                f"{path}: reading bags needs {error.name}: pip install 'simnfnd[ros]'"
-            ) from error
+        self._asked = topics
         super().__init__(path)
-        self.version = 1 if path.is_file() and path.suffix.lower() == ".bag" else 2
-        try:
-            with _reading(path, self.version) as reader:
-                found = list(reader.connections)
-        except FrameError as error:
-            raise FactoryError(str(error)) from error
-        chosen = _chosen(path, found, topics, self.version)
+
+    def _open(self) -> None:
+        require([Need(f"{self.path}", "rosbags")])
+        self.version = 1 if self.path.suffix.lower() == ".bag" and self.path.is_file() else 2
+        self._library: Any = import_module(f"rosbags.rosbag{self.version}")
+        with closing(self._reader()) as reader:
+            self._connections = list(reader.connections)
+        chosen = self._found()
         self._chosen = {one.id for one in chosen}
         self.topics = tuple(dict.fromkeys(one.topic for one in chosen))
+        self._files = list(self.path.iterdir()) if self.path.is_dir() else [self.path]
         # A message takes a byte at least, whatever the bag says.
-        stated = sum(max(0, int(one.msgcount)) for one in chosen)
-        self._count = min(stated, sum(file.stat().st_size for file in _files(path)))
-        if not self._count:
-            raise FactoryError(f"{path}: holds no message on {', '.join(self.topics)}")
-        self._next, self._frames = 0, self._all()
+        stated = sum(int(one.msgcount) for one in chosen)
+        self.count = min(stated, sum(file.stat().st_size for file in self._files))
+        if self.count < 1:
+            raise FactoryError(f"{self.path}: holds no message on {', '.join(self.topics)}")
+        self._next, self._frames = 0, self._messages(chosen)
 
-    def __len__(self) -> int:
-        return self._count
+    def _found(self) -> list[Connection]:
+        """The connections whose messages are the frames."""
+        fit = [one for one in self._connections if one.msgtype in _PIXELS]
+        names = ", ".join(dict.fromkeys(one.topic[:80] for one in fit)) or "none"
+        absent = [topic for topic in self._asked if topic not in {one.topic for one in fit}]
+        if absent:
+            raise FactoryError(f"{self.path}: no pictures on the topic {absent[0]}; it has {names}")
+        sonars = [one for one in fit if one.msgtype == SONAR]
+        chosen = [one for one in fit if one.topic in self._asked] or sonars or fit
+        if not chosen:
+            kinds = "ProjectedSonarImage, Image or CompressedImage"
+            raise FactoryError(f"{self.path}: holds no topic with pictures ({kinds})")
+        if chosen is fit and len({one.topic for one in fit}) > 1:
+            said = f"has pictures on several topics ({names}); say with --topic"
+            raise FactoryError(f"{self.path}: {said} which of them are of a sonar")
+        for one in chosen:
+            if one.digest not in ("", "*", None, digest_of(one.msgtype, self.version)):
+                other = f"another {one.msgtype} than this program knows"
+                stated = f"its fingerprint is {one.digest[:80]}"
+                raise FactoryError(f"{self.path}: {one.topic} has {other} ({stated})")
+        return chosen
 
     def _read(self, number: int) -> Frame:
         if number < self._next:
-            self._next, self._frames = 0, self._all()
-        for frame in self._frames:
-            self._next = frame.number + 1
-            if frame.number == number:
-                return frame
-        self._next = self._count
-        raise FrameError(f"{self.path}: ends before frame {number}; it is cut short or damaged")
-
-    def __iter__(self) -> Iterator[Frame]:
-        number = -1
-        for frame in self._all():
-            number = frame.number
-            yield frame
-        if number < 0:
-            raise FrameError(
-                f"{self.path}: holds none of the messages that it names; it is damaged"
-            )
-        if number + 1 < self._count:
-            self.warning = f"{self.path}: ends after {number + 1} of {self._count} frames"
-
-    def close(self) -> None:
-        """See `Recording`."""
-        self._frames.close()
-
-    def _all(self) -> Generator[Frame]:
-        # A reader of its own, as two that read in turns would lose their places.
-        with _reading(self.path, self.version) as reader:
-            chosen = [one for one in reader.connections if one.id in self._chosen]
-            for number, (one, time_ns, data) in enumerate(_messages(self.path, reader, chosen)):
-                message, what = self._message(one, data, number)
-                yield frame_of(message, one.msgtype, number, time_ns * 1e-9, what)
-
-    def _message(self, one: Connection, data: bytes, number: int) -> tuple[Any, str]:
-        """A message, and how errors name it."""
-        what = f"{self.path}: message {number} of {', '.join(self.topics)}"
-        store = typestore(self.version)
-        read = store.deserialize_ros1 if self.version == 1 else store.deserialize_cdr
-        with explained(f"{what}: cannot be read, it is damaged", reason=True):
-            return read(data, one.msgtype), what
+            chosen = [one for one in self._connections if one.id in self._chosen]
+            self._next, self._frames = 0, self._messages(chosen)
+        for place, (one, time_ns, _, message) in enumerate(self._frames, start=self._next):
+            self._next = place + 1
+            if place == number:
+                return frame_of(message, one.msgtype, number, time_ns * 1e-9, self._named(number))
+        self._next = self.count
+        raise Ended(f"{self.path}: ends before frame {number}; it is cut short or damaged")
 
     def rewrite(self, samples: Iterable[Samples], path: Path) -> None:
-        """The same bag with other samples in its frames, as another file or folder.
+        """The same bag with other samples in its frames; all else is copied.
 
-        All else is copied: other topics, headers and stamps, the times of recording.
         samples: of each frame in order, in the shape and type of `Frame.samples`.
         Raises ValueError for samples of another shape, type or number, FrameError when the bag is
         damaged, FactoryError when `path` is there or cannot be written.
@@ -176,133 +143,94 @@ class RosBag(Recording):
                 target = Path(folder) / (path.stem if self.path.is_file() else path.name)
                 if self.version == 1:
                     target = target.with_suffix(".bag")
-                with _reading(self.path, self.version) as reader:
-                    self._write(reader, iter(samples), target)
+                self._write(iter(samples), target)
                 if self.version == 2 and self.path.is_file():
                     (target,) = (one for one in target.iterdir() if one.suffix in (".mcap", ".db3"))
                 os.replace(target, path)
 
-    def _write(self, reader: Reader1 | Reader2, samples: Iterator[Samples], target: Path) -> None:
+    def _write(self, samples: Iterator[Samples], target: Path) -> None:
         store, damaged = typestore(self.version), f"{self.path}: cannot be copied"
         serialized = store.serialize_ros1 if self.version == 1 else store.serialize_cdr
+        kind, number = "md5sum" if self.version == 1 else "rihs01", 0
         with self._writer(target) as writer:
-            with explained(damaged, passing=OSError, reason=True):
-                targets = {one.id: self._added(writer, one) for one in reader.connections}
-            number = 0
-            for one, time_ns, data in _messages(self.path, reader, reader.connections):
+            added = {}
+            for one in self._connections:
+                is_known = one.msgtype in store.fielddefs
+                digest = digest_of(one.msgtype, self.version) if is_known else _UNKNOWN_DIGEST
+                about = {kind: one.digest or digest, **one.ext._asdict()}
+                with explained(damaged, passing=OSError, reason=True):
+                    added[one.id] = writer.add_connection(
+                        one.topic, one.msgtype, msgdef=one.msgdef.data, **about
+                    )
+            for one, time_ns, data, message in self._messages(self._connections):
                 content: bytes | memoryview = data
-                if one.id in self._chosen:
-                    message, what = self._message(one, data, number)
+                if message is not None:
                     new = next(samples, None)
                     if new is None:
                         raise ValueError(f"{self.path}: has more frames than samples were given")
-                    message = with_samples(message, one.msgtype, new, what)
-                    content = serialized(message, one.msgtype)
+                    changed = with_samples(message, one.msgtype, new, self._named(number))
+                    content = serialized(changed, one.msgtype)
                     number += 1
                 with explained(damaged, passing=OSError, reason=True):
-                    writer.write(targets[one.id], time_ns, content)
+                    writer.write(added[one.id], time_ns, content)
         if next(samples, None) is not None:
             raise ValueError(f"{self.path}: has fewer frames than samples were given")
 
     def _writer(self, target: Path) -> Any:
         """Of the same kind of bag, without compression."""
-        from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-
         if self.version == 1:
-            return Writer1(target)
-        mcap = any(".mcap" in file.suffixes for file in _files(self.path))
-        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-        return Writer2(target, version=8, storage_plugin=plugin)
+            return self._library.Writer(target)
+        mcap = any(".mcap" in file.suffixes for file in self._files)
+        plugins = self._library.StoragePlugin
+        plugin = plugins.MCAP if mcap else plugins.SQLITE3
+        return self._library.Writer(target, version=8, storage_plugin=plugin)
 
-    def _added(self, writer: Any, one: Connection) -> Connection:
-        """The connection in another bag."""
-        if self.version == 1:
-            digest = {"md5sum": one.digest or "*"}
-        else:
-            known = one.msgtype in typestore(2).fielddefs
-            digest = {
-                "rihs01": one.digest or (digest_of(one.msgtype, 2) if known else _UNKNOWN_DIGEST)
-            }
-        of_version = {**digest, **one.ext._asdict()}
-        added: Connection = writer.add_connection(
-            one.topic, one.msgtype, msgdef=one.msgdef.data, **of_version
-        )
-        return added
+    def _reader(self) -> Any:
+        """The bag, opened once more, as two that read in turns would lose their places."""
+        with explained(f"{self.path}: {_DAMAGED}", reason=True):
+            reader = self._library.Reader(self.path)
+            reader.open()
+        return reader
 
+    def _messages(
+        self, connections: Sequence[Connection]
+    ) -> Generator[tuple[Connection, int, bytes, Any]]:
+        """(connection, nanoseconds since 1970, content, the message of a frame) of all, in order.
 
-@contextmanager
-def _reading(path: Path, version: int) -> Iterator[Reader1 | Reader2]:
-    """A bag of ROS 1 or 2, opened.  Raises FrameError when that cannot be."""
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
+        Raises FrameError at damage.
+        """
+        store, number = typestore(self.version), 0
+        read = store.deserialize_ros1 if self.version == 1 else store.deserialize_cdr
+        with closing(self._reader()) as reader, closing(reader.messages(connections)) as found:
+            while True:
+                with explained(f"{self.path}: {_DAMAGED}", reason=True):
+                    stored = next(found, None)
+                if stored is None:
+                    return
+                one, _, data = stored
+                message = None
+                if one.id in self._chosen:
+                    what = f"{self._named(number)}: cannot be read, it is damaged"
+                    with explained(what, reason=True):
+                        message = read(data, one.msgtype)
+                    number += 1
+                yield *stored, message
 
-    with explained(f"{path}: {_DAMAGED}", reason=True):
-        reader = Reader1(path) if version == 1 else Reader2(path)
-        reader.open()
-    try:
-        yield reader
-    finally:
-        reader.close()
-
-
-def _messages(
-    path: Path, reader: Reader1 | Reader2, connections: Sequence[Connection]
-) -> Iterator[tuple[Connection, int, bytes]]:
-    """(connection, nanoseconds since 1970, content) of all messages of some connections, in order.
-
-    Raises FrameError at damage.
-    """
-    found = reader.messages(connections)
-    while True:
-        with explained(f"{path}: {_DAMAGED}", reason=True):
-            message = next(found, None)
-        if message is None:
-            return
-        yield message
-
-
-def _files(path: Path) -> list[Path]:
-    return [path] if path.is_file() else [one for one in path.iterdir() if one.is_file()]
-
-
-def _chosen(
-    path: Path, connections: Sequence[Connection], topics: Sequence[str], version: int
-) -> list[Connection]:
-    """The connections whose messages are the frames."""
-    fit = [one for one in connections if one.msgtype in _PIXELS]
-    names = ", ".join(dict.fromkeys(one.topic[:80] for one in fit)) or "none"
-    absent = [topic for topic in topics if topic not in {one.topic for one in fit}]
-    if absent:
-        raise FactoryError(f"{path}: has no pictures on the topic {absent[0]}; it has {names}")
-    if not fit:
-        kinds = "ProjectedSonarImage, Image or CompressedImage"
-        raise FactoryError(f"{path}: holds no topic with pictures ({kinds})")
-    sonars = [one for one in fit if one.msgtype == SONAR]
-    chosen = [one for one in fit if one.topic in topics] or sonars or fit
-    if not topics and not sonars and len({one.topic for one in fit}) > 1:
-        raise FactoryError(
-            f"{path}: has pictures on several topics ({names}); say with --topic which of them are "
-            "of a sonar"
-        )
-    for one in chosen:
-        if one.digest and one.digest not in ("*", digest_of(one.msgtype, version)):
-            raise FactoryError(
-                f"{path}: {one.topic} has another {one.msgtype} than this program knows (its "
-                f"fingerprint is {one.digest[:80]})"
-            )
-    return chosen
+    def _named(self, number: int) -> str:
+        return f"{self.path}: message {number} of {', '.join(self.topics)}"
 
 
 @lru_cache(maxsize=2)
 def typestore(version: int) -> Typestore:
-    """The types of ROS 1 or 2, with those of marine_acoustic_msgs."""
+    """The types of ROS 1 or 2, with those of marine_acoustic_msgs.
+
+    Their field names and types are those of https://github.com/apl-ocean-engineering/marine_msgs.
+    """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-    for name, text in _DEFINITIONS.items():
-        store.register(get_types_from_msg(text, name))
+    text = Path(__file__).with_name("ProjectedSonarImage.msg").read_text(encoding="utf-8")
+    store.register(get_types_from_msg(text, SONAR))
     return store
 
 
@@ -319,19 +247,16 @@ def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, what: s
     in errors.  Raises FrameError when its parts contradict each other or cannot be read.
     """
     stamp = message.header.stamp
-    time_s = stamp.sec + stamp.nanosec * 1e-9 if stamp.sec or stamp.nanosec else bag_time_s
+    time_s = stamp.sec + stamp.nanosec * 1e-9 or bag_time_s
     name = message.header.frame_id or "unknown"
     samples = _PIXELS[msgtype](message, what)
     # As this machine orders bytes, and in one piece.
     samples = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
     if msgtype != SONAR:
         return Frame(number, samples, time_s=time_s, device=Device(name))
-    info = message.ping_info
-    device = Device(
-        name,
-        frequency_khz=known(info.frequency / 1000) or None,
-        sound_speed_m_s=known(info.sound_speed, 1e4) or None,
-    )
+    frequency_khz = known(message.ping_info.frequency / 1000) or None
+    speed_m_s = known(message.ping_info.sound_speed, 1e4) or None
+    device = Device(name, frequency_khz=frequency_khz, sound_speed_m_s=speed_m_s)
     return Frame(number, samples, _beams(message, what), time_s, device=device)
 
 
@@ -346,33 +271,19 @@ def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any
         raise ValueError(
             f"samples are {samples.dtype} {samples.shape}; expected {before.dtype} {before.shape}"
         )
-    if msgtype == COMPRESSED:
-        import cv2  # an extra
-
-        jpeg = bytes(message.data[:2]) == _JPEG
-        options = [cv2.IMWRITE_JPEG_QUALITY, 100] if jpeg else []
-        done, content = cv2.imencode(".jpg" if jpeg else ".png", samples, options)
-        assert done
-        return _with(message, data=_like(message.data, content.tobytes()))
     # A copy of all bytes, so that what lies between the rows stays.
-    holder = message.image if msgtype == SONAR else message
-    changed = _with(holder, data=_like(holder.data, bytes(holder.data)))
-    if msgtype == SONAR:
-        changed = _with(message, image=changed)
-    _PIXELS[msgtype](changed, what)[...] = samples
+    changed = deepcopy(message)
+    if msgtype != COMPRESSED:
+        _PIXELS[msgtype](changed, what)[...] = samples
+        return changed
+    jpeg = bytes(message.data[:2]) == b"\xff\xd8"
+    options = [cv2.IMWRITE_JPEG_QUALITY, 100] if jpeg else []
+    done, content = cv2.imencode(".jpg" if jpeg else ".png", samples, options)
+    assert done
+    # As rclpy or rosbags has bytes.
+    rclpy = isinstance(message.data, array)
+    changed.data = array("B", content.tobytes()) if rclpy else np.asarray(content).ravel()
     return changed
-
-
-def _with(message: Any, **fields: Any) -> Any:
-    changed = copy(message)
-    for name, value in fields.items():
-        setattr(changed, name, value)
-    return changed
-
-
-def _like(data: Any, content: bytes) -> Any:
-    """Bytes that may be written to, as rclpy (array) or rosbags (numpy) has them."""
-    return array("B", content) if isinstance(data, array) else np.array(bytearray(content))
 
 
 def _picture(message: Any, what: str) -> Samples:
@@ -384,55 +295,43 @@ def _picture(message: Any, what: str) -> Samples:
             f"({', '.join(_ENCODINGS)})"
         )
     kind, channels = _ENCODINGS[message.encoding]
-    dtype = np.dtype((">" if message.is_bigendian else "<") + kind)
+    dtype, held = np.dtype((">" if message.is_bigendian else "<") + kind), len(message.data)
     row = width * channels * dtype.itemsize
-    if not (
-        0 < height * width <= MOST_PIXELS and row <= step and height * step == len(message.data)
-    ):
+    if not 0 < height * width <= MOST_PIXELS or row > step or height * step != held:
         raise FrameError(
-            f"{what} says {width} x {height} pixels in rows of {step} bytes, and holds "
-            f"{len(message.data)} bytes; it is damaged"
+            f"{what} says {width} x {height} pixels in rows of {step} bytes, and holds {held} "
+            "bytes; it is damaged"
         )
     strides = (step, channels * dtype.itemsize, dtype.itemsize)
     pixels: Samples = np.ndarray((height, width, channels), dtype, message.data, strides=strides)
     return pixels[..., 0] if channels == 1 else pixels
 
 
-def _decoded(message: Any, what: str) -> Samples:
-    """The pixels of a CompressedImage."""
-    if not bytes(message.data[:4]).startswith((_JPEG, _PNG)):
-        raise FrameError(
-            f"{what} is compressed as {str(message.format)[:40]!r}; JPEG and PNG can be read"
-        )
-    return decoded(bytes(message.data), what)
-
-
 def _samples(message: Any, what: str) -> Samples:
     """(ranges, beams) of a ProjectedSonarImage, in its own memory."""
-    image, ranges = message.image, len(message.ranges)
-    beams = int(image.beam_count)
+    image, ranges, beams = message.image, len(message.ranges), int(message.image.beam_count)
     if image.dtype not in _SONAR_DTYPES:
         raise FrameError(
             f"{what} has samples of type {image.dtype}; uint8 (0), uint16 (2) and float32 (8) can "
             "be read"
         )
     dtype = np.dtype((">" if image.is_bigendian else "<") + _SONAR_DTYPES[image.dtype])
-    held = len(image.data)
-    if not (
-        2 <= ranges <= MOST_RANGES
-        and 2 <= beams <= MOST_BEAMS
-        and beams == len(message.beam_directions)
-        and ranges * beams * dtype.itemsize == held
-    ):
+    fits = 2 <= ranges <= MOST_RANGES and 2 <= beams <= MOST_BEAMS
+    directions, held = len(message.beam_directions), len(image.data)
+    if not fits or beams != directions or ranges * beams * dtype.itemsize != held:
         raise FrameError(
-            f"{what} says {ranges} ranges, {beams} beams and {len(message.beam_directions)} "
-            f"directions, and holds {held} bytes; it is damaged"
+            f"{what} says {ranges} ranges, {beams} beams and {directions} directions, and holds "
+            f"{held} bytes; it is damaged"
         )
     samples: Samples = np.ndarray((ranges, beams), dtype, image.data)
     return samples
 
 
-_PIXELS = {SONAR: _samples, IMAGE: _picture, COMPRESSED: _decoded}
+_PIXELS: dict[str, Callable[[Any, str], Samples]] = {
+    SONAR: _samples,
+    IMAGE: _picture,
+    COMPRESSED: lambda message, what: decoded(bytes(message.data), what),
+}
 """What a frame shows, by the type of its message."""
 
 
@@ -450,17 +349,12 @@ def _beams(message: Any, what: str) -> Beams:
     if bearings[0] > bearings[-1]:
         bearings = -bearings
     ranges = np.asarray(message.ranges, np.float64)
-    if not (np.isfinite(bearings).all() and np.all(np.diff(bearings) > 0)):
-        raise FrameError(f"{what} has beams in disorder; it is damaged")
-    if not np.abs(bearings).max() <= np.pi / 2:
-        raise FrameError(
-            f"{what} has beams that look back; sectors of up to 180 degrees can be read"
-        )
+    ahead = np.abs(bearings).max() <= np.pi / 2
+    if not (ahead and np.isfinite(bearings).all() and np.all(np.diff(bearings) > 0)):
+        raise FrameError(f"{what} has beams in disorder, or that look back; it cannot be used")
     step = (ranges[-1] - ranges[0]) / (len(ranges) - 1)
     even = np.abs(ranges - np.linspace(ranges[0], ranges[-1], len(ranges))).max() < step
     if not (even and ranges[-1] + step / 2 <= MOST_RANGE_M and ranges[0] + step / 2 > 0):
-        raise FrameError(
-            f"{what} has ranges that do not ascend evenly from 0 m on; they cannot be used"
-        )
+        raise FrameError(f"{what} has ranges that do not ascend evenly from 0 m on")
     near = max(0.0, float(ranges[0] - step / 2))
     return Beams(tuple(bearings.tolist()), near, float(ranges[-1] + step / 2))

@@ -26,15 +26,11 @@ _ECC_STEPS = cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-5
 
 @dataclass(frozen=True, eq=False)
 class StaticGroup:
-    """Frames of one scene that stands still.
-
-    numbers: of the frames among the pictures that were searched, in order.
-    shifts_px: (N, 2) right and down, by which the scene lies away from where the first frame has
-    it.
-    """
+    """Frames of one scene that stands still, by their numbers among the pictures, in order."""
 
     numbers: tuple[int, ...]
     shifts_px: npt.NDArray[np.float64]
+    """(N, 2) right and down, by which the scene lies away from where the first frame has it."""
 
 
 def find_groups(
@@ -51,26 +47,17 @@ def find_groups(
     alike: correlation of the small, smoothed pictures above which two frames may show one scene.
     furthest_px: how far the scene of a group may move.
     """
-    small, sizes = [], []
     # One by one: the pictures may be read from files only here.
-    for picture, sector in zip(pictures, sectors, strict=True):
-        small.append(_small(picture, sector))
-        sizes.append(picture.shape)
-    left = list(range(len(small)))
-    near = np.array(small)
+    near = np.array([_small(*both) for both in zip(pictures, sectors, strict=True)])
     likeness = near @ near.T
-    groups = []
+    left, groups = list(range(len(near))), []
     while len(left) >= least:
         # The frame with most frames like it begins, of equal ones that in their middle; what it
         # does not take is tried again.
         among = likeness[np.ix_(left, left)]
         similar = among > alike
         first = int(np.argmax(np.where(similar, among, 0.0).sum(axis=1)))
-        numbers = [left[first]] + [
-            one
-            for place, one in enumerate(left)
-            if place != first and similar[first, place] and sizes[one] == sizes[left[first]]
-        ]
+        numbers = [left[first]] + [left[i] for i in np.flatnonzero(similar[first]) if i != first]
         if len(numbers) < least:
             break
         frames = [pictures[i] for i in numbers]
@@ -86,13 +73,12 @@ def find_groups(
 
 def aligned(frames: Sequence[Gray], sector: Mask, *, furthest_px: float = 4.0) -> StaticGroup:
     """The frames that lie within `furthest_px` of the first, with their shifts below a pixel."""
-    numbers, shifts = [0], [(0.0, 0.0)]
+    found = {0: (0.0, 0.0)}
     for number, frame in enumerate(frames[1:], start=1):
-        shift = shift_px(frames[0], frame, sector)
+        shift = shift_px(frames[0], frame, sector) if frame.shape == frames[0].shape else None
         if shift is not None and np.hypot(*shift) <= furthest_px:
-            numbers.append(number)
-            shifts.append(shift)
-    return StaticGroup(tuple(numbers), np.array(shifts))
+            found[number] = shift
+    return StaticGroup(tuple(found), np.array(list(found.values())))
 
 
 def shift_px(fixed: Gray, moved: Gray, sector: Mask) -> tuple[float, float] | None:
@@ -110,17 +96,6 @@ def shift_px(fixed: Gray, moved: Gray, sector: Mask) -> tuple[float, float] | No
     except cv2.error:  # it did not converge
         return None
     return float(matrix[0, 2]), float(matrix[1, 2])
-
-
-def references(frames: Sequence[Gray], group: StaticGroup) -> list[Gray]:
-    """For each frame of the group the mean of the others, laid over it; (H, W) each.
-
-    frames: those of the group, in its order.
-    """
-    places = range(len(frames))
-    others = [[other for other in places if other != one] for one in places]
-    laid = (laid_over(frames, group, one, others[one]) for one in places)
-    return [np.asarray(np.mean(each, axis=0, dtype=np.float64), np.float32) for each in laid]
 
 
 def laid_over(

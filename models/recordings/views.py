@@ -19,7 +19,7 @@ from ...factory.errors import FactoryError
 from ...factory.sonar.fan import fan_table
 from ...factory.sonar.geometry import FanGeometry
 from . import open_recording
-from .base import FULL_SCALE, Beams, Frame, Recording
+from .base import FULL_SCALE, Beams, Frame
 
 if TYPE_CHECKING:
     from ...factory.sonar.settings import SonarSettings
@@ -30,7 +30,7 @@ MOST_ROWS = 1024
 _MOST_SIDE = 2048
 
 
-def grey_of(frame: Frame) -> npt.NDArray[np.float32]:
+def grey_of(frame: Frame) -> Grey:
     """The samples as float32 in 0..1, in the shape that they have."""
     return frame.samples.astype(np.float32) / np.float32(FULL_SCALE[str(frame.samples.dtype)])
 
@@ -51,22 +51,16 @@ def polar_geometry(beams: Beams, ranges: int) -> FanGeometry:
     )
 
 
-def fan_of(
-    samples: npt.NDArray[np.floating], beams: Beams
-) -> tuple[npt.NDArray[np.float32], FanGeometry]:
+def fan_of(samples: npt.NDArray[np.floating], beams: Beams) -> tuple[Grey, FanGeometry]:
     """(ranges, beams) -> (H, W) float32 fan with its geometry, far range on top, 0 outside.
 
     A pixel is as long as a sample where that makes at most `MOST_ROWS` pixels ahead.
     """
-    sonar = _sonar(beams, *samples.shape)
-    table = fan_table(sonar, beams.range_min_m / beams.range_max_m)
-    geometry = FanGeometry.from_sonar(
-        sonar, beams.range_min_m, beams.range_max_m, *_edges_rad(beams)
-    )
-    picture = table.bilinear(samples)
-    maps = geometry.maps(0, 0, *picture.shape)
+    sonar, window = _sonar(beams, *samples.shape), (beams.range_min_m, beams.range_max_m)
+    geometry = FanGeometry.from_sonar(sonar, *window, *_edges_rad(beams))
+    picture = fan_table(sonar, window[0] / window[1]).bilinear(samples)
     # The sector of the beams need not be symmetric, the table's is.
-    return picture * maps["sector"], geometry
+    return picture * geometry.maps(0, 0, *picture.shape)["sector"], geometry
 
 
 @lru_cache(maxsize=8)
@@ -76,18 +70,16 @@ def _sonar(beams: Beams, ranges: int, count: int) -> SonarSettings:
     half = max(abs(edge) for edge in _edges_rad(beams))
     near = beams.range_min_m / beams.range_max_m
     pixel = (1 - near) / min(ranges, MOST_ROWS)
-    width, height = 2 * math.sin(half) / pixel, (1 - near * math.cos(half)) / pixel
-    shrink = min(1.0, _MOST_SIDE / max(width, height))
-    image = ImageSettings(
-        width_px=max(2, math.ceil(width * shrink)), height_px=max(2, math.ceil(height * shrink))
-    )
+    sides = 2 * math.sin(half) / pixel, (1 - near * math.cos(half)) / pixel
+    shrink = min(1.0, _MOST_SIDE / max(sides))
+    width, height = (max(2, math.ceil(side * shrink)) for side in sides)
     return SonarSettings(
         name="recording",
         hfov_deg=min(2 * math.degrees(half), 180.0),
         beams=count,
         range_bins=ranges,
         beam_azimuths_deg=tuple(math.degrees(value) for value in beams.azimuths_rad),
-        image=image,
+        image=ImageSettings(width_px=width, height_px=height),
     )
 
 
@@ -99,7 +91,10 @@ def _edges_rad(beams: Beams) -> tuple[float, float]:
     return max(left, -math.pi / 2), min(right, math.pi / 2)
 
 
-def frame_picture(path: Path, number: int) -> tuple[npt.NDArray[np.float32], FanGeometry | None]:
+_opened = lru_cache(maxsize=1)(open_recording)  # the last stays open for its next frame
+
+
+def frame_picture(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
     """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where the file has none.
 
     Raises FactoryError when it cannot be read.
@@ -117,40 +112,18 @@ def frame_picture(path: Path, number: int) -> tuple[npt.NDArray[np.float32], Fan
     return np.ascontiguousarray(np.clip(grey, 0, 1)), None
 
 
-_LAST: dict[Path, Recording] = {}
-"""The recording that this process read last, kept open for its next frame."""
-
-
-def close_last() -> None:
-    """Let go of the recording that was read last."""
-    for recording in _LAST.values():
-        recording.close()
-    _LAST.clear()
-
-
-def _opened(path: Path) -> Recording:
-    if path not in _LAST:
-        close_last()
-        _LAST[path] = open_recording(path)
-    return _LAST[path]
-
-
 _SHARE = 99.5  # percentile of the pixels that are not zero
+# Bright pixels below the first make a picture dark; below the second they come to the last.
 _DARK, _DARKER, _WANTED = 0.25, 0.125, 0.5
-"""Bright pixels below the first make a picture dark; below the second they come to the last."""
 
 
 @dataclass(frozen=True)
 class Presentation:
-    """What is done to a picture before networks see it, and undone after.
+    """What is done to a picture before networks see it, and undone after."""
 
-    quarter_turns: counter-clockwise.  gain: what the picture is multiplied by.  geometry: of the
-    picture that networks see; None where it is not known.
-    """
-
-    quarter_turns: int
-    gain: np.float32
-    geometry: FanGeometry | None
+    quarter_turns: int  # counter-clockwise
+    gain: np.float32  # what the picture is multiplied by
+    geometry: FanGeometry | None  # of the picture that networks see; None where it is not known
 
     def shown(self, grey: Grey) -> Grey:
         """A picture, (H, W) in 0..1, as networks see it; those beside it in time are alike."""
@@ -168,23 +141,17 @@ class Presentation:
 
 
 def presentation_of(grey: Grey, geometry: FanGeometry | None) -> Presentation:
-    """How a picture, (H, W) in 0..1, is to be shown; most are left as they are."""
-    turns = 0 if geometry is None else geometry.quarter_turns
+    """How a picture, (H, W) in 0..1, is to be shown; most are left as they are.
+
+    The gain rises without a step as pictures get darker, and no pixel comes above 1.
+    """
+    turns, gain = 0 if geometry is None else geometry.quarter_turns, 1.0
     if geometry is not None and turns:
         geometry = geometry.turned(*grey.shape)
-    return Presentation(turns, gain_of(grey), geometry)
-
-
-def gain_of(grey: Grey) -> np.float32:
-    """By what a picture, (H, W) in 0..1, is to be multiplied; 1 where it is bright enough.
-
-    It rises without a step as pictures get darker, and no pixel comes above 1.
-    """
     # Most pictures are bright enough, and counting takes a fiftieth of what a percentile does.
-    few = np.count_nonzero(grey) * (1 - _SHARE / 100)
-    if np.count_nonzero(grey >= _DARK) >= few:
-        return np.float32(1)
-    lit = grey[grey > 0]
-    bright = max(float(np.percentile(lit, _SHARE)), 1e-6)
-    gain = _WANTED / bright if bright < _DARKER else (_DARK / bright) ** 2
-    return np.float32(max(1.0, min(gain, 1 / float(lit.max()))))
+    if np.count_nonzero(grey >= _DARK) < np.count_nonzero(grey) * (1 - _SHARE / 100):
+        lit = grey[grey > 0]
+        bright = max(float(np.percentile(lit, _SHARE)), 1e-6)
+        gain = _WANTED / bright if bright < _DARKER else (_DARK / bright) ** 2
+        gain = max(1.0, min(gain, 1 / float(lit.max())))
+    return Presentation(turns, np.float32(gain), geometry)

@@ -151,9 +151,9 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
 
 def test_arrays_are_recordings_for_training_and_for_evaluate_real(tmp_path: Path) -> None:
     pictures = pings(9, 30, 40)
-    path = write_array(tmp_path / "a.npz", pictures)
+    path = write_array(tmp_path / "a.npy", pictures)
     found = list_images(path)
-    assert [sample.frame for sample in found] == [f"a.npz#{n}" for n in range(9)]
+    assert [sample.frame for sample in found] == [f"a.npy#{n}" for n in range(9)]
     picture, _ = read_sample(found[5])
     np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
     words = ("data=olddata", f"data.folder='{path}'", "data.patch=16")

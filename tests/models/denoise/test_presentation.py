@@ -12,7 +12,7 @@ import pytest
 
 import simnfnd
 from simnfnd.models.denoise.command import main
-from simnfnd.models.recordings.fan_finder import find_fan
+from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.stretches import Shot, presented
 from tests.models.recordings.fan_pictures import LEFT, TOP, fan, preset, screen, with_rings
 
@@ -35,11 +35,11 @@ def test_turned_fans_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
         again = np.rot90(read[name], -turns).astype(np.float64)
         assert np.abs(again - usual).mean() < 0.2, name
     turned = np.rot90(grey)
-    found = find_fan(turned)
+    found = find_geometry(turned)
     assert found is not None
     in_python = simnfnd.denoise(turned.astype(np.float32) / 255)
     np.testing.assert_allclose(in_python * 255, read["from the left"], atol=1.5)
-    shot = Shot((turned / np.float32(255)).astype(np.float32), found.geometry)
+    shot = Shot((turned / np.float32(255)).astype(np.float32), found)
     for made in presented([shot]):
         np.testing.assert_allclose(made.grey * 255, grey, atol=1e-3)
         assert made.geometry is not None

@@ -11,8 +11,7 @@ import scipy.io
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.recordings import base, is_recording, kind_of, open_recording
-from simnfnd.models.recordings.arrays import is_table
-from simnfnd.models.recordings.pictures import read_grey, read_picture
+from simnfnd.models.recordings.pictures import is_table, read_grey, read_picture
 from tests.models.recordings.recording_files import pings, write_array
 
 NAMES = ("a.npz", "b.npz", "a.mat", "b.mat")
@@ -101,7 +100,7 @@ def test_files_that_are_no_arrays(tmp_path: Path) -> None:
         with pytest.raises(FactoryError, match=r"a.npy: .*array"):
             read_picture(path)
     np.save(path, np.array([{1: 2}], dtype=object), allow_pickle=True)
-    with pytest.raises(FactoryError, match="not a readable file of arrays"):
+    with pytest.raises(FactoryError, match="not a readable array"):
         read_picture(path)
 
 

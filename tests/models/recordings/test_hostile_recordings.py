@@ -17,7 +17,7 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.pictures import read_picture
 from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE, SONAR, typestore
-from simnfnd.models.recordings.sound_metrics import ArisFile
+from simnfnd.models.recordings.sonar_files import ArisFile
 from tests.models.recordings.bag_files import compressed, image, sonar, write_bag
 from tests.models.recordings.mutations import MUTATIONS, mutated, use
 from tests.models.recordings.recording_files import (

@@ -211,7 +211,7 @@ def test_what_a_message_says_must_fit(tmp_path: Path) -> None:
         (SONAR, uneven, "ranges that do not ascend evenly"),
         (SONAR, few, "8 beams and 4 directions"),
         (IMAGE, bayer, "the encoding 'bayer_rggb8', which cannot be denoised"),
-        (COMPRESSED, cut, "compressed as 'png'; JPEG and PNG can be read"),
+        (COMPRESSED, cut, "not a readable picture"),
     )):  # fmt: skip
         path = write_bag(tmp_path / f"{number}.bag", {"/p": (kind, [message])})
         with pytest.raises(FrameError, match=words), open_recording(path) as bag:
