@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -176,6 +175,7 @@ def _denoise_shard(item: Item, job: Job) -> None:
     """
     import h5py  # for datasets alone
 
+    from ...factory.dataset.layout import config_of
     from ...factory.dataset.reader import ImageStack, value_range
 
     # Made in memory and written in one go, like the shards themselves.
@@ -205,14 +205,18 @@ def _denoise_shard(item: Item, job: Job) -> None:
             track_times=False,
         )
         shown = []
-        denoising, geometry = Denoising(denoise), _geometry_of(source)
+        denoising, sonar = Denoising(denoise), recorded_sonar(config_of(source))
+
+        def place(row: int, _: Picture) -> FanGeometry | None:
+            return None if sonar is None else FanGeometry.from_record(sonar, source["meta"][row])
+
         for row in range(len(noisy)):
             try:
                 image = noisy[row]
-                denoised[row] = denoising.one(image, partial(geometry, row))
+                denoised[row] = denoising.one(image, partial(place, row))
                 if row < COMPARED:
                     shown.append([one / full for one in (image, denoised[row], clean[row])])
-            except FactoryError as error:
+            except (FactoryError, LookupError, ValueError) as error:
                 raise FrameError(f"{item.source}: {error}") from error
             job.bar.update()
         target.flush()
@@ -241,24 +245,10 @@ def opened_shard(path: Path) -> h5py.File:
 
 def made_of_points(shard: h5py.File) -> bool:
     """Whether the pictures of a shard have the paper's noise: acoustics.formation=points."""
-    try:
-        config = json.loads(shard.attrs["config"])
-        return config.get("devices") is None and "acoustics" not in config
-    except (KeyError, TypeError, ValueError):
-        return False
+    from ...factory.dataset.layout import config_of
 
-
-def _geometry_of(shard: h5py.File) -> Callable[[int, Picture], FanGeometry | None]:
-    """Row and its picture -> where range and bearing are, if the shard says so."""
-    try:
-        sonar = recorded_sonar(json.loads(shard.attrs["config"]))
-        if sonar is not None:
-            FanGeometry.from_record(sonar, shard["meta"][0])
-    except (KeyError, TypeError, ValueError, IndexError):
-        sonar = None
-    if sonar is None:
-        return lambda row, _: None
-    return lambda row, _: FanGeometry.from_record(sonar, shard["meta"][row])
+    config = config_of(shard)
+    return config.get("devices") is None and "acoustics" not in config
 
 
 def _opened(item: Item, topics: Sequence[str]) -> Recording:
