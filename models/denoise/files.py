@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...factory.errors import FactoryError, FrameError
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.files import write_atomically
+from ...factory.sonar.geometry import FanGeometry, recorded_sonar
 from ..pretrained import DEFAULT, POINTS
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
@@ -25,6 +26,10 @@ from .pictures import Denoising, Picture
 from .temporal.stream import Shot
 from .writers import COMPARED, write_compared, write_frames, write_image
 
+if TYPE_CHECKING:
+    import h5py
+
+SCHEMA = "simnfnd-denoised/1"
 _FURTHEST_TURN_DEG = 20.0  # between two frames; a compass that says more is not to be trusted
 
 
@@ -75,9 +80,7 @@ def denoise_files(items: Sequence[Item], job: Job) -> None:
     elif items[0] not in job.finished:
         try:
             if items[0].kind == "shard":
-                from .shards import denoise_shard  # loads h5py, for datasets alone
-
-                denoise_shard(items[0], job)
+                _denoise_shard(items[0], job)
             else:
                 _denoise_recording(items[0], job)
         except FrameError as error:
@@ -162,6 +165,89 @@ def _denoise_recording(item: Item, job: Job) -> None:
     if shown:
         write_compared(job.out / item.compared, shown)
     job.done(item, job.denoise.name, of_points=False)
+
+
+def _denoise_shard(item: Item, job: Job) -> None:
+    """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along.
+
+    Raises FrameError when it is not a shard of this program, or damaged.
+    """
+    import h5py  # for datasets alone
+
+    from ...factory.dataset.layout import config_of
+    from ...factory.dataset.reader import ImageStack, value_range
+
+    # Made in memory and written in one go, like the shards themselves.
+    with (
+        opened_shard(item.source) as source,
+        h5py.File("denoised.h5", "w", driver="core", backing_store=False) as target,
+    ):
+        of_points = made_of_points(source)
+        denoise = job.points() if of_points else job.denoise
+        noisy, clean = ImageStack(source["noisy"]), ImageStack(source["clean"])
+        form, full = source["noisy"], value_range(source)
+        job.bar.total += len(noisy)
+        target.attrs["schema"] = SCHEMA
+        target.attrs["config_hash"] = source.attrs["config_hash"]
+        target.attrs["weights_sha256"] = denoise.digest
+        for name in ("meta", "axes"):
+            if name in source:
+                source.copy(name, target)
+        denoised = target.create_dataset(
+            "denoised",
+            shape=form.shape,
+            dtype=form.dtype,
+            chunks=(1, *form.shape[1:]),
+            compression="gzip",
+            compression_opts=1,
+            fletcher32=True,
+            track_times=False,
+        )
+        shown = []
+        denoising, sonar = Denoising(denoise), recorded_sonar(config_of(source))
+
+        def place(row: int, _: Picture) -> FanGeometry | None:
+            return None if sonar is None else FanGeometry.from_record(sonar, source["meta"][row])
+
+        for row in range(len(noisy)):
+            try:
+                image = noisy[row]
+                denoised[row] = denoising.one(image, partial(place, row))
+                if row < COMPARED:
+                    shown.append([one / full for one in (image, denoised[row], clean[row])])
+            except (FactoryError, LookupError, ValueError) as error:
+                raise FrameError(f"{item.source}: {error}") from error
+            job.bar.update()
+        target.flush()
+        content = target.id.get_file_image()
+    path = job.out / item.relative
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, content)
+    if job.compare and shown:
+        write_compared(job.out / item.compared, shown)
+    job.done(item, denoise.name, of_points=of_points)
+
+
+def opened_shard(path: Path) -> h5py.File:
+    """The shard, opened, by another process first.
+
+    Raises FrameError when it is not a shard of this program, or damaged.
+    """
+    from ...factory.dataset import reader
+
+    try:
+        reader.check_in_isolation([path])
+        return reader.open_shard(path)
+    except FactoryError as error:
+        raise FrameError(str(error)) from error
+
+
+def made_of_points(shard: h5py.File) -> bool:
+    """Whether the pictures of a shard have the paper's noise: acoustics.formation=points."""
+    from ...factory.dataset.layout import config_of
+
+    config = config_of(shard)
+    return config.get("devices") is None and "acoustics" not in config
 
 
 def _opened(item: Item, topics: Sequence[str]) -> Recording:

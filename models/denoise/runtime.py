@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -106,19 +105,20 @@ class OnnxNetwork:
 
         gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
         """
-        grid = PolarGrid.of(maps) if self.is_polar and "azimuth_rad" in maps else None
+        grid = polar_grid(maps) if self.is_polar and "azimuth_rad" in maps else None
         if grid is None:
             found = inputs_of(gray, maps, self._stride)
         else:
-            sector = _sampled(maps.get("sector", np.ones_like(gray)), grid.in_fan)
-            cells = {**grid.maps, "sector": sector}
-            found = inputs_of(_sampled(gray, grid.in_fan), cells, self._stride, is_grid=True)
+            in_fan, in_grid, cells = grid
+            sector = _sampled(maps.get("sector", np.ones_like(gray)), in_fan)
+            cells = {**cells, "sector": sector}
+            found = inputs_of(_sampled(gray, in_fan), cells, self._stride, is_grid=True)
         change, logits, weight = self._session.run(
             ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
         )
         change, logits = change[0, 0], logits[0, 0]
         if grid is not None:
-            change, logits = _sampled(change, grid.in_grid), _sampled(logits, grid.in_grid)
+            change, logits = _sampled(change, in_grid), _sampled(logits, in_grid)
         image = gray + change
         if self._mask:
             image = image / (1 + np.exp(np.minimum(logits, _MOST)))
@@ -210,54 +210,43 @@ class TorchNetwork:
         return np.asarray(image[0, 0].float().cpu().numpy(), np.float32), weight
 
 
-@dataclass(frozen=True, eq=False)
-class PolarGrid:
-    """Fan pictures to range by bearing and back, in NumPy, as `models.networks.polar` does it.
+def polar_grid(maps: Maps) -> tuple[Positions, Positions, Maps] | None:
+    """From a fan to range by bearing and back, in NumPy, as `models.networks.polar` does it.
 
-    in_fan, in_grid: rows and columns, in pixels, of the cells in the fan and of the pixels in the
-    grid; (H, W) each.  maps: `range_fraction` and `azimuth_rad` of the cells, near range first.
+    Returns rows and columns (H, W), in pixels, of the grid's cells in the fan, and of the fan's
+    pixels in the grid; and range and bearing of the cells, near range first.
+    None for pictures that are polar already, or too small to tell.
     """
-
-    in_fan: Positions
-    in_grid: Positions
-    maps: Maps
-
-    @classmethod
-    def of(cls, maps: Maps) -> PolarGrid | None:
-        """The grid for a fan; None for pictures that are polar already, or too small to tell."""
-        radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
-        height, width = radius.shape
-        if min(height, width) < 2 or (radius == radius[:, :1]).all():
-            return None
-        inside = maps["sector"] > 0 if "sector" in maps else np.ones(radius.shape, bool)
-        if not inside.any():
-            inside = np.ones_like(inside)
-        right, ahead = radius * np.sin(azimuth), radius * np.cos(azimuth)
-        first_right, first_ahead = right[:, 0].mean(), ahead[0].mean()
-        right_step = (right[:, -1].mean() - first_right) / np.float32(width - 1)
-        ahead_step = (ahead[-1].mean() - first_ahead) / np.float32(height - 1)
-        near, far = _extent(radius[inside])
-        left, right_end = _extent(azimuth[inside])
-        down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
-        across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(width)
-        cell_range = np.broadcast_to((near + (far - near) * down)[:, None], radius.shape)
-        cell_azimuth = np.broadcast_to(left + (right_end - left) * across, radius.shape)
-        row = (cell_range * np.cos(cell_azimuth) - first_ahead) / ahead_step
-        column = (cell_range * np.sin(cell_azimuth) - first_right) / right_step
-        in_fan = [(2 * row + 1) / np.float32(height) - 1, (2 * column + 1) / np.float32(width) - 1]
-        in_grid = [
-            2 * (radius - near) / (far - near) - 1,
-            2 * (azimuth - left) / (right_end - left) - 1,
-        ]
-        # Rounded as torch's `grid_sample` does, which has positions of -1 to 1 over a side.
-        in_pixels = [
-            [
-                ((at + 1) * np.float32(side) - 1) / 2
-                for at, side in zip(one, radius.shape, strict=True)
-            ]
-            for one in (in_fan, in_grid)
-        ]
-        return cls(*in_pixels, {"range_fraction": cell_range, "azimuth_rad": cell_azimuth})
+    radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
+    height, width = radius.shape
+    if min(height, width) < 2 or (radius == radius[:, :1]).all():
+        return None
+    inside = maps["sector"] > 0 if "sector" in maps else np.ones(radius.shape, bool)
+    if not inside.any():
+        inside = np.ones_like(inside)
+    right, ahead = radius * np.sin(azimuth), radius * np.cos(azimuth)
+    first_right, first_ahead = right[:, 0].mean(), ahead[0].mean()
+    right_step = (right[:, -1].mean() - first_right) / np.float32(width - 1)
+    ahead_step = (ahead[-1].mean() - first_ahead) / np.float32(height - 1)
+    near, far = _extent(radius[inside])
+    left, right_end = _extent(azimuth[inside])
+    down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
+    across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(width)
+    cell_range = np.broadcast_to((near + (far - near) * down)[:, None], radius.shape)
+    cell_azimuth = np.broadcast_to(left + (right_end - left) * across, radius.shape)
+    row = (cell_range * np.cos(cell_azimuth) - first_ahead) / ahead_step
+    column = (cell_range * np.sin(cell_azimuth) - first_right) / right_step
+    in_fan = [(2 * row + 1) / np.float32(height) - 1, (2 * column + 1) / np.float32(width) - 1]
+    in_grid = [
+        2 * (radius - near) / (far - near) - 1,
+        2 * (azimuth - left) / (right_end - left) - 1,
+    ]
+    # Rounded as torch's `grid_sample` does, which has positions of -1 to 1 over a side.
+    fan, grid = (
+        [((at + 1) * np.float32(side) - 1) / 2 for at, side in zip(one, radius.shape, strict=True)]
+        for one in (in_fan, in_grid)
+    )
+    return fan, grid, {"range_fraction": cell_range, "azimuth_rad": cell_azimuth}
 
 
 def _extent(values: Gray) -> tuple[np.float32, np.float32]:

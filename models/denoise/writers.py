@@ -70,7 +70,11 @@ def write_frames(
     with explain_os_errors(path, "--out"):
         try:
             if path.suffix.lower() in TIFF_SUFFIXES:
-                _write_pages(partial, frames)
+                with TiffImagePlugin.AppendingTiffWriter(str(partial), new=True) as pages:
+                    for picture in frames:
+                        page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
+                        page.save(pages, format="TIFF", compression="tiff_adobe_deflate")
+                        pages.newFrame()
             elif isinstance(source, ArrayFile):
                 with partial.open("wb") as file:
                     write_array(file, frames, source.stored)
@@ -83,15 +87,6 @@ def write_frames(
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
-
-
-def _write_pages(partial: Path, frames: Frames) -> None:
-    """Pages of a TIFF file, each compressed without loss."""
-    with TiffImagePlugin.AppendingTiffWriter(str(partial), new=True) as writer:
-        for picture in frames:
-            page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
-            page.save(writer, format="TIFF", compression="tiff_adobe_deflate")
-            writer.newFrame()
 
 
 def _write_video(

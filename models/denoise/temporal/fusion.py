@@ -162,7 +162,6 @@ class Usual:
 
     def __init__(self) -> None:
         self._sum, self._pixels = np.zeros(_LEVELS), np.zeros(_LEVELS)
-        self._table: Grey | None = None
 
     def add(self, deviation: Grey, grey: Grey) -> None:
         """Deviations of pixels of some grey value in 0..1."""
@@ -175,19 +174,15 @@ class Usual:
                 usual = _NORMAL * float(np.median(size[first:last]))
                 self._sum[number] += usual * (last - first)
                 self._pixels[number] += last - first
-        self._table = None
 
     def at(self, grey: Grey) -> Grey:
-        """Standard deviation at each pixel of such a grey value."""
-        if self._table is None:
-            self._table = self._levels()
-        return cv2.LUT(np.clip(grey * 255, 0, 255).astype(np.uint8), self._table)
+        """Standard deviation at each pixel of such a grey value.
 
-    def _levels(self) -> Grey:
-        """One for each of 256 grey values; neighbouring levels share what they know."""
+        Neighbouring levels share what they know.
+        """
         known = self._pixels > 0
         if not known.any():
-            return np.full(256, _LEAST_SIGMA, np.float32)
+            return np.full(grey.shape, _LEAST_SIGMA, np.float32)
         middles = (np.arange(_LEVELS) + 0.5) / _LEVELS
         sigma = np.interp(middles, middles[known], self._sum[known] / self._pixels[known])
         pixels = np.interp(middles, middles[known], self._pixels[known])
@@ -195,7 +190,8 @@ class Usual:
         power: Floats = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), window, "valid")
         power = power / np.convolve(np.pad(pixels, 2, mode="edge"), window, "valid")
         fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
-        return np.maximum(fine, _LEAST_SIGMA).astype(np.float32)
+        table = np.maximum(fine, _LEAST_SIGMA).astype(np.float32)
+        return cv2.LUT(np.clip(grey * 255, 0, 255).astype(np.uint8), table)
 
 
 def median(planes: Sequence[Grey]) -> Grey:

@@ -11,15 +11,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.dataset import reader
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.denoise import shards
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser
+from simnfnd.models.denoise.files import opened_shard
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.pictures import Denoising
-from simnfnd.models.denoise.shards import opened_shard
 from simnfnd.models.denoise.writers import CAPTION_PX
 from tests.factory.export.export_dataset import write
 from tests.models.denoise.untrained import half, through_network, untrained_sonarnet
@@ -192,7 +192,7 @@ def test_shards_are_looked_at_in_another_process(
     write(tmp_path / "data")
     (item, *_) = find_items([tmp_path / "data"], tmp_path / "out")
     looked: list[Path] = []
-    monkeypatch.setattr(shards, "check_in_isolation", looked.extend)
+    monkeypatch.setattr(reader, "check_in_isolation", looked.extend)
     opened_shard(item.source).close()
     assert looked == [item.source]
     crash = FactoryError(f"{item.source}: crashes the HDF5 library; it is damaged")
@@ -200,6 +200,6 @@ def test_shards_are_looked_at_in_another_process(
     def look(paths: list[Path]) -> None:
         raise crash
 
-    monkeypatch.setattr(shards, "check_in_isolation", look)
+    monkeypatch.setattr(reader, "check_in_isolation", look)
     with pytest.raises(FrameError, match="crashes the HDF5 library"):
         opened_shard(item.source)
