@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ..factory.errors import FactoryError
-from ..factory.settings import STRICT, build
+from ..factory.settings import STRICT
 
 Count = Annotated[int, Field(ge=1)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
@@ -37,6 +36,7 @@ class DataSettings:
     weaker: Share
     validation: Fraction
     validation_limit: Count | None
+    reuse: Annotated[int, Field(ge=1, le=1000)]
     workers: Literal["auto"] | Annotated[int, Field(ge=0)]
 
     @property
@@ -63,19 +63,23 @@ class PairsData(DataSettings):
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
-class RendersData(DataSettings):
-    """`data=renders`: fresh noise on the renders of a dataset, at every visit."""
+class RenderedData(DataSettings):
+    """What is made of the renders of a dataset at every visit."""
 
-    kind: Literal["renders", "mixed"]
     pack: str | None
     fewer: Share
     scales: Annotated[tuple[Multiple, ...], Field(min_length=1)]
-    experiment: str | None
-    reuse: Annotated[int, Field(ge=1, le=1000)] = 1
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
-class MixedData(RendersData):
+class RendersData(RenderedData):
+    """`data=renders`: fresh noise."""
+
+    kind: Literal["renders"]
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class MixedData(RenderedData):
     """`data=mixed`: drawn devices, the paper's points and recordings beside each other."""
 
     kind: Literal["mixed"]
@@ -100,25 +104,6 @@ class OldData(DataSettings):
     geometry: str
 
 
-DATA: dict[str, type[DataSettings]] = {
-    "pairs": PairsData,
-    "renders": RendersData,
-    "mixed": MixedData,
-    "olddata": OldData,
-}
-"""kind -> its settings."""
-
-
-def _data(values: Any) -> DataSettings:
-    if isinstance(values, DataSettings):
-        return values
-    kind = values.get("kind")
-    if kind not in DATA:
-        raise FactoryError(f"data.kind: {kind!r} is none of {', '.join(sorted(DATA))}")
-    settings: DataSettings = build(DATA[kind], values, "data")
-    return settings
-
-
 @dataclass(frozen=True, config=STRICT)
 class TrainSettings:
     """Keys of `train`: how the weights are found."""
@@ -132,17 +117,15 @@ class TrainSettings:
     ema: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "32-true", "bf16-mixed"]
     teacher: str | None = None
-    teacher_share: Share = 0.8
 
     def __post_init__(self) -> None:
         """A training that is shorter than the interval is checked at its end."""
         if self.steps < self.check_every:
             object.__setattr__(self, "check_every", self.steps)
         if self.steps % self.check_every:
-            fits = next(n for n in range(self.check_every, 0, -1) if self.steps % n == 0)
             raise ValueError(
                 f"steps {self.steps} must be a multiple of check_every {self.check_every}, "
-                f"so that training ends with a validation; train.check_every={fits} fits"
+                "so that training ends with a validation"
             )
 
 
@@ -158,7 +141,7 @@ class ModelsSettings:
     seed: Annotated[int, Field(ge=0)]
     device: Literal["auto", "cpu", "gpu"]
     debug: bool
-    data: Annotated[DataSettings, BeforeValidator(_data)]
+    data: Annotated[PairsData | RendersData | MixedData | OldData, Field(discriminator="kind")]
     train: TrainSettings
     model: Mapping[str, Any]
     loss: Mapping[str, Any]

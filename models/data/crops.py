@@ -18,7 +18,7 @@ from torch.utils.data import Dataset, Sampler
 
 from ...factory.dataset.pair_dataset import mixed_order
 from ...factory.seeds import stream
-from ..settings import DataSettings, RendersData
+from ..settings import DataSettings
 from .pairs import Batch, Sample, Source
 
 KEPT = 96
@@ -29,31 +29,25 @@ class Visit(NamedTuple):
     """One image to be cropped.
 
     number: of the visit in the whole training.  image: its index.  round: how often the image was
-    visited before.  patch: side of the crops, pixels; of smaller images, the whole.
+    visited before.
     """
 
     number: int
     image: int
     round: int
-    patch: int
 
 
 class Crops(Dataset[Batch]):
-    """Training crops; item `Visit` is a batch of `crops` of them, all of one image.
+    """Training crops; item `Visit` is a batch of `data.crops` of them, all of one image.
 
-    extras: names of maps to add, as `models` describes them.
+    They have `data.patch` pixels a side; of smaller images they are the whole.
+    extras: names of maps to add, as `models.networks` describes them.
     """
 
     def __init__(
-        self,
-        source: Source,
-        *,
-        crops: int = 1,
-        seed: int,
-        extras: Sequence[str] = (),
+        self, source: Source, data: DataSettings, seed: int, extras: Sequence[str] = ()
     ) -> None:
-        self.source, self.crops, self.seed = source, crops, seed
-        self.extras = tuple(extras)
+        self.source, self.data, self.seed, self.extras = source, data, seed, tuple(extras)
 
     def __len__(self) -> int:
         return len(self.source)
@@ -61,14 +55,14 @@ class Crops(Dataset[Batch]):
     def __getitem__(self, visit: Visit) -> Batch:
         sample = self.source.sample(visit.image, visit.round)
         rng = stream(self.seed, "crop", visit.number)
-        height, width = sample.noisy.shape
-        shape = min(visit.patch, height), min(visit.patch, width)
+        shape = tuple(min(self.data.patch, side) for side in sample.noisy.shape)
         parts = []
-        for _ in range(self.crops):
-            top = int(rng.integers(height - shape[0] + 1))
-            left = int(rng.integers(width - shape[1] + 1))
-            flip = bool(rng.random() < 0.5)
-            parts.append(crop(sample, (top, left), shape, flip, self.extras))
+        for _ in range(self.data.crops):
+            top, left = (
+                int(rng.integers(whole - side + 1))
+                for whole, side in zip(sample.noisy.shape, shape, strict=True)
+            )
+            parts.append(crop(sample, (top, left), shape, bool(rng.random() < 0.5), self.extras))
         return concatenate(parts)
 
 
@@ -84,10 +78,7 @@ def crop(
     flip: bool,
     extras: Sequence[str] = (),
 ) -> Batch:
-    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not.
-
-    With `taught` (1, 1, 1, 1), where it is known.
-    """
+    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not."""
     (top, left), (height, width) = corner, shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
@@ -97,14 +88,11 @@ def crop(
     images = {name: one[window][:, ::step] for name, one in planes.items() if one is not None}
     if sample.geometry is not None and extras:
         maps = sample.geometry.maps(top, left, height, width)
-        found = {name: maps[name][:, ::step] for name in extras if name in maps}
-        if flip and "azimuth_rad" in found:
-            found["azimuth_rad"] = -found["azimuth_rad"]
-        images |= found
+        images |= {name: maps[name][:, ::step] for name in extras if name in maps}
+        if flip and "azimuth_rad" in images:
+            images["azimuth_rad"] = -images["azimuth_rad"]
     batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
-    if sample.taught is not None:
-        batch["taught"] = torch.full((1, 1, 1, 1), sample.taught)
-    return batch
+    return batch | {"taught": torch.full((1, 1, 1, 1), sample.taught)}
 
 
 def concatenate(batches: Sequence[Batch]) -> Batch:
@@ -130,9 +118,8 @@ class VisitSampler(Sampler[list[Visit]]):
 
         places: the shard of each image, where shards are fetched; see `mixed_order`.
         """
-        self._places = places
         self.images, self.data, self.steps, self.seed = images, data, steps, seed
-        self.reuse = data.reuse if isinstance(data, RendersData) else 1
+        self._places = places
         self._orders: dict[int, npt.NDArray[np.int64]] = {}
         self._interval = self._done = 0
 
@@ -143,37 +130,31 @@ class VisitSampler(Sampler[list[Visit]]):
     def __len__(self) -> int:
         return self.steps - self._done
 
-    def _order(self, round_: int) -> npt.NDArray[np.int64]:
+    def __iter__(self) -> Iterator[list[Visit]]:
+        each = self.data.batch // self.data.crops
+        first = (self._interval * self.steps + self._done) * each
+        for number in range(first, first + len(self) * each, each):
+            yield [self._visit(one) for one in range(number, number + each)]
+
+    def _visit(self, number: int) -> Visit:
+        round_, place = divmod(self._drawn(number), self.images)
         if round_ not in self._orders:
             rng = stream(self.seed, "order", round_)
             order = mixed_order(self._places, rng) if self._places else rng.permutation(self.images)
             # A kept picture can be one of the round before, and of few images of earlier ones.
             self._orders = {r: o for r, o in self._orders.items() if r >= round_ - KEPT}
             self._orders[round_] = order
-        return self._orders[round_]
+        return Visit(number, int(self._orders[round_][place]), round_)
 
-    def __iter__(self) -> Iterator[list[Visit]]:
-        each = self.data.batch // self.data.crops
-        number = (self._interval * self.steps + self._done) * each
-        for _ in range(self.steps - self._done):
-            visits = []
-            for _ in range(each):
-                round_, place = divmod(drawn(number, self.reuse, self.seed), self.images)
-                index = int(self._order(round_)[place])
-                visits.append(Visit(number, index, round_, self.data.patch))
-                number += 1
-            yield visits
+    def _drawn(self, number: int) -> int:
+        """The number of a visit's picture when each serves `data.reuse` visits on average.
 
-
-def drawn(number: int, reuse: int, seed: int) -> int:
-    """The number of the picture of this visit when every picture serves `reuse` visits on average.
-
-    Every `reuse`-th visit shows the next picture, the others one of the last `KEPT`.
-    """
-    newest = number // reuse
-    if number % reuse == 0:
-        return newest
-    return max(newest - int(stream(seed, "reuse", number).integers(KEPT)), 0)
+        Every `reuse`-th visit shows the next picture, the others one of the last `KEPT`.
+        """
+        newest, is_old = divmod(number, self.data.reuse)
+        if is_old:
+            newest -= int(stream(self.seed, "reuse", number).integers(KEPT))
+        return max(newest, 0)
 
 
 class KeptSource:
@@ -181,18 +162,13 @@ class KeptSource:
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self._kept: OrderedDict[tuple[int, int], Sample] = OrderedDict()
+        self._kept: OrderedDict[tuple[int, int | None], Sample] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self.source)
 
-    def __getstate__(self) -> dict[str, object]:
-        return {"source": self.source, "_kept": OrderedDict()}
-
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        if visit is None:
-            return self.source.sample(index, None)
         name = index, visit
         if name not in self._kept:
             self._kept[name] = self.source.sample(index, visit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from ...factory.sonar.window import Window
 from ..recordings import PICTURE_SUFFIXES, is_recording, kind_of, open_recording
 from ..recordings.pictures import read_grey
 from ..recordings.views import frame_picture
+from ..settings import OldData
 from .fans import read_fans
 from .pairs import Image, Sample, SampleRef, weakened
 
@@ -95,21 +96,12 @@ class OldDataSource:
     """
 
     def __init__(
-        self,
-        samples: tuple[SampleRef, ...],
-        geometry: str,
-        settings: NoiseSettings,
-        *,
-        weaker: float,
-        seed: int,
+        self, samples: tuple[SampleRef, ...], data: OldData, noise: NoiseSettings, seed: int
     ) -> None:
-        """geometry: `polar`, or a CSV table (`fans.read_fans`).
-
-        Raises FactoryError when an image is not in the table.
-        """
-        self.samples, self.settings = samples, settings
-        self.weaker, self.seed = weaker, seed
-        self.fans: Mapping[str, FanGeometry] = {} if geometry == "polar" else read_fans(geometry)
+        """Raises FactoryError when an image is not in the table `data.geometry`."""
+        self.samples, self.noise = samples, noise
+        self.weaker, self.seed = data.weaker, seed
+        self.fans = {} if data.geometry == "polar" else read_fans(data.geometry)
         unknown = [
             sample.frame
             for sample in samples
@@ -117,7 +109,7 @@ class OldDataSource:
         ]
         if unknown:
             raise FactoryError(
-                f"data.geometry={geometry}: says nothing about {unknown[0]} and "
+                f"data.geometry={data.geometry}: says nothing about {unknown[0]} and "
                 f"{len(unknown) - 1} more images; add them, or give another data.folder"
             )
 
@@ -133,8 +125,7 @@ class OldDataSource:
         clean = clean * sector
         number = "validation" if visit is None else visit
         names = StreamNames.single(ref.scene, ref.frame, number)
-        draws = draw(self.settings, self.seed, names)
-        noisy = with_noise(clean, geometry, draws)
+        noisy = with_noise(clean, geometry, draw(self.noise, self.seed, names))
         if visit is not None:
             strength = np.float32(weakened(self.weaker, self.seed, index, visit))
             noisy = clean + strength * (noisy - clean)
@@ -155,13 +146,8 @@ def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
     azimuth = np.repeat(maps["azimuth_rad"][lit], _LOOKS)
     range_m = np.repeat(maps["range_fraction"][lit] * np.float32(_FAR_M), _LOOKS)
     scene = in_plane(range_m, azimuth, np.repeat(clean[lit] / np.float32(_LOOKS), _LOOKS))
-    window = Window(
-        "slant_range",
-        geometry.near_fraction * _FAR_M,
-        _FAR_M,
-        geometry.azimuth_min_rad,
-        geometry.azimuth_max_rad,
-    )
+    limits = (geometry.near_fraction * _FAR_M, _FAR_M)
+    window = Window("slant_range", *limits, geometry.azimuth_min_rad, geometry.azimuth_max_rad)
     moved, *added = noisy_cloud(scene, effect_clouds(draws.effects, scene, scene, window), 1.0)
     picture = _gathered(moved, geometry, clean.shape)
     for echoes in added:

@@ -21,6 +21,7 @@ from ..networks import averaged
 from ..recordings.fan_finder import find_geometry
 from ..recordings.static import find_groups, shifted
 from ..recordings.views import presentation_of
+from ..settings import MixedData
 from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source
 
@@ -38,8 +39,6 @@ _UNEVEN, _OFF, _OFF_PX = 0.45, 0.25, 0.5
 """Part of the means with uneven weights and with frames that lie beside, and by how much."""
 _TAUGHT = 0.5
 """Of the target of a single frame, what a teacher makes of it; the rest is the mean of others."""
-_TAUGHT_DRAWN = 0.8
-"""The same of a drawn single frame; the rest is its clean one."""
 _LOUD = 0.12
 """Part of the pictures that get a loud beam."""
 _FEWEST, _FULL = 0.15, 0.7
@@ -100,16 +99,14 @@ class Stack:
         return np.asarray(np.where(np.abs(change) < _MOVED, target, np.nan), np.float32)
 
 
-def open_stacks(
-    paths: Sequence[str], least_side: int, key: str = "data.recordings"
-) -> tuple[Stack, ...]:
+def open_stacks(paths: Sequence[str], least_side: int) -> tuple[Stack, ...]:
     """The recordings of files and folders whose geometry is known or found.
 
-    least_side: of a frame, pixels.  Raises FactoryError, naming `key`, where there are none.
+    least_side: of a frame, pixels.  Raises FactoryError where there are none.
     """
     found = []
     for path in paths:
-        refs = list_images(path, key)
+        refs = list_images(path, "data.recordings")
         for scene in dict.fromkeys(ref.scene for ref in refs):
             shown = [_shown(ref) for ref in refs if ref.scene == scene]
             first, geometry = shown[0]
@@ -124,8 +121,8 @@ def open_stacks(
             found.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry, still))
     if paths and not found:
         raise FactoryError(
-            f"{key}: no recording there has frames of {least_side} pixels or more with a fan that "
-            "can be found"
+            f"data.recordings: no recording there has frames of {least_side} pixels or more with a "
+            "fan that can be found"
         )
     return tuple(found)
 
@@ -147,24 +144,11 @@ class MixedSource:
     """
 
     def __init__(
-        self,
-        devices: Source,
-        points: Source,
-        stacks: Sequence[Stack],
-        *,
-        points_share: float,
-        recordings_share: float,
-        several: float,
-        seed: int,
+        self, devices: Source, points: Source, stacks: Sequence[Stack], data: MixedData, seed: int
     ) -> None:
-        """devices: drawn pairs, as many as there are renders.  points: those of the same renders.
-
-        points_share, recordings_share: parts of the visits.  several: part of the drawn pictures
-        that are means of frames.
-        """
+        """devices: drawn pairs, one for each render.  points: those of the same renders."""
         self.devices, self.points, self.stacks = devices, points, tuple(stacks)
-        self.points_share, self.recordings_share = points_share, recordings_share
-        self.several, self.seed = several, seed
+        self.data, self.seed = data, seed
 
     def __len__(self) -> int:
         return len(self.devices)
@@ -173,22 +157,21 @@ class MixedSource:
         """See `Source`."""
         if visit is None:
             return self.devices.sample(index, None)
-        rng = stream(self.seed, "mixed", index, visit)
+        rng, data = stream(self.seed, "mixed", index, visit), self.data
         kind = rng.random()
-        if kind < self.points_share:
+        if kind < data.points_share:
             return replace(self.points.sample(index, visit), taught=0.0)
-        if kind < self.points_share + self.recordings_share and self.stacks:
+        if kind < data.points_share + data.recordings_share and self.stacks:
             stack = self.stacks[int(rng.integers(len(self.stacks)))]
             return with_loud_beam(stack.sample(rng), rng)
         drawn = self.devices.sample(index, visit)
-        if rng.random() < self.several:
-            return with_loud_beam(standing(drawn, rng), rng)
-        return with_loud_beam(replace(drawn, taught=_TAUGHT_DRAWN), rng)
+        if rng.random() < data.several:
+            drawn = standing(drawn, rng)
+        return with_loud_beam(drawn, rng)
 
 
 def standing(sample: Sample, rng: np.random.Generator) -> Sample:
     """A drawn pair as the mean of frames: some of its speckle stands still, the rest is fresh."""
-    assert sample.clean is not None
     part = np.float32(rng.choice([0.0, 0.3, 0.6, 1.0]))
     target = sample.clean + part * (sample.noisy - sample.clean)
     count: float | Image = float(np.exp(rng.uniform(np.log(1.5), np.log(20))))
@@ -226,7 +209,7 @@ def temporal_noise(rng: np.random.Generator, picture: Image) -> Image:
 
 def with_loud_beam(sample: Sample, rng: np.random.Generator) -> Sample:
     """The same with a beam that is too loud along most of its length, which the target lacks."""
-    if sample.geometry is None or sample.clean is None or rng.random() >= _LOUD:
+    if sample.geometry is None or rng.random() >= _LOUD:
         return sample
     maps = sample.geometry.maps(0, 0, *sample.noisy.shape)
     inside = maps["sector"] > 0

@@ -343,7 +343,7 @@ def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
     assert asked == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}
     asked.clear()
     source = PairSource(table.samples, table.sonar)
-    sizes: Any = {"patch": 16, "batch": 1, "crops": 1, "weaker": 0, "workers": 0}
+    sizes: Any = {"patch": 16, "batch": 1, "crops": 1, "weaker": 0, "workers": 0, "reuse": 1}
     data = PairsData(kind="pairs", validation=0.1, validation_limit=None, **sizes)
     for step in VisitSampler(len(source), data, len(source), 0, distant_places(source)):
         for visit in step:

@@ -144,7 +144,6 @@ def test_stretches_are_found_in_a_shuffled_folder(tmp_path: Path) -> None:
         ([], [], "holds no image"),
         (["a0.png"], [], "is one picture"),
         (["a.png", "b.png"], ["--steps", "0"], "--steps 0"),
-        (["a.png", "b.png"], ["--minutes", "0"], "--minutes 0"),
         (["a.png", "b.png"], ["--learning-rate", "2"], "--learning-rate 2"),
         (["a.png", "b.png"], ["--out", "here"], r"must end in \.safetensors"),
         (["a.png", "b.png"], ["--weights", "nowhere"], "nowhere"),
