@@ -21,10 +21,9 @@ Without geometry it works on the picture as it is; in training the geometry is w
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, TypeVar, cast
 
 import torch
 from pydantic import Field
@@ -103,9 +102,11 @@ class SonarNet(Network):
         self.extras = (*_MAPS, *told, *(("frames",) if settings.frames else ()))
         if settings.told:
             self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())
-            self.films = nn.ModuleList(_film(width) for width in widths)
+            self.films = nn.ModuleList(zeroed(nn.Linear(_TOLD, 2 * width)) for width in widths)
         if settings.frames:
-            self.frames = nn.ModuleList(_frames_film(width) for width in widths)
+            self.frames = nn.ModuleList(
+                zeroed(nn.Conv2d(2, 2 * width, 1, bias=False)) for width in widths
+            )
         self.lines = LineContext(widths[0]) if settings.lines else None
         self.encoders, self.downs, self.ups, self.decoders = (nn.ModuleList() for _ in range(4))
         for (fine, coarse), count in zip(pairwise(widths), blocks, strict=False):
@@ -114,11 +115,8 @@ class SonarNet(Network):
             self.ups.insert(0, nn.ConvTranspose2d(coarse, fine, 2, stride=2))
             self.decoders.insert(0, residual_blocks(fine, count))
         self.middle = residual_blocks(widths[-1], blocks[-1])
-        self.outro = nn.Conv2d(widths[0], 4 * 2, 3, padding=1)
-        nn.init.zeros_(self.outro.weight)
-        assert self.outro.bias is not None
-        nn.init.constant_(self.outro.bias[:4], 0.0)
-        nn.init.constant_(self.outro.bias[4:], _FIRST_LOGIT)
+        self.outro = zeroed(nn.Conv2d(widths[0], 4 * 2, 3, padding=1))
+        nn.init.constant_(cast(Tensor, self.outro.bias)[4:], _FIRST_LOGIT)
         self.blend = BlendHead(widths[0])
 
     def forward(self, noisy: Tensor, **extras: Tensor) -> Tensor:
@@ -141,7 +139,7 @@ class SonarNet(Network):
             remove = usual.repeat(noisy.shape[0], 1)
         if frames is None and self.settings.frames:
             frames = torch.zeros_like(noisy)
-        has_geometry = "range_fraction" in extras and "azimuth_rad" in extras
+        has_geometry = {"range_fraction", "azimuth_rad"} <= extras.keys()
         if self.training and has_geometry and self.settings.forget:
             has_geometry = bool(torch.rand(()) >= self.settings.forget)
         if not has_geometry:
@@ -153,22 +151,19 @@ class SonarNet(Network):
         if self.settings.polar:
             grid = polar_grid(range_fraction, azimuth_rad, sector, fan=self.fan)
         if grid is None:
-            planes = [padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector)]
-            height, width = planes[0].shape[-2:]
-            lines = MapLines.of(planes[0], planes[1], planes[2], (height // 2, width // 2))
+            planes = (padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector))
             maps = _known(range_fraction, azimuth_rad, sector)
-            change, logits, weight = self.core(remove, frames, lines, noisy, *maps)
+            change, logits, weight = self.core(remove, frames, MapLines.of(*planes), noisy, *maps)
         else:
             polar = grid.polar(torch.cat([noisy, sector], dim=1))
             maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
             *cells, weight = self.core(remove, None, GridLines(), polar[:, :1], *maps)
             change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
-        inside = sector > 0
-        change = change.masked_fill(~inside, 0.0)
-        image = self.gated(noisy + change, logits)
-        image = torch.where(inside, image, noisy)
-        return _output(image, logits.masked_fill(~inside, _OUTSIDE), weight)
+        outside = sector <= 0
+        image = self.gated(noisy + change.masked_fill(outside, 0.0), logits)
+        image = torch.where(outside, noisy, image)
+        return _output(image, logits.masked_fill(outside, _OUTSIDE), weight)
 
     def gated(self, image: Tensor, logits: Tensor) -> Tensor:
         """The picture, darker where the logits say shadow; (N, 1, H, W) both."""
@@ -184,15 +179,19 @@ class SonarNet(Network):
         """
         height, width = planes[0].shape[-2:]
         inputs = [padded(plane, self.core_stride) for plane in planes]
-        levels = None
+        levels: list[Tensor] = []
         if frames is not None:
             frames = padded(frames, self.core_stride)
             inputs.append(frames / _FRAMES)
-            levels = _frames_levels(frames, len(self.settings.widths))
+            # log2 of their number, and what their noise has less; both are 0 for a single frame.
+            level = torch.cat([frames / _FRAMES, torch.exp(frames * _HALVED) - 1], dim=1)
+            for _ in self.settings.widths:
+                level = functional.avg_pool2d(level, 2)
+                levels.append(level)
         x = self.intro(functional.pixel_unshuffle(torch.cat(inputs, dim=1), 2))
         if self.lines is not None:
             x = self.lines(x, lines)
-        *encoders, middle = self._told_steps(remove, levels)
+        *encoders, middle = self._conditioned(remove, levels)
         x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
         noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
@@ -201,19 +200,19 @@ class SonarNet(Network):
         denoised = self.gated(noisy + change, logits)
         return change, logits, self.blend(x, noisy, denoised - noisy, sector)
 
-    def _told_steps(self, remove: Tensor, levels: Sequence[Tensor] | None) -> list[Step]:
-        """The blocks of every level on the way down, with what scales and shifts their features.
+    def _conditioned(self, remove: Tensor, levels: list[Tensor]) -> list[Step]:
+        """The blocks on the way down, on features that are scaled and shifted by what is told.
 
-        levels: how many frames were averaged, at the resolution of each level.
+        levels: how many frames were averaged, at the resolution of each level; or none.
         """
         steps: list[Step] = [*self.encoders, self.middle]
         films: list[Tensor] = []
         if self.settings.told:
             told = self.told(remove)
             films = [film(told)[:, :, None, None] for film in self.films]
-        if levels is not None:
-            found = [film(level) for film, level in zip(self.frames, levels, strict=True)]
-            films = [one + more for one, more in zip(films, found, strict=True)] if films else found
+        if levels:
+            more = [film(level) for film, level in zip(self.frames, levels, strict=True)]
+            films = [a + b for a, b in zip(films, more, strict=True)] if films else more
         return [_after(*both) for both in zip(films, steps, strict=True)] if films else steps
 
 
@@ -223,31 +222,14 @@ def _output(image: Tensor, logits: Tensor, weight: Tensor) -> NetworkOutput:
     return NetworkOutput(image, logits.mean(dim=1, keepdim=True), weight)
 
 
-def _film(width: int) -> nn.Linear:
-    """Scales and shifts of `width` channels; none before anything is learned."""
-    film = nn.Linear(_TOLD, 2 * width)
-    nn.init.zeros_(film.weight)
-    nn.init.zeros_(film.bias)
-    return film
+Layer = TypeVar("Layer", nn.Linear, nn.Conv2d)
 
 
-def _frames_film(width: int) -> nn.Conv2d:
-    """Scales and shifts of `width` channels from the planes of `_frames_levels`; none at first."""
-    film = nn.Conv2d(2, 2 * width, 1, bias=False)
-    nn.init.zeros_(film.weight)
-    return film
-
-
-def _frames_levels(frames: Tensor, count: int) -> list[Tensor]:
-    """log2 of the number of frames and what their noise has less, at half resolution and coarser.
-
-    frames: (N, 1, H, W) log2.  Both planes are 0 for a single frame.
-    """
-    planes, levels = torch.cat([frames / _FRAMES, torch.exp(frames * _HALVED) - 1], dim=1), []
-    for _ in range(count):
-        planes = functional.avg_pool2d(planes, 2)
-        levels.append(planes)
-    return levels
+def zeroed(layer: Layer) -> Layer:
+    """The layer with weights that give nothing before anything is learned."""
+    for weights in layer.parameters():
+        nn.init.zeros_(weights)
+    return layer
 
 
 def _after(film: Tensor, blocks: Step) -> Step:
@@ -270,12 +252,10 @@ def _unknown(noisy: Tensor) -> tuple[Tensor, ...]:
 class ResidualBlock(nn.Module):
     """Two convolutions, added to what came in; it starts as the identity."""
 
-    def __init__(self, first: nn.Conv2d, second: nn.Conv2d) -> None:
+    def __init__(self, channels: int) -> None:
         super().__init__()
-        self.first, self.second = first, second
-        nn.init.zeros_(self.second.weight)
-        assert self.second.bias is not None
-        nn.init.zeros_(self.second.bias)
+        self.first = nn.Conv2d(channels, channels, 3, padding=1)
+        self.second = zeroed(nn.Conv2d(channels, channels, 3, padding=1))
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> the same shape."""
@@ -284,12 +264,8 @@ class ResidualBlock(nn.Module):
 
 
 def residual_blocks(channels: int, count: int) -> nn.Sequential:
-    """So many of them of 3x3, one after another."""
-
-    def convolution() -> nn.Conv2d:
-        return nn.Conv2d(channels, channels, 3, padding=1)
-
-    return nn.Sequential(*(ResidualBlock(convolution(), convolution()) for _ in range(count)))
+    """So many of them, one after another."""
+    return nn.Sequential(*(ResidualBlock(channels) for _ in range(count)))
 
 
 _NEIGHBOURS = 9
@@ -312,29 +288,21 @@ class LineContext(nn.Module):
             )
             for _ in range(2)
         )
-        self.added = nn.Conv2d(2 * width, channels, 1)
-        nn.init.zeros_(self.added.weight)
-        assert self.added.bias is not None
-        nn.init.zeros_(self.added.bias)
+        self.added = zeroed(nn.Conv2d(2 * width, channels, 1))
 
     def forward(self, x: Tensor, lines: Lines) -> Tensor:
         """(N, C, h, w) -> the same shape."""
         pooled = self.pooled(x)
-        beams = self.beams(lines.beam_means(pooled))
-        arcs = self.arcs(lines.arc_means(pooled))
-        return lines.add(x, beams, arcs, self.added)
+        beams = self.beams(lines.means(pooled, 2))
+        return lines.add(x, beams, self.arcs(lines.means(pooled, 3)), self.added)
 
 
 class GridLines:
     """Columns are beams and rows are arcs: of a polar picture, or where nobody knows."""
 
-    def beam_means(self, x: Tensor) -> Tensor:
-        """(N, C, h, w) -> (N, C, beams) means along each beam."""
-        return x.float().mean(2)
-
-    def arc_means(self, x: Tensor) -> Tensor:
-        """(N, C, h, w) -> (N, C, arcs) means along each arc."""
-        return x.float().mean(3)
+    def means(self, x: Tensor, along: int) -> Tensor:
+        """(N, C, h, w) -> (N, C, beams) for along=2, (N, C, arcs) for 3: means along each."""
+        return x.float().mean(along)
 
     def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
         """The features and `added` of what the beam and the arc of each cell have.
@@ -348,50 +316,37 @@ class GridLines:
         return x + along[:, :, None, :] + across[:, :, :, None]
 
 
+@dataclass(frozen=True, eq=False)
 class MapLines:
-    """The beams and arcs of a fan.
+    """The beams and arcs of a fan, for features of `shape` (h, w).
 
-    beam, arc: (N, h * w) int64 numbers below `beams` and `arcs`.  weight: (N, 1, h * w), 0 outside
-    the sector.
+    beam, arc: (N, h * w) int64 numbers below w and h.  weight: (N, 1, h * w), 0 outside the sector.
     """
 
-    def __init__(self, beam: Tensor, arc: Tensor, weight: Tensor, shape: tuple[int, int]) -> None:
-        self.beam, self.arc, self.weight, self.shape = beam, arc, weight, shape
-        self.arcs, self.beams = shape
+    beam: Tensor
+    arc: Tensor
+    weight: Tensor
+    shape: tuple[int, int]
 
     @classmethod
-    def of(
-        cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor, shape: tuple[int, int]
-    ) -> MapLines:
-        """From maps of the picture, (N, 1, H, W) each, for features of `shape` (h, w).
+    def of(cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor) -> MapLines:
+        """From maps of the picture, (N, 1, H, W) each, for features of half its size.
 
         The sector's bearings and ranges are divided evenly into w beams and h arcs.
         """
+        shape = sector.shape[-2] // 2, sector.shape[-1] // 2
         planes = functional.interpolate(torch.cat([azimuth_rad, range_fraction, sector], 1), shape)
         bearing, radius, inside = (planes[:, n].flatten(1) for n in range(3))
-        weight = (inside > 0).to(planes.dtype)
-        return cls(
-            _numbers(bearing, weight, shape[1]),
-            _numbers(radius, weight, shape[0]),
-            weight[:, None],
-            shape,
-        )
+        numbers = []
+        for values, count in ((bearing, shape[1]), (radius, shape[0])):
+            least, most = _extent(values, inside > 0)
+            step = (values - least) / (most - least) * count
+            numbers.append(step.clamp(0, count - 1).long())
+        return cls(*numbers, (inside > 0).to(planes.dtype)[:, None], shape)
 
-    def beam_means(self, x: Tensor) -> Tensor:
+    def means(self, x: Tensor, along: int) -> Tensor:
         """See `GridLines`."""
-        return self._means(x, self.beam, self.beams)
-
-    def arc_means(self, x: Tensor) -> Tensor:
-        """See `GridLines`."""
-        return self._means(x, self.arc, self.arcs)
-
-    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
-        """See `GridLines`."""
-        spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
-        found: Tensor = x + added(torch.cat(spread, dim=1))
-        return found
-
-    def _means(self, x: Tensor, numbers: Tensor, count: int) -> Tensor:
+        numbers, count = (self.beam, self.shape[1]) if along == 2 else (self.arc, self.shape[0])
         flat, channels = x.float().flatten(2), x.shape[1]
         weight = self.weight.float()
         index = numbers[:, None]
@@ -399,6 +354,12 @@ class MapLines:
         total = zeros.scatter_add(2, index.expand(-1, channels, -1), flat * weight)
         cells = zeros[:, :1].scatter_add(2, index, weight)
         return total / cells.clamp_min(1)
+
+    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
+        """See `GridLines`."""
+        spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
+        found: Tensor = x + added(torch.cat(spread, dim=1))
+        return found
 
     def _spread(self, along: Tensor, numbers: Tensor) -> Tensor:
         """(N, C, beams or arcs) -> (N, C, h, w): every cell gets what its line has."""
@@ -408,20 +369,6 @@ class MapLines:
 
 Lines = GridLines | MapLines
 """The beams and arcs of the cells of a feature map."""
-
-
-def _numbers(values: Tensor, weight: Tensor, count: int) -> Tensor:
-    """(N, P) int64: which of `count` even steps between the extremes inside a value lies in."""
-    inside = weight > 0
-    least = values.masked_fill(~inside, torch.inf).amin(1, keepdim=True)
-    most = values.masked_fill(~inside, -torch.inf).amax(1, keepdim=True)
-    empty = ~inside.any(1, keepdim=True)
-    least, most = least.masked_fill(empty, 0), most.masked_fill(empty, 1)
-    step = (values - least) / (most - least).clamp_min(1e-6) * count
-    return step.clamp(0, count - 1).long()
-
-
-_SMALLEST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -457,7 +404,8 @@ def polar_grid(
     None for pictures that are polar already, or too small to tell.
     """
     if fan is None:
-        fan = _is_fan(range_fraction)
+        columns = range_fraction[..., :1] if min(range_fraction.shape[-2:]) > 1 else range_fraction
+        fan = not bool((range_fraction == columns).all())
     if not fan:
         return None
     height, width = range_fraction.shape[-2:]
@@ -469,7 +417,6 @@ def polar_grid(
     ahead_step = (ahead[:, -1, :].mean(1) - first_ahead) / (height - 1)
 
     inside = sector[:, 0] > 0
-    inside = inside | ~inside.any(dim=2, keepdim=True).any(dim=1, keepdim=True)
     near, far = _extent(radius, inside)
     left, right_end = _extent(azimuth, inside)
     down = (torch.arange(height, device=radius.device) + 0.5) / height
@@ -489,19 +436,13 @@ def polar_grid(
     return PolarGrid(to_polar, to_fan, cell_range[:, None], cell_azimuth[:, None])
 
 
-def _is_fan(range_fraction: Tensor) -> bool:
-    """Whether ranges differ along rows; False for pictures too small to tell."""
-    height, width = range_fraction.shape[-2:]
-    if min(height, width) < 2:
-        return False
-    return not bool((range_fraction == range_fraction[..., :1]).all())
-
-
 def _extent(values: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Least and largest of (N, H, W) values where `inside`, each (N, 1, 1), never equal."""
-    least = values.masked_fill(~inside, torch.inf).amin(dim=(1, 2), keepdim=True)
-    largest = values.masked_fill(~inside, -torch.inf).amax(dim=(1, 2), keepdim=True)
-    return least, largest.clamp_min(least + _SMALLEST)
+    """Least and largest of each (N, ...) where `inside`, or of all of it; never equal."""
+    dims = tuple(range(1, values.ndim))
+    inside = inside | ~inside.flatten(1).any(1).view(-1, *[1] * len(dims))
+    least = values.masked_fill(~inside, torch.inf).amin(dim=dims, keepdim=True)
+    largest = values.masked_fill(~inside, -torch.inf).amax(dim=dims, keepdim=True)
+    return least, largest.clamp_min(least + 1e-6)
 
 
 def _each(values: Tensor) -> Tensor:
@@ -550,8 +491,7 @@ class BlendHead(nn.Module):
         self.far = nn.Conv2d(width, width, 3, padding=1)
         self.weight = nn.Conv2d(width, width, 1)
         self.mixed = nn.Linear(3 * width + _STATISTICS, width)
-        self.logit = nn.Linear(width, 1)
-        nn.init.zeros_(self.logit.weight)
+        self.logit = zeroed(nn.Linear(width, 1))
         nn.init.constant_(self.logit.bias, _FIRST_WEIGHT)
 
     def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
