@@ -112,17 +112,17 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     device = device_of(chosen.device, "--device ")
     trained = load_weights(start)
     network = trained.network.to(device)
-    lesson = Lesson(lessons, chosen.seed, "frames" in network.extras)
+    lesson = Lesson(lessons, chosen.seed, network.extras)
     rate, steps = chosen.learning_rate, chosen.steps
     best = tune(network, lesson, steps, rate, device)
-    noisy = lesson.noisy_figure()
+    noisy, before, after = lesson.figure(), best["before"], best["after"]
     print(
-        f"frames held out, PSNR after levels: noisy {noisy:.2f}, before {best.before:.2f}, "
-        f"after {best.after:.2f} dB"
+        f"frames held out, PSNR after levels: noisy {noisy:.2f}, before {before:.2f}, "
+        f"after {after:.2f} dB"
     )
-    if best.after < noisy:
+    if after < noisy:
         print("that is less than the frames as they are; more --steps may help")
-    if not best.after > best.before:
+    if not after > before:
         print("nothing written: no weights on the way were better than those it began with")
         return 1
     facts = {
@@ -134,8 +134,8 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
         "steps": steps,
         "learning_rate": rate,
         "seed": chosen.seed,
-        "validation": {"step": best.step, "before": best.before, "after": best.after},
+        "validation": best,
     }
     save_weights(out, network, trained.model, facts)
-    print(f"weights: {out} (step {best.step} of {steps}; use them with --weights {out})")
+    print(f"weights: {out} (step {best['step']} of {steps}; use them with --weights {out})")
     return 0

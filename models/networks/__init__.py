@@ -33,13 +33,9 @@ from ...factory.imaging.effect import ARTEFACTS
 if TYPE_CHECKING:
     from .network import Network
 
-NETWORKS = {
-    "nafnet": ("nafnet", "NAFNet"),
-    "restormer": ("restormer", "Restormer"),
-    "sonarnet": ("sonarnet", "SonarNet"),
-}
-"""kind -> module here and its network, beside which lie `<network>Settings`; torch is imported only
-when one is built."""
+NETWORKS = {"nafnet": "NAFNet", "restormer": "Restormer", "sonarnet": "SonarNet"}
+"""kind, which is a module here -> its network, beside which lie `<network>Settings`; torch is
+imported only when one is built."""
 
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
 """Of `ARTEFACTS`, what networks remove: the ground and the brightness of a picture stay."""
@@ -65,8 +61,7 @@ def build_network(config: Mapping[str, Any]) -> Network:
     if not isinstance(kind, str) or kind not in NETWORKS:
         raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(sorted(NETWORKS))}")
     config = {key: one for key, one in config.items() if (key, one) not in _GONE.items()}
-    module_name, name = NETWORKS[kind]
-    module = import_module(f".{module_name}", __name__)
+    name, module = NETWORKS[kind], import_module(f".{kind}", __name__)
     settings: Any = build(getattr(module, f"{name}Settings"), config, "model")
     network: Network = getattr(module, name)(settings)
     return network

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -31,69 +30,49 @@ _MOST_FRAMES = 7
 _LEAST_OTHERS = 3  # frames that a target is the mean of
 
 
-@dataclass
-class Best:
-    """Figures before and after, PSNR in dB; the weights of the best check, and its step."""
-
-    before: float
-    after: float
-    state: dict[str, Tensor]
-    step: int = 0
-
-
 class Lesson:
     """Crops of the steps, which depend on the seed and the step alone; and the frames held out."""
 
-    def __init__(self, found: Lessons, seed: int, knows_frames: bool = False) -> None:
-        """knows_frames: whether the weights know how many frames were averaged."""
-        self.stills, self.seed, self.knows_frames = found.learning, seed, knows_frames
+    def __init__(self, found: Lessons, seed: int, extras: Sequence[str]) -> None:
+        """extras: optional inputs of the network."""
+        self.stills, self.seed, self.extras = found.learning, seed, extras
         self._odds = odds_of(found.learning)
-        held = tuple(
-            Sample(frame, target, None, still.geometry)
-            for still in found.held
-            for frame, target in zip(still.frames, still.targets, strict=True)
-        )
+        held = tuple(_single(still, i) for still in found.held for i in range(len(still.frames)))
         self.held = spread(held, _MOST_MEASURED)
-        if knows_frames:
+        if "frames" in extras:
             several = (still for still in found.held if _most(still) > 1)
-            means = tuple(mean_of(still, 0, _most(still)) for still in several)
+            means = tuple(_mean(still, 0, _most(still)) for still in several)
             self.held += spread(means, _MOST_MEASURED)
 
-    def crops(self, step: int, extras: Sequence[str]) -> Batch:
-        """What `AdaptModule` learns from in a step."""
+    def crops(self, step: int) -> Batch:
+        """What is learned from in a step."""
         rng = stream(self.seed, "adapt", "still", step)
         still = self.stills[rng.choice(len(self.stills), p=self._odds)]
-        if self.knows_frames and _most(still) > 1 and rng.random() < _SEVERAL:
+        if "frames" in self.extras and _most(still) > 1 and rng.random() < _SEVERAL:
             counts = rng.integers(2, _most(still) + 1, size=_BATCH)
             firsts = [int(rng.integers(len(still.laid) - count + 1)) for count in counts]
-            samples = [mean_of(still, *both) for both in zip(firsts, counts, strict=True)]
+            samples = [_mean(still, *both) for both in zip(firsts, counts, strict=True)]
         else:
-            numbers = rng.integers(len(still.frames), size=_BATCH)
-            samples = [
-                Sample(still.frames[i], still.targets[i], None, still.geometry) for i in numbers
-            ]
-        return concatenate([_crop(sample, extras, rng) for sample in samples])
+            samples = [_single(still, i) for i in rng.integers(len(still.frames), size=_BATCH)]
+        return concatenate([_crop(sample, self.extras, rng) for sample in samples])
 
-    def figure(self, network: Network) -> float:
-        """Mean PSNR in dB after levels against the mean of the other frames; more is better."""
-        shown = (whole_image(one, network.extras) for one in self.held)
-        return self._mean([denoised(network, one) for one in shown])
-
-    def noisy_figure(self) -> float:
-        """The figure of the frames as they are."""
-        return self._mean([one.noisy for one in self.held])
-
-    def _mean(self, pictures: Sequence[Image]) -> float:
-        pairs = zip(pictures, self.held, strict=True)
-        return float(np.mean([psnr_after_levels(made, one.clean) for made, one in pairs]))
+    def figure(self, network: Network | None = None) -> float:
+        """Mean PSNR in dB after levels against the mean of the others; None: of the frames."""
+        made = (
+            denoised(network, whole_image(one, self.extras)) if network else one.noisy
+            for one in self.held
+        )
+        pairs = zip(made, self.held, strict=True)
+        return float(np.mean([psnr_after_levels(picture, one.clean) for picture, one in pairs]))
 
 
 def tune(
     network: Network, lesson: Lesson, steps: int, learning_rate: float, device: torch.device
-) -> Best:
+) -> Row:
     """Fit the network; it ends with the best weights of all checks, in evaluation mode.
 
-    The same seed and number of steps give the same weights.
+    Returns their step and the figures `before` and `after`, PSNR in dB.  The same seed and number
+    of steps give the same weights.
     Raises FactoryError when the loss becomes no number, and `Stopped` after Ctrl-C.
     """
     every = steps // next(count for count in range(_CHECKS, 0, -1) if steps % count == 0)
@@ -109,30 +88,30 @@ def tune(
     )
     loop = Loop(network, squared_differences, settings, lesson.seed, device, label="adapting")
     before = lesson.figure(network)
-    best = Best(before, before, copy.deepcopy(network.state_dict()))
+    best: Row = {"step": 0, "before": before, "after": before}
+    kept = copy.deepcopy(network.state_dict())
 
     def batches(interval: int, done: int) -> Iterator[Batch]:
-        for step in range(interval * every + done, (interval + 1) * every):
-            yield lesson.crops(step, network.extras)
+        return map(lesson.crops, range(interval * every + done, (interval + 1) * every))
 
     def check(step: int, loss: float) -> Row:
         figure = lesson.figure(loop.average)
         loop.bar.set_postfix_str(f"{before:.2f} -> {figure:.2f} dB")
-        if figure > best.after:
-            best.after, best.step = figure, step
-            best.state = copy.deepcopy(loop.average.state_dict())
+        if figure > best["after"]:
+            best.update(step=step, after=figure)
+            kept.update(copy.deepcopy(loop.average.state_dict()))
         return {"step": step, "loss": loss, "figure": figure}
 
     loop.run(batches, check)
-    network.load_state_dict(best.state)
+    network.load_state_dict(kept)
     network.eval()
     return best
 
 
 def squared_differences(network: Network, batch: Batch) -> Tensor:
-    """Mean squared difference where the mean of the other frames is known.
+    """Mean squared difference from the mean of the other frames, where that is known.
 
-    It is what many noisy targets average to (Lehtinen et al., Noise2Noise, ICML 2018).
+    What many noisy targets average to is learned (Lehtinen et al., Noise2Noise, ICML 2018).
     """
     known = torch.isfinite(batch["clean"])
     made = network(batch["noisy"], **known_extras(network, batch))
@@ -155,7 +134,11 @@ def psnr_after_levels(picture: Image, reference: Image) -> float:
     return float(-10 * np.log10(max(float(np.square(fitted - y).mean()), 1e-10)))
 
 
-def mean_of(still: Still, first: int, count: int) -> Sample:
+def _single(still: Still, number: int) -> Sample:
+    return Sample(still.frames[number], still.targets[number], None, still.geometry)
+
+
+def _mean(still: Still, first: int, count: int) -> Sample:
     """The mean of frames that follow each other, towards that of the others of the stretch."""
     noisy, target = still.averaged(first, count)
     frames = np.full(noisy.shape, averaged(count), np.float32)
