@@ -1,8 +1,4 @@
-"""Training losses: functions of (prediction, clean, batch), images (N, C, H, W) in 0..1.
-
-A loss is a settings class whose `image` compares the images, and one line in `LOSSES`.  `Loss` adds
-what every loss can have: further terms on the images, and the terms that teach the heads.
-"""
+"""Training losses: functions of (prediction, clean, batch), images (N, C, H, W) in 0..1."""
 
 from __future__ import annotations
 
@@ -19,8 +15,6 @@ from ..factory.errors import FactoryError
 from ..factory.settings import STRICT, build
 
 NotNegative = Annotated[float, Field(ge=0)]
-BatchTensors = Mapping[str, Tensor]
-"""What else a batch holds (see `models.networks`): `noisy`, `shadow`, `shadow_logits`, `weight`."""
 _PSNR_FLOOR = 1e-4
 """Added to the mean squared difference in `decibels`: below it, at 40 dB, gains count little."""
 _EQUAL = 1e-10
@@ -34,14 +28,12 @@ class Loss:
     """`l1`, the mean absolute difference, and what every loss can have.
 
     square: weight of the mean squared difference, which PSNR measures.
-    decibels: weight of 10 log10 of the mean squared difference of each image, averaged over the
-    images (after the PSNR loss of Chen et al., ECCV 2022, with a floor at 40 dB); nearly clean
-    images count as much as noisy ones.
-    mask: weight of the binary cross entropy between the true shadow and the logits of the mask
-    head; no effect without such a head or without a known shadow.
-    blend: weight of the binary cross entropy between the weight that a network with heads gives its
-    change of a picture and the best one there is, each picture counting as the mean square of its
-    change over that of its noise, at most 1; teaches that weight alone.
+    decibels: weight of 10 log10 of the mean squared difference of each image (after the PSNR loss
+    of Chen et al., ECCV 2022, with a floor at 40 dB); nearly clean images count as much as noisy.
+    mask: weight of the binary cross entropy between the true shadow and `shadow_logits`.
+    blend: weight of the binary cross entropy between `weight`, the part of its change that a
+    network gives a picture, and the best one there is, each picture counting as the mean square of
+    its change over that of its noise, at most 1; teaches that weight alone.
     """
 
     kind: str
@@ -50,16 +42,17 @@ class Loss:
     mask: NotNegative = 0.05
     blend: NotNegative = 0.02
 
-    def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
+    def image(self, prediction: Tensor, clean: Tensor) -> Tensor:
         """Scalar tensor: how far the images are apart."""
         return (prediction - clean).abs().mean()
 
-    def __call__(
-        self, prediction: Tensor, clean: Tensor, batch: BatchTensors | None = None
-    ) -> Tensor:
-        """Scalar tensor, differentiable in `prediction` and in the logits of the batch."""
-        batch = {} if batch is None else batch
-        loss = self.image(prediction, clean, batch)
+    def __call__(self, prediction: Tensor, clean: Tensor, batch: Mapping[str, Tensor]) -> Tensor:
+        """Scalar, differentiable in `prediction` and in what the heads say.
+
+        batch: `noisy`, `shadow`, and of a network with heads `shadow_logits` and `weight`; terms
+        without theirs are left out.
+        """
+        loss = self.image(prediction, clean)
         if self.square:
             loss = loss + self.square * (prediction - clean).square().mean()
         if self.decibels:
@@ -98,7 +91,7 @@ class NewLoss(Loss):
     weight: NotNegative
     threshold: Annotated[float, Field(ge=0, lt=1)]
 
-    def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
+    def image(self, prediction: Tensor, clean: Tensor) -> Tensor:
         """Scalar tensor."""
         lit = (clean > self.threshold).to(prediction.dtype)
         shown = (prediction > self.threshold).to(prediction.dtype)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -40,27 +41,23 @@ def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef
     Raises FactoryError, naming `key`, when there is none.
     """
     root = Path(folder).expanduser()
-    if is_recording(root):
-        return _frames(root, root.name)
-    if not root.is_dir():
+    single = is_recording(root)
+    if not single and not root.is_dir():
         raise FactoryError(f"{key}={folder}: no such folder or recording")
     found: list[SampleRef] = []
-    for path in sorted(root.rglob("*")):
-        place = path.parent.relative_to(root).as_posix()
-        if path.is_file() and is_recording(path):
-            found += _frames(path, path.relative_to(root).as_posix())
-        elif path.is_file() and kind_of(path) == "pictures":
-            found.append(SampleRef(path, 0, place, path.name))
+    for path in [root] if single else sorted(one for one in root.rglob("*") if one.is_file()):
+        place = path.relative_to(root.parent if single else root)
+        if is_recording(path):
+            with open_recording(path) as recording:
+                rows = range(len(recording))
+            scene = place.as_posix()
+            found += [SampleRef(path, row, scene, f"{path.name}#{row}") for row in rows]
+        elif kind_of(path) == "pictures":
+            found.append(SampleRef(path, 0, place.parent.as_posix(), path.name))
     if not found:
         kinds = ", ".join(PICTURE_SUFFIXES)
         raise FactoryError(f"{key}={folder}: holds no image ({kinds}) and no recording")
     return tuple(found)
-
-
-def _frames(path: Path, scene: str) -> tuple[SampleRef, ...]:
-    with open_recording(path) as recording:
-        count = len(recording)
-    return tuple(SampleRef(path, row, scene, f"{path.name}#{row}") for row in range(count))
 
 
 def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
@@ -76,9 +73,8 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:
     """The shortest side of all images, pixels, and the image that has it."""
     # The frames of a recording are of one size, or nearly.
-    firsts = [one for one in samples if one.row == 0]
-    sides = [(min(read_sample(one)[0].shape), one) for one in firsts]
-    return min(sides, key=lambda found: found[0])
+    sides = [(min(read_sample(one)[0].shape), one) for one in samples if one.row == 0]
+    return min(sides, key=itemgetter(0))
 
 
 def digest_of(samples: Sequence[SampleRef]) -> str:

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from ...factory.settings import STRICT
-from .network import LayerNorm, Network, Pointwise, down_and_up, halves
+from .network import LayerNorm, Network, Pointwise, down_and_up
 
 Blocks = Annotated[int, Field(ge=0, le=64)]
 
@@ -43,7 +43,7 @@ class NAFNetSettings:
 
 def gate(x: Tensor) -> Tensor:
     """SimpleGate: one half of the channels times the other, (N, 2C, H, W) -> (N, C, H, W)."""
-    first, second = halves(x)
+    first, second = x.chunk(2, dim=1)
     return first * second
 
 

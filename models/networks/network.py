@@ -117,12 +117,6 @@ class Pointwise(nn.Conv2d):
         return product.permute(0, 3, 1, 2)
 
 
-def halves(x: Tensor) -> tuple[Tensor, Tensor]:
-    """The first and the second half of the channels, (N, 2C, H, W) -> 2 x (N, C, H, W)."""
-    first, second = torch.chunk(x, 2, dim=1)
-    return first, second
-
-
 def count_macs(network: Network, size_px: int) -> int:
     """Multiply-accumulates of convolutions and matrix products for one square image.
 

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -81,7 +81,7 @@ class Loop:
         self._losses: list[Tensor] = []  # since the last check
         self._drawn: Tensor | None = None  # state of torch's random numbers
         self.bar: Any = None
-        self._asked = _Signals()
+        self._asked = 0  # the signal that asked to stop
         # The same steps give the same weights, as far as the device has such kernels.
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
@@ -99,7 +99,7 @@ class Loop:
         """
         steps = self.settings.steps
         self.bar = progress_bar(total=steps, initial=self.step, unit="step", desc=self.label)
-        with self._asked, closing(self.bar):
+        with self._noting_signals(), closing(self.bar):
             while len(self.rows) * self.settings.check_every < steps:
                 self._steps(batches, len(self.rows))
                 loss = float(torch.stack(self._losses).mean())
@@ -167,14 +167,33 @@ class Loop:
 
     def stop_if_asked(self) -> None:
         """Raise Stopped after Ctrl-C or SIGTERM, with what was done kept; also for long checks."""
-        if not self._asked.number:
+        if not self._asked:
             return
         said = "interrupted; nothing was written"
         if self.save is not None:
             self.save()
             said = f"interrupted after step {self.step} of {self.settings.steps}, which is kept"
             said += "; run again to go on"
-        raise Stopped(said, self._asked.number)
+        raise Stopped(said, self._asked)
+
+    @contextmanager
+    def _noting_signals(self) -> Iterator[None]:
+        """Notes Ctrl-C and SIGTERM, which must not cut a step; a second one ends the program."""
+
+        def note(number: int, _: FrameType | None) -> None:
+            if self._asked:
+                said = "interrupted at once; the last checkpoint is kept, if there is one"
+                raise Stopped(said, number)
+            self._asked = number
+
+        is_main = threading.current_thread() is threading.main_thread()
+        wished = (signal.SIGINT, signal.SIGTERM) if is_main else ()
+        before = {number: signal.signal(number, note) for number in wished}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def _steps(self, batches: Batches, interval: int) -> None:
         """The steps of an interval that are left."""
@@ -207,29 +226,6 @@ class Loop:
             if self.save is not None and time.monotonic() - saved_s > SAVE_EVERY_S:
                 self.save()
                 saved_s = time.monotonic()
-
-
-class _Signals:
-    """Notes Ctrl-C and SIGTERM; a second one ends the program at once."""
-
-    def __init__(self) -> None:
-        self.number = 0
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> None:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
-
-    def __exit__(self, *_: object) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before)
-
-    def _note(self, number: int, _: FrameType | None) -> None:
-        if self.number:
-            said = "interrupted at once; the last checkpoint is kept, if there is one"
-            raise Stopped(said, number)
-        self.number = number
 
 
 def running_average(decay: float) -> Callable[..., None]:
