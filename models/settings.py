@@ -11,11 +11,7 @@ from pydantic.dataclasses import dataclass
 from ..factory.settings import STRICT
 
 Count = Annotated[int, Field(ge=1)]
-Fraction = Annotated[float, Field(gt=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Patch = Annotated[int, Field(ge=8)]
-Multiple = Annotated[float, Field(gt=0, le=16)]
-"""Times the dataset's beams, range bins and pixels."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -30,11 +26,11 @@ class DataSettings:
     """Keys of `data` that every kind has: what the network gets to see."""
 
     kind: str
-    patch: Patch
+    patch: Annotated[int, Field(ge=8)]
     batch: Count
     crops: Count
     weaker: Share
-    validation: Fraction
+    validation: Annotated[float, Field(gt=0, lt=1)]
     validation_limit: Count | None
     reuse: Annotated[int, Field(ge=1, le=1000)]
     workers: Literal["auto"] | Annotated[int, Field(ge=0)]
@@ -68,7 +64,7 @@ class RenderedData(DataSettings):
 
     pack: str | None
     fewer: Share
-    scales: Annotated[tuple[Multiple, ...], Field(min_length=1)]
+    scales: Annotated[tuple[Annotated[float, Field(gt=0, le=16)], ...], Field(min_length=1)]
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

@@ -82,10 +82,13 @@ def crop(
     (top, left), (height, width) = corner, shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
-    planes = {"noisy": sample.noisy, "clean": sample.clean, "shadow": sample.shadow}
-    if "frames" in extras:  # crops of a batch have the same planes
-        planes["frames"] = np.zeros_like(sample.noisy) if sample.frames is None else sample.frames
-    images = {name: one[window][:, ::step] for name, one in planes.items() if one is not None}
+    planes = {"noisy": sample.noisy, "clean": sample.clean}
+    # Crops of a batch have the same planes.
+    shadow, frames = sample.shadow, sample.frames
+    planes["shadow"] = np.full_like(sample.noisy, np.nan) if shadow is None else shadow
+    if "frames" in extras:
+        planes["frames"] = np.zeros_like(sample.noisy) if frames is None else frames
+    images = {name: one[window][:, ::step] for name, one in planes.items()}
     if sample.geometry is not None and extras:
         maps = sample.geometry.maps(top, left, height, width)
         images |= {name: maps[name][:, ::step] for name in extras if name in maps}
@@ -101,7 +104,7 @@ def concatenate(batches: Sequence[Batch]) -> Batch:
 
 
 class VisitSampler(Sampler[list[Visit]]):
-    """The visits of each step of one check interval; a batch sampler.
+    """The visits of each step from `step` to the next check; a batch sampler.
 
     All images are visited once, in random order, before any is visited again.
     """
@@ -110,31 +113,23 @@ class VisitSampler(Sampler[list[Visit]]):
         self,
         images: int,
         data: DataSettings,
-        steps: int,
+        every: int,
         seed: int,
         places: Sequence[Path] | None = None,
     ) -> None:
-        """images: how many there are.  steps: of one interval.
+        """images: how many there are.  every: steps of an interval.
 
         places: the shard of each image, where shards are fetched; see `mixed_order`.
         """
-        self.images, self.data, self.steps, self.seed = images, data, steps, seed
+        self.images, self.data, self.every, self.seed = images, data, every, seed
+        self.step = 0
         self._places = places
         self._orders: dict[int, npt.NDArray[np.int64]] = {}
-        self._interval = self._done = 0
-
-    def begin(self, interval: int, done: int) -> None:
-        """Which interval is next, and how many of its steps are done already."""
-        self._interval, self._done = interval, done
-
-    def __len__(self) -> int:
-        return self.steps - self._done
 
     def __iter__(self) -> Iterator[list[Visit]]:
         each = self.data.batch // self.data.crops
-        first = (self._interval * self.steps + self._done) * each
-        for number in range(first, first + len(self) * each, each):
-            yield [self._visit(one) for one in range(number, number + each)]
+        for step in range(self.step, (self.step // self.every + 1) * self.every):
+            yield [self._visit(step * each + number) for number in range(each)]
 
     def _visit(self, number: int) -> Visit:
         round_, place = divmod(self._drawn(number), self.images)
@@ -157,21 +152,20 @@ class VisitSampler(Sampler[list[Visit]]):
         return max(newest, 0)
 
 
-class KeptSource:
-    """The last `KEPT` samples of a source are not made again; a `Source`."""
+class KeptSource(Source):
+    """The last `KEPT` samples of a source are not made again."""
+
+    images: Source
 
     def __init__(self, source: Source) -> None:
-        self.source = source
+        self.images = source
         self._kept: OrderedDict[tuple[int, int | None], Sample] = OrderedDict()
-
-    def __len__(self) -> int:
-        return len(self.source)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
         name = index, visit
         if name not in self._kept:
-            self._kept[name] = self.source.sample(index, visit)
+            self._kept[name] = self.images.sample(index, visit)
             if len(self._kept) > KEPT:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(name)

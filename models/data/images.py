@@ -23,7 +23,7 @@ from ..recordings.pictures import read_grey
 from ..recordings.views import frame_picture
 from ..settings import OldData
 from .fans import read_fans
-from .pairs import Image, Sample, SampleRef, weakened
+from .pairs import Image, Sample, SampleRef, Source, weakened
 
 _FAR_M = 10.0
 """Range of the far edge: the noise knows fractions of the range alone, so any would do."""
@@ -84,18 +84,20 @@ def digest_of(samples: Sequence[SampleRef]) -> str:
     return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()
 
 
-class OldDataSource:
-    """Real images taken as clean, the factory's noise on top (Table 3, OldData); a `Source`.
+class OldDataSource(Source):
+    """Real images taken as clean, the factory's noise on top (Table 3, OldData).
 
     A real image keeps its own noise in the "clean" picture, so a network learns to leave noise of
     that kind alone.
     """
 
+    images: tuple[SampleRef, ...]
+
     def __init__(
         self, samples: tuple[SampleRef, ...], data: OldData, noise: NoiseSettings, seed: int
     ) -> None:
         """Raises FactoryError when an image is not in the table `data.geometry`."""
-        self.samples, self.noise = samples, noise
+        self.images, self.noise = samples, noise
         self.weaker, self.seed = data.weaker, seed
         self.fans = {} if data.geometry == "polar" else read_fans(data.geometry)
         unknown = [
@@ -109,12 +111,9 @@ class OldDataSource:
                 f"{len(unknown) - 1} more images; add them, or give another data.folder"
             )
 
-    def __len__(self) -> int:
-        return len(self.samples)
-
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        ref = self.samples[index]
+        ref = self.images[index]
         clean, told = read_sample(ref)
         geometry = self.fans.get(ref.frame, told or FanGeometry.polar()).with_size(*clean.shape)
         sector = geometry.maps(0, 0, *clean.shape)["sector"]

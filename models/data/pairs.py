@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,8 +26,8 @@ Image = npt.NDArray[np.float32]
 Anything = TypeVar("Anything")
 
 Batch = dict[str, torch.Tensor]
-"""`noisy`, `clean` and `shadow` (where it is known), (N, 1, H, W) float32 in 0..1, the extras that
-`models.networks` describes, and `taught` (N, 1, 1, 1)."""
+"""`noisy`, `clean` and `shadow`, (N, 1, H, W) float32 in 0..1, NaN where these are unknown; the
+extras that `models.networks` describes; and `taught` (N, 1, 1, 1)."""
 TAUGHT = 0.8
 """Part of a target that a teacher's picture is, where the data do not say."""
 
@@ -37,7 +37,7 @@ class Sample:
     """One training image.
 
     noisy, clean: (H, W) float32 in 0..1; clean is NaN where it is unknown.
-    shadow: (H, W) float32, 1 in shadow, NaN where it is unknown, or None.
+    shadow: (H, W) float32, 1 in shadow, or None where it is unknown.
     geometry: where range and bearing are, or None.
     frames: (H, W) float32, how many frames were averaged in `noisy` (`networks.averaged`), or None
         for one.
@@ -52,11 +52,16 @@ class Sample:
     taught: float = TAUGHT
 
 
-class Source(Protocol):
-    """Training images by their index, in any process."""
+class Source:
+    """Training images by their index, in any process.
+
+    images: what each is made of.
+    """
+
+    images: Sized
 
     def __len__(self) -> int:
-        """How many images there are."""
+        return len(self.images)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """Image `index` as it is at its visit number `visit`; None: for validation.
@@ -64,6 +69,7 @@ class Source(Protocol):
         Its noise may differ from visit to visit, and depends on nothing else.
         Raises FactoryError when it cannot be read.
         """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -161,17 +167,19 @@ def distant_places(source: Source) -> list[Path] | None:
 
     From a disk any picture can be read at any time, so that all of them are mixed.
     """
-    if not isinstance(source, PairSource) or url_of(source.samples[0].path.parent.parent) is None:
+    if not isinstance(source, PairSource) or url_of(source.images[0].path.parent.parent) is None:
         return None
-    return [sample.path for sample in source.samples]
+    return [sample.path for sample in source.images]
 
 
-class PairSource:
-    """`data=pairs`: the pairs of a dataset; a `Source`.
+class PairSource(Source):
+    """`data=pairs`: the pairs of a dataset.
 
     weaker: part of the visits in which the noise is blended towards the clean picture, by a factor
     that is even in 0..1 and 0 in one case of eight.
     """
+
+    images: tuple[SampleRef, ...]
 
     def __init__(
         self,
@@ -181,15 +189,12 @@ class PairSource:
         weaker: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.samples, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
+        self.images, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
         self._open = OpenShards()
-
-    def __len__(self) -> int:
-        return len(self.samples)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        ref = self.samples[index]
+        ref = self.images[index]
         stored = self._open.read(ref.path, ("noisy", "clean", "shadow"), ref.row)
         noisy, clean = in_unit_range(stored[0]), in_unit_range(stored[1])
         if visit is not None:

@@ -28,7 +28,7 @@ from ...factory.sonar.settings import SonarSettings
 from ...factory.sonar_randomization import draw as devices
 from ..networks import DEFAULT
 from ..settings import RenderedData
-from .pairs import Sample, weakened
+from .pairs import Sample, Source, weakened
 
 _ATTEMPTS = 40
 _LEAST_ECHOES = 0.02
@@ -39,8 +39,10 @@ _AMOUNTS = ("alpha", "density", "strength")
 """Parameters that are 0 where an effect is absent: these a weaker noise scales."""
 
 
-class RenderSource:
-    """Pairs made on the fly; a `simnfnd.models.data.pairs.Source`."""
+class RenderSource(Source):
+    """Pairs made on the fly."""
+
+    images: tuple[FrameRef, ...]
 
     def __init__(
         self, config: FactoryConfig, frames: tuple[FrameRef, ...], data: RenderedData, seed: int
@@ -49,13 +51,10 @@ class RenderSource:
 
         Raises FactoryError as `resized` does.
         """
-        self.config, self.frames = replace(config, seed=seed), frames
+        self.config, self.images = replace(config, seed=seed), frames
         self.data, self.seed = data, seed
         self._sonars = {scale: resized(config.sonar, scale) for scale in (1.0, *data.scales)}
         self._makers: dict[float, PairMaker] = {}
-
-    def __len__(self) -> int:
-        return len(self.frames)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
@@ -68,7 +67,7 @@ class RenderSource:
             config = replace(self.config, sonar=sonar)
             self._makers[scale] = PairMaker(config, open_views(config))
         try:
-            (pair,) = self._makers[scale].pairs(self.frames[index], (number,), noise)
+            (pair,) = self._makers[scale].pairs(self.images[index], (number,), noise)
         except FrameError as error:
             raise FactoryError(f"data=renders: {error}; leave the frame out") from error
         return Sample(
@@ -104,32 +103,22 @@ class RenderSource:
         return replace(chosen, **blocks)
 
 
-class DeviceSource:
-    """Pairs of drawn devices; a `Source`.
+class DeviceSource(Source):
+    """Pairs of drawn devices.
 
     Device, formation, display, size and rasterisation of the picture are drawn at each visit.  The
     target is the same picture without the artefacts of `networks.DEFAULT`, under the same random
     streams.
     """
 
+    images: tuple[FrameRef, ...]
+
     def __init__(
-        self,
-        config: FactoryConfig,
-        frames: tuple[FrameRef, ...],
-        *,
-        patch: int,
-        weaker: float,
-        seed: int,
+        self, config: FactoryConfig, frames: tuple[FrameRef, ...], data: RenderedData, seed: int
     ) -> None:
-        """config: with `devices`.  frames: whose renders are at hand.  patch: least side, pixels.
-
-        weaker: part of the visits whose noise is blended towards the target.
-        """
-        self.config, self.frames, self.patch = replace(config, seed=seed), frames, patch
-        self.weaker, self.seed = weaker, seed
-
-    def __len__(self) -> int:
-        return len(self.frames)
+        """config: with `devices`.  frames: whose renders are at hand."""
+        self.config, self.images = replace(config, seed=seed), frames
+        self.data, self.seed = data, seed
 
     @cached_property
     def _views(self) -> Views:
@@ -140,7 +129,7 @@ class DeviceSource:
         names = (index, "validation" if visit is None else visit)
         for attempt in range(_ATTEMPTS):
             # A frame that shows nothing to this device gives way to the next one.
-            ref = self.frames[(index + attempt // 4) % len(self.frames)]
+            ref = self.images[(index + attempt // 4) % len(self.images)]
             try:
                 found = self._sample(ref, *names, attempt)
             except FrameError:
@@ -148,7 +137,7 @@ class DeviceSource:
             if found is not None:
                 return found
         raise FactoryError(
-            f"data=mixed: no device sees enough of {self.frames[index].name} and of the frames "
+            f"data=mixed: no device sees enough of {self.images[index].name} and of the frames "
             "after it; make renders of other places"
         )
 
@@ -159,7 +148,8 @@ class DeviceSource:
         observed, config = observe_by(
             device, view.frame(ref), view.rendered(), self.config, any_size=True
         )
-        if observed.scene.filled.mean() < _LEAST_ECHOES or min(config.sonar.shape()) < self.patch:
+        is_small = min(config.sonar.shape()) < self.data.least_side
+        if is_small or observed.scene.filled.mean() < _LEAST_ECHOES:
             return None
         draws = draw(config.noise, self.seed, StreamNames.single(ref.name, *names))
         # Points are thinned by a variant's stream: any number that no other picture has.
@@ -168,7 +158,7 @@ class DeviceSource:
         window = observed.window
         noisy = rasterised(sample.noisy(draws.names), window, config.sonar, noisy=True)
         clean = rasterised(sample.without(DEFAULT), window, config.sonar, noisy=False)
-        strength = np.float32(weakened(self.weaker, self.seed, *names))
+        strength = np.float32(weakened(self.data.weaker, self.seed, *names))
         limits = (window.range_min_m, window.range_max_m)
         return Sample(
             clean + strength * (noisy - clean),
@@ -201,16 +191,12 @@ def resized(sonar: SonarSettings, scale: float) -> SonarSettings:
     if scale == 1:
         return sonar
     image = sonar.image
-    beams, range_bins, width_px, height_px = (
-        round(scale * size)
-        for size in (sonar.beams, sonar.range_bins, image.width_px, image.height_px)
-    )
+    bins = {name: round(scale * getattr(sonar, name)) for name in ("beams", "range_bins")}
+    pixels = {name: round(scale * getattr(image, name)) for name in ("width_px", "height_px")}
     try:
-        image = replace(image, width_px=width_px, height_px=height_px)
-        return replace(sonar, beams=beams, range_bins=range_bins, image=image)
+        return replace(sonar, **bins, image=replace(image, **pixels))
     except ValueError as error:
         raise FactoryError(
-            f"data.scales: {scale:g} makes {beams} beams, {range_bins} range bins and "
-            f"{width_px}x{height_px} pixels; 2 to 8192 of each are possible, and of a sonar with a "
-            "table of beams only its own"
+            f"data.scales: {scale:g} makes {bins | pixels}; 2 to 8192 of each are possible, and of "
+            "a sonar with a table of beams only its own"
         ) from error

@@ -138,15 +138,15 @@ def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], 
     config = replace(points.config, **made)
     # A picture without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
-    common: dict[str, Any] = {"patch": data.least_side, "seed": seed}
     stacks = open_stacks(data.recordings, data.least_side)
     refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))
     still = sum(one.is_still for one in stacks)
     print(f"recordings: {len(stacks)}, of which {still} stand still")
-    devices = DeviceSource(config, points.frames, weaker=data.weaker, **common)
+    devices = DeviceSource(config, points.images, data, seed)
+    shown = spread(others, data.validation_limit)
     return Data(
         MixedSource(devices, points, stacks, data, seed),
-        DeviceSource(noisy, spread(others, data.validation_limit), weaker=0.0, **common),
+        DeviceSource(noisy, shown, replace(data, weaker=0.0), seed),
         {
             "renders.devices": digest({name: plain(config)[name] for name in _DECIDE}),
             "data.recordings": digest_of(refs),

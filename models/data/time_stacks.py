@@ -86,8 +86,7 @@ class Stack:
     def _sample(
         self, noisy: Image, target: Image, taught: float = 0.0, frames: Image | None = None
     ) -> Sample:
-        shadow = np.full_like(noisy, np.nan)
-        return Sample(noisy, target, shadow, self.geometry, frames=frames, taught=taught)
+        return Sample(noisy, target, None, self.geometry, frames, taught)
 
     def _target(self, members: Sequence[int]) -> Image:
         """The mean of frames around the members, NaN where something moved."""
@@ -136,8 +135,8 @@ def _shown(ref: SampleRef) -> tuple[Image, FanGeometry | None]:
     return grey, geometry
 
 
-class MixedSource:
-    """`data=mixed`, what the network that ships learns from; a `Source`.
+class MixedSource(Source):
+    """`data=mixed`, what the network that ships learns from.
 
     Pictures of drawn devices as single frames and as means of frames, the paper's points, and
     recordings, each with a part of the visits.
@@ -147,11 +146,9 @@ class MixedSource:
         self, devices: Source, points: Source, stacks: Sequence[Stack], data: MixedData, seed: int
     ) -> None:
         """devices: drawn pairs, one for each render.  points: those of the same renders."""
-        self.devices, self.points, self.stacks = devices, points, tuple(stacks)
+        self.images = self.devices = devices
+        self.points, self.stacks = points, tuple(stacks)
         self.data, self.seed = data, seed
-
-    def __len__(self) -> int:
-        return len(self.devices)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
@@ -187,7 +184,7 @@ def standing(sample: Sample, rng: np.random.Generator) -> Sample:
         sample,
         noisy=noisy,
         clean=np.where(unknown, np.nan, target).astype(np.float32),
-        shadow=np.full_like(noisy, np.nan),
+        shadow=None,
         frames=frames,
         taught=0.0,
     )

@@ -20,12 +20,7 @@ Blocks = Annotated[int, Field(ge=0, le=64)]
 
 @dataclass(frozen=True, config=STRICT)
 class NAFNetSettings:
-    """Keys of conf/model/nafnet.yaml.
-
-    width: channels at full resolution; they double at each of the len(encoder) downsamplings.
-    encoder: blocks at each resolution, from full to coarse; decoder: back, from coarse to full.
-    middle: blocks at the coarsest resolution.
-    """
+    """Keys of conf/model/nafnet.yaml, which explains them."""
 
     kind: Literal["nafnet"]
     width: Annotated[int, Field(ge=2, le=256)]

@@ -8,7 +8,6 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 Step = Callable[[Tensor], Tensor]
@@ -120,18 +119,10 @@ class Pointwise(nn.Conv2d):
 def count_macs(network: Network, size_px: int) -> int:
     """Multiply-accumulates of convolutions and matrix products for one square image.
 
-    Of the network in use, where that differs from training, and without its optional inputs.
-    Nothing is computed where the network is on torch's `meta` device.
+    Without its optional inputs.  Nothing is computed where it is on torch's `meta` device.
     """
     image = torch.rand(1, 1, size_px, size_px, device=next(network.parameters()).device)
-    was_training = network.training
-    network.eval()
-    try:
-        # Attention as its two products, which are what torch counts.
-        counter = FlopCounterMode(display=False)
-        with counter, sdpa_kernel(SDPBackend.MATH), torch.inference_mode():
-            network(image)
-    finally:
-        network.train(was_training)
+    with FlopCounterMode(display=False) as counter, torch.inference_mode():
+        network(image)
     # torch counts two floating-point operations a multiply-accumulate.
     return int(counter.get_total_flops()) // 2

@@ -24,13 +24,7 @@ Heads = Annotated[int, Field(ge=1, le=64)]
 
 @dataclass(frozen=True, config=STRICT)
 class RestormerSettings:
-    """Keys of conf/model/restormer.yaml.
-
-    width: channels at full resolution; they double at each of the len(blocks) - 1 downsamplings.
-    blocks: transformer blocks at each resolution, from full to coarse, on the way down and, but
-    for the coarsest, again on the way up.  refinement: blocks after that, at full resolution.
-    heads: attention heads at each resolution.  expansion: of the feed-forward network (gamma).
-    """
+    """Keys of conf/model/restormer.yaml, which explains them."""
 
     kind: Literal["restormer"]
     width: Annotated[int, Field(ge=2, le=256)]

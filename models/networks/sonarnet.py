@@ -3,15 +3,12 @@
 - It works on a polar grid: where the geometry of a fan picture is known, the picture is resampled
   to range and bearing, and the network's correction is resampled back to the fan's pixels
   (`PolarGrid`).  The noisy picture itself is never resampled, so no detail is lost.
-- Range, bearing and the insonified sector of every cell are inputs, and what is to be removed is
-  told, too: six numbers that scale and shift the features of every level (FiLM, Perez et al. 2018).
+- Range, bearing and the insonified sector of every cell are inputs.  What is to be removed scales
+  and shifts the features of every level (FiLM, Perez et al. 2018), and so does, pixel by pixel, how
+  many frames were averaged, which changes nothing for a single frame.
 - Means along whole beams and arcs are part of the features (`LineContext`).
-- With `frames` it gets a plane that says how many frames were averaged in each pixel; it scales and
-  shifts the features of every level pixel by pixel, and changes nothing for a single frame.
-- A second head predicts shadow (black in the clean picture); the picture is multiplied by one minus
-  that.
-- A third (`BlendHead`) weighs the change of the whole picture, which falls to nothing
-  where hardly anything is wrong with it.
+- A second head predicts shadow, in which the picture is black; a third (`BlendHead`) weighs the
+  change of the whole picture.
 - Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
 Without geometry it works on the picture as it is; in training the geometry is withheld now and then
@@ -46,20 +43,7 @@ _FIRST_LOGIT, _OUTSIDE = -2.0, -10.0
 
 @settings_class(frozen=True, config=STRICT)
 class SonarNetSettings:
-    """Keys of conf/model/sonarnet.yaml.
-
-    widths: channels at half resolution and at each coarser one.
-    blocks: residual blocks at each of these; but for the coarsest, again on the way up.
-    polar: whether fan pictures of known geometry are processed on a polar grid.
-    lines: whether features get the means along whole beams and arcs.
-    mask: whether the second head gates the picture with the shadow that it predicts.
-    forget: part of the training steps in which the network gets no geometry.
-    wide_grain: correlation of neighbouring pixels' grain from which on `simnfnd denoise` denoises
-        a picture at half its size first (`models.denoise.denoiser`); 1: never; not in training, so
-        trained weights may change it.
-    told: whether what is removed, always the same now, scales features (the weights that ship).
-    frames: whether it gets the number of frames averaged in each pixel; not with `polar`.
-    """
+    """Keys of conf/model/sonarnet.yaml, which explains them."""
 
     kind: Literal["sonarnet"]
     widths: tuple[Annotated[int, Field(ge=1, le=1024)], ...]
@@ -472,15 +456,11 @@ class BlendHead(nn.Module):
     """Weighs the change of a whole picture, 0 to 1, from the picture, the change and its features.
 
     features: channels of the last features.  width: channels of the head itself.
-    A picture with hardly any noise is harmed by a network that has learned to undo a lot of it; the
-    weight falls smoothly to zero there, and nothing is ever returned all or nothing.  The head also
-    gets the logarithm of the picture, in which a blur looks the same in bright and in dim places,
-    and pools with a weight for every place (gated attention, Ilse et al., ICML 2018), because most
-    of a sonar picture is shadow and carries no information; maxima are pooled as well, because a
-    single defect matters.  Some statistics give at once what many layers would have to find out:
-    how much was changed, how much of the sector has no echo at all (noise fills shadow), and
-    whether neighbours along range are more alike than those along bearing (range spreading blurs
-    along range alone).
+    A network that has learned to undo a lot of noise harms a picture with hardly any; the weight
+    falls smoothly to zero there.  The head gets the logarithm of the picture, in which a blur looks
+    the same in bright and in dim places, and pools with a weight for every place (gated attention,
+    Ilse et al., ICML 2018), because shadow carries no information, and maxima, because a single
+    defect matters.  Statistics give at once what many layers would have to find out.
 
     No gradient goes back into the network, so the head cannot harm the pictures.
     """

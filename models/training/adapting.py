@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import count
 
 import numpy as np
 import numpy.typing as npt
@@ -75,7 +76,7 @@ def tune(
     of steps give the same weights.
     Raises FactoryError when the loss becomes no number, and `Stopped` after Ctrl-C.
     """
-    every = steps // next(count for count in range(_CHECKS, 0, -1) if steps % count == 0)
+    every = steps // next(times for times in range(_CHECKS, 0, -1) if steps % times == 0)
     settings = TrainSettings(
         steps=steps,
         check_every=every,
@@ -91,9 +92,6 @@ def tune(
     best: Row = {"step": 0, "before": before, "after": before}
     kept = copy.deepcopy(network.state_dict())
 
-    def batches(interval: int, done: int) -> Iterator[Batch]:
-        return map(lesson.crops, range(interval * every + done, (interval + 1) * every))
-
     def check(step: int, loss: float) -> Row:
         figure = lesson.figure(loop.average)
         loop.bar.set_postfix_str(f"{before:.2f} -> {figure:.2f} dB")
@@ -102,7 +100,7 @@ def tune(
             kept.update(copy.deepcopy(loop.average.state_dict()))
         return {"step": step, "loss": loss, "figure": figure}
 
-    loop.run(batches, check)
+    loop.run(lambda step: map(lesson.crops, count(step)), check)
     network.load_state_dict(kept)
     network.eval()
     return best

@@ -34,8 +34,8 @@ SAVE_EVERY_S = 120.0
 Row = dict[str, float | int]
 Objective = Callable[[Network, Batch], Tensor]
 """The loss of a batch of crops, differentiable in the weights of the network."""
-Batches = Callable[[int, int], Iterator[Batch]]
-"""(number of the interval, steps of it that are done) -> the batches of its other steps."""
+Batches = Callable[[int], Iterator[Batch]]
+"""Steps done -> the batches of those up to the next check."""
 Check = Callable[[int, float], Row]
 """(steps done, mean loss since the last check) -> what was measured."""
 
@@ -197,8 +197,7 @@ class Loop:
 
     def _steps(self, batches: Batches, interval: int) -> None:
         """The steps of an interval that are left."""
-        every = self.settings.check_every
-        end = (interval + 1) * every
+        end = (interval + 1) * self.settings.check_every
         if self.step == end:
             return
         saved_s = time.monotonic()
@@ -206,7 +205,7 @@ class Loop:
         number = int(stream(self.seed, "torch", interval).integers(2**62))
         if interval:
             torch.manual_seed(number)
-        left = batches(interval, self.step - interval * every)
+        left = batches(self.step)
         if not interval:  # here the loader has drawn its own number before, elsewhere after
             torch.manual_seed(number)
         if self._drawn is not None:

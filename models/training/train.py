@@ -161,8 +161,8 @@ def _fit(
         torch.save({**loop.state(), "recipe": dict(recipe), "format": _FORMAT}, content)
         write_atomically(out / CHECKPOINT_NAME, content.getvalue(), key="out")
 
-    def batches(interval: int, done: int) -> Iterator[Batch]:
-        visits.begin(interval, done)
+    def batches(step: int) -> Iterator[Batch]:
+        visits.step = step
         return iter(learning)
 
     def check(step: int, loss: float) -> Row:

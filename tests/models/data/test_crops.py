@@ -87,16 +87,13 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
 
 def test_the_sampler_goes_on_where_it_was_interrupted() -> None:
     data = data_settings(batch=4, crops=2, reuse=3)
-    whole = VisitSampler(7, data, steps=5, seed=1)
+    whole = VisitSampler(7, data, every=5, seed=1)
     steps = []
-    for interval in range(6):
-        whole.begin(interval, 0)
+    for whole.step in range(0, 30, 5):
         steps += list(whole)
-    later = VisitSampler(7, data, steps=5, seed=1)
-    later.begin(4, 0)
-    assert list(later) == steps[20:25]
-    later.begin(4, 2)
-    assert list(later) == steps[22:25]
+    later = VisitSampler(7, data, every=5, seed=1)
+    for later.step in (20, 22):
+        assert list(later) == steps[later.step : 25]
     visits = [visit for step in steps for visit in step]
     assert [visit.number for visit in visits] == list(range(60))
     shown = {(visit.image, visit.round) for visit in visits}

@@ -41,7 +41,7 @@ def test_renders_train_on_no_scene_that_tests_or_validates(
     source = renders(rendered)
     table = read_table(rendered[0], "train")
     _, held = hold_out(table.samples, 0.3, 5)
-    scenes = {f"{ref.location}/{ref.scene}" for ref in source.frames}
+    scenes = {f"{ref.location}/{ref.scene}" for ref in source.images}
     assert len(scenes) == 2
     assert scenes.isdisjoint({sample.scene for sample in held})
     tested = read_table(rendered[0], "test").samples
@@ -55,7 +55,7 @@ def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
 ) -> None:
     source = renders(rendered, weaker=0.0, fewer=0.0)
     maker = pair_maker(source.config)
-    ref = source.frames[1]
+    ref = source.images[1]
     elsewhere = pickle.loads(pickle.dumps(source))
     for visit in (0, 3):
         pair = maker.pairs(ref, (visit,))[0]
@@ -129,7 +129,7 @@ def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) 
         assert sample.noisy.shape == (scale * height, scale * width)
         assert sample.geometry is not None
         sonar = resized(source.config.sonar, scale)
-        expected = pair_maker(replace(source.config, sonar=sonar)).pairs(source.frames[0], (visit,))
+        expected = pair_maker(replace(source.config, sonar=sonar)).pairs(source.images[0], (visit,))
         np.testing.assert_array_equal(sample.noisy, in_unit_range(expected[0].noisy))
         sector = sample.geometry.maps(0, 0, *sample.noisy.shape)["sector"]
         assert (sector[sample.noisy > 0] > 0).mean() > 0.97

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.pairs import Sample
+from simnfnd.models.data.pairs import Sample, Source
 from simnfnd.models.data.time_stacks import MixedSource, Stack, standing, with_loud_beam
 from simnfnd.models.networks import averaged
 from simnfnd.models.settings import MixedData
@@ -93,11 +93,10 @@ def test_unknown_targets_cost_nothing() -> None:
     ]
 
 
-class Only:
+class Only(Source):
     """A source of one pair."""
 
-    def __len__(self) -> int:
-        return 4
+    images = range(4)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         grey = np.full(SHAPE, 0.3, np.float32)
