@@ -80,11 +80,6 @@ def _parsed(arguments: Sequence[str]) -> Any:
 def _lessons(found: Found) -> Lessons:
     """What stands still in the recordings; FactoryError where nothing does."""
     read = sum(len(clip.shots) for clip in found.clips)
-    if read < 2:
-        raise FactoryError(
-            f"{found.clips[0].name}: is one picture; adapting needs at least two frames, and four "
-            "of a scene that stands still are better"
-        )
     share = f"{read} of {found.frames}" if read < found.frames else f"{read}"
     lessons = find_lessons(found.clips)
     if lessons is None:

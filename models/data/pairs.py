@@ -55,10 +55,12 @@ class Sample:
 class Source:
     """Training images by their index, in any process.
 
-    images: what each is made of.
+    images: what each is made of.  places: the shard of each, where these are fetched from a URL;
+    from a disk any picture can be read at any time, so that all of them are mixed.
     """
 
     images: Sized
+    places: Sequence[Path] | None = None
 
     def __len__(self) -> int:
         return len(self.images)
@@ -162,16 +164,6 @@ def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, 
     return tuple(samples[index * len(samples) // limit] for index in range(limit))
 
 
-def distant_places(source: Source) -> list[Path] | None:
-    """The shard of each pair of a dataset at a URL; None for any other source.
-
-    From a disk any picture can be read at any time, so that all of them are mixed.
-    """
-    if not isinstance(source, PairSource) or url_of(source.images[0].path.parent.parent) is None:
-        return None
-    return [sample.path for sample in source.images]
-
-
 class PairSource(Source):
     """`data=pairs`: the pairs of a dataset.
 
@@ -190,6 +182,8 @@ class PairSource(Source):
         seed: int = 0,
     ) -> None:
         self.images, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
+        if url_of(samples[0].path.parent.parent) is not None:
+            self.places = [sample.path for sample in samples]
         self._open = OpenShards()
 
     def sample(self, index: int, visit: int | None) -> Sample:

@@ -27,8 +27,6 @@ from .pairs import Data, PairSource, SampleRef, hold_out, read_table, spread
 from .renders import DeviceSource, RenderSource
 from .time_stacks import MixedSource, open_stacks
 
-_SMALLEST = 11
-"""Side of the window of SSIM, pixels."""
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
 """Groups of the configuration that decide the pictures of drawn devices."""
 
@@ -50,7 +48,7 @@ def open_data(settings: ModelsSettings) -> Data:
     if not isinstance(data, MixedData):
         least = min(data.scales) if isinstance(data, RenderedData) else 1.0
         height, width = (round(least * side) for side in (table.height, table.width))
-        _check_sizes(data, min(height, width), str(folder), f" ({height}x{width})")
+        _check_size(data, min(height, width), str(folder), f" ({height}x{width})")
     learning, held = hold_out(table.samples, data.validation, seed)
     facts: dict[str, Any] = {
         "dataset.config_hash": table.config_hash,
@@ -77,7 +75,7 @@ def open_data(settings: ModelsSettings) -> Data:
 def _of_images(data: OldData, seed: int) -> Data:
     found = list_images(data.folder)
     side, smallest = smallest_side(found)
-    _check_sizes(data, side, str(smallest.path))
+    _check_size(data, side, str(smallest.path))
     learning, held = hold_out(found, data.validation, seed)
     facts: dict[str, Any] = {"images": len(found), "images.content": digest_of(found)}
     if data.geometry != "polar":
@@ -159,30 +157,22 @@ def _config(data: RenderedData, dataset: Path) -> FactoryConfig:
     path = dataset / CONFIG_NAME
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise FactoryError(
-            f"{path}: cannot be read; data={data.kind} needs the whole folder that `simnfnd make` "
-            "wrote"
-        ) from error
-    # What stands beside the pairs is of no use here, and may need more than the renders.
-    if isinstance(values, dict) and isinstance(values.get("dataset"), dict):
+        # What stands beside the pairs is of no use here, and may need more than the renders.
         values["dataset"]["layers"] = []
-    if data.pack is not None:
-        values["scenes"] = {"kind": "pack", "root": data.pack}
-    try:
+        if data.pack is not None:
+            values["scenes"] = {"kind": "pack", "root": data.pack}
         return from_mapping(values)
-    except FactoryError as error:
+    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError, FactoryError) as error:
         raise FactoryError(
-            f"dataset={dataset}: data={data.kind} needs a dataset of this version: {error}"
+            f"{path}: data={data.kind} needs the whole folder that `simnfnd make` of this version "
+            f"wrote ({error})"
         ) from error
 
 
-def _check_sizes(data: DataSettings, side: int, where: str, shape: str = "") -> None:
-    """Raise FactoryError when an image is smaller than a patch, or than what SSIM needs."""
+def _check_size(data: DataSettings, side: int, where: str, shape: str = "") -> None:
+    """Raise FactoryError when an image is smaller than a patch."""
     if data.least_side > side:
         raise FactoryError(
             f"data.patch={data.patch} is larger than the images of {where}{shape}; choose at most "
             f"{side}, or data.batch=data.crops: each step then shows one image, a small one whole"
         )
-    if side < _SMALLEST:
-        raise FactoryError(f"{where}: images of {side} pixels are too small to validate on")

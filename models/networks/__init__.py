@@ -13,9 +13,6 @@ A network is one file beside this one with a settings class and a torch module, 
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each picture.
-- A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
-  (N, 1, H, W) float, 1 in shadow, where it is known, and `shadow_logits` and `weight` from a
-  network with heads.
 """
 
 from __future__ import annotations

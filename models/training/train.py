@@ -25,11 +25,12 @@ from torch.utils.data import DataLoader
 from ...factory.dataset.quality import psnr_db, ssim
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of, write_atomically
+from ...factory.settings import build
 from .. import WEIGHTS_NAME
 from ..data.crops import Crops, KeptSource, VisitSampler, concatenate, whole_image
-from ..data.pairs import Batch, Data, Image, distant_places
+from ..data.pairs import Batch, Data, Image, spread
 from ..data.sources import open_data
-from ..losses import Loss, build_loss
+from ..losses import Loss
 from ..networks import build_network
 from ..networks.network import Network, known_extras
 from ..networks.weights import load_weights, save_weights
@@ -70,8 +71,8 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         write_atomically(out / "config.yaml", text.encode())
         rows = _fit(recipe, checkpoint, settings, device, data)
     network = load_weights(out / WEIGHTS_NAME).network
-    count = len(data.validation)
-    shown = [data.validation.sample(i * count // _SHOWN, None) for i in range(min(_SHOWN, count))]
+    numbers = spread(tuple(range(len(data.validation))), _SHOWN)
+    shown = [data.validation.sample(number, None) for number in numbers]
     images = [
         [one.noisy, denoised(network, whole_image(one, network.extras)), one.clean] for one in shown
     ]
@@ -127,7 +128,7 @@ def completed(batch: Batch, prediction: Tensor, teacher: Network | None) -> Batc
         mixed = torch.where(clean.isnan(), image, torch.lerp(clean, image, batch["taught"]))
         clean = torch.where(batch["taught"] > 0, mixed, clean)
     batch["clean"] = torch.where(clean.isnan(), prediction.detach(), clean)
-    if "shadow" in batch and "shadow_logits" in batch:
+    if "shadow_logits" in batch:
         shadow, seen = batch["shadow"], torch.sigmoid(batch["shadow_logits"].detach())
         batch["shadow"] = torch.where(shadow.isnan(), seen, shadow)
     return batch
@@ -181,7 +182,7 @@ def _fit(
         loop.bar.set_postfix_str(shown)
         return row
 
-    objective = partial(taught_loss, loss=build_loss(settings.loss), teacher=teacher)
+    objective = partial(taught_loss, loss=build(Loss, settings.loss, "loss"), teacher=teacher)
     loop = Loop(network, objective, settings.train, settings.seed, device, save=save)
     if checkpoint is not None:
         loop.restore(checkpoint)
@@ -256,7 +257,7 @@ def _loader(
         shared["worker_init_fn"] = _leave_ctrl_c
     source = KeptSource(data.learning) if kind.reuse > 1 else data.learning
     crops = Crops(source, kind, settings.seed, extras)
-    steps, places = settings.train.check_every, distant_places(data.learning)
+    steps, places = settings.train.check_every, data.learning.places
     visits = VisitSampler(len(source), kind, steps, settings.seed, places)
     return DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared), visits
 
