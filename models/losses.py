@@ -14,12 +14,9 @@ from torch.nn import functional
 from ..factory.settings import STRICT
 
 NotNegative = Annotated[float, Field(ge=0)]
-_PSNR_FLOOR = 1e-4
-"""Added to the mean squared difference in `decibels`: below it, at 40 dB, gains count little."""
-_EQUAL = 1e-10
-"""Mean squared difference of pictures that count as equal: 100 dB."""
-_CLEAN = 1e-4
-"""In `blend` a picture counts as if its noise had at least this mean square, 40 dB."""
+_PSNR_FLOOR = 1e-4  # added to the mean squares in `decibels`: below it, 40 dB, gains count little
+_EQUAL = 1e-10  # mean squared difference of pictures that count as equal: 100 dB
+_CLEAN = 1e-4  # in `blend` the noise of a picture has at least this mean square, 40 dB
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

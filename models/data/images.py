@@ -25,13 +25,10 @@ from ..settings import OldData
 from .fans import read_fans
 from .pairs import Image, Sample, SampleRef, Source, weakened
 
-_FAR_M = 10.0
-"""Range of the far edge: the noise knows fractions of the range alone, so any would do."""
+_FAR_M = 10.0  # of the far edge: the noise knows fractions of the range alone, so any would do
 _SPREAD_PX = 0.7
-_DARK = 0.02
-"""A pixel at or below this grey value is shadow, as the paper's threshold on T has it."""
-_LOOKS = 4
-"""Echoes that stand for one pixel; more make smoother noise."""
+_DARK = 0.02  # a pixel at or below is shadow, as the paper's threshold on T has it
+_LOOKS = 4  # echoes that stand for one pixel; more make smoother noise
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:

@@ -31,12 +31,10 @@ from ..settings import RenderedData
 from .pairs import Sample, Source, weakened
 
 _ATTEMPTS = 40
-_LEAST_ECHOES = 0.02
-"""Part of the bins that must hold surface: a picture of nothing teaches nothing."""
-_BLACK = 0.02
-"""Shadow counts as such where the target is darker; under haze there is none to see."""
+_LEAST_ECHOES = 0.02  # part of the bins that must hold surface: a picture of nothing is no lesson
+_BLACK = 0.02  # shadow counts as such where the target is darker; under haze there is none to see
+# Parameters that are 0 where an effect is absent: these a weaker noise scales.
 _AMOUNTS = ("alpha", "density", "strength")
-"""Parameters that are 0 where an effect is absent: these a weaker noise scales."""
 
 
 class RenderSource(Source):

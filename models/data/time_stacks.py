@@ -25,24 +25,17 @@ from ..settings import MixedData
 from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source
 
-_ALIKE = 0.75
-"""Likeness of two frames in a row from which on a recording stands still."""
-_AROUND = 25
-"""Frames before and after whose mean is a target."""
-_MOST = 7
-"""Frames that are averaged, at most; of short recordings half of them."""
-_MOVED = 0.045
-"""Difference of smoothed means that says that something moved."""
-_SINGLE = 0.4
-"""Part of the visits of a recording that show a single frame."""
-_UNEVEN, _OFF, _OFF_PX = 0.45, 0.25, 0.5
-"""Part of the means with uneven weights and with frames that lie beside, and by how much."""
-_TAUGHT = 0.5
-"""Of the target of a single frame, what a teacher makes of it; the rest is the mean of others."""
-_LOUD = 0.12
-"""Part of the pictures that get a loud beam."""
+_ALIKE = 0.75  # likeness of two frames in a row from which on a recording stands still
+_AROUND = 25  # frames before and after whose mean is a target
+_MOST = 7  # frames that are averaged, at most; of short recordings half of them
+_MOVED = 0.045  # difference of smoothed means that says that something moved
+_SINGLE = 0.4  # part of the visits of a recording that show a single frame
+_UNEVEN = 0.45  # part of the means with uneven weights
+_OFF, _OFF_PX = 0.25, 0.5  # part of the means with frames that lie beside, and by how much
+_TAUGHT = 0.5  # of the target of a recording's single frame, what a teacher makes of it
+_LOUD = 0.12  # part of the pictures that get a loud beam
+# Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight.
 _FEWEST, _FULL = 0.15, 0.7
-"""Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,8 +36,7 @@ imported only when one is built."""
 
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
 """Of `ARTEFACTS`, what networks remove: the ground and the brightness of a picture stay."""
-_MOST_FRAMES = 16.0
-"""More frames are too few to tell from this many by the noise that is left."""
+_MOST_FRAMES = 16.0  # more are too few to tell from this many by the noise that is left
 _INDEPENDENT = 0.36
 """Power of the number of frames that says how many of independent noise they are worth: the noise
 of frames that follow each other is correlated.  Seven frames of two DIDSON recordings and of five

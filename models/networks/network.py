@@ -14,11 +14,7 @@ Step = Callable[[Tensor], Tensor]
 
 
 class NetworkOutput(NamedTuple):
-    """What a network with heads returns for N pictures.
-
-    image: (N, 1, H, W), with the whole change.  shadow_logits: (N, 1, H, W), positive where it sees
-    shadow.  weight: (N,), the part of the change that the picture should get, 0 to 1.
-    """
+    """What a network with heads returns for N pictures; `models.networks` explains it."""
 
     image: Tensor
     shadow_logits: Tensor
@@ -58,10 +54,7 @@ def known_extras(network: Network, batch: Mapping[str, Tensor]) -> dict[str, Ten
 
 
 def padded(x: Tensor, stride: int) -> Tensor:
-    """(N, C, H, W) lengthened at right and bottom until H and W divide by `stride`.
-
-    The last row and column are repeated.
-    """
+    """(N, C, H, W) with its last row and column repeated until H and W divide by `stride`."""
     height, width = x.shape[-2:]
     pad = (0, -width % stride, 0, -height % stride)
     return functional.pad(x, pad, mode="replicate") if any(pad) else x

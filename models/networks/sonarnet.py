@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, TypeVar, cast
+from typing import Annotated, ClassVar, Literal, NamedTuple, TypeVar, cast
 
 import torch
 from pydantic import Field
@@ -139,10 +139,10 @@ class SonarNet(Network):
             maps = _known(range_fraction, azimuth_rad, sector)
             change, logits, weight = self.core(remove, frames, MapLines.of(*planes), noisy, *maps)
         else:
-            polar = grid.polar(torch.cat([noisy, sector], dim=1))
+            polar = sampled(torch.cat([noisy, sector], dim=1), grid.to_polar)
             maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
             *cells, weight = self.core(remove, None, GridLines(), polar[:, :1], *maps)
-            change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
+            change, logits = sampled(torch.cat(cells, dim=1), grid.to_fan).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
         outside = sector <= 0
         image = self.gated(noisy + change.masked_fill(outside, 0.0), logits)
@@ -252,9 +252,6 @@ def residual_blocks(channels: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(ResidualBlock(channels) for _ in range(count)))
 
 
-_NEIGHBOURS = 9
-
-
 class LineContext(nn.Module):
     """Adds to features what their beams and arcs have in common, beside neighbouring ones.
 
@@ -266,9 +263,9 @@ class LineContext(nn.Module):
         self.pooled = nn.Conv2d(channels, width, 1)
         self.beams, self.arcs = (
             nn.Sequential(
-                nn.Conv1d(width, 2 * width, _NEIGHBOURS, padding=_NEIGHBOURS // 2),
+                nn.Conv1d(width, 2 * width, 9, padding=4),
                 nn.ReLU(),
-                nn.Conv1d(2 * width, width, _NEIGHBOURS, padding=_NEIGHBOURS // 2),
+                nn.Conv1d(2 * width, width, 9, padding=4),
             )
             for _ in range(2)
         )
@@ -355,11 +352,10 @@ Lines = GridLines | MapLines
 """The beams and arcs of the cells of a feature map."""
 
 
-@dataclass(frozen=True, eq=False)
-class PolarGrid:
+class PolarGrid(NamedTuple):
     """Where the cells of a polar grid lie in fan pictures, and the pixels of these in the grid.
 
-    to_polar, to_fan: (N, H, W, 2) sampling positions as torch's `grid_sample` has them.
+    to_polar, to_fan: (N, H, W, 2) positions for `sampled`.
     range_fraction, azimuth_rad: (N, 1, H, W) of the cells, near range first.
     The grid has as many cells as the picture has pixels, from the least to the largest range and
     bearing of the sector (of the whole picture where it shows none of the sector).
@@ -369,14 +365,6 @@ class PolarGrid:
     to_fan: Tensor
     range_fraction: Tensor
     azimuth_rad: Tensor
-
-    def polar(self, images: Tensor) -> Tensor:
-        """(N, C, H, W) fan pictures on the polar grid, bilinear."""
-        return _sampled(images, self.to_polar)
-
-    def fan(self, images: Tensor) -> Tensor:
-        """(N, C, H, W) of the polar grid as fan pictures, bilinear; repeated outside the grid."""
-        return _sampled(images, self.to_fan)
 
 
 def polar_grid(
@@ -396,10 +384,12 @@ def polar_grid(
     radius, azimuth = range_fraction[:, 0], azimuth_rad[:, 0]
     # In a fan, right and ahead of the sonar are linear in column and row (see `sonar.fan`).
     right, ahead = radius * torch.sin(azimuth), radius * torch.cos(azimuth)
-    first_right, first_ahead = right[:, :, 0].mean(1), ahead[:, 0, :].mean(1)
-    right_step = (right[:, :, -1].mean(1) - first_right) / (width - 1)
-    ahead_step = (ahead[:, -1, :].mean(1) - first_ahead) / (height - 1)
-
+    first_right, last_right, first_ahead, last_ahead = (
+        edge.mean(1)[:, None, None]
+        for edge in (right[:, :, 0], right[:, :, -1], ahead[:, 0, :], ahead[:, -1, :])
+    )
+    right_step = (last_right - first_right) / (width - 1)
+    ahead_step = (last_ahead - first_ahead) / (height - 1)
     inside = sector[:, 0] > 0
     near, far = _extent(radius, inside)
     left, right_end = _extent(azimuth, inside)
@@ -407,16 +397,12 @@ def polar_grid(
     across = (torch.arange(width, device=radius.device) + 0.5) / width
     cell_range = (near + (far - near) * down[None, :, None]).expand_as(radius)
     cell_azimuth = (left + (right_end - left) * across[None, None, :]).expand_as(radius)
-    column = (cell_range * torch.sin(cell_azimuth) - _each(first_right)) / _each(right_step)
-    row = (cell_range * torch.cos(cell_azimuth) - _each(first_ahead)) / _each(ahead_step)
+    column = (cell_range * torch.sin(cell_azimuth) - first_right) / right_step
+    row = (cell_range * torch.cos(cell_azimuth) - first_ahead) / ahead_step
     to_polar = torch.stack([(2 * column + 1) / width - 1, (2 * row + 1) / height - 1], dim=-1)
-    to_fan = torch.stack(
-        [
-            2 * (azimuth - left) / (right_end - left) - 1,
-            2 * (radius - near) / (far - near) - 1,
-        ],
-        dim=-1,
-    )
+    across_grid = 2 * (azimuth - left) / (right_end - left) - 1
+    down_grid = 2 * (radius - near) / (far - near) - 1
+    to_fan = torch.stack([across_grid, down_grid], dim=-1)
     return PolarGrid(to_polar, to_fan, cell_range[:, None], cell_azimuth[:, None])
 
 
@@ -429,26 +415,19 @@ def _extent(values: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
     return least, largest.clamp_min(least + 1e-6)
 
 
-def _each(values: Tensor) -> Tensor:
-    return values[:, None, None]
-
-
-def _sampled(images: Tensor, grid: Tensor) -> Tensor:
+def sampled(images: Tensor, at: Tensor) -> Tensor:
+    """(N, C, H, W) at positions (N, h, w, 2) as of `grid_sample`, bilinear; edges are repeated."""
     # In 32 bits: halves of a pixel would be lost in 16 at the far side of a large picture.
     with torch.autocast(images.device.type, enabled=False):
         return functional.grid_sample(
-            images.float(), grid, padding_mode="border", align_corners=False
+            images.float(), at, padding_mode="border", align_corners=False
         )
 
 
-_FIRST_WEIGHT = 3.0
-"""Logit of the weight before anything is learned: 95 % of the change."""
-_DARK = 1 / 512
-"""A cell below this holds no echo: half a grey value of 8 bits."""
-_CENTRE = 1.5
-"""Centres the logarithms of grey values between _DARK and 1."""
-_LEAST = 1e-7
-"""Added to mean squares of grey values (70 dB), so that 0 has a logarithm."""
+_FIRST_WEIGHT = 3.0  # logit of the weight before anything is learned: 95 % of the change
+_DARK = 1 / 512  # a cell below this holds no echo: half a grey value of 8 bits
+_CENTRE = 1.5  # centres the logarithms of grey values between _DARK and 1
+_LEAST = 1e-7  # added to mean squares of grey values (70 dB), so that 0 has a logarithm
 _STATISTICS = 5
 
 
