@@ -318,12 +318,13 @@ class MapLines:
         shape = sector.shape[-2] // 2, sector.shape[-1] // 2
         planes = functional.interpolate(torch.cat([azimuth_rad, range_fraction, sector], 1), shape)
         bearing, radius, inside = (planes[:, n].flatten(1) for n in range(3))
-        numbers = []
-        for values, count in ((bearing, shape[1]), (radius, shape[0])):
+
+        def numbered(values: Tensor, count: int) -> Tensor:
             least, most = _extent(values, inside > 0)
-            step = (values - least) / (most - least) * count
-            numbers.append(step.clamp(0, count - 1).long())
-        return cls(*numbers, (inside > 0).to(planes.dtype)[:, None], shape)
+            return ((values - least) / (most - least) * count).clamp(0, count - 1).long()
+
+        beam, arc = numbered(bearing, shape[1]), numbered(radius, shape[0])
+        return cls(beam, arc, (inside > 0).to(planes.dtype)[:, None], shape)
 
     def means(self, x: Tensor, along: int) -> Tensor:
         """See `GridLines`."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -74,8 +74,8 @@ class Loop:
         self.network, self.objective = channels_last(network).to(device), objective
         self.settings, self.seed, self.device = settings, seed, device
         self.label, self.save = label, save
-        self._averaged: Any = AveragedModel(network, multi_avg_fn=running_average(settings.ema))
-        self.average: Network = self._averaged.requires_grad_(False).eval().module
+        self._averaged = AveragedModel(network, multi_avg_fn=running_average(settings.ema))
+        self.average = cast(Network, self._averaged.requires_grad_(False).eval().module)
         self.step = 0
         self.rows: list[Row] = []
         self._losses: list[Tensor] = []  # since the last check
