@@ -6,8 +6,8 @@ neither the process that makes it nor an interruption of the training matters.
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -159,14 +159,11 @@ class KeptSource(Source):
 
     def __init__(self, source: Source) -> None:
         self.images = source
-        self._kept: OrderedDict[tuple[int, int | None], Sample] = OrderedDict()
+
+    @cached_property
+    def _kept(self) -> Callable[[int, int | None], Sample]:
+        return lru_cache(KEPT)(self.images.sample)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        name = index, visit
-        if name not in self._kept:
-            self._kept[name] = self.images.sample(index, visit)
-            if len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(name)
-        return self._kept[name]
+        return self._kept(index, visit)

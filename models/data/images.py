@@ -97,11 +97,8 @@ class OldDataSource(Source):
         self.images, self.noise = samples, noise
         self.weaker, self.seed = data.weaker, seed
         self.fans = {} if data.geometry == "polar" else read_fans(data.geometry)
-        unknown = [
-            sample.frame
-            for sample in samples
-            if self.fans and sample.frame not in self.fans and not is_recording(sample.path)
-        ]
+        pictures = (one for one in samples if self.fans and not is_recording(one.path))
+        unknown = [one.frame for one in pictures if one.frame not in self.fans]
         if unknown:
             raise FactoryError(
                 f"data.geometry={data.geometry}: says nothing about {unknown[0]} and "

@@ -151,10 +151,8 @@ def hold_out(
     count = min(max(1, round(fraction * len(names))), len(names) - 1)
     order = stream(seed, "validation").permutation(len(names))
     held = {names[index] for index in order[:count]}
-    return (
-        tuple(sample for sample in samples if name_of(sample) not in held),
-        tuple(sample for sample in samples if name_of(sample) in held),
-    )
+    learning = tuple(sample for sample in samples if name_of(sample) not in held)
+    return learning, tuple(sample for sample in samples if name_of(sample) in held)
 
 
 def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, ...]:

@@ -54,32 +54,23 @@ class Stack:
             number = int(rng.integers(count))
             grey = _grey(self.frames[number])
             if not self.is_still or count < 3:
-                return self._sample(grey, np.full_like(grey, np.nan), taught=1.0)
-            return self._sample(grey, self._target([number]), taught=_TAUGHT)
+                return Sample(grey, np.full_like(grey, np.nan), None, self.geometry, taught=1.0)
+            return Sample(grey, self._target([number]), None, self.geometry, taught=_TAUGHT)
         several = int(rng.integers(2, most + 1))
         first = int(rng.integers(count - several + 1))
         members = list(range(first, first + several))
-        own = int(rng.integers(several))
+        others = np.delete(np.arange(several), rng.integers(several))
         stack = _grey(self.frames[members])
         if rng.random() < _OFF:
-            for number in range(several):
-                if number != own:
-                    stack[number] = shifted(stack[number], rng.uniform(-_OFF_PX, _OFF_PX, 2))
+            for number in others:
+                stack[number] = shifted(stack[number], rng.uniform(-_OFF_PX, _OFF_PX, 2))
         weights = np.ones_like(stack)
         if rng.random() < _UNEVEN:
-            field = smooth_field(rng, stack.shape[1:])
-            for number in range(several):
-                if number != own:
-                    weights[number] = field
+            weights[others] = smooth_field(rng, stack.shape[1:])
         weights /= weights.sum(axis=0)
         mean = np.asarray((weights * stack).sum(axis=0), np.float32)
         frames = averaged(1 / np.square(weights).sum(axis=0))
-        return self._sample(mean, self._target(members), frames=frames)
-
-    def _sample(
-        self, noisy: Image, target: Image, taught: float = 0.0, frames: Image | None = None
-    ) -> Sample:
-        return Sample(noisy, target, None, self.geometry, frames, taught)
+        return Sample(mean, self._target(members), None, self.geometry, frames, taught=0.0)
 
     def _target(self, members: Sequence[int]) -> Image:
         """The mean of frames around the members, NaN where something moved."""

@@ -110,12 +110,11 @@ class SonarNet(Network):
         return noisy + part * (output.image - noisy)
 
     def with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
-        """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) weight, for any H and W.
+        """See `models.networks`; for any H and W.
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
-        `sector` everything is insonified.  remove: (N, 6), 1 for each artefact to remove (see
-        `imaging.effect.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
-        frames were averaged, as of `networks.averaged`; without it 0, a single frame.
+        `sector` everything is insonified, without `remove` it is `networks.DEFAULT`.  frames:
+        (N, 1, H, W), how many were averaged, as of `networks.averaged`; without it 0, a single one.
         """
         remove, frames = extras.get("remove"), extras.get("frames")
         if remove is None:

@@ -74,6 +74,7 @@ class Loop:
         self.network, self.objective = channels_last(network).to(device), objective
         self.settings, self.seed, self.device = settings, seed, device
         self.label, self.save = label, save
+        self._is_mixed = settings.precision == "bf16-mixed"
         self._averaged = AveragedModel(network, multi_avg_fn=running_average(settings.ema))
         self.average = cast(Network, self._averaged.requires_grad_(False).eval().module)
         self.step = 0
@@ -132,17 +133,14 @@ class Loop:
         """The arithmetic of `train.precision`."""
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self._is_mixed)
 
-    @property
-    def _is_mixed(self) -> bool:
-        return self.settings.precision == "bf16-mixed"
-
     def learning_rate(self) -> float:
         """Of the next step: a linear warm-up and a cosine decay to zero."""
         steps, warmup, step = self.settings.steps, self.settings.warmup, self.step
-        if step < warmup:
-            return self.settings.learning_rate * ((step + 1) / (warmup + 1))
-        done = (step - warmup) / max(1, steps - warmup)
-        return self.settings.learning_rate * (0.5 * (1 + math.cos(math.pi * min(1.0, done))))
+        done = min(1.0, (step - warmup) / max(1, steps - warmup))
+        cosine = 0.5 * (1 + math.cos(math.pi * done))
+        return self.settings.learning_rate * (
+            (step + 1) / (warmup + 1) if step < warmup else cosine
+        )
 
     def update(self, batch: Batch) -> Tensor:
         """One step; returns its loss.  Raises FactoryError when that is not a number."""
