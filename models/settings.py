@@ -14,13 +14,6 @@ Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
-@dataclass(frozen=True, config=STRICT)
-class DatasetFolder:
-    """The dataset to learn from: the folder that `simnfnd make` wrote, where one is needed."""
-
-    dir: str | None
-
-
 @dataclass(frozen=True, config=STRICT, kw_only=True)
 class DataSettings:
     """Keys of `data` that every kind has: what the network gets to see."""
@@ -129,7 +122,7 @@ class TrainSettings:
 class ModelsSettings:
     """The whole configuration; `model` and `loss` are checked by what they describe."""
 
-    dataset: DatasetFolder
+    dataset: Mapping[Literal["dir"], str | None]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
     out: str | None
     resume: bool

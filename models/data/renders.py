@@ -37,22 +37,28 @@ _BLACK = 0.02  # shadow counts as such where the target is darker; under haze th
 _AMOUNTS = ("alpha", "density", "strength")
 
 
-class RenderSource(Source):
-    """Pairs made on the fly."""
+class RenderedSource(Source):
+    """Pairs made on the fly of rendered frames."""
 
     images: tuple[FrameRef, ...]
 
     def __init__(
         self, config: FactoryConfig, frames: tuple[FrameRef, ...], data: RenderedData, seed: int
     ) -> None:
-        """config: how pairs are made.  frames: whose renders are at hand.
-
-        Raises FactoryError as `resized` does.
-        """
+        """config: how pairs are made.  frames: whose renders are at hand."""
         self.config, self.images = replace(config, seed=seed), frames
         self.data, self.seed = data, seed
-        self._sonars = {scale: resized(config.sonar, scale) for scale in (1.0, *data.scales)}
-        self._makers: dict[float, PairMaker] = {}
+
+
+class RenderSource(RenderedSource):
+    """Pairs of the configuration's device, under fresh noise at each visit."""
+
+    @cached_property
+    def _makers(self) -> dict[float, PairMaker]:
+        """By scale."""
+        sonars = {scale: resized(self.config.sonar, scale) for scale in (1.0, *self.data.scales)}
+        configs = {scale: replace(self.config, sonar=sonar) for scale, sonar in sonars.items()}
+        return {scale: PairMaker(one, open_views(one)) for scale, one in configs.items()}
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
@@ -60,19 +66,16 @@ class RenderSource(Source):
         if visit is not None:
             scale, number = self.scale_of(index, visit), visit
             noise = self.noise_of(index, visit)
-        sonar = self._sonars[scale]
-        if scale not in self._makers:
-            config = replace(self.config, sonar=sonar)
-            self._makers[scale] = PairMaker(config, open_views(config))
+        maker = self._makers[scale]
         try:
-            (pair,) = self._makers[scale].pairs(self.images[index], (number,), noise)
+            (pair,) = maker.pairs(self.images[index], (number,), noise)
         except FrameError as error:
             raise FactoryError(f"data=renders: {error}; leave the frame out") from error
         return Sample(
             in_unit_range(pair.noisy),
             in_unit_range(pair.clean),
             pair.shadow.astype(np.float32),
-            FanGeometry.from_record(sonar, pair.record),
+            FanGeometry.from_record(maker.config.sonar, pair.record),
         )
 
     def scale_of(self, index: int, visit: int) -> float:
@@ -101,22 +104,13 @@ class RenderSource(Source):
         return replace(chosen, **blocks)
 
 
-class DeviceSource(Source):
-    """Pairs of drawn devices.
+class DeviceSource(RenderedSource):
+    """Pairs of drawn devices, with a configuration that has `devices`.
 
     Device, formation, display, size and rasterisation of the picture are drawn at each visit.  The
     target is the same picture without the artefacts of `networks.DEFAULT`, under the same random
     streams.
     """
-
-    images: tuple[FrameRef, ...]
-
-    def __init__(
-        self, config: FactoryConfig, frames: tuple[FrameRef, ...], data: RenderedData, seed: int
-    ) -> None:
-        """config: with `devices`.  frames: whose renders are at hand."""
-        self.config, self.images = replace(config, seed=seed), frames
-        self.data, self.seed = data, seed
 
     @cached_property
     def _views(self) -> Views:

@@ -39,11 +39,12 @@ def open_data(settings: ModelsSettings) -> Data:
     data, seed = settings.data, settings.seed
     if isinstance(data, OldData):
         return _of_images(data, seed)
-    if settings.dataset.dir is None:
+    given = settings.dataset["dir"]
+    if given is None:
         raise FactoryError(
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
         )
-    folder = local_folder(settings.dataset.dir)
+    folder = local_folder(given)
     table = read_table(folder, "train")
     if not isinstance(data, MixedData):
         least = min(data.scales) if isinstance(data, RenderedData) else 1.0

@@ -296,12 +296,10 @@ def _checkpoint(
 
 def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     """Key -> value, as JSON would give it back."""
-    # How many processes read, and where the images lie, decides nothing.
-    unimportant = ("workers", "pack", "folder", "geometry")
     groups = {
-        "model": dict(settings.model),
-        "loss": dict(settings.loss),
-        "data": {k: v for k, v in asdict(settings.data).items() if k not in unimportant},
+        "model": settings.model,
+        "loss": settings.loss,
+        "data": asdict(settings.data),
         "train": asdict(settings.train),
     }
     flat = {
@@ -309,8 +307,10 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
         for group, keys in groups.items()
         for key, value in keys.items()
     }
+    # How many processes read, and where the images lie, decides nothing.
+    for key in ("data.workers", "data.pack", "data.folder", "data.geometry", "train.teacher"):
+        flat.pop(key, None)
     # By content, where there is any.
-    del flat["train.teacher"]
     for key, weights in (("train.teacher", settings.train.teacher), ("start", settings.start)):
         if weights is not None:
             flat[key] = sha256_of(find_weights(weights))[:16]
