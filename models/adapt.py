@@ -7,6 +7,7 @@ several has less noise left than one).
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,14 +20,8 @@ from .denoise.inputs import FIND, Geometries
 from .pretrained import find_weights
 from .stretches import Found, Lessons, find_lessons, read_clips
 
-_RATE = 2e-4
-_BOUNDS = {
-    "steps": (lambda x: x >= 1, "must be 1 or more"),
-    "minutes": (lambda x: 0 < x <= 1e4, "must be more than 0, and 10000 at most"),
-    "learning_rate": (lambda x: 0 < x <= 1, "must lie between 0 and 1"),
-    "seed": (lambda x: x >= 0, "must be 0 or more"),
-}
-"""Option -> whether a value will do, and what is wrong with one that does not."""
+_BOUNDS = {"steps": (1, math.inf), "learning_rate": (1e-9, 1), "seed": (0, math.inf)}
+"""Option -> the least and the largest value."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -58,9 +53,7 @@ def _parsed(arguments: Sequence[str]) -> Any:
     parser.add_argument(
         "--weights", help="weights to begin with: a file, or the name of weights that ship"
     )
-    length = parser.add_mutually_exclusive_group()
-    length.add_argument("--minutes", type=float, default=5.0, help="about how long it may take (5)")
-    length.add_argument("--steps", type=int, help="how many steps instead; repeatable to the bit")
+    parser.add_argument("--steps", type=int, default=500, help="of two crops each (500)")
     parser.add_argument(
         "--geometry",
         default=FIND,
@@ -68,29 +61,25 @@ def _parsed(arguments: Sequence[str]) -> Any:
         "CSV table of fans (file, apex_x, apex_y, ...); recordings know theirs",
     )
     parser.add_argument(
-        "--learning-rate", type=float, default=_RATE, help=f"of AdamW at its highest ({_RATE:g})"
+        "--learning-rate", type=float, default=2e-4, help="of AdamW at its highest (0.0002)"
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
     chosen = parser.parse_args(list(arguments))
     if Path(chosen.out).suffix != ".safetensors":
         raise FactoryError(f"--out {chosen.out}: must end in .safetensors")
-    for name, (is_good, wrong) in _BOUNDS.items():
-        value = getattr(chosen, name)
-        good: Any = is_good
-        if value is not None and not good(value):
-            raise FactoryError(f"--{name.replace('_', '-')} {value:g}: {wrong}")
+    for name, (least, most) in _BOUNDS.items():
+        if not least <= getattr(chosen, name) <= most:
+            raise FactoryError(
+                f"--{name.replace('_', '-')} {getattr(chosen, name):g}: must lie between {least:g} "
+                f"and {most:g}"
+            )
     return chosen
 
 
 def _lessons(found: Found) -> Lessons:
     """What stands still in the recordings; FactoryError where nothing does."""
     read = sum(len(clip.shots) for clip in found.clips)
-    if read < 2:
-        raise FactoryError(
-            f"{found.clips[0].name}: is one picture; adapting needs at least two frames, and four "
-            "of a scene that stands still are better"
-        )
     share = f"{read} of {found.frames}" if read < found.frames else f"{read}"
     lessons = find_lessons(found.clips)
     if lessons is None:
@@ -112,25 +101,23 @@ def _lessons(found: Found) -> Lessons:
 def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     # torch takes seconds to import: only when there is something to learn from.
     from .networks.weights import load_weights, save_weights
-    from .training.adapting import Lesson, module_of, steps_within, tune
+    from .training.adapting import Lesson, tune
     from .training.loop import device_of
 
     device = device_of(chosen.device, "--device ")
     trained = load_weights(start)
     network = trained.network.to(device)
-    lesson = Lesson(lessons, chosen.seed, "frames" in network.extras)
+    lesson = Lesson(lessons, chosen.seed, network.extras)
     rate, steps = chosen.learning_rate, chosen.steps
-    if not steps:
-        steps = steps_within(chosen.minutes, network, lesson)
-    best = tune(module_of(network, steps, rate, chosen.seed), lesson, device)
-    noisy = lesson.noisy_figure()
+    best = tune(network, lesson, steps, rate, device)
+    noisy, before, after = lesson.figure(), best["before"], best["after"]
     print(
-        f"frames held out, PSNR after levels: noisy {noisy:.2f}, before {best.before:.2f}, "
-        f"after {best.after:.2f} dB"
+        f"frames held out, PSNR after levels: noisy {noisy:.2f}, before {before:.2f}, "
+        f"after {after:.2f} dB"
     )
-    if best.after < noisy:
-        print("that is less than the frames as they are; more --minutes may help")
-    if not best.after > best.before:
+    if after < noisy:
+        print("that is less than the frames as they are; more --steps may help")
+    if not after > before:
         print("nothing written: no weights on the way were better than those it began with")
         return 1
     facts = {
@@ -142,8 +129,8 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
         "steps": steps,
         "learning_rate": rate,
         "seed": chosen.seed,
-        "validation": {"step": best.step, "before": best.before, "after": best.after},
+        "validation": best,
     }
     save_weights(out, network, trained.model, facts)
-    print(f"weights: {out} (step {best.step} of {steps}; use them with --weights {out})")
+    print(f"weights: {out} (step {best['step']} of {steps}; use them with --weights {out})")
     return 0

@@ -5,25 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ..factory.errors import FactoryError
-from ..factory.settings import STRICT, build
+from ..factory.settings import STRICT
 
 Count = Annotated[int, Field(ge=1)]
-Fraction = Annotated[float, Field(gt=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Patch = Annotated[int, Field(ge=8)]
-Multiple = Annotated[float, Field(gt=0, le=16)]
-"""Times the dataset's beams, range bins and pixels."""
-
-
-@dataclass(frozen=True, config=STRICT)
-class DatasetFolder:
-    """The dataset to learn from: the folder that `simnfnd make` wrote, where one is needed."""
-
-    dir: str | None
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -31,12 +19,13 @@ class DataSettings:
     """Keys of `data` that every kind has: what the network gets to see."""
 
     kind: str
-    patch: Patch
+    patch: Annotated[int, Field(ge=8)]
     batch: Count
     crops: Count
     weaker: Share
-    validation: Fraction
+    validation: Annotated[float, Field(gt=0, lt=1)]
     validation_limit: Count | None
+    reuse: Annotated[int, Field(ge=1, le=1000)]
     workers: Literal["auto"] | Annotated[int, Field(ge=0)]
 
     @property
@@ -63,19 +52,23 @@ class PairsData(DataSettings):
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
-class RendersData(DataSettings):
-    """`data=renders`: fresh noise on the renders of a dataset, at every visit."""
+class RenderedData(DataSettings):
+    """What is made of the renders of a dataset at every visit."""
 
-    kind: Literal["renders", "mixed"]
     pack: str | None
     fewer: Share
-    scales: Annotated[tuple[Multiple, ...], Field(min_length=1)]
-    experiment: str | None
-    reuse: Annotated[int, Field(ge=1, le=1000)] = 1
+    scales: Annotated[tuple[Annotated[float, Field(gt=0, le=16)], ...], Field(min_length=1)]
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
-class MixedData(RendersData):
+class RendersData(RenderedData):
+    """`data=renders`: fresh noise."""
+
+    kind: Literal["renders"]
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class MixedData(RenderedData):
     """`data=mixed`: drawn devices, the paper's points and recordings beside each other."""
 
     kind: Literal["mixed"]
@@ -100,25 +93,6 @@ class OldData(DataSettings):
     geometry: str
 
 
-DATA: dict[str, type[DataSettings]] = {
-    "pairs": PairsData,
-    "renders": RendersData,
-    "mixed": MixedData,
-    "olddata": OldData,
-}
-"""kind -> its settings."""
-
-
-def _data(values: Any) -> DataSettings:
-    if isinstance(values, DataSettings):
-        return values
-    kind = values.get("kind")
-    if kind not in DATA:
-        raise FactoryError(f"data.kind: {kind!r} is none of {', '.join(sorted(DATA))}")
-    settings: DataSettings = build(DATA[kind], values, "data")
-    return settings
-
-
 @dataclass(frozen=True, config=STRICT)
 class TrainSettings:
     """Keys of `train`: how the weights are found."""
@@ -132,17 +106,15 @@ class TrainSettings:
     ema: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "32-true", "bf16-mixed"]
     teacher: str | None = None
-    teacher_share: Share = 0.8
 
     def __post_init__(self) -> None:
         """A training that is shorter than the interval is checked at its end."""
         if self.steps < self.check_every:
             object.__setattr__(self, "check_every", self.steps)
         if self.steps % self.check_every:
-            fits = next(n for n in range(self.check_every, 0, -1) if self.steps % n == 0)
             raise ValueError(
                 f"steps {self.steps} must be a multiple of check_every {self.check_every}, "
-                f"so that training ends with a validation; train.check_every={fits} fits"
+                "so that training ends with a validation"
             )
 
 
@@ -150,7 +122,7 @@ class TrainSettings:
 class ModelsSettings:
     """The whole configuration; `model` and `loss` are checked by what they describe."""
 
-    dataset: DatasetFolder
+    dataset: Mapping[Literal["dir"], str | None]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
     out: str | None
     resume: bool
@@ -158,7 +130,7 @@ class ModelsSettings:
     seed: Annotated[int, Field(ge=0)]
     device: Literal["auto", "cpu", "gpu"]
     debug: bool
-    data: Annotated[DataSettings, BeforeValidator(_data)]
+    data: Annotated[PairsData | RendersData | MixedData | OldData, Field(discriminator="kind")]
     train: TrainSettings
     model: Mapping[str, Any]
     loss: Mapping[str, Any]

@@ -142,7 +142,7 @@ VERBS: dict[str, Verb] = {
         "simnfnd.models.adapt:main",
         (
             "simnfnd adapt dive.aris --out own.safetensors",
-            "simnfnd adapt recordings --out own.safetensors --minutes 20",
+            "simnfnd adapt recordings --out own.safetensors --steps 1000",
             "simnfnd denoise dive.aris --weights own.safetensors --out outputs/denoised",
         ),
         needs=_TORCH,

@@ -6,8 +6,8 @@ neither the process that makes it nor an interruption of the training matters.
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from torch.utils.data import Dataset, Sampler
 
 from ...factory.dataset.pair_dataset import mixed_order
 from ...factory.seeds import stream
-from ..settings import DataSettings, RendersData
+from ..settings import DataSettings
 from .pairs import Batch, Sample, Source
 
 KEPT = 96
@@ -29,31 +29,25 @@ class Visit(NamedTuple):
     """One image to be cropped.
 
     number: of the visit in the whole training.  image: its index.  round: how often the image was
-    visited before.  patch: side of the crops, pixels; of smaller images, the whole.
+    visited before.
     """
 
     number: int
     image: int
     round: int
-    patch: int
 
 
 class Crops(Dataset[Batch]):
-    """Training crops; item `Visit` is a batch of `crops` of them, all of one image.
+    """Training crops; item `Visit` is a batch of `data.crops` of them, all of one image.
 
-    extras: names of maps to add, as `models` describes them.
+    They have `data.patch` pixels a side; of smaller images they are the whole.
+    extras: names of maps to add, as `models.networks` describes them.
     """
 
     def __init__(
-        self,
-        source: Source,
-        *,
-        crops: int = 1,
-        seed: int,
-        extras: Sequence[str] = (),
+        self, source: Source, data: DataSettings, seed: int, extras: Sequence[str] = ()
     ) -> None:
-        self.source, self.crops, self.seed = source, crops, seed
-        self.extras = tuple(extras)
+        self.source, self.data, self.seed, self.extras = source, data, seed, tuple(extras)
 
     def __len__(self) -> int:
         return len(self.source)
@@ -61,14 +55,14 @@ class Crops(Dataset[Batch]):
     def __getitem__(self, visit: Visit) -> Batch:
         sample = self.source.sample(visit.image, visit.round)
         rng = stream(self.seed, "crop", visit.number)
-        height, width = sample.noisy.shape
-        shape = min(visit.patch, height), min(visit.patch, width)
+        shape = tuple(min(self.data.patch, side) for side in sample.noisy.shape)
         parts = []
-        for _ in range(self.crops):
-            top = int(rng.integers(height - shape[0] + 1))
-            left = int(rng.integers(width - shape[1] + 1))
-            flip = bool(rng.random() < 0.5)
-            parts.append(crop(sample, (top, left), shape, flip, self.extras))
+        for _ in range(self.data.crops):
+            top, left = (
+                int(rng.integers(whole - side + 1))
+                for whole, side in zip(sample.noisy.shape, shape, strict=True)
+            )
+            parts.append(crop(sample, (top, left), shape, bool(rng.random() < 0.5), self.extras))
         return concatenate(parts)
 
 
@@ -84,27 +78,24 @@ def crop(
     flip: bool,
     extras: Sequence[str] = (),
 ) -> Batch:
-    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not.
-
-    With `taught` (1, 1, 1, 1), where it is known.
-    """
+    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not."""
     (top, left), (height, width) = corner, shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
-    planes = {"noisy": sample.noisy, "clean": sample.clean, "shadow": sample.shadow}
-    if "frames" in extras:  # crops of a batch have the same planes
-        planes["frames"] = np.zeros_like(sample.noisy) if sample.frames is None else sample.frames
-    images = {name: one[window][:, ::step] for name, one in planes.items() if one is not None}
+    planes = {"noisy": sample.noisy, "clean": sample.clean}
+    # Crops of a batch have the same planes.
+    shadow, frames = sample.shadow, sample.frames
+    planes["shadow"] = np.full_like(sample.noisy, np.nan) if shadow is None else shadow
+    if "frames" in extras:
+        planes["frames"] = np.zeros_like(sample.noisy) if frames is None else frames
+    images = {name: one[window][:, ::step] for name, one in planes.items()}
     if sample.geometry is not None and extras:
         maps = sample.geometry.maps(top, left, height, width)
-        found = {name: maps[name][:, ::step] for name in extras if name in maps}
-        if flip and "azimuth_rad" in found:
-            found["azimuth_rad"] = -found["azimuth_rad"]
-        images |= found
+        images |= {name: maps[name][:, ::step] for name in extras if name in maps}
+        if flip and "azimuth_rad" in images:
+            images["azimuth_rad"] = -images["azimuth_rad"]
     batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
-    if sample.taught is not None:
-        batch["taught"] = torch.full((1, 1, 1, 1), sample.taught)
-    return batch
+    return batch | {"taught": torch.full((1, 1, 1, 1), sample.taught)}
 
 
 def concatenate(batches: Sequence[Batch]) -> Batch:
@@ -113,7 +104,7 @@ def concatenate(batches: Sequence[Batch]) -> Batch:
 
 
 class VisitSampler(Sampler[list[Visit]]):
-    """The visits of each step of one check interval; a batch sampler.
+    """The visits of each step from `step` to the next check; a batch sampler.
 
     All images are visited once, in random order, before any is visited again.
     """
@@ -122,81 +113,57 @@ class VisitSampler(Sampler[list[Visit]]):
         self,
         images: int,
         data: DataSettings,
-        steps: int,
+        every: int,
         seed: int,
         places: Sequence[Path] | None = None,
     ) -> None:
-        """images: how many there are.  steps: of one interval.
+        """images: how many there are.  every: steps of an interval.
 
         places: the shard of each image, where shards are fetched; see `mixed_order`.
         """
+        self.images, self.data, self.every, self.seed = images, data, every, seed
+        self.step = 0
         self._places = places
-        self.images, self.data, self.steps, self.seed = images, data, steps, seed
-        self.reuse = data.reuse if isinstance(data, RendersData) else 1
         self._orders: dict[int, npt.NDArray[np.int64]] = {}
-        self._interval = self._done = 0
 
-    def begin(self, interval: int, done: int) -> None:
-        """Which interval is next, and how many of its steps are done already."""
-        self._interval, self._done = interval, done
+    def __iter__(self) -> Iterator[list[Visit]]:
+        each = self.data.batch // self.data.crops
+        for step in range(self.step, (self.step // self.every + 1) * self.every):
+            yield [self._visit(step * each + number) for number in range(each)]
 
-    def __len__(self) -> int:
-        return self.steps - self._done
-
-    def _order(self, round_: int) -> npt.NDArray[np.int64]:
+    def _visit(self, number: int) -> Visit:
+        round_, place = divmod(self._drawn(number), self.images)
         if round_ not in self._orders:
             rng = stream(self.seed, "order", round_)
             order = mixed_order(self._places, rng) if self._places else rng.permutation(self.images)
             # A kept picture can be one of the round before, and of few images of earlier ones.
             self._orders = {r: o for r, o in self._orders.items() if r >= round_ - KEPT}
             self._orders[round_] = order
-        return self._orders[round_]
+        return Visit(number, int(self._orders[round_][place]), round_)
 
-    def __iter__(self) -> Iterator[list[Visit]]:
-        each = self.data.batch // self.data.crops
-        number = (self._interval * self.steps + self._done) * each
-        for _ in range(self.steps - self._done):
-            visits = []
-            for _ in range(each):
-                round_, place = divmod(drawn(number, self.reuse, self.seed), self.images)
-                index = int(self._order(round_)[place])
-                visits.append(Visit(number, index, round_, self.data.patch))
-                number += 1
-            yield visits
+    def _drawn(self, number: int) -> int:
+        """The number of a visit's picture when each serves `data.reuse` visits on average.
+
+        Every `reuse`-th visit shows the next picture, the others one of the last `KEPT`.
+        """
+        newest, is_old = divmod(number, self.data.reuse)
+        if is_old:
+            newest -= int(stream(self.seed, "reuse", number).integers(KEPT))
+        return max(newest, 0)
 
 
-def drawn(number: int, reuse: int, seed: int) -> int:
-    """The number of the picture of this visit when every picture serves `reuse` visits on average.
+class KeptSource(Source):
+    """The last `KEPT` samples of a source are not made again."""
 
-    Every `reuse`-th visit shows the next picture, the others one of the last `KEPT`.
-    """
-    newest = number // reuse
-    if number % reuse == 0:
-        return newest
-    return max(newest - int(stream(seed, "reuse", number).integers(KEPT)), 0)
-
-
-class KeptSource:
-    """The last `KEPT` samples of a source are not made again; a `Source`."""
+    images: Source
 
     def __init__(self, source: Source) -> None:
-        self.source = source
-        self._kept: OrderedDict[tuple[int, int], Sample] = OrderedDict()
+        self.images = source
 
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def __getstate__(self) -> dict[str, object]:
-        return {"source": self.source, "_kept": OrderedDict()}
+    @cached_property
+    def _kept(self) -> Callable[[int, int | None], Sample]:
+        return lru_cache(KEPT)(self.images.sample)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        if visit is None:
-            return self.source.sample(index, None)
-        name = index, visit
-        if name not in self._kept:
-            self._kept[name] = self.source.sample(index, visit)
-            if len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(name)
-        return self._kept[name]
+        return self._kept(index, visit)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +22,14 @@ from ...factory.sonar.window import Window
 from ..recordings import PICTURE_SUFFIXES, is_recording, kind_of, open_recording
 from ..recordings.pictures import read_grey
 from ..recordings.views import frame_picture
+from ..settings import OldData
 from .fans import read_fans
-from .pairs import Image, Sample, SampleRef, weakened
+from .pairs import Image, Sample, SampleRef, Source, weakened
 
-_FAR_M = 10.0
-"""Range of the far edge: the noise knows fractions of the range alone, so any would do."""
+_FAR_M = 10.0  # of the far edge: the noise knows fractions of the range alone, so any would do
 _SPREAD_PX = 0.7
-_DARK = 0.02
-"""A pixel at or below this grey value is shadow, as the paper's threshold on T has it."""
-_LOOKS = 4
-"""Echoes that stand for one pixel; more make smoother noise."""
+_DARK = 0.02  # a pixel at or below is shadow, as the paper's threshold on T has it
+_LOOKS = 4  # echoes that stand for one pixel; more make smoother noise
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:
@@ -40,27 +39,23 @@ def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef
     Raises FactoryError, naming `key`, when there is none.
     """
     root = Path(folder).expanduser()
-    if is_recording(root):
-        return _frames(root, root.name)
-    if not root.is_dir():
+    single = is_recording(root)
+    if not single and not root.is_dir():
         raise FactoryError(f"{key}={folder}: no such folder or recording")
     found: list[SampleRef] = []
-    for path in sorted(root.rglob("*")):
-        place = path.parent.relative_to(root).as_posix()
-        if path.is_file() and is_recording(path):
-            found += _frames(path, path.relative_to(root).as_posix())
-        elif path.is_file() and kind_of(path) == "pictures":
-            found.append(SampleRef(path, 0, place, path.name))
+    for path in [root] if single else sorted(one for one in root.rglob("*") if one.is_file()):
+        place = path.relative_to(root.parent if single else root)
+        if is_recording(path):
+            with open_recording(path) as recording:
+                rows = range(len(recording))
+            scene = place.as_posix()
+            found += [SampleRef(path, row, scene, f"{path.name}#{row}") for row in rows]
+        elif kind_of(path) == "pictures":
+            found.append(SampleRef(path, 0, place.parent.as_posix(), path.name))
     if not found:
         kinds = ", ".join(PICTURE_SUFFIXES)
         raise FactoryError(f"{key}={folder}: holds no image ({kinds}) and no recording")
     return tuple(found)
-
-
-def _frames(path: Path, scene: str) -> tuple[SampleRef, ...]:
-    with open_recording(path) as recording:
-        count = len(recording)
-    return tuple(SampleRef(path, row, scene, f"{path.name}#{row}") for row in range(count))
 
 
 def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
@@ -76,9 +71,8 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:
     """The shortest side of all images, pixels, and the image that has it."""
     # The frames of a recording are of one size, or nearly.
-    firsts = [one for one in samples if one.row == 0]
-    sides = [(min(read_sample(one)[0].shape), one) for one in firsts]
-    return min(sides, key=lambda found: found[0])
+    sides = [(min(read_sample(one)[0].shape), one) for one in samples if one.row == 0]
+    return min(sides, key=itemgetter(0))
 
 
 def digest_of(samples: Sequence[SampleRef]) -> str:
@@ -88,54 +82,40 @@ def digest_of(samples: Sequence[SampleRef]) -> str:
     return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()
 
 
-class OldDataSource:
-    """Real images taken as clean, the factory's noise on top (Table 3, OldData); a `Source`.
+class OldDataSource(Source):
+    """Real images taken as clean, the factory's noise on top (Table 3, OldData).
 
     A real image keeps its own noise in the "clean" picture, so a network learns to leave noise of
     that kind alone.
     """
 
-    def __init__(
-        self,
-        samples: tuple[SampleRef, ...],
-        geometry: str,
-        settings: NoiseSettings,
-        *,
-        weaker: float,
-        seed: int,
-    ) -> None:
-        """geometry: `polar`, or a CSV table (`fans.read_fans`).
+    images: tuple[SampleRef, ...]
 
-        Raises FactoryError when an image is not in the table.
-        """
-        self.samples, self.settings = samples, settings
-        self.weaker, self.seed = weaker, seed
-        self.fans: Mapping[str, FanGeometry] = {} if geometry == "polar" else read_fans(geometry)
-        unknown = [
-            sample.frame
-            for sample in samples
-            if self.fans and sample.frame not in self.fans and not is_recording(sample.path)
-        ]
+    def __init__(
+        self, samples: tuple[SampleRef, ...], data: OldData, noise: NoiseSettings, seed: int
+    ) -> None:
+        """Raises FactoryError when an image is not in the table `data.geometry`."""
+        self.images, self.noise = samples, noise
+        self.weaker, self.seed = data.weaker, seed
+        self.fans = {} if data.geometry == "polar" else read_fans(data.geometry)
+        pictures = (one for one in samples if self.fans and not is_recording(one.path))
+        unknown = [one.frame for one in pictures if one.frame not in self.fans]
         if unknown:
             raise FactoryError(
-                f"data.geometry={geometry}: says nothing about {unknown[0]} and "
+                f"data.geometry={data.geometry}: says nothing about {unknown[0]} and "
                 f"{len(unknown) - 1} more images; add them, or give another data.folder"
             )
 
-    def __len__(self) -> int:
-        return len(self.samples)
-
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        ref = self.samples[index]
+        ref = self.images[index]
         clean, told = read_sample(ref)
         geometry = self.fans.get(ref.frame, told or FanGeometry.polar()).with_size(*clean.shape)
         sector = geometry.maps(0, 0, *clean.shape)["sector"]
         clean = clean * sector
         number = "validation" if visit is None else visit
         names = StreamNames.single(ref.scene, ref.frame, number)
-        draws = draw(self.settings, self.seed, names)
-        noisy = with_noise(clean, geometry, draws)
+        noisy = with_noise(clean, geometry, draw(self.noise, self.seed, names))
         if visit is not None:
             strength = np.float32(weakened(self.weaker, self.seed, index, visit))
             noisy = clean + strength * (noisy - clean)
@@ -156,13 +136,8 @@ def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
     azimuth = np.repeat(maps["azimuth_rad"][lit], _LOOKS)
     range_m = np.repeat(maps["range_fraction"][lit] * np.float32(_FAR_M), _LOOKS)
     scene = in_plane(range_m, azimuth, np.repeat(clean[lit] / np.float32(_LOOKS), _LOOKS))
-    window = Window(
-        "slant_range",
-        geometry.near_fraction * _FAR_M,
-        _FAR_M,
-        geometry.azimuth_min_rad,
-        geometry.azimuth_max_rad,
-    )
+    limits = (geometry.near_fraction * _FAR_M, _FAR_M)
+    window = Window("slant_range", *limits, geometry.azimuth_min_rad, geometry.azimuth_max_rad)
     moved, *added = noisy_cloud(scene, effect_clouds(draws.effects, scene, window), 1.0)
     picture = _gathered(moved, geometry, clean.shape)
     for echoes in added:

@@ -1,13 +1,13 @@
-"""Training data: its contract, the factory's shards, and the way from `data` to a source."""
+"""Training data: its contract, the factory's shards, and what is held out."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ import torch
 
 from ...factory.dataset import PairDataset
 from ...factory.dataset.pair_dataset import in_unit_range
-from ...factory.dataset.reader import OpenShards, Split, open_shard
+from ...factory.dataset.reader import OpenShards, Split
 from ...factory.errors import FactoryError
 from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
@@ -26,34 +26,44 @@ Image = npt.NDArray[np.float32]
 Anything = TypeVar("Anything")
 
 Batch = dict[str, torch.Tensor]
-"""`noisy`, `clean` and `shadow`, (N, 1, H, W) float32 in 0..1 (clean and shadow where they are
-known), and the extras that `models` describes."""
+"""`noisy`, `clean` and `shadow`, (N, 1, H, W) float32 in 0..1, NaN where these are unknown; the
+extras that `models.networks` describes; and `taught` (N, 1, 1, 1)."""
+TAUGHT = 0.8
+"""Part of a target that a teacher's picture is, where the data do not say."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
     """One training image.
 
-    noisy, clean: (H, W) float32 in 0..1; clean None where it is unknown.
-    shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
+    noisy, clean: (H, W) float32 in 0..1; clean is NaN where it is unknown.
+    shadow: (H, W) float32, 1 in shadow, or None where it is unknown.
+    geometry: where range and bearing are, or None.
     frames: (H, W) float32, how many frames were averaged in `noisy` (`networks.averaged`), or None
         for one.
-    taught: part of the target that a teacher's picture is, 0 to 1; None: that of the training.
+    taught: part of the target that a teacher's picture is, 0 to 1.
     """
 
     noisy: Image
-    clean: Image | None = None
+    clean: Image
     shadow: Image | None = None
     geometry: FanGeometry | None = None
     frames: Image | None = None
-    taught: float | None = None
+    taught: float = TAUGHT
 
 
-class Source(Protocol):
-    """Training images by their index, in any process."""
+class Source:
+    """Training images by their index, in any process.
+
+    images: what each is made of.  places: the shard of each, where these are fetched from a URL;
+    from a disk any picture can be read at any time, so that all of them are mixed.
+    """
+
+    images: Sized
+    places: Sequence[Path] | None = None
 
     def __len__(self) -> int:
-        """How many images there are."""
+        return len(self.images)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """Image `index` as it is at its visit number `visit`; None: for validation.
@@ -61,6 +71,7 @@ class Source(Protocol):
         Its noise may differ from visit to visit, and depends on nothing else.
         Raises FactoryError when it cannot be read.
         """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -88,55 +99,40 @@ class SampleRef:
 
 @dataclass(frozen=True)
 class PairTable:
-    """All pairs of a split, the size of their images, and the dataset's configuration and hash."""
+    """All pairs of a split, the size of their images, and the dataset's configuration by its hash.
+
+    sonar: the device of the pictures; None for a dataset of another program.
+    """
 
     samples: tuple[SampleRef, ...]
     height: int
     width: int
     config_hash: str
-    config: dict[str, Any]
-
-    @property
-    def sonar(self) -> SonarSettings | None:
-        """The device of the pictures; None for a dataset of another program."""
-        return recorded_sonar(self.config)
+    sonar: SonarSettings | None
 
 
 def read_table(dataset: str | Path, split: Split) -> PairTable:
     """List the pairs of a split.  FactoryError: no dataset, another schema, mixed image sizes."""
     with PairDataset(dataset, split) as pairs:
-        if not len(pairs):
-            raise FactoryError(
-                f"dataset={dataset}: the {split} split holds no samples; generate some"
-            )
-        # One shard is opened for these, which need not be fetched again for its table.
-        shape = pairs.shape
-        with open_shard(pairs.paths[0]) as shard:
-            config = json.loads(shard.attrs["config"])
-        places = (pairs.place(index) for index in range(len(pairs)))
+        # The first shard is open for these, and need not be fetched again for its table.
+        shape, sonar = pairs.shape, recorded_sonar(pairs.form.config)
         samples = tuple(
             SampleRef(
-                path,
-                row,
-                f"{_text(meta['location'])}/{_text(meta['scene'])}",
-                _text(meta["frame"]),
+                *pairs.place(index),
+                f"{meta['location'].decode()}/{meta['scene'].decode()}",
+                meta["frame"].decode(),
                 _window(meta),
             )
-            for (path, row), meta in zip(places, pairs.meta(), strict=True)
+            for index, meta in enumerate(pairs.meta())
         )
-        return PairTable(samples, *shape, pairs.config_hash, config)
+        return PairTable(samples, *shape, pairs.config_hash, sonar)
 
 
 def _window(meta: np.void) -> tuple[float, float, float, float] | None:
-    names = ("range_min_m", "range_max_m", "azimuth_min_deg", "azimuth_max_deg")
-    if not set(names) <= set(meta.dtype.names or ()):
+    if "range_min_m" not in (meta.dtype.names or ()):
         return None
-    near, far, low, high = (float(meta[name]) for name in names)
-    return near, far, math.radians(low), math.radians(high)
-
-
-def _text(value: bytes) -> str:
-    return value.decode(errors="replace")
+    low, high = (math.radians(float(meta[f"azimuth_{end}_deg"])) for end in ("min", "max"))
+    return float(meta["range_min_m"]), float(meta["range_max_m"]), low, high
 
 
 def hold_out(
@@ -146,23 +142,17 @@ def hold_out(
 
     At least one scene or frame goes to each side; all variants of a frame stay together.
     """
-    names = sorted({sample.scene for sample in samples})
-    by_scene = len(names) > 1
-    if not by_scene:
-        names = sorted({sample.frame for sample in samples})
+    name_of = attrgetter("scene")
+    if len({sample.scene for sample in samples}) == 1:
+        name_of = attrgetter("frame")
+    names = sorted({name_of(sample) for sample in samples})
     if len(names) < 2:
         raise FactoryError("dataset: its train split has one frame; validation needs another one")
     count = min(max(1, round(fraction * len(names))), len(names) - 1)
     order = stream(seed, "validation").permutation(len(names))
     held = {names[index] for index in order[:count]}
-
-    def is_held(sample: SampleRef) -> bool:
-        return (sample.scene if by_scene else sample.frame) in held
-
-    return (
-        tuple(sample for sample in samples if not is_held(sample)),
-        tuple(sample for sample in samples if is_held(sample)),
-    )
+    learning = tuple(sample for sample in samples if name_of(sample) not in held)
+    return learning, tuple(sample for sample in samples if name_of(sample) in held)
 
 
 def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, ...]:
@@ -172,22 +162,14 @@ def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, 
     return tuple(samples[index * len(samples) // limit] for index in range(limit))
 
 
-def distant_places(source: Source) -> list[Path] | None:
-    """The shard of each pair of a dataset at a URL; None for any other source.
-
-    From a disk any picture can be read at any time, so that all of them are mixed.
-    """
-    if not isinstance(source, PairSource) or url_of(source.samples[0].path.parent.parent) is None:
-        return None
-    return [sample.path for sample in source.samples]
-
-
-class PairSource:
-    """`data=pairs`: the pairs of a dataset; a `Source`.
+class PairSource(Source):
+    """`data=pairs`: the pairs of a dataset.
 
     weaker: part of the visits in which the noise is blended towards the clean picture, by a factor
     that is even in 0..1 and 0 in one case of eight.
     """
+
+    images: tuple[SampleRef, ...]
 
     def __init__(
         self,
@@ -197,15 +179,14 @@ class PairSource:
         weaker: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.samples, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
+        self.images, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
+        if url_of(samples[0].path.parent.parent) is not None:
+            self.places = [sample.path for sample in samples]
         self._open = OpenShards()
-
-    def __len__(self) -> int:
-        return len(self.samples)
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        ref = self.samples[index]
+        ref = self.images[index]
         stored = self._open.read(ref.path, ("noisy", "clean", "shadow"), ref.row)
         noisy, clean = in_unit_range(stored[0]), in_unit_range(stored[1])
         if visit is not None:

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import yaml
+
+from ...factory.cli.compose import compose_config
+from ...factory.config import FactoryConfig, from_mapping, plain
+from ...factory.dataset.manifest import CONFIG_NAME
+from ...factory.dataset.schema import config_hash
+from ...factory.distribution import number
 from ...factory.errors import FactoryError
 from ...factory.files import sha256_of
+from ...factory.frame import FrameRef
+from ...factory.scenes import open_reader
+from ...factory.selection import choose_frames, split_frames
 from ...factory.storage.copies import local_folder
-from ..settings import DataSettings, ModelsSettings, OldData, RendersData
+from ...factory.views import open_views
+from ..settings import DataSettings, MixedData, ModelsSettings, OldData, RenderedData
 from .images import OldDataSource, digest_of, list_images, smallest_side
-from .pairs import Data, PairSource, hold_out, read_table, spread
-from .renders import composed, open_renders
+from .pairs import Data, PairSource, SampleRef, hold_out, read_table, spread
+from .renders import DeviceSource, RenderSource
+from .time_stacks import MixedSource, open_stacks
 
-_SMALLEST = 11
-"""Side of the window of SSIM, pixels."""
+_DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
+"""Groups of the configuration that decide the pictures of drawn devices."""
 
 
 def open_data(settings: ModelsSettings) -> Data:
@@ -22,61 +37,144 @@ def open_data(settings: ModelsSettings) -> Data:
 
     Raises FactoryError: nothing there, another schema, images smaller than a patch, one frame only.
     """
-    data = settings.data
-    return _of_images(data, settings) if isinstance(data, OldData) else _of_dataset(data, settings)
-
-
-def _of_images(data: OldData, settings: ModelsSettings) -> Data:
-
-    found = list_images(data.folder)
-    side, smallest = smallest_side(found)
-    _check_sizes(data, side, str(smallest.path))
-    learning, held = hold_out(found, data.validation, settings.seed)
-    facts: dict[str, Any] = {"images": len(found), "images.content": digest_of(found)}
-    if data.geometry != "polar":
-        facts["geometry"] = sha256_of(Path(data.geometry).expanduser())[:16]
-    noise = composed(("noise=simnfnd",)).noise
-    sources = [
-        OldDataSource(samples, data.geometry, noise, weaker=data.weaker, seed=settings.seed)
-        for samples in (learning, spread(held, data.validation_limit))
-    ]
-    return Data(sources[0], sources[1], facts)
-
-
-def _of_dataset(data: DataSettings, settings: ModelsSettings) -> Data:
-    folder = settings.dataset.dir
-    if folder is None:
+    data, seed = settings.data, settings.seed
+    if isinstance(data, OldData):
+        return _of_images(data, seed)
+    given = settings.dataset["dir"]
+    if given is None:
         raise FactoryError(
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
         )
-    folder = str(local_folder(folder))
+    folder = local_folder(given)
     table = read_table(folder, "train")
-    if not (isinstance(data, RendersData) and data.experiment is not None):
-        least = min(data.scales) if isinstance(data, RendersData) else 1.0
+    if not isinstance(data, MixedData):
+        least = min(data.scales) if isinstance(data, RenderedData) else 1.0
         height, width = (round(least * side) for side in (table.height, table.width))
-        _check_sizes(data, min(height, width), folder, f" ({height}x{width})")
-    learning, held = hold_out(table.samples, data.validation, settings.seed)
+        _check_size(data, min(height, width), str(folder), f" ({height}x{width})")
+    learning, held = hold_out(table.samples, data.validation, seed)
     facts: dict[str, Any] = {
         "dataset.config_hash": table.config_hash,
         "dataset.pairs": len(table.samples),
         "dataset.image": [table.height, table.width],
     }
     validation = PairSource(spread(held, data.validation_limit), table.sonar)
-    if not isinstance(data, RendersData):
-        source = PairSource(learning, table.sonar, weaker=data.weaker, seed=settings.seed)
+    if not isinstance(data, RenderedData):
+        source = PairSource(learning, table.sonar, weaker=data.weaker, seed=seed)
         return Data(source, validation, facts)
-    # Only here: it brings the readers and the whole of the factory.
+    config, ready, others = renders_of(data, folder, learning, held)
+    names = "\n".join(ref.name for ref in ready)
+    facts |= {
+        "renders.frames": len(ready),
+        "renders.names": hashlib.blake2b(names.encode(), digest_size=8).hexdigest(),
+    }
+    points = RenderSource(config, ready, data, seed)
+    if not isinstance(data, MixedData):
+        return Data(points, validation, facts)
+    mixed = _mixed(data, points, others, seed)
+    return Data(mixed.learning, mixed.validation, facts | mixed.facts)
 
-    renders = open_renders(data, table, held, validation, folder, settings.seed)
-    return Data(renders.learning, renders.validation, facts | renders.facts)
+
+def _of_images(data: OldData, seed: int) -> Data:
+    found = list_images(data.folder)
+    side, smallest = smallest_side(found)
+    _check_size(data, side, str(smallest.path))
+    learning, held = hold_out(found, data.validation, seed)
+    facts: dict[str, Any] = {"images": len(found), "images.content": digest_of(found)}
+    if data.geometry != "polar":
+        facts["geometry"] = sha256_of(Path(data.geometry).expanduser())[:16]
+    noise = compose_config(("noise=simnfnd",)).noise
+    sources = [
+        OldDataSource(samples, data, noise, seed)
+        for samples in (learning, spread(held, data.validation_limit))
+    ]
+    return Data(sources[0], sources[1], facts)
 
 
-def _check_sizes(data: DataSettings, side: int, where: str, shape: str = "") -> None:
-    """Raise FactoryError when an image is smaller than a patch, or than what SSIM needs."""
+def renders_of(
+    data: RenderedData, dataset: Path, learning: Sequence[SampleRef], held: Sequence[SampleRef]
+) -> tuple[FactoryConfig, tuple[FrameRef, ...], tuple[FrameRef, ...]]:
+    """How a dataset was made, and its rendered frames: to learn from, and others; prints how many.
+
+    learning, held: the dataset's pairs.
+    Raises FactoryError when the dataset was made by another version or its renders are not there.
+    """
+    config = _config(data, dataset)
+    found = open_reader(config.scenes).discover().frames
+    training = split_frames(found if data.pack else choose_frames(found, config), config)["train"]
+    scenes = {sample.scene for sample in held}
+    # Of one scene alone frames are held out one by one.
+    alone = scenes == {sample.scene for sample in learning}
+    names = {(sample.scene, sample.frame if alone else "") for sample in held}
+    training = tuple(
+        ref
+        for ref in training
+        if (f"{ref.location}/{ref.scene}", ref.frame if alone else "") not in names
+    )
+    views = open_views(config)
+    ready = tuple(ref for ref in training if views.holds(ref))
+    if not ready:
+        raise FactoryError(
+            f"data={data.kind}: none of the {len(training)} training frames of {dataset} has its "
+            f"render in {config.cache.folder}; make the dataset again with this version (its "
+            "command keeps the renders), or give data.pack=FILE"
+        )
+    missing = len(training) - len(ready)
+    print(f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else ""))
+    learned = set(training)
+    others = tuple(ref for ref in found if ref not in learned and views.holds(ref))
+    return config, ready, others
+
+
+def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], seed: int) -> Data:
+    """others: frames with a render that nothing is learned from."""
+    drawn = compose_config((f"experiment={data.experiment}",))
+    if not others or drawn.devices is None:
+        raise FactoryError(
+            f"data.experiment={data.experiment}: draws no devices, or no render is held out; use "
+            "any_sonar, and give data.validation more"
+        )
+    made = {name: getattr(drawn, name) for name in _DECIDE}
+    made["sonar"] = replace(drawn.sonar, mount=points.config.sonar.mount)
+    config = replace(points.config, **made)
+    # A picture without noise has 100 dB, more than all others together can gain or lose.
+    noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
+    stacks = open_stacks(data.recordings, data.least_side)
+    refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))
+    still = sum(one.is_still for one in stacks)
+    print(f"recordings: {len(stacks)}, of which {still} stand still")
+    devices = DeviceSource(config, points.images, data, seed)
+    shown = spread(others, data.validation_limit)
+    return Data(
+        MixedSource(devices, points, stacks, data, seed),
+        DeviceSource(noisy, shown, replace(data, weaker=0.0), seed),
+        {
+            "renders.devices": config_hash({name: plain(config)[name] for name in _DECIDE}),
+            "data.recordings": digest_of(refs),
+        },
+    )
+
+
+def _config(data: RenderedData, dataset: Path) -> FactoryConfig:
+    """The dataset's own configuration with what `data` changes."""
+    path = dataset / CONFIG_NAME
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        # What stands beside the pairs is of no use here, and may need more than the renders.
+        values["dataset"]["layers"] = []
+        if data.pack is not None:
+            values["scenes"] = {"kind": "pack", "root": data.pack}
+        return from_mapping(values)
+    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError, FactoryError) as error:
+        raise FactoryError(
+            f"{path}: data={data.kind} needs the whole folder that `simnfnd make` of this version "
+            f"wrote ({error})"
+        ) from error
+
+
+def _check_size(data: DataSettings, side: int, where: str, shape: str = "") -> None:
+    """Raise FactoryError when an image is smaller than a patch."""
     if data.least_side > side:
         raise FactoryError(
             f"data.patch={data.patch} is larger than the images of {where}{shape}; choose at most "
             f"{side}, or data.batch=data.crops: each step then shows one image, a small one whole"
         )
-    if side < _SMALLEST:
-        raise FactoryError(f"{where}: images of {side} pixels are too small to validate on")

@@ -21,29 +21,21 @@ from ..networks import averaged
 from ..recordings.fan_finder import find_geometry
 from ..recordings.static import find_groups, shifted
 from ..recordings.views import presentation_of
+from ..settings import MixedData
 from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source
 
-_ALIKE = 0.75
-"""Likeness of two frames in a row from which on a recording stands still."""
-_AROUND = 25
-"""Frames before and after whose mean is a target."""
-_MOST = 7
-"""Frames that are averaged, at most; of short recordings half of them."""
-_MOVED = 0.045
-"""Difference of smoothed means that says that something moved."""
-_SINGLE = 0.4
-"""Part of the visits of a recording that show a single frame."""
-_UNEVEN, _OFF, _OFF_PX = 0.45, 0.25, 0.5
-"""Part of the means with uneven weights and with frames that lie beside, and by how much."""
-_TAUGHT = 0.5
-"""Of the target of a single frame, what a teacher makes of it; the rest is the mean of others."""
-_TAUGHT_DRAWN = 0.8
-"""The same of a drawn single frame; the rest is its clean one."""
-_LOUD = 0.12
-"""Part of the pictures that get a loud beam."""
+_ALIKE = 0.75  # likeness of two frames in a row from which on a recording stands still
+_AROUND = 25  # frames before and after whose mean is a target
+_MOST = 7  # frames that are averaged, at most; of short recordings half of them
+_MOVED = 0.045  # difference of smoothed means that says that something moved
+_SINGLE = 0.4  # part of the visits of a recording that show a single frame
+_UNEVEN = 0.45  # part of the means with uneven weights
+_OFF, _OFF_PX = 0.25, 0.5  # part of the means with frames that lie beside, and by how much
+_TAUGHT = 0.5  # of the target of a recording's single frame, what a teacher makes of it
+_LOUD = 0.12  # part of the pictures that get a loud beam
+# Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight.
 _FEWEST, _FULL = 0.15, 0.7
-"""Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,33 +54,23 @@ class Stack:
             number = int(rng.integers(count))
             grey = _grey(self.frames[number])
             if not self.is_still or count < 3:
-                return self._sample(grey, np.full_like(grey, np.nan), taught=1.0)
-            return self._sample(grey, self._target([number]), taught=_TAUGHT)
+                return Sample(grey, np.full_like(grey, np.nan), None, self.geometry, taught=1.0)
+            return Sample(grey, self._target([number]), None, self.geometry, taught=_TAUGHT)
         several = int(rng.integers(2, most + 1))
         first = int(rng.integers(count - several + 1))
         members = list(range(first, first + several))
-        own = int(rng.integers(several))
+        others = np.delete(np.arange(several), rng.integers(several))
         stack = _grey(self.frames[members])
         if rng.random() < _OFF:
-            for number in range(several):
-                if number != own:
-                    stack[number] = shifted(stack[number], rng.uniform(-_OFF_PX, _OFF_PX, 2))
+            for number in others:
+                stack[number] = shifted(stack[number], rng.uniform(-_OFF_PX, _OFF_PX, 2))
         weights = np.ones_like(stack)
         if rng.random() < _UNEVEN:
-            field = smooth_field(rng, stack.shape[1:])
-            for number in range(several):
-                if number != own:
-                    weights[number] = field
+            weights[others] = smooth_field(rng, stack.shape[1:])
         weights /= weights.sum(axis=0)
         mean = np.asarray((weights * stack).sum(axis=0), np.float32)
         frames = averaged(1 / np.square(weights).sum(axis=0))
-        return self._sample(mean, self._target(members), frames=frames)
-
-    def _sample(
-        self, noisy: Image, target: Image, taught: float = 0.0, frames: Image | None = None
-    ) -> Sample:
-        shadow = np.full_like(noisy, np.nan)
-        return Sample(noisy, target, shadow, self.geometry, frames=frames, taught=taught)
+        return Sample(mean, self._target(members), None, self.geometry, frames, taught=0.0)
 
     def _target(self, members: Sequence[int]) -> Image:
         """The mean of frames around the members, NaN where something moved."""
@@ -100,16 +82,14 @@ class Stack:
         return np.asarray(np.where(np.abs(change) < _MOVED, target, np.nan), np.float32)
 
 
-def open_stacks(
-    paths: Sequence[str], least_side: int, key: str = "data.recordings"
-) -> tuple[Stack, ...]:
+def open_stacks(paths: Sequence[str], least_side: int) -> tuple[Stack, ...]:
     """The recordings of files and folders whose geometry is known or found.
 
-    least_side: of a frame, pixels.  Raises FactoryError, naming `key`, where there are none.
+    least_side: of a frame, pixels.  Raises FactoryError where there are none.
     """
     found = []
     for path in paths:
-        refs = list_images(path, key)
+        refs = list_images(path, "data.recordings")
         for scene in dict.fromkeys(ref.scene for ref in refs):
             shown = [_shown(ref) for ref in refs if ref.scene == scene]
             first, geometry = shown[0]
@@ -124,8 +104,8 @@ def open_stacks(
             found.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry, still))
     if paths and not found:
         raise FactoryError(
-            f"{key}: no recording there has frames of {least_side} pixels or more with a fan that "
-            "can be found"
+            f"data.recordings: no recording there has frames of {least_side} pixels or more with a "
+            "fan that can be found"
         )
     return tuple(found)
 
@@ -139,56 +119,40 @@ def _shown(ref: SampleRef) -> tuple[Image, FanGeometry | None]:
     return grey, geometry
 
 
-class MixedSource:
-    """`data=mixed`, what the network that ships learns from; a `Source`.
+class MixedSource(Source):
+    """`data=mixed`, what the network that ships learns from.
 
     Pictures of drawn devices as single frames and as means of frames, the paper's points, and
     recordings, each with a part of the visits.
     """
 
     def __init__(
-        self,
-        devices: Source,
-        points: Source,
-        stacks: Sequence[Stack],
-        *,
-        points_share: float,
-        recordings_share: float,
-        several: float,
-        seed: int,
+        self, devices: Source, points: Source, stacks: Sequence[Stack], data: MixedData, seed: int
     ) -> None:
-        """devices: drawn pairs, as many as there are renders.  points: those of the same renders.
-
-        points_share, recordings_share: parts of the visits.  several: part of the drawn pictures
-        that are means of frames.
-        """
-        self.devices, self.points, self.stacks = devices, points, tuple(stacks)
-        self.points_share, self.recordings_share = points_share, recordings_share
-        self.several, self.seed = several, seed
-
-    def __len__(self) -> int:
-        return len(self.devices)
+        """devices: drawn pairs, one for each render.  points: those of the same renders."""
+        self.images = self.devices = devices
+        self.points, self.stacks = points, tuple(stacks)
+        self.data, self.seed = data, seed
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
         if visit is None:
             return self.devices.sample(index, None)
-        rng = stream(self.seed, "mixed", index, visit)
+        rng, data = stream(self.seed, "mixed", index, visit), self.data
         kind = rng.random()
-        if kind < self.points_share:
+        if kind < data.points_share:
             return replace(self.points.sample(index, visit), taught=0.0)
-        if kind < self.points_share + self.recordings_share and self.stacks:
+        if kind < data.points_share + data.recordings_share and self.stacks:
             stack = self.stacks[int(rng.integers(len(self.stacks)))]
             return with_loud_beam(stack.sample(rng), rng)
         drawn = self.devices.sample(index, visit)
-        if rng.random() < self.several:
-            return with_loud_beam(standing(drawn, rng), rng)
-        return with_loud_beam(replace(drawn, taught=_TAUGHT_DRAWN), rng)
+        if rng.random() < data.several:
+            drawn = standing(drawn, rng)
+        return with_loud_beam(drawn, rng)
 
 
 def standing(sample: Sample, rng: np.random.Generator) -> Sample:
     """A drawn pair as the mean of frames: some of its speckle stands still, the rest is fresh."""
-    assert sample.clean is not None
     part = np.float32(rng.choice([0.0, 0.3, 0.6, 1.0]))
     target = sample.clean + part * (sample.noisy - sample.clean)
     count: float | Image = float(np.exp(rng.uniform(np.log(1.5), np.log(20))))
@@ -204,7 +168,7 @@ def standing(sample: Sample, rng: np.random.Generator) -> Sample:
         sample,
         noisy=noisy,
         clean=np.where(unknown, np.nan, target).astype(np.float32),
-        shadow=np.full_like(noisy, np.nan),
+        shadow=None,
         frames=frames,
         taught=0.0,
     )
@@ -226,7 +190,7 @@ def temporal_noise(rng: np.random.Generator, picture: Image) -> Image:
 
 def with_loud_beam(sample: Sample, rng: np.random.Generator) -> Sample:
     """The same with a beam that is too loud along most of its length, which the target lacks."""
-    if sample.geometry is None or sample.clean is None or rng.random() >= _LOUD:
+    if sample.geometry is None or rng.random() >= _LOUD:
         return sample
     maps = sample.geometry.maps(0, 0, *sample.noisy.shape)
     inside = maps["sector"] > 0

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
 from ..networks import DEFAULT, vector
-from ..networks.weights import read_header, read_weights
+from ..networks.weights import read_weights
 from ..pretrained import shipped
 from .pictures import Gray
 
@@ -35,7 +35,7 @@ def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
     device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
     not there, and packages that are not installed.
     """
-    wished = json.dumps(structure(read_header(weights)["model"]), sort_keys=True).encode()
+    wished = json.dumps(structure(read_weights(weights)[0]["model"]), sort_keys=True).encode()
     for path in shipped().values():
         # The words are at the end of the file, and few.
         if wished in (graph := path.with_suffix(".onnx")).read_bytes():

@@ -13,9 +13,6 @@ A network is one file beside this one with a settings class and a torch module, 
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each picture.
-- A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
-  (N, 1, H, W) float, 1 in shadow, where it is known, and `shadow_logits` and `weight` from a
-  network with heads.
 """
 
 from __future__ import annotations
@@ -33,18 +30,13 @@ from ...factory.imaging.effect import ARTEFACTS
 if TYPE_CHECKING:
     from .network import Network
 
-NETWORKS = {
-    "nafnet": ("nafnet", "NAFNet"),
-    "restormer": ("restormer", "Restormer"),
-    "sonarnet": ("sonarnet", "SonarNet"),
-}
-"""kind -> module here and its network, beside which lie `<network>Settings`; torch is imported only
-when one is built."""
+NETWORKS = {"nafnet": "NAFNet", "restormer": "Restormer", "sonarnet": "SonarNet"}
+"""kind, which is a module here -> its network, beside which lie `<network>Settings`; torch is
+imported only when one is built."""
 
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
 """Of `ARTEFACTS`, what networks remove: the ground and the brightness of a picture stay."""
-_MOST_FRAMES = 16.0
-"""More frames are too few to tell from this many by the noise that is left."""
+_MOST_FRAMES = 16.0  # more are too few to tell from this many by the noise that is left
 _INDEPENDENT = 0.36
 """Power of the number of frames that says how many of independent noise they are worth: the noise
 of frames that follow each other is correlated.  Seven frames of two DIDSON recordings and of five
@@ -65,8 +57,7 @@ def build_network(config: Mapping[str, Any]) -> Network:
     if not isinstance(kind, str) or kind not in NETWORKS:
         raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(sorted(NETWORKS))}")
     config = {key: one for key, one in config.items() if (key, one) not in _GONE.items()}
-    module_name, name = NETWORKS[kind]
-    module = import_module(f".{module_name}", __name__)
+    name, module = NETWORKS[kind], import_module(f".{kind}", __name__)
     settings: Any = build(getattr(module, f"{name}Settings"), config, "model")
     network: Network = getattr(module, name)(settings)
     return network

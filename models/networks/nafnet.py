@@ -13,19 +13,14 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from ...factory.settings import STRICT
-from .network import LayerNorm, Network, Pointwise, down_and_up, halves
+from .network import LayerNorm, Network, Pointwise, down_and_up
 
 Blocks = Annotated[int, Field(ge=0, le=64)]
 
 
 @dataclass(frozen=True, config=STRICT)
 class NAFNetSettings:
-    """Keys of conf/model/nafnet.yaml.
-
-    width: channels at full resolution; they double at each of the len(encoder) downsamplings.
-    encoder: blocks at each resolution, from full to coarse; decoder: back, from coarse to full.
-    middle: blocks at the coarsest resolution.
-    """
+    """Keys of conf/model/nafnet.yaml, which explains them."""
 
     kind: Literal["nafnet"]
     width: Annotated[int, Field(ge=2, le=256)]
@@ -43,7 +38,7 @@ class NAFNetSettings:
 
 def gate(x: Tensor) -> Tensor:
     """SimpleGate: one half of the channels times the other, (N, 2C, H, W) -> (N, C, H, W)."""
-    first, second = halves(x)
+    first, second = x.chunk(2, dim=1)
     return first * second
 
 

@@ -8,18 +8,13 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 Step = Callable[[Tensor], Tensor]
 
 
 class NetworkOutput(NamedTuple):
-    """What a network with heads returns for N pictures.
-
-    image: (N, 1, H, W), with the whole change.  shadow_logits: (N, 1, H, W), positive where it sees
-    shadow.  weight: (N,), the part of the change that the picture should get, 0 to 1.
-    """
+    """What a network with heads returns for N pictures; `models.networks` explains it."""
 
     image: Tensor
     shadow_logits: Tensor
@@ -59,10 +54,7 @@ def known_extras(network: Network, batch: Mapping[str, Tensor]) -> dict[str, Ten
 
 
 def padded(x: Tensor, stride: int) -> Tensor:
-    """(N, C, H, W) lengthened at right and bottom until H and W divide by `stride`.
-
-    The last row and column are repeated.
-    """
+    """(N, C, H, W) with its last row and column repeated until H and W divide by `stride`."""
     height, width = x.shape[-2:]
     pad = (0, -width % stride, 0, -height % stride)
     return functional.pad(x, pad, mode="replicate") if any(pad) else x
@@ -117,27 +109,13 @@ class Pointwise(nn.Conv2d):
         return product.permute(0, 3, 1, 2)
 
 
-def halves(x: Tensor) -> tuple[Tensor, Tensor]:
-    """The first and the second half of the channels, (N, 2C, H, W) -> 2 x (N, C, H, W)."""
-    first, second = torch.chunk(x, 2, dim=1)
-    return first, second
-
-
 def count_macs(network: Network, size_px: int) -> int:
     """Multiply-accumulates of convolutions and matrix products for one square image.
 
-    Of the network in use, where that differs from training, and without its optional inputs.
-    Nothing is computed where the network is on torch's `meta` device.
+    Without its optional inputs.  Nothing is computed where it is on torch's `meta` device.
     """
     image = torch.rand(1, 1, size_px, size_px, device=next(network.parameters()).device)
-    was_training = network.training
-    network.eval()
-    try:
-        # Attention as its two products, which are what torch counts.
-        counter = FlopCounterMode(display=False)
-        with counter, sdpa_kernel(SDPBackend.MATH), torch.inference_mode():
-            network(image)
-    finally:
-        network.train(was_training)
+    with FlopCounterMode(display=False) as counter, torch.inference_mode():
+        network(image)
     # torch counts two floating-point operations a multiply-accumulate.
     return int(counter.get_total_flops()) // 2

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...factory.settings import STRICT
-from .network import LayerNorm, Network, Pointwise, halves
+from .network import LayerNorm, Network, Pointwise
 
 Blocks = Annotated[int, Field(ge=0, le=64)]
 Heads = Annotated[int, Field(ge=1, le=64)]
@@ -24,13 +24,7 @@ Heads = Annotated[int, Field(ge=1, le=64)]
 
 @dataclass(frozen=True, config=STRICT)
 class RestormerSettings:
-    """Keys of conf/model/restormer.yaml.
-
-    width: channels at full resolution; they double at each of the len(blocks) - 1 downsamplings.
-    blocks: transformer blocks at each resolution, from full to coarse, on the way down and, but
-    for the coarsest, again on the way up.  refinement: blocks after that, at full resolution.
-    heads: attention heads at each resolution.  expansion: of the feed-forward network (gamma).
-    """
+    """Keys of conf/model/restormer.yaml, which explains them."""
 
     kind: Literal["restormer"]
     width: Annotated[int, Field(ge=2, le=256)]
@@ -80,19 +74,17 @@ class ChannelAttention(nn.Module):
         query, key, value = split.permute(2, 0, 3, 1, 4)
         # Unit vectors over the pixels: the products are cosines, and the temperature scales them.
         # Scaling the small matrix by the lengths is the same as scaling the vectors before.
-        lengths = _length(query).transpose(-2, -1) * _length(key)
+        long, wide = (
+            torch.linalg.vector_norm(one, dim=-2, keepdim=True).clamp_min(1e-6)
+            for one in (query, key)
+        )
+        lengths = long.transpose(-2, -1) * wide
         cosines = query.transpose(-2, -1) @ key / lengths
         attention = (cosines * self.temperature).softmax(dim=-1)
         mixed = (value @ attention.transpose(-2, -1)).transpose(1, 2)
         mixed = mixed.reshape(count, height, width, channels).permute(0, 3, 1, 2)
         projected: Tensor = self.project(mixed)
         return projected
-
-
-def _length(vectors: Tensor) -> Tensor:
-    """(..., pixels, C) -> (..., 1, C), never zero."""
-    length: Tensor = torch.linalg.vector_norm(vectors, dim=-2, keepdim=True)
-    return length.clamp_min(1e-6)
 
 
 class GatedFeedForward(nn.Module):
@@ -107,7 +99,7 @@ class GatedFeedForward(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> the same shape."""
-        first, second = halves(self.depth(self.point(x)))
+        first, second = self.depth(self.point(x)).chunk(2, dim=1)
         projected: Tensor = self.project(functional.gelu(first) * second)
         return projected
 
@@ -134,43 +126,32 @@ class Restormer(Network):
 
     def __init__(self, settings: RestormerSettings) -> None:
         super().__init__(stride=2 ** (len(settings.blocks) - 1))
-        width = settings.width
-        levels = len(settings.blocks)
+        width, levels = settings.width, len(settings.blocks)
 
         def stack(channels: int, count: int, level: int) -> nn.Sequential:
-            heads, expansion = settings.heads[level], settings.expansion
-            return nn.Sequential(
-                *(TransformerBlock(channels, heads, expansion) for _ in range(count))
-            )
+            sizes = channels, settings.heads[level], settings.expansion
+            return nn.Sequential(*(TransformerBlock(*sizes) for _ in range(count)))
 
         self.embed = nn.Conv2d(1, width, 3, padding=1, bias=False)
         self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
         for level in range(levels - 1):
             channels = width * 2**level
             self.encoders.append(stack(channels, settings.blocks[level], level))
-            self.downs.append(
-                nn.Sequential(
-                    nn.Conv2d(channels, channels // 2, 3, padding=1, bias=False),
-                    nn.PixelUnshuffle(2),
-                )
-            )
-        self.latent = stack(width * 2 ** (levels - 1), settings.blocks[-1], levels - 1)
-        self.ups, self.fusions, self.decoders = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()
+            halved = nn.Conv2d(channels, channels // 2, 3, padding=1, bias=False)
+            self.downs.append(nn.Sequential(halved, nn.PixelUnshuffle(2)))
         coming = width * 2 ** (levels - 1)
+        self.latent = stack(coming, settings.blocks[-1], levels - 1)
+        self.ups, self.fusions, self.decoders = (nn.ModuleList() for _ in range(3))
         for level in reversed(range(levels - 1)):
             channels = width * 2**level
-            self.ups.append(
-                nn.Sequential(
-                    nn.Conv2d(coming, 4 * channels, 3, padding=1, bias=False), nn.PixelShuffle(2)
-                )
-            )
+            wider = nn.Conv2d(coming, 4 * channels, 3, padding=1, bias=False)
+            self.ups.append(nn.Sequential(wider, nn.PixelShuffle(2)))
             # At full resolution skip and decoder stay side by side (section 3).
-            kept = channels if level else 2 * channels
             self.fusions.append(
                 Pointwise(2 * channels, channels, bias=False) if level else nn.Identity()
             )
-            self.decoders.append(stack(kept, settings.blocks[level], level))
-            coming = kept
+            coming = channels if level else 2 * channels
+            self.decoders.append(stack(coming, settings.blocks[level], level))
         self.refine = stack(coming, settings.refinement, 0)
         self.output = nn.Conv2d(coming, 1, 3, padding=1, bias=False)
 

@@ -3,15 +3,12 @@
 - It works on a polar grid: where the geometry of a fan picture is known, the picture is resampled
   to range and bearing, and the network's correction is resampled back to the fan's pixels
   (`PolarGrid`).  The noisy picture itself is never resampled, so no detail is lost.
-- Range, bearing and the insonified sector of every cell are inputs, and what is to be removed is
-  told, too: six numbers that scale and shift the features of every level (FiLM, Perez et al. 2018).
+- Range, bearing and the insonified sector of every cell are inputs.  What is to be removed scales
+  and shifts the features of every level (FiLM, Perez et al. 2018), and so does, pixel by pixel, how
+  many frames were averaged, which changes nothing for a single frame.
 - Means along whole beams and arcs are part of the features (`LineContext`).
-- With `frames` it gets a plane that says how many frames were averaged in each pixel; it scales and
-  shifts the features of every level pixel by pixel, and changes nothing for a single frame.
-- A second head predicts shadow (black in the clean picture); the picture is multiplied by one minus
-  that.
-- A third (`BlendHead`) weighs the change of the whole picture, which falls to nothing
-  where hardly anything is wrong with it.
+- A second head predicts shadow, in which the picture is black; a third (`BlendHead`) weighs the
+  change of the whole picture.
 - Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
 Without geometry it works on the picture as it is; in training the geometry is withheld now and then
@@ -21,10 +18,9 @@ Without geometry it works on the picture as it is; in training the geometry is w
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple, TypeVar, cast
 
 import torch
 from pydantic import Field
@@ -47,20 +43,7 @@ _FIRST_LOGIT, _OUTSIDE = -2.0, -10.0
 
 @settings_class(frozen=True, config=STRICT)
 class SonarNetSettings:
-    """Keys of conf/model/sonarnet.yaml.
-
-    widths: channels at half resolution and at each coarser one.
-    blocks: residual blocks at each of these; but for the coarsest, again on the way up.
-    polar: whether fan pictures of known geometry are processed on a polar grid.
-    lines: whether features get the means along whole beams and arcs.
-    mask: whether the second head gates the picture with the shadow that it predicts.
-    forget: part of the training steps in which the network gets no geometry.
-    wide_grain: correlation of neighbouring pixels' grain from which on `simnfnd denoise` denoises
-        a picture at half its size first (`models.denoise.denoiser`); 1: never; not in training, so
-        trained weights may change it.
-    told: whether what is removed, always the same now, scales features (the weights that ship).
-    frames: whether it gets the number of frames averaged in each pixel; not with `polar`.
-    """
+    """Keys of conf/model/sonarnet.yaml, which explains them."""
 
     kind: Literal["sonarnet"]
     widths: tuple[Annotated[int, Field(ge=1, le=1024)], ...]
@@ -103,9 +86,11 @@ class SonarNet(Network):
         self.extras = (*_MAPS, *told, *(("frames",) if settings.frames else ()))
         if settings.told:
             self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())
-            self.films = nn.ModuleList(_film(width) for width in widths)
+            self.films = nn.ModuleList(zeroed(nn.Linear(_TOLD, 2 * width)) for width in widths)
         if settings.frames:
-            self.frames = nn.ModuleList(_frames_film(width) for width in widths)
+            self.frames = nn.ModuleList(
+                zeroed(nn.Conv2d(2, 2 * width, 1, bias=False)) for width in widths
+            )
         self.lines = LineContext(widths[0]) if settings.lines else None
         self.encoders, self.downs, self.ups, self.decoders = (nn.ModuleList() for _ in range(4))
         for (fine, coarse), count in zip(pairwise(widths), blocks, strict=False):
@@ -114,11 +99,8 @@ class SonarNet(Network):
             self.ups.insert(0, nn.ConvTranspose2d(coarse, fine, 2, stride=2))
             self.decoders.insert(0, residual_blocks(fine, count))
         self.middle = residual_blocks(widths[-1], blocks[-1])
-        self.outro = nn.Conv2d(widths[0], 4 * 2, 3, padding=1)
-        nn.init.zeros_(self.outro.weight)
-        assert self.outro.bias is not None
-        nn.init.constant_(self.outro.bias[:4], 0.0)
-        nn.init.constant_(self.outro.bias[4:], _FIRST_LOGIT)
+        self.outro = zeroed(nn.Conv2d(widths[0], 4 * 2, 3, padding=1))
+        nn.init.constant_(cast(Tensor, self.outro.bias)[4:], _FIRST_LOGIT)
         self.blend = BlendHead(widths[0])
 
     def forward(self, noisy: Tensor, **extras: Tensor) -> Tensor:
@@ -128,12 +110,11 @@ class SonarNet(Network):
         return noisy + part * (output.image - noisy)
 
     def with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
-        """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) weight, for any H and W.
+        """See `models.networks`; for any H and W.
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
-        `sector` everything is insonified.  remove: (N, 6), 1 for each artefact to remove (see
-        `imaging.effect.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
-        frames were averaged, as of `networks.averaged`; without it 0, a single frame.
+        `sector` everything is insonified, without `remove` it is `networks.DEFAULT`.  frames:
+        (N, 1, H, W), how many were averaged, as of `networks.averaged`; without it 0, a single one.
         """
         remove, frames = extras.get("remove"), extras.get("frames")
         if remove is None:
@@ -141,7 +122,7 @@ class SonarNet(Network):
             remove = usual.repeat(noisy.shape[0], 1)
         if frames is None and self.settings.frames:
             frames = torch.zeros_like(noisy)
-        has_geometry = "range_fraction" in extras and "azimuth_rad" in extras
+        has_geometry = {"range_fraction", "azimuth_rad"} <= extras.keys()
         if self.training and has_geometry and self.settings.forget:
             has_geometry = bool(torch.rand(()) >= self.settings.forget)
         if not has_geometry:
@@ -153,22 +134,19 @@ class SonarNet(Network):
         if self.settings.polar:
             grid = polar_grid(range_fraction, azimuth_rad, sector, fan=self.fan)
         if grid is None:
-            planes = [padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector)]
-            height, width = planes[0].shape[-2:]
-            lines = MapLines.of(planes[0], planes[1], planes[2], (height // 2, width // 2))
+            planes = (padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector))
             maps = _known(range_fraction, azimuth_rad, sector)
-            change, logits, weight = self.core(remove, frames, lines, noisy, *maps)
+            change, logits, weight = self.core(remove, frames, MapLines.of(*planes), noisy, *maps)
         else:
-            polar = grid.polar(torch.cat([noisy, sector], dim=1))
+            polar = sampled(torch.cat([noisy, sector], dim=1), grid.to_polar)
             maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
             *cells, weight = self.core(remove, None, GridLines(), polar[:, :1], *maps)
-            change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
+            change, logits = sampled(torch.cat(cells, dim=1), grid.to_fan).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
-        inside = sector > 0
-        change = change.masked_fill(~inside, 0.0)
-        image = self.gated(noisy + change, logits)
-        image = torch.where(inside, image, noisy)
-        return _output(image, logits.masked_fill(~inside, _OUTSIDE), weight)
+        outside = sector <= 0
+        image = self.gated(noisy + change.masked_fill(outside, 0.0), logits)
+        image = torch.where(outside, noisy, image)
+        return _output(image, logits.masked_fill(outside, _OUTSIDE), weight)
 
     def gated(self, image: Tensor, logits: Tensor) -> Tensor:
         """The picture, darker where the logits say shadow; (N, 1, H, W) both."""
@@ -184,15 +162,19 @@ class SonarNet(Network):
         """
         height, width = planes[0].shape[-2:]
         inputs = [padded(plane, self.core_stride) for plane in planes]
-        levels = None
+        levels: list[Tensor] = []
         if frames is not None:
             frames = padded(frames, self.core_stride)
             inputs.append(frames / _FRAMES)
-            levels = _frames_levels(frames, len(self.settings.widths))
+            # log2 of their number, and what their noise has less; both are 0 for a single frame.
+            level = torch.cat([frames / _FRAMES, torch.exp(frames * _HALVED) - 1], dim=1)
+            for _ in self.settings.widths:
+                level = functional.avg_pool2d(level, 2)
+                levels.append(level)
         x = self.intro(functional.pixel_unshuffle(torch.cat(inputs, dim=1), 2))
         if self.lines is not None:
             x = self.lines(x, lines)
-        *encoders, middle = self._told_steps(remove, levels)
+        *encoders, middle = self._conditioned(remove, levels)
         x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
         noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
@@ -201,19 +183,19 @@ class SonarNet(Network):
         denoised = self.gated(noisy + change, logits)
         return change, logits, self.blend(x, noisy, denoised - noisy, sector)
 
-    def _told_steps(self, remove: Tensor, levels: Sequence[Tensor] | None) -> list[Step]:
-        """The blocks of every level on the way down, with what scales and shifts their features.
+    def _conditioned(self, remove: Tensor, levels: list[Tensor]) -> list[Step]:
+        """The blocks on the way down, on features that are scaled and shifted by what is told.
 
-        levels: how many frames were averaged, at the resolution of each level.
+        levels: how many frames were averaged, at the resolution of each level; or none.
         """
         steps: list[Step] = [*self.encoders, self.middle]
         films: list[Tensor] = []
         if self.settings.told:
             told = self.told(remove)
             films = [film(told)[:, :, None, None] for film in self.films]
-        if levels is not None:
-            found = [film(level) for film, level in zip(self.frames, levels, strict=True)]
-            films = [one + more for one, more in zip(films, found, strict=True)] if films else found
+        if levels:
+            more = [film(level) for film, level in zip(self.frames, levels, strict=True)]
+            films = [a + b for a, b in zip(films, more, strict=True)] if films else more
         return [_after(*both) for both in zip(films, steps, strict=True)] if films else steps
 
 
@@ -223,31 +205,14 @@ def _output(image: Tensor, logits: Tensor, weight: Tensor) -> NetworkOutput:
     return NetworkOutput(image, logits.mean(dim=1, keepdim=True), weight)
 
 
-def _film(width: int) -> nn.Linear:
-    """Scales and shifts of `width` channels; none before anything is learned."""
-    film = nn.Linear(_TOLD, 2 * width)
-    nn.init.zeros_(film.weight)
-    nn.init.zeros_(film.bias)
-    return film
+Layer = TypeVar("Layer", nn.Linear, nn.Conv2d)
 
 
-def _frames_film(width: int) -> nn.Conv2d:
-    """Scales and shifts of `width` channels from the planes of `_frames_levels`; none at first."""
-    film = nn.Conv2d(2, 2 * width, 1, bias=False)
-    nn.init.zeros_(film.weight)
-    return film
-
-
-def _frames_levels(frames: Tensor, count: int) -> list[Tensor]:
-    """log2 of the number of frames and what their noise has less, at half resolution and coarser.
-
-    frames: (N, 1, H, W) log2.  Both planes are 0 for a single frame.
-    """
-    planes, levels = torch.cat([frames / _FRAMES, torch.exp(frames * _HALVED) - 1], dim=1), []
-    for _ in range(count):
-        planes = functional.avg_pool2d(planes, 2)
-        levels.append(planes)
-    return levels
+def zeroed(layer: Layer) -> Layer:
+    """The layer with weights that give nothing before anything is learned."""
+    for weights in layer.parameters():
+        nn.init.zeros_(weights)
+    return layer
 
 
 def _after(film: Tensor, blocks: Step) -> Step:
@@ -270,12 +235,10 @@ def _unknown(noisy: Tensor) -> tuple[Tensor, ...]:
 class ResidualBlock(nn.Module):
     """Two convolutions, added to what came in; it starts as the identity."""
 
-    def __init__(self, first: nn.Conv2d, second: nn.Conv2d) -> None:
+    def __init__(self, channels: int) -> None:
         super().__init__()
-        self.first, self.second = first, second
-        nn.init.zeros_(self.second.weight)
-        assert self.second.bias is not None
-        nn.init.zeros_(self.second.bias)
+        self.first = nn.Conv2d(channels, channels, 3, padding=1)
+        self.second = zeroed(nn.Conv2d(channels, channels, 3, padding=1))
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> the same shape."""
@@ -284,15 +247,8 @@ class ResidualBlock(nn.Module):
 
 
 def residual_blocks(channels: int, count: int) -> nn.Sequential:
-    """So many of them of 3x3, one after another."""
-
-    def convolution() -> nn.Conv2d:
-        return nn.Conv2d(channels, channels, 3, padding=1)
-
-    return nn.Sequential(*(ResidualBlock(convolution(), convolution()) for _ in range(count)))
-
-
-_NEIGHBOURS = 9
+    """So many of them, one after another."""
+    return nn.Sequential(*(ResidualBlock(channels) for _ in range(count)))
 
 
 class LineContext(nn.Module):
@@ -306,35 +262,27 @@ class LineContext(nn.Module):
         self.pooled = nn.Conv2d(channels, width, 1)
         self.beams, self.arcs = (
             nn.Sequential(
-                nn.Conv1d(width, 2 * width, _NEIGHBOURS, padding=_NEIGHBOURS // 2),
+                nn.Conv1d(width, 2 * width, 9, padding=4),
                 nn.ReLU(),
-                nn.Conv1d(2 * width, width, _NEIGHBOURS, padding=_NEIGHBOURS // 2),
+                nn.Conv1d(2 * width, width, 9, padding=4),
             )
             for _ in range(2)
         )
-        self.added = nn.Conv2d(2 * width, channels, 1)
-        nn.init.zeros_(self.added.weight)
-        assert self.added.bias is not None
-        nn.init.zeros_(self.added.bias)
+        self.added = zeroed(nn.Conv2d(2 * width, channels, 1))
 
     def forward(self, x: Tensor, lines: Lines) -> Tensor:
         """(N, C, h, w) -> the same shape."""
         pooled = self.pooled(x)
-        beams = self.beams(lines.beam_means(pooled))
-        arcs = self.arcs(lines.arc_means(pooled))
-        return lines.add(x, beams, arcs, self.added)
+        beams = self.beams(lines.means(pooled, 2))
+        return lines.add(x, beams, self.arcs(lines.means(pooled, 3)), self.added)
 
 
 class GridLines:
     """Columns are beams and rows are arcs: of a polar picture, or where nobody knows."""
 
-    def beam_means(self, x: Tensor) -> Tensor:
-        """(N, C, h, w) -> (N, C, beams) means along each beam."""
-        return x.float().mean(2)
-
-    def arc_means(self, x: Tensor) -> Tensor:
-        """(N, C, h, w) -> (N, C, arcs) means along each arc."""
-        return x.float().mean(3)
+    def means(self, x: Tensor, along: int) -> Tensor:
+        """(N, C, h, w) -> (N, C, beams) for along=2, (N, C, arcs) for 3: means along each."""
+        return x.float().mean(along)
 
     def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
         """The features and `added` of what the beam and the arc of each cell have.
@@ -348,50 +296,38 @@ class GridLines:
         return x + along[:, :, None, :] + across[:, :, :, None]
 
 
+@dataclass(frozen=True, eq=False)
 class MapLines:
-    """The beams and arcs of a fan.
+    """The beams and arcs of a fan, for features of `shape` (h, w).
 
-    beam, arc: (N, h * w) int64 numbers below `beams` and `arcs`.  weight: (N, 1, h * w), 0 outside
-    the sector.
+    beam, arc: (N, h * w) int64 numbers below w and h.  weight: (N, 1, h * w), 0 outside the sector.
     """
 
-    def __init__(self, beam: Tensor, arc: Tensor, weight: Tensor, shape: tuple[int, int]) -> None:
-        self.beam, self.arc, self.weight, self.shape = beam, arc, weight, shape
-        self.arcs, self.beams = shape
+    beam: Tensor
+    arc: Tensor
+    weight: Tensor
+    shape: tuple[int, int]
 
     @classmethod
-    def of(
-        cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor, shape: tuple[int, int]
-    ) -> MapLines:
-        """From maps of the picture, (N, 1, H, W) each, for features of `shape` (h, w).
+    def of(cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor) -> MapLines:
+        """From maps of the picture, (N, 1, H, W) each, for features of half its size.
 
         The sector's bearings and ranges are divided evenly into w beams and h arcs.
         """
+        shape = sector.shape[-2] // 2, sector.shape[-1] // 2
         planes = functional.interpolate(torch.cat([azimuth_rad, range_fraction, sector], 1), shape)
         bearing, radius, inside = (planes[:, n].flatten(1) for n in range(3))
-        weight = (inside > 0).to(planes.dtype)
-        return cls(
-            _numbers(bearing, weight, shape[1]),
-            _numbers(radius, weight, shape[0]),
-            weight[:, None],
-            shape,
-        )
 
-    def beam_means(self, x: Tensor) -> Tensor:
+        def numbered(values: Tensor, count: int) -> Tensor:
+            least, most = _extent(values, inside > 0)
+            return ((values - least) / (most - least) * count).clamp(0, count - 1).long()
+
+        beam, arc = numbered(bearing, shape[1]), numbered(radius, shape[0])
+        return cls(beam, arc, (inside > 0).to(planes.dtype)[:, None], shape)
+
+    def means(self, x: Tensor, along: int) -> Tensor:
         """See `GridLines`."""
-        return self._means(x, self.beam, self.beams)
-
-    def arc_means(self, x: Tensor) -> Tensor:
-        """See `GridLines`."""
-        return self._means(x, self.arc, self.arcs)
-
-    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
-        """See `GridLines`."""
-        spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
-        found: Tensor = x + added(torch.cat(spread, dim=1))
-        return found
-
-    def _means(self, x: Tensor, numbers: Tensor, count: int) -> Tensor:
+        numbers, count = (self.beam, self.shape[1]) if along == 2 else (self.arc, self.shape[0])
         flat, channels = x.float().flatten(2), x.shape[1]
         weight = self.weight.float()
         index = numbers[:, None]
@@ -399,6 +335,12 @@ class MapLines:
         total = zeros.scatter_add(2, index.expand(-1, channels, -1), flat * weight)
         cells = zeros[:, :1].scatter_add(2, index, weight)
         return total / cells.clamp_min(1)
+
+    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
+        """See `GridLines`."""
+        spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
+        found: Tensor = x + added(torch.cat(spread, dim=1))
+        return found
 
     def _spread(self, along: Tensor, numbers: Tensor) -> Tensor:
         """(N, C, beams or arcs) -> (N, C, h, w): every cell gets what its line has."""
@@ -410,25 +352,10 @@ Lines = GridLines | MapLines
 """The beams and arcs of the cells of a feature map."""
 
 
-def _numbers(values: Tensor, weight: Tensor, count: int) -> Tensor:
-    """(N, P) int64: which of `count` even steps between the extremes inside a value lies in."""
-    inside = weight > 0
-    least = values.masked_fill(~inside, torch.inf).amin(1, keepdim=True)
-    most = values.masked_fill(~inside, -torch.inf).amax(1, keepdim=True)
-    empty = ~inside.any(1, keepdim=True)
-    least, most = least.masked_fill(empty, 0), most.masked_fill(empty, 1)
-    step = (values - least) / (most - least).clamp_min(1e-6) * count
-    return step.clamp(0, count - 1).long()
-
-
-_SMALLEST = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class PolarGrid:
+class PolarGrid(NamedTuple):
     """Where the cells of a polar grid lie in fan pictures, and the pixels of these in the grid.
 
-    to_polar, to_fan: (N, H, W, 2) sampling positions as torch's `grid_sample` has them.
+    to_polar, to_fan: (N, H, W, 2) positions for `sampled`.
     range_fraction, azimuth_rad: (N, 1, H, W) of the cells, near range first.
     The grid has as many cells as the picture has pixels, from the least to the largest range and
     bearing of the sector (of the whole picture where it shows none of the sector).
@@ -438,14 +365,6 @@ class PolarGrid:
     to_fan: Tensor
     range_fraction: Tensor
     azimuth_rad: Tensor
-
-    def polar(self, images: Tensor) -> Tensor:
-        """(N, C, H, W) fan pictures on the polar grid, bilinear."""
-        return _sampled(images, self.to_polar)
-
-    def fan(self, images: Tensor) -> Tensor:
-        """(N, C, H, W) of the polar grid as fan pictures, bilinear; repeated outside the grid."""
-        return _sampled(images, self.to_fan)
 
 
 def polar_grid(
@@ -457,73 +376,58 @@ def polar_grid(
     None for pictures that are polar already, or too small to tell.
     """
     if fan is None:
-        fan = _is_fan(range_fraction)
+        columns = range_fraction[..., :1] if min(range_fraction.shape[-2:]) > 1 else range_fraction
+        fan = not bool((range_fraction == columns).all())
     if not fan:
         return None
     height, width = range_fraction.shape[-2:]
     radius, azimuth = range_fraction[:, 0], azimuth_rad[:, 0]
     # In a fan, right and ahead of the sonar are linear in column and row (see `sonar.fan`).
     right, ahead = radius * torch.sin(azimuth), radius * torch.cos(azimuth)
-    first_right, first_ahead = right[:, :, 0].mean(1), ahead[:, 0, :].mean(1)
-    right_step = (right[:, :, -1].mean(1) - first_right) / (width - 1)
-    ahead_step = (ahead[:, -1, :].mean(1) - first_ahead) / (height - 1)
-
+    first_right, last_right, first_ahead, last_ahead = (
+        edge.mean(1)[:, None, None]
+        for edge in (right[:, :, 0], right[:, :, -1], ahead[:, 0, :], ahead[:, -1, :])
+    )
+    right_step = (last_right - first_right) / (width - 1)
+    ahead_step = (last_ahead - first_ahead) / (height - 1)
     inside = sector[:, 0] > 0
-    inside = inside | ~inside.any(dim=2, keepdim=True).any(dim=1, keepdim=True)
     near, far = _extent(radius, inside)
     left, right_end = _extent(azimuth, inside)
     down = (torch.arange(height, device=radius.device) + 0.5) / height
     across = (torch.arange(width, device=radius.device) + 0.5) / width
     cell_range = (near + (far - near) * down[None, :, None]).expand_as(radius)
     cell_azimuth = (left + (right_end - left) * across[None, None, :]).expand_as(radius)
-    column = (cell_range * torch.sin(cell_azimuth) - _each(first_right)) / _each(right_step)
-    row = (cell_range * torch.cos(cell_azimuth) - _each(first_ahead)) / _each(ahead_step)
+    column = (cell_range * torch.sin(cell_azimuth) - first_right) / right_step
+    row = (cell_range * torch.cos(cell_azimuth) - first_ahead) / ahead_step
     to_polar = torch.stack([(2 * column + 1) / width - 1, (2 * row + 1) / height - 1], dim=-1)
-    to_fan = torch.stack(
-        [
-            2 * (azimuth - left) / (right_end - left) - 1,
-            2 * (radius - near) / (far - near) - 1,
-        ],
-        dim=-1,
-    )
+    across_grid = 2 * (azimuth - left) / (right_end - left) - 1
+    down_grid = 2 * (radius - near) / (far - near) - 1
+    to_fan = torch.stack([across_grid, down_grid], dim=-1)
     return PolarGrid(to_polar, to_fan, cell_range[:, None], cell_azimuth[:, None])
 
 
-def _is_fan(range_fraction: Tensor) -> bool:
-    """Whether ranges differ along rows; False for pictures too small to tell."""
-    height, width = range_fraction.shape[-2:]
-    if min(height, width) < 2:
-        return False
-    return not bool((range_fraction == range_fraction[..., :1]).all())
-
-
 def _extent(values: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Least and largest of (N, H, W) values where `inside`, each (N, 1, 1), never equal."""
-    least = values.masked_fill(~inside, torch.inf).amin(dim=(1, 2), keepdim=True)
-    largest = values.masked_fill(~inside, -torch.inf).amax(dim=(1, 2), keepdim=True)
-    return least, largest.clamp_min(least + _SMALLEST)
+    """Least and largest of each (N, ...) where `inside`, or of all of it; never equal."""
+    dims = tuple(range(1, values.ndim))
+    inside = inside | ~inside.flatten(1).any(1).view(-1, *[1] * len(dims))
+    least = values.masked_fill(~inside, torch.inf).amin(dim=dims, keepdim=True)
+    largest = values.masked_fill(~inside, -torch.inf).amax(dim=dims, keepdim=True)
+    return least, largest.clamp_min(least + 1e-6)
 
 
-def _each(values: Tensor) -> Tensor:
-    return values[:, None, None]
-
-
-def _sampled(images: Tensor, grid: Tensor) -> Tensor:
+def sampled(images: Tensor, at: Tensor) -> Tensor:
+    """(N, C, H, W) at positions (N, h, w, 2) as of `grid_sample`, bilinear; edges are repeated."""
     # In 32 bits: halves of a pixel would be lost in 16 at the far side of a large picture.
     with torch.autocast(images.device.type, enabled=False):
         return functional.grid_sample(
-            images.float(), grid, padding_mode="border", align_corners=False
+            images.float(), at, padding_mode="border", align_corners=False
         )
 
 
-_FIRST_WEIGHT = 3.0
-"""Logit of the weight before anything is learned: 95 % of the change."""
-_DARK = 1 / 512
-"""A cell below this holds no echo: half a grey value of 8 bits."""
-_CENTRE = 1.5
-"""Centres the logarithms of grey values between _DARK and 1."""
-_LEAST = 1e-7
-"""Added to mean squares of grey values (70 dB), so that 0 has a logarithm."""
+_FIRST_WEIGHT = 3.0  # logit of the weight before anything is learned: 95 % of the change
+_DARK = 1 / 512  # a cell below this holds no echo: half a grey value of 8 bits
+_CENTRE = 1.5  # centres the logarithms of grey values between _DARK and 1
+_LEAST = 1e-7  # added to mean squares of grey values (70 dB), so that 0 has a logarithm
 _STATISTICS = 5
 
 
@@ -531,15 +435,11 @@ class BlendHead(nn.Module):
     """Weighs the change of a whole picture, 0 to 1, from the picture, the change and its features.
 
     features: channels of the last features.  width: channels of the head itself.
-    A picture with hardly any noise is harmed by a network that has learned to undo a lot of it; the
-    weight falls smoothly to zero there, and nothing is ever returned all or nothing.  The head also
-    gets the logarithm of the picture, in which a blur looks the same in bright and in dim places,
-    and pools with a weight for every place (gated attention, Ilse et al., ICML 2018), because most
-    of a sonar picture is shadow and carries no information; maxima are pooled as well, because a
-    single defect matters.  Some statistics give at once what many layers would have to find out:
-    how much was changed, how much of the sector has no echo at all (noise fills shadow), and
-    whether neighbours along range are more alike than those along bearing (range spreading blurs
-    along range alone).
+    A network that has learned to undo a lot of noise harms a picture with hardly any; the weight
+    falls smoothly to zero there.  The head gets the logarithm of the picture, in which a blur looks
+    the same in bright and in dim places, and pools with a weight for every place (gated attention,
+    Ilse et al., ICML 2018), because shadow carries no information, and maxima, because a single
+    defect matters.  Statistics give at once what many layers would have to find out.
 
     No gradient goes back into the network, so the head cannot harm the pictures.
     """
@@ -550,8 +450,7 @@ class BlendHead(nn.Module):
         self.far = nn.Conv2d(width, width, 3, padding=1)
         self.weight = nn.Conv2d(width, width, 1)
         self.mixed = nn.Linear(3 * width + _STATISTICS, width)
-        self.logit = nn.Linear(width, 1)
-        nn.init.zeros_(self.logit.weight)
+        self.logit = zeroed(nn.Linear(width, 1))
         nn.init.constant_(self.logit.bias, _FIRST_WEIGHT)
 
     def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:

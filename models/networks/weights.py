@@ -76,8 +76,8 @@ def save_weights(
 def load_weights(path: str | Path) -> Trained:
     """Rebuild the network of a weights file, on the CPU, in 32 bits, in evaluation mode.
 
-    Nothing in the file is executed.  Raises FactoryError when it is absent, not a weights file, of
-    another program, does not fit the network that it describes, or holds NaN or infinity.
+    Raises FactoryError as `read_weights` does, and when they do not fit the network that the file
+    describes.
     """
     import torch
 
@@ -91,38 +91,20 @@ def load_weights(path: str | Path) -> Trained:
     return Trained(channels_last(network).eval(), header["model"], header.get("training", {}))
 
 
-def read_header(path: str | Path) -> Header:
-    """What a weights file says of itself: `model`, and `training` where it is known.
-
-    Raises FactoryError when it is absent, not a weights file, or of another program.
-    """
-    return _read(path, with_arrays=False)[0]
-
-
 def read_weights(path: str | Path) -> tuple[Header, Arrays]:
-    """The header and the weights by their names, floats in 32 bits.
+    """What a weights file says of itself (`model`, `training`), and the weights by their names.
 
-    Nothing in the file is executed.  Raises FactoryError as `read_header` does, and for a file that
-    holds NaN or infinity.
+    Floats are in 32 bits.  Nothing in the file is executed.  Raises FactoryError when it is absent,
+    not a weights file, of another program, or holds NaN or infinity.
     """
-    header, arrays = _read(path, with_arrays=True)
-    for name, values in arrays.items():
-        # A picture made with them would be all NaN, or black, and nothing would say why.
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise FactoryError(
-                f"weights={path}: {name} holds NaN or infinity; train again, or take another file"
-            )
-    return header, arrays
-
-
-def _read(path: str | Path, with_arrays: bool) -> tuple[Header, Arrays]:
     if not Path(path).is_file():
         raise FactoryError(f"weights={path}: no such file; train one with `simnfnd train`")
     arrays: Arrays = {}
     try:
         with safe_open(path, framework="np") as file:
             header = json.loads((file.metadata() or {}).get(KEY, "{}"))
-            for name in file.keys() if with_arrays else ():
+            names = file.keys()
+            for name in names:
                 values = file.get_tensor(name)
                 arrays[name] = values.astype(np.float32) if values.dtype.kind == "f" else values
     except (SafetensorError, OSError, RecursionError, ValueError, TypeError) as error:
@@ -133,4 +115,10 @@ def _read(path: str | Path, with_arrays: bool) -> tuple[Header, Arrays]:
         )
     if not isinstance(header.get("model"), dict):
         raise FactoryError(f"weights={path}: do not fit their network: no `model` in the header")
+    for name, values in arrays.items():
+        # A picture made with them would be all NaN, or black, and nothing would say why.
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise FactoryError(
+                f"weights={path}: {name} holds NaN or infinity; train again, or take another file"
+            )
     return header, arrays

@@ -6,16 +6,14 @@ import sys
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
+from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
 from ...factory.cli import run_app
-from ...factory.errors import FactoryError
 from ...factory.settings import build
 from .. import WEIGHTS_NAME
-
-_GROUPS = ("data", "model", "loss")
 
 
 def main(words: Sequence[str]) -> int:
@@ -29,25 +27,19 @@ def main(words: Sequence[str]) -> int:
 def _help() -> str:
     """Hydra's help with the groups of this configuration alone."""
     lines = ["== Configuration groups (GROUP=NAME) =="]
-    for group in _GROUPS:
-        names = sorted(
-            Path(one.name).stem for one in files("simnfnd.conf").joinpath(group).iterdir()
-        )
-        lines.append(f"{group}: {', '.join(names)}")
+    for group in ("data", "model", "loss"):
+        names = (Path(one.name).stem for one in files("simnfnd.conf").joinpath(group).iterdir())
+        lines.append(f"{group}: {', '.join(sorted(names))}")
     return "\n".join([*lines, "", "== Keys (KEY=VALUE) ==", "$CONFIG"])
 
 
 def run(config: DictConfig) -> None:
     """Train as the configuration says."""
-    if config.dataset.dir is None and config.data.get("kind") in ("pairs", "renders", "mixed"):
-        raise FactoryError(
-            "dataset: give the folder that `simnfnd make` made, dataset=DIR "
-            "(or `simnfnd denoise --help` to use trained weights)"
-        )
     from ..settings import ModelsSettings
 
-    container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    values = cast(dict[str, Any], container)
+    # Hydra composes one configuration at a time, and data may compose that of a dataset.
+    GlobalHydra.instance().clear()
+    values: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     settings: ModelsSettings = build(ModelsSettings, values)
     # torch takes seconds to import: only when there is something to train.
     from .train import output_folder, train

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import copy
-import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from itertools import count
 
 import numpy as np
 import numpy.typing as npt
@@ -16,23 +14,16 @@ from torch import Tensor
 from ...factory.seeds import stream
 from ..data.crops import concatenate, crop, whole_image
 from ..data.pairs import Batch, Image, Sample, spread
-from ..losses import Loss
 from ..networks import averaged
 from ..networks.network import Network, known_extras
 from ..settings import TrainSettings
 from ..stretches import Lessons, Still
-from .loop import Loop
-from .module import DenoisingModule, Row, denoised
+from .loop import Loop, Row, denoised
 
-BATCH = 2
-"""Crops of a step."""
-PATCH = 192
-"""Crops have as many pixels as a square of this side, where pictures are large enough."""
-CHECKS = 5
-"""Times that the weights are measured on the way; the best are kept."""
-
+_BATCH = 2  # crops of a step
+_PATCH = 192  # crops have as many pixels as a square of this side, where pictures are large enough
+_CHECKS = 5  # times that the weights are measured on the way, at most; the best are kept
 _MOST_MEASURED = 4
-_TIMED = 3  # steps whose pace says how many fit into the minutes
 _TRIES = 6
 _LEAST_KNOWN = 0.25  # of a crop's pixels
 _SEVERAL = 0.5  # of the steps show means of frames to weights that know how many
@@ -40,37 +31,55 @@ _MOST_FRAMES = 7
 _LEAST_OTHERS = 3  # frames that a target is the mean of
 
 
-@dataclass
-class Best:
-    """Figures before and after, PSNR in dB; the weights of the best check, and its step."""
+class Lesson:
+    """Crops of the steps, which depend on the seed and the step alone; and the frames held out."""
 
-    before: float
-    after: float
-    state: dict[str, Tensor]
-    step: int = 0
+    def __init__(self, found: Lessons, seed: int, extras: Sequence[str]) -> None:
+        """extras: optional inputs of the network."""
+        self.stills, self.seed, self.extras = found.learning, seed, extras
+        self._odds = odds_of(found.learning)
+        held = tuple(_single(still, i) for still in found.held for i in range(len(still.frames)))
+        self.held = spread(held, _MOST_MEASURED)
+        if "frames" in extras:
+            several = (still for still in found.held if _most(still) > 1)
+            means = tuple(_mean(still, 0, _most(still)) for still in several)
+            self.held += spread(means, _MOST_MEASURED)
+
+    def crops(self, step: int) -> Batch:
+        """What is learned from in a step."""
+        rng = stream(self.seed, "adapt", "still", step)
+        still = self.stills[rng.choice(len(self.stills), p=self._odds)]
+        if "frames" in self.extras and _most(still) > 1 and rng.random() < _SEVERAL:
+            counts = rng.integers(2, _most(still) + 1, size=_BATCH)
+            firsts = [int(rng.integers(len(still.laid) - count + 1)) for count in counts]
+            samples = [_mean(still, *both) for both in zip(firsts, counts, strict=True)]
+        else:
+            samples = [_single(still, i) for i in rng.integers(len(still.frames), size=_BATCH)]
+        return concatenate([_crop(sample, self.extras, rng) for sample in samples])
+
+    def figure(self, network: Network | None = None) -> float:
+        """Mean PSNR in dB after levels against the mean of the others; None: of the frames."""
+        made = (
+            denoised(network, whole_image(one, self.extras)) if network else one.noisy
+            for one in self.held
+        )
+        pairs = zip(made, self.held, strict=True)
+        return float(np.mean([psnr_after_levels(picture, one.clean) for picture, one in pairs]))
 
 
-class AdaptModule(DenoisingModule):
-    """Squared differences to the means of the other frames: what many noisy targets average to.
+def tune(
+    network: Network, lesson: Lesson, steps: int, learning_rate: float, device: torch.device
+) -> Row:
+    """Fit the network; it ends with the best weights of all checks, in evaluation mode.
 
-    After Lehtinen et al., Noise2Noise, ICML 2018.
+    Returns their step and the figures `before` and `after`, PSNR in dB.  The same seed and number
+    of steps give the same weights.
+    Raises FactoryError when the loss becomes no number, and `Stopped` after Ctrl-C.
     """
-
-    def forward(self, batch: Batch) -> Tensor:
-        """Mean squared difference where the target is known."""
-        known = torch.isfinite(batch["clean"])
-        made = self.network(batch["noisy"], **known_extras(self.network, batch))
-        difference = made - torch.nan_to_num(batch["clean"])
-        loss: Tensor = (difference.square() * known).sum() / known.sum().clamp_min(1)
-        return loss
-
-
-def module_of(network: Network, steps: int, learning_rate: float, seed: int) -> AdaptModule:
-    """The network and how it is fitted, checked `CHECKS` times where that divides the steps."""
-    checks = next(count for count in range(CHECKS, 0, -1) if steps % count == 0)
+    every = steps // next(times for times in range(_CHECKS, 0, -1) if steps % times == 0)
     settings = TrainSettings(
         steps=steps,
-        check_every=steps // checks,
+        check_every=every,
         learning_rate=learning_rate,
         weight_decay=1e-4,
         warmup=10,
@@ -78,101 +87,35 @@ def module_of(network: Network, steps: int, learning_rate: float, seed: int) -> 
         ema=0.98,
         precision="32-true",
     )
-    return AdaptModule(network, Loss(kind="l1"), settings, seed)
-
-
-class Lesson:
-    """Crops of the steps, which depend on the seed and the step alone; and the frames held out."""
-
-    def __init__(self, found: Lessons, seed: int, knows_frames: bool = False) -> None:
-        """knows_frames: whether the weights know how many frames were averaged."""
-        self.stills, self.seed, self.knows_frames = found.learning, seed, knows_frames
-        self._odds = odds_of(found.learning)
-        held = tuple(
-            Sample(frame, target, None, still.geometry)
-            for still in found.held
-            for frame, target in zip(still.frames, still.targets, strict=True)
-        )
-        self.held = spread(held, _MOST_MEASURED)
-        if knows_frames:
-            several = (still for still in found.held if _most(still) > 1)
-            means = tuple(mean_of(still, 0, _most(still)) for still in several)
-            self.held += spread(means, _MOST_MEASURED)
-
-    def crops(self, step: int, extras: Sequence[str]) -> Batch:
-        """What `AdaptModule` learns from in a step."""
-        rng = stream(self.seed, "adapt", "still", step)
-        still = self.stills[rng.choice(len(self.stills), p=self._odds)]
-        if self.knows_frames and _most(still) > 1 and rng.random() < _SEVERAL:
-            counts = rng.integers(2, _most(still) + 1, size=BATCH)
-            firsts = [int(rng.integers(len(still.laid) - count + 1)) for count in counts]
-            samples = [mean_of(still, *both) for both in zip(firsts, counts, strict=True)]
-        else:
-            numbers = rng.integers(len(still.frames), size=BATCH)
-            samples = [
-                Sample(still.frames[i], still.targets[i], None, still.geometry) for i in numbers
-            ]
-        return concatenate([_crop(sample, extras, rng) for sample in samples])
-
-    def figure(self, network: Network) -> float:
-        """Mean PSNR in dB after levels against the mean of the other frames; more is better."""
-        return self._mean([denoised(network, _shown(one, network)) for one in self.held])
-
-    def noisy_figure(self) -> float:
-        """The figure of the frames as they are."""
-        return self._mean([one.noisy for one in self.held])
-
-    def _mean(self, pictures: Sequence[Image]) -> float:
-        pairs = zip(pictures, self.held, strict=True)
-        return float(
-            np.mean([psnr_after_levels(a, b.clean) for a, b in pairs if b.clean is not None])
-        )
-
-
-def steps_within(minutes: float, network: Network, lesson: Lesson) -> int:
-    """How many steps fit, in whole fifths, by the pace of a few that are thrown away."""
-    tried = module_of(copy.deepcopy(network), 1, 1e-4, 0)
-    device = next(network.parameters()).device
-    started = time.monotonic()
-    for step in range(_TIMED):
-        batch = lesson.crops(step, network.extras)
-        torch.autograd.backward(tried({name: one.to(device) for name, one in batch.items()}))
-    step_s = (time.monotonic() - started) / _TIMED
-    started = time.monotonic()
-    lesson.figure(network)
-    check_s = time.monotonic() - started
-    left_s = 60 * minutes - CHECKS * check_s
-    return max(1, int(left_s / step_s / CHECKS)) * CHECKS
-
-
-def tune(module: AdaptModule, lesson: Lesson, device: torch.device) -> Best:
-    """Fit the network; it ends with the best weights of all checks, in evaluation mode.
-
-    The same seed and number of steps give the same weights.
-    Raises FactoryError when the loss becomes no number, and `Stopped` after Ctrl-C.
-    """
-    network, every = module.network, module.settings.check_every
+    loop = Loop(network, squared_differences, settings, lesson.seed, device, label="adapting")
     before = lesson.figure(network)
-    best = Best(before, before, copy.deepcopy(network.state_dict()))
-    loop = Loop(module, device, label="adapting")
-
-    def batches(interval: int, done: int) -> Iterator[Batch]:
-        for step in range(interval * every + done, (interval + 1) * every):
-            yield lesson.crops(step, network.extras)
+    best: Row = {"step": 0, "before": before, "after": before}
+    kept = copy.deepcopy(network.state_dict())
 
     def check(step: int, loss: float) -> Row:
-        averaged: Any = module.average.module.eval()
-        figure = lesson.figure(averaged)
+        figure = lesson.figure(loop.average)
         loop.bar.set_postfix_str(f"{before:.2f} -> {figure:.2f} dB")
-        if figure > best.after:
-            best.after, best.step = figure, step
-            best.state = copy.deepcopy(averaged.state_dict())
+        if figure > best["after"]:
+            best.update(step=step, after=figure)
+            kept.update(copy.deepcopy(loop.average.state_dict()))
         return {"step": step, "loss": loss, "figure": figure}
 
-    loop.run(batches, check)
-    network.load_state_dict(best.state)
+    loop.run(lambda step: map(lesson.crops, count(step)), check)
+    network.load_state_dict(kept)
     network.eval()
     return best
+
+
+def squared_differences(network: Network, batch: Batch) -> Tensor:
+    """Mean squared difference from the mean of the other frames, where that is known.
+
+    What many noisy targets average to is learned (Lehtinen et al., Noise2Noise, ICML 2018).
+    """
+    known = torch.isfinite(batch["clean"])
+    made = network(batch["noisy"], **known_extras(network, batch))
+    difference = made - torch.nan_to_num(batch["clean"])
+    loss: Tensor = (difference.square() * known).sum() / known.sum().clamp_min(1)
+    return loss
 
 
 def psnr_after_levels(picture: Image, reference: Image) -> float:
@@ -189,7 +132,11 @@ def psnr_after_levels(picture: Image, reference: Image) -> float:
     return float(-10 * np.log10(max(float(np.square(fitted - y).mean()), 1e-10)))
 
 
-def mean_of(still: Still, first: int, count: int) -> Sample:
+def _single(still: Still, number: int) -> Sample:
+    return Sample(still.frames[number], still.targets[number], None, still.geometry)
+
+
+def _mean(still: Still, first: int, count: int) -> Sample:
     """The mean of frames that follow each other, towards that of the others of the stretch."""
     noisy, target = still.averaged(first, count)
     frames = np.full(noisy.shape, averaged(count), np.float32)
@@ -212,22 +159,16 @@ def odds_of(stills: Sequence[Still]) -> npt.NDArray[np.float64]:
 
 def _crop(sample: Sample, extras: Sequence[str], rng: np.random.Generator) -> Batch:
     """A batch of one, mirrored or not; drawn again while most of its target is unknown."""
-    assert sample.clean is not None
     height, width = sample.noisy.shape
-    rows, columns = min(height, PATCH), min(width, PATCH)
+    rows, columns = min(height, _PATCH), min(width, _PATCH)
     # Of narrow pictures longer than wide, for as many pixels.
-    if columns < PATCH:
-        rows = min(height, PATCH * PATCH // columns)
-    if rows < PATCH:
-        columns = min(width, PATCH * PATCH // rows)
+    if columns < _PATCH:
+        rows = min(height, _PATCH * _PATCH // columns)
+    if rows < _PATCH:
+        columns = min(width, _PATCH * _PATCH // rows)
     for _ in range(_TRIES):
         top = int(rng.integers(height - rows + 1))
         left = int(rng.integers(width - columns + 1))
         if np.isfinite(sample.clean[top : top + rows, left : left + columns]).mean() > _LEAST_KNOWN:
             break
     return crop(sample, (top, left), (rows, columns), bool(rng.random() < 0.5), extras)
-
-
-def _shown(sample: Sample, network: Network) -> Batch:
-    shown = Sample(sample.noisy, geometry=sample.geometry, frames=sample.frames)
-    return whole_image(shown, network.extras)

@@ -1,33 +1,41 @@
-"""The one loop of training, distilling and adapting: steps, checks, a wish to stop, the device."""
+"""The one loop of training and adapting: steps, their average, checks, and a wish to stop."""
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
-from dataclasses import dataclass, field
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel
 
 from ...factory.errors import FactoryError
 from ...factory.progress import progress_bar
 from ...factory.seeds import stream
 from ..data.pairs import Batch
-from .module import DenoisingModule, Row
+from ..networks.network import Network, known_extras
+from ..networks.weights import channels_last
+from ..settings import TrainSettings
 
 SAVE_EVERY_S = 120.0
 """Time between two checkpoints, seconds, where checks are further apart."""
 
-Batches = Callable[[int, int], Iterator[Batch]]
-"""(number of the interval, steps of it that are done) -> the batches of its other steps."""
+Row = dict[str, float | int]
+Objective = Callable[[Network, Batch], Tensor]
+"""The loss of a batch of crops, differentiable in the weights of the network."""
+Batches = Callable[[int], Iterator[Batch]]
+"""Steps done -> the batches of those up to the next check."""
 Check = Callable[[int, float], Row]
 """(steps done, mean loss since the last check) -> what was measured."""
 
@@ -43,122 +51,173 @@ class Stopped(KeyboardInterrupt):
         self.said, self.exit_code = said, 128 + number
 
 
-@dataclass
-class Progress:
-    """What a checkpoint holds beside the module and its optimizer.
-
-    step: steps done.  rows: of the checks done.  losses: of the steps since the last check.
-    drawn: state of torch's random numbers.
-    """
-
-    step: int = 0
-    rows: list[Row] = field(default_factory=list)
-    losses: list[Tensor] = field(default_factory=list)
-    drawn: Tensor | None = None
-
-
 class Loop:
-    """Takes the steps that a module's settings say and checks it every `check_every` of them.
+    """Takes the steps that the settings say and checks `average` every `check_every` of them.
 
+    average: the network with the running average of its weights, in evaluation mode.
+    step: steps done.  rows: of the checks done.
     save: keeps `state()` on disk; called after every check, every `SAVE_EVERY_S` seconds, and when
     the loop is stopped by Ctrl-C or SIGTERM; None keeps nothing.
     """
 
     def __init__(
         self,
-        module: DenoisingModule,
+        network: Network,
+        objective: Objective,
+        settings: TrainSettings,
+        seed: int,
         device: torch.device,
         *,
         label: str = "training",
         save: Callable[[], None] | None = None,
     ) -> None:
-        self.module, self.device, self.label, self.save = module.to(device), device, label, save
-        self.steps, self.check_every = module.settings.steps, module.settings.check_every
-        self.progress = Progress()
+        self.network, self.objective = channels_last(network).to(device), objective
+        self.settings, self.seed, self.device = settings, seed, device
+        self.label, self.save = label, save
+        self._is_mixed = settings.precision == "bf16-mixed"
+        self._averaged = AveragedModel(network, multi_avg_fn=running_average(settings.ema))
+        self.average = cast(Network, self._averaged.requires_grad_(False).eval().module)
+        self.step = 0
+        self.rows: list[Row] = []
+        self._losses: list[Tensor] = []  # since the last check
+        self._drawn: Tensor | None = None  # state of torch's random numbers
         self.bar: Any = None
-        self._asked = _Signals()
+        self._asked = 0  # the signal that asked to stop
         # The same steps give the same weights, as far as the device has such kernels.
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
-        self._optimizer = module.make_optimizer()
+        self._optimizer = torch.optim.AdamW(
+            network.parameters(),
+            lr=settings.learning_rate,
+            betas=(0.9, 0.99),
+            weight_decay=settings.weight_decay,
+        )
 
     def run(self, batches: Batches, check: Check) -> None:
         """Go on to the last step.
 
         Raises Stopped, FactoryError where the loss becomes no number, and what the calls raise.
         """
-        done = self.progress
-        self.bar = progress_bar(total=self.steps, initial=done.step, unit="step", desc=self.label)
-        with self._asked, closing(self.bar):
-            while len(done.rows) * self.check_every < self.steps:
-                self._steps(batches, len(done.rows))
-                loss = float(torch.stack(done.losses).mean())
-                done.rows.append(check(done.step, loss))
-                done.losses, done.drawn = [], None
+        steps = self.settings.steps
+        self.bar = progress_bar(total=steps, initial=self.step, unit="step", desc=self.label)
+        with self._noting_signals(), closing(self.bar):
+            while len(self.rows) * self.settings.check_every < steps:
+                self._steps(batches, len(self.rows))
+                loss = float(torch.stack(self._losses).mean())
+                self.rows.append(check(self.step, loss))
+                self._losses, self._drawn = [], None
                 if self.save is not None:
                     self.save()
 
     def state(self) -> dict[str, Any]:
         """All that going on needs, in types that are loaded without running code."""
-        done = self.progress
         return {
-            "step": done.step,
-            "losses": torch.stack(done.losses).cpu() if done.losses else torch.empty(0),
-            "drawn": torch.get_rng_state() if done.losses else None,
-            "module": self.module.state_dict(),
+            "step": self.step,
+            "rows": self.rows,
+            "losses": torch.stack(self._losses).cpu() if self._losses else torch.empty(0),
+            "drawn": torch.get_rng_state() if self._losses else None,
+            "network": self.network.state_dict(),
+            "average": self._averaged.state_dict(),
             "optimizer": self._optimizer.state_dict(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state` was taken; `rows` of it are those of the checks done then."""
-        losses = list(state["losses"].to(self.device))
-        self.progress = Progress(state["step"], list(state["rows"]), losses, state["drawn"])
-        self.module.load_state_dict(state["module"])
+        """Go on where `state` was taken."""
+        self.step, self.rows, self._drawn = state["step"], list(state["rows"]), state["drawn"]
+        self._losses = list(state["losses"].to(self.device))
+        self.network.load_state_dict(state["network"])
+        self._averaged.load_state_dict(state["average"])
         self._optimizer.load_state_dict(state["optimizer"])
 
-    def moved(self, batch: Batch) -> Batch:
-        """The batch on the device."""
-        return {name: one.to(self.device, non_blocking=True) for name, one in batch.items()}
+    def autocast(self) -> torch.autocast:
+        """The arithmetic of `train.precision`."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self._is_mixed)
+
+    def learning_rate(self) -> float:
+        """Of the next step: a linear warm-up and a cosine decay to zero."""
+        steps, warmup, step = self.settings.steps, self.settings.warmup, self.step
+        done = min(1.0, (step - warmup) / max(1, steps - warmup))
+        cosine = 0.5 * (1 + math.cos(math.pi * done))
+        return self.settings.learning_rate * (
+            (step + 1) / (warmup + 1) if step < warmup else cosine
+        )
+
+    def update(self, batch: Batch) -> Tensor:
+        """One step; returns its loss.  Raises FactoryError when that is not a number."""
+        for group in self._optimizer.param_groups:
+            group["lr"] = self.learning_rate()
+        if self._is_mixed:
+            # In 16 bits from the start, as the weights that ship were trained.
+            batch = {k: v.bfloat16() if v.is_floating_point() else v for k, v in batch.items()}
+        with self.autocast():
+            loss = self.objective(self.network, batch).float()
+        if not torch.isfinite(loss):
+            raise FactoryError(
+                f"the loss became {loss.item()} at step {self.step}; lower train.learning_rate, "
+                "or check the dataset for odd values"
+            )
+        self._optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.clip)
+        self._optimizer.step()
+        self._averaged.update_parameters(self.network)
+        return loss.detach()
 
     def stop_if_asked(self) -> None:
         """Raise Stopped after Ctrl-C or SIGTERM, with what was done kept; also for long checks."""
-        number = self._asked.number
-        if not number:
+        if not self._asked:
             return
-        if self.save is None:
-            raise Stopped("interrupted; nothing was written", number)
-        self.save()
-        raise Stopped(
-            f"interrupted after step {self.progress.step} of {self.steps}, which is kept; run "
-            "again to go on",
-            number,
-        )
+        said = "interrupted; nothing was written"
+        if self.save is not None:
+            self.save()
+            said = f"interrupted after step {self.step} of {self.settings.steps}, which is kept"
+            said += "; run again to go on"
+        raise Stopped(said, self._asked)
+
+    @contextmanager
+    def _noting_signals(self) -> Iterator[None]:
+        """Notes Ctrl-C and SIGTERM, which must not cut a step; a second one ends the program."""
+
+        def note(number: int, _: FrameType | None) -> None:
+            if self._asked:
+                said = "interrupted at once; the last checkpoint is kept, if there is one"
+                raise Stopped(said, number)
+            self._asked = number
+
+        is_main = threading.current_thread() is threading.main_thread()
+        wished = (signal.SIGINT, signal.SIGTERM) if is_main else ()
+        before = {number: signal.signal(number, note) for number in wished}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def _steps(self, batches: Batches, interval: int) -> None:
         """The steps of an interval that are left."""
-        done, end = self.progress, (interval + 1) * self.check_every
-        if done.step == end:
+        end = (interval + 1) * self.settings.check_every
+        if self.step == end:
             return
         saved_s = time.monotonic()
-        self.module.train()
-        number = int(stream(self.module.seed, "torch", interval).integers(2**62))
+        self.network.train()
+        number = int(stream(self.seed, "torch", interval).integers(2**62))
         if interval:
             torch.manual_seed(number)
-        left = batches(interval, done.step - interval * self.check_every)
+        left = batches(self.step)
         if not interval:  # here the loader has drawn its own number before, elsewhere after
             torch.manual_seed(number)
-        if done.drawn is not None:
-            torch.set_rng_state(done.drawn)
-        while done.step < end:
+        if self._drawn is not None:
+            torch.set_rng_state(self._drawn)
+        while self.step < end:
             try:
-                batch = self.moved(next(left))
+                batch = next(left)
             except RuntimeError:
                 # A reading process may have been stopped by the same Ctrl-C.
                 self.stop_if_asked()
                 raise
-            self.module.step = done.step
-            done.losses.append(self.module.update(self._optimizer, batch).detach())
-            done.step += 1
+            batch = {name: one.to(self.device, non_blocking=True) for name, one in batch.items()}
+            self._losses.append(self.update(batch))
+            self.step += 1
             self.bar.update()
             self.stop_if_asked()
             if self.save is not None and time.monotonic() - saved_s > SAVE_EVERY_S:
@@ -166,29 +225,24 @@ class Loop:
                 saved_s = time.monotonic()
 
 
-class _Signals:
-    """Notes Ctrl-C and SIGTERM; a second one ends the program at once."""
+def running_average(decay: float) -> Callable[..., None]:
+    """Exponential average of parameters; short at first, when weights change fast."""
 
-    def __init__(self) -> None:
-        self.number = 0
-        self._before: dict[int, Any] = {}
+    @torch.no_grad()
+    def update(average: list[Tensor], current: list[Tensor], count: Tensor | int) -> None:
+        keep = min(decay, (1 + int(count)) / (10 + int(count)))
+        torch._foreach_lerp_(average, current, 1 - keep)
 
-    def __enter__(self) -> _Signals:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
-        return self
+    return update
 
-    def __exit__(self, *_: object) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before)
 
-    def _note(self, number: int, _: FrameType | None) -> None:
-        if self.number:
-            raise Stopped(
-                "interrupted at once; the last checkpoint is kept, if there is one", number
-            )
-        self.number = number
+def denoised(network: Network, batch: Batch) -> npt.NDArray[np.float32]:
+    """(H, W) float32 in 0..1: the image of a batch of one, denoised and clipped."""
+    device = next(network.parameters()).device
+    known = {name: one.to(device) for name, one in known_extras(network, batch).items()}
+    with torch.inference_mode():
+        image = network(batch["noisy"].to(device), **known)
+    return np.asarray(image[0, 0].float().clamp(0, 1).cpu().numpy(), np.float32)
 
 
 def device_of(asked: str, key: str = "device=") -> torch.device:
@@ -209,14 +263,9 @@ def precision_of(asked: str, device: torch.device) -> str:
 
 
 def has_bf16(device: torch.device) -> bool:
-    """Whether the device has instructions for bfloat16; False where that is not known.
-
-    Emulated it is slower than float32.
-    """
+    """Whether the device has instructions for bfloat16, which is slow where it is emulated."""
     if device.type != "cpu":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    try:
-        words = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split()
-    except OSError:
-        return False
+    flags = Path("/proc/cpuinfo")
+    words = flags.read_text(encoding="utf-8", errors="replace").split() if flags.exists() else []
     return "avx512_bf16" in words or "amx_bf16" in words

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import os
 import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,28 +19,29 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import yaml
-from torch import nn
+from torch import Tensor
 from torch.utils.data import DataLoader
 
+from ...factory.dataset.quality import psnr_db, ssim
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of, write_atomically
+from ...factory.settings import build
 from .. import WEIGHTS_NAME
 from ..data.crops import Crops, KeptSource, VisitSampler, concatenate, whole_image
-from ..data.pairs import Batch, Data, distant_places
+from ..data.pairs import Batch, Data, Image, spread
 from ..data.sources import open_data
-from ..losses import build_loss
+from ..losses import Loss
 from ..networks import build_network
+from ..networks.network import Network, known_extras
 from ..networks.weights import load_weights, save_weights
 from ..pretrained import find_weights
-from ..settings import ModelsSettings, RendersData
-from .loop import Loop, device_of, precision_of
-from .module import DenoisingModule, Row, Teacher, denoised
+from ..settings import ModelsSettings, RenderedData
+from .loop import Loop, Row, denoised, device_of, precision_of
 
 CHECKPOINT_NAME = "checkpoint.ckpt"
-_FORMAT = "simnfnd-checkpoint/3"
-_GAP = 4
-
-_SHOWN = 4
+_FORMAT = "simnfnd-checkpoint/4"
+_FIGURES = ("psnr_noisy", "psnr", "ssim_noisy", "ssim")
+_GAP, _SHOWN = 4, 4  # pixels between the images of samples.png, and its rows
 
 
 def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
@@ -60,13 +61,6 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     recipe = _recipe(settings, data)
     check_writable(out, "out")
     checkpoint = _checkpoint(out, recipe, settings)
-    torch.manual_seed(settings.seed)
-    module = build_module(settings)
-    count = len(data.validation)
-    shown = [
-        whole_image(data.validation.sample(i * count // min(_SHOWN, count), None), module.extras)
-        for i in range(min(_SHOWN, count))
-    ]
     rows: list[Row] = checkpoint["rows"] if checkpoint else []
     if rows and rows[-1]["step"] == settings.train.steps:
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
@@ -75,10 +69,15 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         values = {**config, "train": {**config["train"], "precision": precision}}
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
         write_atomically(out / "config.yaml", text.encode())
-        rows = _fit(module, recipe, checkpoint, settings, device, data)
+        rows = _fit(recipe, checkpoint, settings, device, data)
     network = load_weights(out / WEIGHTS_NAME).network
-    sheet = cv2.imencode(".png", contact_sheet(network, shown))[1]
-    write_atomically(out / "samples.png", sheet.tobytes(), durable=False, key="out")
+    numbers = spread(tuple(range(len(data.validation))), _SHOWN)
+    shown = [data.validation.sample(number, None) for number in numbers]
+    images = [
+        [one.noisy, denoised(network, whole_image(one, network.extras)), one.clean] for one in shown
+    ]
+    sheet = cv2.imencode(".png", contact_sheet(images))[1].tobytes()
+    write_atomically(out / "samples.png", sheet, durable=False, key="out")
     return best_row(rows)
 
 
@@ -87,11 +86,9 @@ def output_folder(settings: ModelsSettings) -> Path:
     return Path(settings.out or Path("outputs", "models", settings.name)).expanduser()
 
 
-def build_module(settings: ModelsSettings) -> DenoisingModule:
-    """The network as training begins, and the way to train it.
-
-    Raises FactoryError where the network and `start` or `train.teacher` do not fit.
-    """
+def begun(settings: ModelsSettings) -> Network:
+    """The network as training begins.  Raises FactoryError where it does not fit `start`."""
+    torch.manual_seed(settings.seed)
     network = build_network(settings.model)
     if settings.start is not None:
         trained = load_weights(find_weights(settings.start))
@@ -102,15 +99,51 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
                 f"start={settings.start}: holds {dict(trained.model)}, and model says "
                 f"{dict(settings.model)}; give both the same sizes"
             ) from error
-    loss, chosen = build_loss(settings.loss), settings.train
-    teacher = None
-    if chosen.teacher is not None:
-        teacher = Teacher(find_weights(chosen.teacher), chosen.teacher_share)
-    return DenoisingModule(network, loss, chosen, settings.seed, teacher)
+    return network
+
+
+def taught_loss(
+    network: Network, batch: Batch, loss: Loss, teacher: Network | None = None
+) -> Tensor:
+    """The loss of a batch; parts of its targets are what a teacher makes of it.
+
+    The pictures of trained weights as targets (Hinton et al. 2015, for pictures): what a small
+    network cannot do shows as noise in the gradients when it learns from clean pictures alone; the
+    pictures of a larger one are nearer to what it can do.
+    """
+    prediction, heads = _predicted(network, batch)
+    batch = completed(batch | heads, prediction, teacher)
+    return loss(prediction, batch["clean"], batch)
+
+
+def completed(batch: Batch, prediction: Tensor, teacher: Network | None) -> Batch:
+    """The batch with a target everywhere: `taught` of it is the teacher's picture.
+
+    Where nothing is known (NaN) the target is the prediction, which then costs nothing.
+    """
+    clean, batch = batch["clean"], dict(batch)
+    if teacher is not None:
+        with torch.no_grad():
+            image = _predicted(teacher.to(clean.device), batch)[0].to(clean.dtype)
+        mixed = torch.where(clean.isnan(), image, torch.lerp(clean, image, batch["taught"]))
+        clean = torch.where(batch["taught"] > 0, mixed, clean)
+    batch["clean"] = torch.where(clean.isnan(), prediction.detach(), clean)
+    if "shadow_logits" in batch:
+        shadow, seen = batch["shadow"], torch.sigmoid(batch["shadow_logits"].detach())
+        batch["shadow"] = torch.where(shadow.isnan(), seen, shadow)
+    return batch
+
+
+def _predicted(network: Network, batch: Batch) -> tuple[Tensor, Batch]:
+    """The image with its whole change, and the heads' output for the loss."""
+    extras = known_extras(network, batch)
+    if not network.has_heads:
+        return network(batch["noisy"], **extras), {}
+    image, logits, weight = network.with_heads(batch["noisy"], **extras)
+    return image, {"shadow_logits": logits, "weight": weight}
 
 
 def _fit(
-    module: DenoisingModule,
     recipe: Mapping[str, Any],
     checkpoint: Mapping[str, Any] | None,
     settings: ModelsSettings,
@@ -118,31 +151,42 @@ def _fit(
     data: Data,
 ) -> list[Row]:
     """The rows of all checks."""
-    out, started = output_folder(settings), time.monotonic()
+    out, started, network = output_folder(settings), time.monotonic(), begun(settings)
+    teacher, extras = None, network.extras
+    if settings.train.teacher is not None:
+        teacher = load_weights(find_weights(settings.train.teacher)).network.requires_grad_(False)
+        extras = tuple(dict.fromkeys((*extras, *teacher.extras)))
 
     def save() -> None:
         content = io.BytesIO()
-        # As JSON: a checkpoint is loaded without running code of it.
-        words = {"rows": json.dumps(loop.progress.rows), "recipe": json.dumps(dict(recipe))}
-        torch.save({**loop.state(), **words, "format": _FORMAT}, content)
+        torch.save({**loop.state(), "recipe": dict(recipe), "format": _FORMAT}, content)
         write_atomically(out / CHECKPOINT_NAME, content.getvalue(), key="out")
 
-    def batches(interval: int, done: int) -> Iterator[Batch]:
-        visits.begin(interval, done)
+    def batches(step: int) -> Iterator[Batch]:
+        visits.step = step
         return iter(learning)
 
     def check(step: int, loss: float) -> Row:
-        row: Row = {"step": step, "loss": loss, **_measured(loop, module, data)}
-        seconds = time.monotonic() - started
-        row = _kept(out, module, recipe, settings.model, loop.progress.rows, row, seconds)
+        rate, figures = loop.learning_rate(), _measured(loop, data)
+        row = {"step": step, "loss": loss, "learning_rate": rate, **figures}
+        if best_row([*loop.rows, row]) is row:
+            facts = {**recipe, "validation": row}
+            save_weights(out / WEIGHTS_NAME, loop.average, settings.model, facts)
+        row = {**row, "seconds": round(time.monotonic() - started, 1)}
+        text = io.StringIO()
+        writer = csv.DictWriter(text, fieldnames=list(row), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows([*loop.rows, row])
+        write_atomically(out / "metrics.csv", text.getvalue().encode())
         shown = f"loss {loss:.4f}, psnr {row['psnr']:.2f} ({row['gain_db']:+.2f} dB)"
         loop.bar.set_postfix_str(shown)
         return row
 
-    loop = Loop(module, device, save=save)
+    objective = partial(taught_loss, loss=build(Loss, settings.loss, "loss"), teacher=teacher)
+    loop = Loop(network, objective, settings.train, settings.seed, device, save=save)
     if checkpoint is not None:
         loop.restore(checkpoint)
-    learning, visits = _loader(settings, device, data, module)
+    learning, visits = _loader(settings, device, data, extras)
     try:
         loop.run(batches, check)
     except FactoryError as error:
@@ -151,44 +195,7 @@ def _fit(
         raise FactoryError(
             "the GPU has too little memory; lower data.batch or data.patch"
         ) from error
-    return loop.progress.rows
-
-
-def _kept(
-    out: Path,
-    module: DenoisingModule,
-    recipe: Mapping[str, Any],
-    model: Mapping[str, Any],
-    rows: Sequence[Row],
-    row: Row,
-    seconds: float,
-) -> Row:
-    """The whole row of a check, written to metrics.csv; its weights where they are the best.
-
-    rows: of the checks before.  row: step, loss and the figures of the validation.
-    Raises FactoryError where one of these is not a number.
-    """
-    figures = {name: row[name] for name in module.FIGURES}
-    if not all(math.isfinite(value) for value in figures.values()):
-        raise FactoryError(
-            f"the network returns NaN at step {row['step']}; lower train.learning_rate"
-        )
-    step = int(row["step"])
-    row = {
-        **{"step": step, "loss": row["loss"], "learning_rate": module.learning_rate(step)},
-        **figures,
-        "gain_db": row["psnr"] - row["psnr_noisy"],
-    }
-    if best_row([*rows, row]) is row:
-        facts = {**recipe, "validation": row}
-        save_weights(out / WEIGHTS_NAME, module.average.module, model, facts)
-    row = {**row, "seconds": round(seconds, 1)}
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(row), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows([*rows, row])
-    write_atomically(out / "metrics.csv", text.getvalue().encode())
-    return row
+    return loop.rows
 
 
 def best_row(rows: Sequence[Row]) -> Row:
@@ -202,7 +209,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         if content["format"] != _FORMAT:
             raise ValueError(content["format"])
-        return {**content, **{name: json.loads(content[name]) for name in ("recipe", "rows")}}
+        return content
     except Exception as error:
         # torch reports a damaged file with a dozen exception types.
         raise FactoryError(
@@ -210,20 +217,29 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _measured(loop: Loop, module: DenoisingModule, data: Data) -> dict[str, float]:
-    """Means of the figures over the validation images, one at a time: whole and of any size."""
-    module.eval()
+def _measured(loop: Loop, data: Data) -> dict[str, float]:
+    """Means of the figures over the validation images, one at a time: whole and of any size.
+
+    Raises FactoryError where one of these is not a number.
+    """
     found = []
-    with torch.inference_mode(), module.autocast():
-        for index in range(len(data.validation)):
-            batch = whole_image(data.validation.sample(index, None), module.network.extras)
-            found.append(module.measure(loop.moved(batch)))
-            loop.stop_if_asked()
-    return {name: sum(row[name] for row in found) / len(found) for name in module.FIGURES}
+    for index in range(len(data.validation)):
+        sample = data.validation.sample(index, None)
+        with loop.autocast():
+            made = denoised(loop.average, whole_image(sample, loop.average.extras))
+        images = (sample.noisy, made)
+        found.append([measure(sample.clean, one) for measure in (psnr_db, ssim) for one in images])
+        loop.stop_if_asked()
+    means = dict(zip(_FIGURES, np.mean(found, axis=0).tolist(), strict=True))
+    if not all(math.isfinite(value) for value in means.values()):
+        raise FactoryError(
+            f"the network returns NaN at step {loop.step}; lower train.learning_rate"
+        )
+    return {**means, "gain_db": means["psnr"] - means["psnr_noisy"]}
 
 
 def _loader(
-    settings: ModelsSettings, device: torch.device, data: Data, module: DenoisingModule
+    settings: ModelsSettings, device: torch.device, data: Data, extras: tuple[str, ...]
 ) -> tuple[DataLoader[Batch], VisitSampler]:
     """What training reads from, and which visits it asks for."""
     kind, cores = settings.data, os.cpu_count() or 1
@@ -231,7 +247,7 @@ def _loader(
         workers = kind.workers
     elif device.type == "cpu":
         # A network keeps every core busy, unless pairs have to be made for it.
-        workers = 1 if isinstance(kind, RendersData) and cores > 1 else 0
+        workers = 1 if isinstance(kind, RenderedData) and cores > 1 else 0
     else:
         workers = min(8, max(1, cores - 1))
     shared: dict[str, Any] = {"num_workers": workers, "pin_memory": device.type != "cpu"}
@@ -239,11 +255,10 @@ def _loader(
         # spawn: a fork would copy HDF5's and torch's threads in whatever state they are.
         shared |= {"multiprocessing_context": "spawn", "persistent_workers": True}
         shared["worker_init_fn"] = _leave_ctrl_c
-    reuse = kind.reuse if isinstance(kind, RendersData) else 1
-    source = KeptSource(data.learning) if reuse > 1 else data.learning
-    crops = Crops(source, crops=kind.crops, seed=settings.seed, extras=module.extras)
-    steps, places = settings.train.check_every, distant_places(data.learning)
-    visits = VisitSampler(len(data.learning), kind, steps, settings.seed, places)
+    source = KeptSource(data.learning) if kind.reuse > 1 else data.learning
+    crops = Crops(source, kind, settings.seed, extras)
+    steps, places = settings.train.check_every, data.learning.places
+    visits = VisitSampler(len(source), kind, steps, settings.seed, places)
     return DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared), visits
 
 
@@ -281,12 +296,10 @@ def _checkpoint(
 
 def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     """Key -> value, as JSON would give it back."""
-    # How many processes read, and where the images lie, decides nothing.
-    unimportant = ("workers", "pack", "cache", "folder", "geometry")
     groups = {
-        "model": dict(settings.model),
-        "loss": dict(settings.loss),
-        "data": {k: v for k, v in asdict(settings.data).items() if k not in unimportant},
+        "model": settings.model,
+        "loss": settings.loss,
+        "data": asdict(settings.data),
         "train": asdict(settings.train),
     }
     flat = {
@@ -294,33 +307,27 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
         for group, keys in groups.items()
         for key, value in keys.items()
     }
+    # How many processes read, and where the images lie, decides nothing.
+    for key in ("data.workers", "data.pack", "data.folder", "data.geometry", "train.teacher"):
+        flat.pop(key, None)
     # By content, where there is any.
-    if settings.train.teacher is None:
-        del flat["train.teacher"], flat["train.teacher_share"]
-    else:
-        flat["train.teacher"] = sha256_of(find_weights(settings.train.teacher))[:16]
-    if settings.start is not None:
-        flat["start"] = sha256_of(find_weights(settings.start))[:16]
+    for key, weights in (("train.teacher", settings.train.teacher), ("start", settings.start)):
+        if weights is not None:
+            flat[key] = sha256_of(find_weights(weights))[:16]
     return {**flat, "seed": settings.seed, **data.facts}
 
 
 def _innermost(error: FactoryError) -> str:
     """The message itself; a reading process wraps it in the text of its traceback."""
     last = str(error).strip().splitlines()[-1]
-    name = f"{FactoryError.__module__}.{FactoryError.__qualname__}: "
-    return last.removeprefix(name)
+    return last.removeprefix(f"{FactoryError.__module__}.{FactoryError.__qualname__}: ")
 
 
-def contact_sheet(network: nn.Module, batches: Sequence[Batch]) -> npt.NDArray[np.uint8]:
-    """(H, W) uint8: noisy | denoised (| clean), one row a batch of one, all of the first's size."""
-    lines: list[npt.NDArray[np.float32]] = []
-    for batch in batches:
-        known = [batch[name][0, 0].numpy() for name in ("noisy", "clean") if name in batch]
-        images = [known[0], denoised(network, batch), *known[1:]]
-        gap = np.full((len(images[0]), _GAP), 0.5, np.float32)
-        line = np.concatenate([part for image in images for part in (gap, image)][1:], axis=1)
-        width = lines[0].shape[1] if lines else line.shape[1]
-        line = np.pad(line[:, :width], ((0, 0), (0, max(0, width - line.shape[1]))))
-        lines += [np.full((_GAP, width), 0.5, np.float32), line]
-    sheet = np.concatenate(lines[1:])
-    return np.asarray(np.rint(np.clip(sheet, 0, 1) * 255), dtype=np.uint8)
+def contact_sheet(rows: Sequence[Sequence[Image]]) -> npt.NDArray[np.uint8]:
+    """(H, W) uint8 of rows of images (h, w) float32 in 0..1, those of a row of one height."""
+    framed = [
+        np.hstack([np.pad(one, (0, _GAP), constant_values=0.5) for one in row]) for row in rows
+    ]
+    width = max(line.shape[1] for line in framed)
+    sheet = np.vstack([np.pad(line, ((0, 0), (0, width - line.shape[1]))) for line in framed])
+    return np.asarray(np.rint(np.clip(sheet[:-_GAP, :-_GAP], 0, 1) * 255), np.uint8)

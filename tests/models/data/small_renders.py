@@ -14,9 +14,11 @@ from simnfnd.factory.cli.generate import run
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.settings import build
 from simnfnd.factory.views import CachedViews
-from simnfnd.models.data.pairs import PairSource, Source, hold_out, read_table
-from simnfnd.models.data.renders import DeviceSource, RenderSource, open_renders
-from simnfnd.models.settings import DATA, ModelsSettings, RendersData
+from simnfnd.models.data.pairs import Source
+from simnfnd.models.data.renders import DeviceSource, RenderSource
+from simnfnd.models.data.sources import open_data
+from simnfnd.models.data.time_stacks import MixedSource
+from simnfnd.models.settings import DataSettings, ModelsSettings
 
 WORDS = (
     *("experiment=simnfnd", "scenes=seabed", "scenes.locations=4", "scenes.frames_per_location=1"),
@@ -42,26 +44,24 @@ def rendered_dataset(folder: Path) -> tuple[Path, Path]:
 
 def renders(rendered: tuple[Path, Path], **changes: Any) -> RenderSource:
     """The dataset's own device and noise."""
-    source = _opened(rendered, (), changes)
+    source = _opened(rendered, "renders", changes)
     assert isinstance(source, RenderSource)
     return source
 
 
 def drawn_devices(rendered: tuple[Path, Path], **changes: Any) -> DeviceSource:
     """Drawn devices on the same renders."""
-    source = _opened(rendered, ("data.experiment=any_sonar",), changes)
-    assert isinstance(source, DeviceSource)
-    return source
+    source = _opened(rendered, "mixed", changes)
+    assert isinstance(source, MixedSource)
+    assert isinstance(source.devices, DeviceSource)
+    return source.devices
 
 
-def _opened(rendered: tuple[Path, Path], words: tuple[str, ...], changes: dict[str, Any]) -> Source:
-    settings, _ = composed("data=renders", *words)
-    assert isinstance(settings.data, RendersData)
-    data = replace(settings.data, **{"pack": str(rendered[1]), **changes})
-    table = read_table(rendered[0], "train")
-    _, held = hold_out(table.samples, 0.3, 0)
-    shown = PairSource(held, table.sonar)
-    return open_renders(data, table, held, shown, str(rendered[0]), seed=5).learning
+def _opened(rendered: tuple[Path, Path], kind: str, changes: dict[str, Any]) -> Source:
+    given = {"pack": str(rendered[1]), "validation": 0.3, **changes}
+    settings, _ = composed(f"data={kind}", f"dataset.dir='{rendered[0]}'", "data.patch=32")
+    data = replace(settings.data, **given)
+    return open_data(replace(settings, data=data, seed=5)).learning
 
 
 SMALL = (
@@ -71,10 +71,8 @@ SMALL = (
 )
 
 
-def data_settings(kind: str = "pairs", **changes: Any) -> Any:
-    with initialize_config_module("simnfnd.conf", version_base="1.3"):
-        values: Any = OmegaConf.to_container(compose("models", [f"data={kind}"]).data)
-    return build(DATA[kind], {**values, **changes})
+def data_settings(kind: str = "pairs", **changes: Any) -> DataSettings:
+    return replace(composed(f"data={kind}")[0].data, **changes)
 
 
 def composed(*words: str) -> tuple[ModelsSettings, dict[str, Any]]:

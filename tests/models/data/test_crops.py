@@ -16,7 +16,6 @@ from simnfnd.models.data.pairs import (
     hold_out,
     read_table,
 )
-from simnfnd.models.settings import RendersData
 from tests.models.data.small_renders import data_settings
 from tests.small_dataset import write_dataset
 
@@ -45,15 +44,14 @@ def test_validation_shares_no_scene_with_training(dataset: Path) -> None:
 def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None:
     table = read_table(dataset, "train")
     samples = table.samples
-    crops = Crops(PairSource(samples, None), crops=4, seed=0)
+    crops = Crops(PairSource(samples, None), data_settings(crops=4, patch=20), 0)
     whole = PairSource(samples, None).sample(3, None)
-    assert whole.clean is not None
     assert whole.shadow is not None
     images = whole.noisy, whole.clean, whole.shadow
     windows, mirrored = set(), set()
     views = np.lib.stride_tricks.sliding_window_view(np.stack(images), (3, 20, 20))[0]
     for number in range(10):
-        batch = crops[Visit(number, 3, 0, 20)]
+        batch = crops[Visit(number, 3, 0)]
         assert batch["noisy"].shape == (4, 1, 20, 20)
         cuts = np.concatenate([batch[name].numpy() for name in ("noisy", "clean", "shadow")], 1)
         for row in cuts:
@@ -75,7 +73,7 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
 
     def batches(workers: int) -> list[torch.Tensor]:
         loader = DataLoader(
-            Crops(PairSource(samples, None, weaker=0.5), seed=0),
+            Crops(PairSource(samples, None, weaker=0.5), data, 0),
             batch_sampler=VisitSampler(len(samples), data, 3, seed=0),
             collate_fn=concatenate,
             num_workers=workers,
@@ -88,18 +86,14 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
 
 
 def test_the_sampler_goes_on_where_it_was_interrupted() -> None:
-    data = data_settings(kind="renders", batch=4, crops=2, reuse=3)
-    assert isinstance(data, RendersData)
-    whole = VisitSampler(7, data, steps=5, seed=1)
+    data = data_settings(batch=4, crops=2, reuse=3)
+    whole = VisitSampler(7, data, every=5, seed=1)
     steps = []
-    for interval in range(6):
-        whole.begin(interval, 0)
+    for whole.step in range(0, 30, 5):
         steps += list(whole)
-    later = VisitSampler(7, data, steps=5, seed=1)
-    later.begin(4, 0)
-    assert list(later) == steps[20:25]
-    later.begin(4, 2)
-    assert list(later) == steps[22:25]
+    later = VisitSampler(7, data, every=5, seed=1)
+    for later.step in (20, 22):
+        assert list(later) == steps[later.step : 25]
     visits = [visit for step in steps for visit in step]
     assert [visit.number for visit in visits] == list(range(60))
     shown = {(visit.image, visit.round) for visit in visits}

@@ -148,7 +148,6 @@ def test_configs_are_those_of_the_registry() -> None:
     assert found == set(KINDS) == set(TINY)
     for kind, config in SHIPPED.items():
         assert config["kind"] == kind
-        place, name = NETWORKS[kind]
-        module = import_module(f"simnfnd.models.networks.{place}")
-        fields = getattr(module, f"{name}Settings").__dataclass_fields__
+        module = import_module(f"simnfnd.models.networks.{kind}")
+        fields = getattr(module, f"{NETWORKS[kind]}Settings").__dataclass_fields__
         assert set(config) == set(fields)

@@ -13,10 +13,7 @@ from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.models.networks import DEFAULT, vector
 from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.sonarnet import (
-    SonarNet,
-    polar_grid,
-)
+from simnfnd.models.networks.sonarnet import SonarNet, polar_grid, sampled
 from tests.models.networks.tiny_networks import stirred, tiny
 
 
@@ -114,7 +111,7 @@ def test_the_polar_grid_is_the_factorys() -> None:
     polar, fan, maps = fan_and_polar()
     grid = polar_grid(**maps, fan=None)
     assert grid is not None
-    seen = grid.polar(fan)
+    seen = sampled(fan, grid.to_polar)
     # Away from the edges, where the fan ends between two pixels.
     inner = np.s_[..., 4:-4, 4:-4]
     assert (seen - polar)[inner].abs().max() < 0.02

@@ -82,7 +82,7 @@ def test_unusable_datasets_are_refused(tmp_path: Path) -> None:
 
 def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
     for arguments, words in (
-        ((), "dataset: give the folder"),
+        ((), "dataset: data=pairs needs the folder"),
         (("dataset=nowhere", "modle=nafnet"), "modle"),
     ):
         done = subprocess.run(
