@@ -40,6 +40,7 @@ from .base import (
 )
 from .palettes import grey_of_colours
 
+_FORMAT: Any = np.lib.format  # whose functions are not typed
 LEAST_SIDE_PX = 16  # smaller arrays are tables: poses, matrices, bearings
 _COLOURS = ((1,), (3,), (4,))
 # MATLAB's class -> dtype; the others (logical, char, cell, struct, sparse) are no pictures.
@@ -226,13 +227,12 @@ def _may_be_pictures(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
 
 def _members(path: Path) -> Iterator[tuple[str, tuple[int, ...], np.dtype[Any]]]:
     """(name, shape, dtype) of the arrays in a .npz file."""
-    formats: Any = np.lib.format  # whose functions are not typed
     with ZipFile(path) as archive:
         for name in archive.namelist():
             if name.endswith(ARRAY_SUFFIX):
                 with archive.open(name) as stream:
-                    version = "1_0" if formats.read_magic(stream) == (1, 0) else "2_0"
-                    shape, _, dtype = getattr(formats, f"read_array_header_{version}")(stream)
+                    version = "1_0" if _FORMAT.read_magic(stream) == (1, 0) else "2_0"
+                    shape, _, dtype = getattr(_FORMAT, f"read_array_header_{version}")(stream)
                 yield name.removesuffix(ARRAY_SUFFIX), shape, dtype
 
 
@@ -268,7 +268,7 @@ def _load(path: Path, name: str) -> Samples:
         return np.asarray(np.moveaxis(array, -1, 0) if is_stack else array)
     if suffix == ".npz":
         with ZipFile(path) as archive, archive.open(name + ARRAY_SUFFIX) as stream:
-            return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+            return np.asarray(_FORMAT.read_array(stream, allow_pickle=False))
     return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
 
 
@@ -278,8 +278,9 @@ def write_array(file: IO[bytes], pictures: Iterable[Samples], like: Samples) -> 
     pictures: (H, W) or (H, W, colours) in BGR order.  Raises OSError.
     """
     dtype = like.dtype.newbyteorder("=")
-    write_header: Any = np.lib.format.write_array_header_1_0  # is not typed
-    write_header(file, {"descr": dtype.str, "fortran_order": False, "shape": like.shape})
+    _FORMAT.write_array_header_1_0(
+        file, {"descr": dtype.str, "fortran_order": False, "shape": like.shape}
+    )
     for picture in pictures:
         file.write(np.ascontiguousarray(swapped(picture), dtype).tobytes())
 

@@ -229,7 +229,7 @@ def test_pose_of_the_sonar(written):
     moved = pose_row(labelled(**PLACE), mount)
     assert moved["sonar.x_m"] == pytest.approx(2 + C + 0.25 * S)
     assert moved["sonar.y_m"] == pytest.approx(5.5)
-    assert moved["sonar.heading_deg"] > 25
+    assert float(moved["sonar.heading_deg"]) > 25
     unknown = pose_row(ground_and_post(), Mount())
     assert np.isnan(list(unknown.values())).all()
 
