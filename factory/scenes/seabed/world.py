@@ -12,9 +12,10 @@ from ...seeds import stream
 from . import things
 from .camera import Objects
 from .meshes import Mesh, mesh, rotation
-from .own_objects import OwnObject
 from .terrain import WORLD_SEED, Draws, Look, Place, PlaceName, Points, Terrain, Waves, catalogue
 
+Own = tuple[str, tuple[int, int], tuple[float, float], tuple[float, float], Mesh]
+"""Objects of the user's: class, least and most in a place, of tilt (degrees) and burial; mesh."""
 _VIEWS = 10  # own objects lie before the first so many views of a path, where cameras pass
 _AHEAD_M = 1.5
 _TURN = 2 * np.pi
@@ -117,7 +118,7 @@ class World:
 
     def __init__(
         self, location: int, places: tuple[PlaceName, ...], density: float,
-        kinds: Iterable[str] | None, own: Sequence[tuple[OwnObject, Mesh]] = (),
+        kinds: Iterable[str] | None, own: Sequence[Own] = (),
     ) -> None:  # fmt: skip
         self.location = location
         place = catalogue()["places"][places[location % len(places)]]
@@ -134,7 +135,7 @@ class World:
         self._furnish(density, kinds)
         self.first_own = 1 + sum(kind is not None for _, kind in self._items)
         self._place_own(own)
-        classes = class_names(settings.label for settings, _ in own)
+        classes = class_names(label for label, *_ in own)
         # An empty mesh has no shape: one triangle far below the ground.
         items = self._items or [(mesh(np.eye(3) - [0, 0, 1e4], [[0, 1, 2]]), None)]
         labels = np.array([classes.index(kind) if kind else 0 for _, kind in items], np.uint8)
@@ -165,16 +166,16 @@ class World:
         rng = self._draw_from("pebbles")
         self._lay_pebbles(round(rng.uniform(*place["pebbles"]) * min(density, 1.0)))
 
-    def _place_own(self, own: Sequence[tuple[OwnObject, Mesh]]) -> None:
+    def _place_own(self, own: Sequence[Own]) -> None:
         """Put the user's objects beside the part of the path that views show."""
         first = self.path.start_m + _AHEAD_M
         self._stretch_m = first, first + _VIEWS * self.path.step_m
-        for number, (settings, solid) in enumerate(own):
+        for number, (label, (least, most), tilt_deg, burial, solid) in enumerate(own):
             rng = self._draw_from("own", number)
-            for _ in range(int(rng.integers(settings.per_place[0], settings.per_place[1] + 1))):
-                angle, toward = np.deg2rad(rng.uniform(*settings.tilt_deg)), rng.uniform(0, _TURN)
+            for _ in range(int(rng.integers(least, most + 1))):
+                angle, toward = np.deg2rad(rng.uniform(*tilt_deg)), rng.uniform(0, _TURN)
                 turned = solid.turned("zyzz", toward, angle, -toward, rng.uniform(0, _TURN))
-                self._put(turned.standing(), settings.label, settings.burial)
+                self._put(turned.standing(), label, burial)
 
     def _draw_from(self, *name: str | int) -> Draws:
         self._rng = stream(WORLD_SEED, "seabed", self.location, *name)
