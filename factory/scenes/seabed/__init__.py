@@ -10,16 +10,16 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from ...errors import FactoryError
 from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
 from ..base import Discovery, OwnClass, Root, SceneSettings
 from .camera import camera as optics_of
 from .camera import movements
-from .own_objects import OwnObject
 from .terrain import PLACE_NAMES, PlaceName
 
 if TYPE_CHECKING:
@@ -28,8 +28,53 @@ if TYPE_CHECKING:
 
 GENERATOR = 2
 """Version of the frames: changes with their bytes, and is part of the names of cached renders."""
+_LARGEST_M = 15.0  # of own objects; what is larger is in millimetres
+_Share = Annotated[float, Field(ge=0, le=1)]
+_Count = Annotated[int, Field(ge=0, le=200)]
 _LAST = 10_000  # names have four digits and sort as numbers do
 _HELD = 2  # a location takes a second to build and tens of megabytes
+
+
+@dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
+class OwnObject(OwnClass):
+    """An entry of `scenes.own_objects`; see also `OwnClass`.
+
+    file: .glb, .gltf, .obj, .ply, .stl or .blend; its z (of .glb: y) points up.
+    per_place: least and most of them in a place.  scale: metres per unit of the file.
+    burial: least and most of its height in the ground.  tilt_deg: likewise, from upright.
+    colour: albedo (red, green, blue; 0 to 1) instead of the mesh's own colours and textures.
+    """
+
+    file: Root
+    per_place: tuple[_Count, _Count] = (0, 1)
+    scale: Annotated[float, Field(gt=0)] = 1.0
+    burial: tuple[_Share, _Share] = (0.02, 0.18)
+    tilt_deg: tuple[float, float] = (0.0, 10.0)
+    colour: tuple[_Share, _Share, _Share] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("per_place", "burial", "tilt_deg"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name}: give the least first, then the most")
+
+    def read(self, key: str) -> tuple[Mesh, tuple[str, ...], tuple[str, ...]]:
+        """Its mesh, centred above the origin, the files it was read from, and notes for the user.
+
+        Raises FactoryError that names file and key.
+        """
+        from ..mesh_parts import files_of, read_parts, turned_note
+        from .meshes import join
+
+        if self.label == "Background":
+            raise FactoryError(f"{key}.class: Background is the ground; name it")
+        path = Path(self.file).expanduser()
+        parts = read_parts(path, f"{key}.file", self.scale, _LARGEST_M)
+        whole = join(part.mesh for part in parts)
+        whole = whole.moved(-(whole.vertices.min(axis=0) + whole.vertices.max(axis=0)) / 2)
+        if self.colour is not None:
+            whole = whole.tinted(self.colour)
+        return whole, files_of(path, f"{key}.file"), turned_note(path, parts)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -126,5 +171,8 @@ class SeabedReader:
 
         settings = self._settings
         places = settings.places or PLACE_NAMES
-        own = [(one, solid) for one, solid, *_ in self._own]
+        own = [
+            (one.label, one.per_place, one.tilt_deg, one.burial, solid)
+            for one, solid, *_ in self._own
+        ]
         return World(location, places, settings.objects, settings.kinds, own)

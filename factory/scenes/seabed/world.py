@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +13,10 @@ from ...seeds import stream
 from . import things
 from .camera import Objects
 from .meshes import Mesh, mesh, rotation
-from .own_objects import OwnObject
-from .terrain import WORLD_SEED, Draws, Look, Place, PlaceName, Points, Terrain, Waves, catalogue
+from .terrain import WORLD_SEED, Draws, Look, Place, Points, Range, Terrain, Waves, catalogue
 
+Own = tuple[str, tuple[int, int], Range, Range, Mesh]
+"""Objects of the user's: class, least and most in a place, of tilt (degrees) and burial; mesh."""
 _VIEWS = 10  # own objects lie before the first so many views of a path, where cameras pass
 _AHEAD_M = 1.5
 _TURN = 2 * np.pi
@@ -116,14 +118,13 @@ class World:
     """
 
     def __init__(
-        self, location: int, places: tuple[PlaceName, ...], density: float,
-        kinds: Iterable[str] | None, own: Sequence[tuple[OwnObject, Mesh]] = (),
+        self, location: int, places: Sequence[str], density: float,
+        kinds: Iterable[str] | None, own: Sequence[Own] = (),
     ) -> None:  # fmt: skip
         self.location = location
         place = catalogue()["places"][places[location % len(places)]]
-        ground, way, light = (
-            stream(WORLD_SEED, "seabed", location, name) for name in ("ground", "path", "light")
-        )
+        self._draws = partial(stream, WORLD_SEED, "seabed", location)
+        ground, way, light = (self._draws(name) for name in ("ground", "path", "light"))
         heading = ground.uniform(0, _TURN)
         self.terrain = Terrain(ground, place, heading)
         self.path, self.look = Path(way, place, self.terrain, heading), Look(light, place)
@@ -134,11 +135,12 @@ class World:
         self._furnish(density, kinds)
         self.first_own = 1 + sum(kind is not None for _, kind in self._items)
         self._place_own(own)
-        classes = class_names(settings.label for settings, _ in own)
+        classes = class_names(label for label, *_ in own)
         # An empty mesh has no shape: one triangle far below the ground.
         items = self._items or [(mesh(np.eye(3) - [0, 0, 1e4], [[0, 1, 2]]), None)]
         labels = np.array([classes.index(kind) if kind else 0 for _, kind in items], np.uint8)
         self.objects = Objects([solid for solid, _ in items], labels)
+        del self._items  # tens of megabytes
         known = catalogue()["finishes"]
         finishes = [known.get(kind or "Boulder", known["own"]) for _, kind in items]
         self.finishes = np.array(finishes, np.float32)
@@ -147,43 +149,38 @@ class World:
         """Build the place's structure, then scatter its objects, large kinds first."""
         names = set(CLASSES if allowed is None else allowed)
         place, scatter = self._place, self._place["scatter"]
-        self._draw_from("structure")
         if place["structure"] == "pier" and "Pillar" in names:
-            self._build_pier()
+            self._build_pier(self._draws("structure"))
         if place["structure"] == "quay" and "Wall" in names:
-            self._build_quay()
+            self._build_quay(self._draws("structure"))
         for kind in dict.fromkeys((*_LARGE_FIRST, *scatter)):
             if kind in names and kind in scatter:
-                rng = self._draw_from(kind)
+                rng = self._draws(kind)
                 for _ in range(round(rng.uniform(*scatter[kind]) * density)):
                     if kind == "Wall":
-                        self._lay_wall()
+                        self._lay_wall(rng)
                     elif kind in ("Chain", "Pipe"):
-                        self._lay_line(kind)
+                        self._lay_line(rng, kind)
                     else:
-                        self._put(things.drawn_model(rng, kind), kind)
-        rng = self._draw_from("pebbles")
-        self._lay_pebbles(round(rng.uniform(*place["pebbles"]) * min(density, 1.0)))
+                        self._put(rng, things.drawn_model(rng, kind), kind)
+        rng = self._draws("pebbles")
+        self._lay_pebbles(rng, round(rng.uniform(*place["pebbles"]) * min(density, 1.0)))
 
-    def _place_own(self, own: Sequence[tuple[OwnObject, Mesh]]) -> None:
+    def _place_own(self, own: Sequence[Own]) -> None:
         """Put the user's objects beside the part of the path that views show."""
         first = self.path.start_m + _AHEAD_M
         self._stretch_m = first, first + _VIEWS * self.path.step_m
-        for number, (settings, solid) in enumerate(own):
-            rng = self._draw_from("own", number)
-            for _ in range(int(rng.integers(settings.per_place[0], settings.per_place[1] + 1))):
-                angle, toward = np.deg2rad(rng.uniform(*settings.tilt_deg)), rng.uniform(0, _TURN)
+        for number, (label, (least, most), tilt_deg, burial, solid) in enumerate(own):
+            rng = self._draws("own", number)
+            for _ in range(int(rng.integers(least, most + 1))):
+                angle, toward = np.deg2rad(rng.uniform(*tilt_deg)), rng.uniform(0, _TURN)
                 turned = solid.turned("zyzz", toward, angle, -toward, rng.uniform(0, _TURN))
-                self._put(turned.standing(), settings.label, settings.burial)
+                self._put(rng, turned.standing(), label, burial)
 
-    def _draw_from(self, *name: str | int) -> Draws:
-        self._rng = stream(WORLD_SEED, "seabed", self.location, *name)
-        return self._rng
-
-    def _put(self, mesh: Mesh, kind: str, burial: tuple[float, float] = (0.02, 0.18)) -> None:
+    def _put(self, rng: Draws, mesh: Mesh, kind: str, burial: Range = (0.02, 0.18)) -> None:
         """Put a thing at a free spot near the path, if any: it follows the slope and sinks in."""
         reach = float(np.sqrt((mesh.vertices[:, :2] ** 2).sum(axis=1).max()))
-        spot = self._spot(reach, float(mesh.vertices[:, 2].max()))
+        spot = self._spot(rng, reach, float(mesh.vertices[:, 2].max()))
         if spot is None:
             return
         step = max(min(reach, 0.5), 0.08)
@@ -193,17 +190,16 @@ class World:
         if kind not in catalogue()["upright"]:
             down, toward = np.arctan(min(float(np.hypot(dx, dy)), 0.8)), np.arctan2(dy, dx)
             mesh = mesh.turned("zyz", toward, -down, -toward)
-        sunk = float(np.ptp(mesh.vertices[:, 2])) * self._rng.uniform(*burial) + 0.01
+        sunk = float(np.ptp(mesh.vertices[:, 2])) * rng.uniform(*burial) + 0.01
         self._fix(mesh, kind, (*spot, height - sunk), 0.85 * reach)
 
     def _fix(self, mesh: Mesh, kind: str, at: Sequence[float] | Points, reach: float = 0.4) -> None:
         self._items.append((mesh.moved(at), kind))
         self._taken.append((float(at[0]), float(at[1]), reach))
 
-    def _lay_pebbles(self, count: int) -> None:
+    def _lay_pebbles(self, rng: Draws, count: int) -> None:
         """Small stones, in heaps, of a few shapes used again and again."""
-        rng = self._rng
-        heaps = self._near_path(rng.uniform(-6, 6, max(count // 14, 1)))
+        heaps = self._near_path(rng, rng.uniform(-6, 6, max(count // 14, 1)))
         spots = heaps[rng.integers(len(heaps), size=count)]
         spots += rng.normal(0, 0.7, (count, 2))
         for (x, y), height in zip(spots, self.terrain.height_m(*spots.T), strict=True):
@@ -212,32 +208,30 @@ class World:
             stone = shape.moved(scale=size).turned("z", turn).moved((x, y, height))
             self._items.append((stone, None))
 
-    def _lay_wall(self) -> None:
+    def _lay_wall(self, rng: Draws) -> None:
         """A ruined piece of wall, off the path."""
-        rng = self._rng
         build = things.quay if rng.random() < 0.7 else things.sheet_pile
         wall = build(rng, rng.uniform(1.5, 4.0), rng.uniform(0.5, 1.4))
         wall = wall.turned("z", rng.uniform(0, _TURN))
         reach = float(np.abs(wall.vertices[:, :2]).max())
-        spot = self._spot(reach, 1.5)
+        spot = self._spot(rng, reach, 1.5)
         if spot is not None:
             self._fix(wall, "Wall", self._grounded(*spot), reach)
 
-    def _lay_line(self, kind: str) -> None:
+    def _lay_line(self, rng: Draws, kind: str) -> None:
         """A chain or pipe that follows the ground."""
-        rng, chain = self._rng, kind == "Chain"
+        chain = kind == "Chain"
         length = rng.uniform(2.0, 4.5) if chain else rng.uniform(5.0, 14.0)
         aside = rng.choice([-1, 1]) * rng.uniform(0.3, 0.7 * self._place["spread_m"] + 0.5)
-        near = self._near_path(np.array([aside]))[0]
+        near = self._near_path(rng, np.array([aside]))[0]
         line = things.curve(rng, near, length, 0.9 if chain else 0.12)
         build = things.chain if chain else things.pipe
         self._items.append((build(rng, line, self.terrain.height_m), kind))
         if not chain:
             self._taken += [(x, y, 0.25) for x, y in line[::6].tolist()]
 
-    def _build_pier(self) -> None:
+    def _build_pier(self, rng: Draws) -> None:
         """Rows of piles along the axis, braced in pairs."""
-        rng = self._rng
         radius, spacing = rng.uniform(0.16, 0.38), rng.uniform(2.6, 4.0)
         first = rng.uniform(2.1, 2.8)
         rows = [first, -first, first + rng.uniform(2.2, 3.2), -first - rng.uniform(2.2, 3.2)]
@@ -252,9 +246,8 @@ class World:
                     self._items.append((things.brace(rng, previous + low, foot + high), "Pillar"))
                 previous = foot
 
-    def _build_quay(self) -> None:
+    def _build_quay(self, rng: Draws) -> None:
         """A long wall left of the axis, with tyres hanging on it."""
-        rng = self._rng
         length, height, face = 44.0, rng.uniform(3.2, 5.0), rng.uniform(2.2, 3.2)
         foot, turn = self._on_axis(0.0, face), rotation("z", self._heading_rad)
         build = things.sheet_pile if rng.random() < 0.35 else things.quay
@@ -267,13 +260,13 @@ class World:
         behind = (self._on_axis(along, face + 0.4) for along in np.arange(-20, 20, 0.8))
         self._taken += [(float(x), float(y), 0.8) for x, y, _ in behind]
 
-    def _spot(self, reach: float, height: float) -> tuple[float, float] | None:
+    def _spot(self, rng: Draws, reach: float, height: float) -> tuple[float, float] | None:
         """A free place for a thing of that reach and height, or None after 40 tries."""
         nearest = 0.0 if height < LOW_M else reach + CLEAR_M
         there = np.array(self._taken, dtype=np.float64).reshape(-1, 3)
         for _ in range(5):  # eight tries at once
-            aside = nearest + self._rng.exponential(self._place["spread_m"], 8)
-            points = self._near_path(aside * self._rng.choice([-1, 1], 8))
+            aside = nearest + rng.exponential(self._place["spread_m"], 8)
+            points = self._near_path(rng, aside * rng.choice([-1, 1], 8))
             to_path = points[:, None] - self.path.points
             free = np.sqrt((to_path**2).sum(axis=-1).min(axis=-1)) >= nearest
             if self.terrain.banks is not None:
@@ -286,9 +279,9 @@ class World:
                 return x, y
         return None
 
-    def _near_path(self, aside: Points) -> Points:
+    def _near_path(self, rng: Draws, aside: Points) -> Points:
         """(N, 2) points beside the path anywhere along it, (N,) metres to its left."""
-        point, tangent = self.path.at(self._rng.uniform(*self._stretch_m, len(aside)))
+        point, tangent = self.path.at(rng.uniform(*self._stretch_m, len(aside)))
         left = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
         return np.asarray(point + aside[:, None] * left)
 

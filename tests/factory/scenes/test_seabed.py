@@ -20,7 +20,7 @@ from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings
 from simnfnd.factory.scenes.seabed.camera import moved, movements, pose
 from simnfnd.factory.scenes.seabed.meshes import grid_triangles
-from simnfnd.factory.scenes.seabed.terrain import PLACE_NAMES
+from simnfnd.factory.scenes.seabed.terrain import PLACE_NAMES, catalogue
 from simnfnd.factory.scenes.seabed.world import World
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
@@ -143,6 +143,16 @@ def test_only_wanted_kinds_lie_there() -> None:
     assert bare.segmentation is not None
     assert not bare.segmentation.any()
     assert bare.valid.mean() > 0.5
+
+
+def test_the_table_has_every_place_and_class() -> None:
+    table = catalogue()
+    usual, places = set(table["usual"]), table["places"]
+    assert set(places) == set(PLACE_NAMES)
+    for place in places.values():
+        assert set(place) == usual | {"loop_m", "waters", "scatter"}
+        assert set(place["scatter"]) <= set(CLASSES)
+    assert set(table["finishes"]) == {*CLASSES[1:], "own"}
 
 
 def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
