@@ -49,9 +49,6 @@ class Crops(Dataset[Batch]):
     ) -> None:
         self.source, self.data, self.seed, self.extras = source, data, seed, tuple(extras)
 
-    def __len__(self) -> int:
-        return len(self.source)
-
     def __getitem__(self, visit: Visit) -> Batch:
         sample = self.source.sample(visit.image, visit.round)
         rng = stream(self.seed, "crop", visit.number)

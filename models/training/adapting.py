@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from itertools import count
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -37,7 +36,12 @@ class Lesson:
     def __init__(self, found: Lessons, seed: int, extras: Sequence[str]) -> None:
         """extras: optional inputs of the network."""
         self.stills, self.seed, self.extras = found.learning, seed, extras
-        self._odds = odds_of(found.learning)
+        # All recordings alike, however long, and in each all frames alike.
+        frames = np.array([len(still.frames) for still in self.stills], float)
+        recordings = np.array([still.recording for still in self.stills])
+        for number in np.unique(recordings):
+            frames[recordings == number] /= frames[recordings == number].sum()
+        self._odds = frames / frames.sum()
         held = tuple(_single(still, i) for still in found.held for i in range(len(still.frames)))
         self.held = spread(held, _MOST_MEASURED)
         if "frames" in extras:
@@ -146,15 +150,6 @@ def _mean(still: Still, first: int, count: int) -> Sample:
 def _most(still: Still) -> int:
     """The most frames to average: enough others are left for a target."""
     return min(_MOST_FRAMES, len(still.laid) - _LEAST_OTHERS)
-
-
-def odds_of(stills: Sequence[Still]) -> npt.NDArray[np.float64]:
-    """(stretches,): all recordings alike, however long, and in each all frames alike."""
-    frames = np.array([len(still.frames) for still in stills], float)
-    recordings = np.array([still.recording for still in stills])
-    for number in np.unique(recordings):
-        frames[recordings == number] /= frames[recordings == number].sum()
-    return np.asarray(frames / frames.sum(), np.float64)
 
 
 def _crop(sample: Sample, extras: Sequence[str], rng: np.random.Generator) -> Batch:

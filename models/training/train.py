@@ -7,7 +7,6 @@ import io
 import math
 import os
 import signal
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -151,7 +150,7 @@ def _fit(
     data: Data,
 ) -> list[Row]:
     """The rows of all checks."""
-    out, started, network = output_folder(settings), time.monotonic(), begun(settings)
+    out, network = output_folder(settings), begun(settings)
     teacher, extras = None, network.extras
     if settings.train.teacher is not None:
         teacher = load_weights(find_weights(settings.train.teacher)).network.requires_grad_(False)
@@ -172,7 +171,6 @@ def _fit(
         if best_row([*loop.rows, row]) is row:
             facts = {**recipe, "validation": row}
             save_weights(out / WEIGHTS_NAME, loop.average, settings.model, facts)
-        row = {**row, "seconds": round(time.monotonic() - started, 1)}
         text = io.StringIO()
         writer = csv.DictWriter(text, fieldnames=list(row), lineterminator="\n")
         writer.writeheader()

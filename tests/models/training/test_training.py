@@ -107,10 +107,8 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
         patch.setattr(Crops, "__getitem__", recorded)
         train_small(dataset, tmp_path)
     assert drawn == list(range(15 * 4, 45 * 4))
-    name = "weights.safetensors"
-    assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
-    assert _without_seconds(tmp_path) == _without_seconds(trained)
-    assert (tmp_path / "samples.png").read_bytes() == (trained / "samples.png").read_bytes()
+    for name in ("weights.safetensors", "metrics.csv", "samples.png"):
+        assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
 
 
 def test_killed_training_continues(trained: Path, dataset: Path, tmp_path: Path) -> None:
@@ -261,11 +259,6 @@ def test_the_best_weights_are_kept_not_the_last(
     state = torch.load(tmp_path / "checkpoint.ckpt", weights_only=True)["average"]
     kept = loaded.network.state_dict()
     assert any(not torch.equal(value, state[f"module.{name}"]) for name, value in kept.items())
-
-
-def _without_seconds(folder: Path) -> list[str]:
-    lines = (folder / "metrics.csv").read_text(encoding="utf-8").splitlines()
-    return [line.rpartition(",")[0] for line in lines]
 
 
 @pytest.mark.parametrize(("has", "expected"), [(True, "bf16-mixed"), (False, "32-true")])
