@@ -127,22 +127,14 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
     except MemoryError:
         if debug:
             raise
-        return say_error(FactoryError(f"memory: not enough of it ({_memory_limit()})"))
+        hint = _HINTS[errno.ENOMEM]
+        return say_error(FactoryError(f"memory: not enough of it; {hint}"))
     except KeyboardInterrupt as stopped:
         # Who knows better what is kept says so in the exception.
         kept = getattr(stopped, "kept", "what was finished is kept, run again to go on")
         print(f"error: {getattr(stopped, 'said', f'interrupted; {kept}')}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
-
-
-def _memory_limit() -> str:
-    import resource
-
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit == resource.RLIM_INFINITY:
-        return "the machine has no more; give fewer scheduler.workers"
-    return f"ulimit -v is {limit // 1024}; raise it, or give fewer scheduler.workers"
 
 
 def say_error(error: Exception) -> int:
