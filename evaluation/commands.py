@@ -6,8 +6,7 @@ errors answer at once.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -29,23 +28,23 @@ S = TypeVar("S")
 
 def report(words: Sequence[str]) -> int:
     """`simnfnd evaluate dataset=DIR ...`."""
-    return _hydra(_report, "evaluation", words)
+    return run_app(_report, "evaluation", words)
 
 
 def tune(words: Sequence[str]) -> int:
     """`simnfnd evaluate tune dataset=DIR ...`: all baselines, when none is named."""
     chosen = any(word.startswith("baselines=") for word in words)
-    return _hydra(_tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])])
+    return run_app(_tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])])
 
 
 def real(words: Sequence[str]) -> int:
     """`simnfnd evaluate real IN [KEY=VALUE ...]`."""
-    return _hydra(_real, "real", _named(words, "real"))
+    return run_app(_real, "real", _named(words, "real"))
 
 
 def realism(words: Sequence[str]) -> int:
     """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
-    return _hydra(_realism, "realism", _named(words, "real", "sim"))
+    return run_app(_realism, "realism", _named(words, "real", "sim"))
 
 
 def fit(words: Sequence[str]) -> int:
@@ -54,18 +53,7 @@ def fit(words: Sequence[str]) -> int:
     if "--" in own:
         place = own.index("--")
         own, recipe = own[:place], [f"recipe={_listed(own[place + 1 :])}"]
-    return _hydra(_fit, "fit", [*_named(own, "real"), *recipe])
-
-
-def _hydra(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:
-    """Run `task` with conf/<config_name>.yaml and the overrides `words`; returns the exit code.
-
-    `dataset=DIR` means `dataset.dir=DIR`, and -m (a sweep) may stand anywhere.
-    """
-    flags = [word for word in words if word in ("-m", "--multirun")]
-    # Hydra reads the command line itself.
-    sys.argv[1:] = flags + [word for word in words if word not in flags]
-    return run_app(task, config_name)
+    return run_app(_fit, "fit", [*_named(own, "real"), *recipe])
 
 
 def _named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:

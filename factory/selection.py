@@ -69,19 +69,15 @@ def split_warnings(
     wanted = bool(settings.test) or settings.test_fraction > 0
     for split in ("train", "test"):
         if not splits[split] and limits.get(split) != 0 and (wanted or split == "train"):
-            said.append(f"the {split} split is empty; {_offer(scenes)}")
+            testing = ",".join(sorted(scene for _, scene in _by_fraction(scenes, 0.25)))
+            said.append(
+                f"the {split} split is empty; split.test=[{testing}] would test on a quarter of "
+                f"the {len(scenes)} scenes"
+                if len(scenes) > 1
+                else f"the {split} split is empty, for there is one scene, {scenes[0][1]}; bring "
+                "another, or train and evaluate on the one split (evaluate split=train)"
+            )
     return tuple(said)
-
-
-def _offer(scenes: Sequence[_Scene]) -> str:
-    """A split that works."""
-    if len(scenes) == 1:
-        return (
-            f"there is one scene, {scenes[0][1]}, and a scene is never in both; bring another, or "
-            "train and evaluate on the one split (evaluate split=train)"
-        )
-    testing = ",".join(sorted(scene for _, scene in _by_fraction(scenes, 0.25)))
-    return f"split.test=[{testing}] would test on a quarter of the {len(scenes)} scenes"
 
 
 def _scenes(frames: Iterable[FrameRef]) -> list[_Scene]:

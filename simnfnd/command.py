@@ -5,10 +5,9 @@ from __future__ import annotations
 import difflib
 import gc
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
-from itertools import pairwise
 
 from .factory import __version__
 from .factory.cli import guard
@@ -19,11 +18,6 @@ from .verbs import VERBS, Verb
 _HELP = ("-h", "--help")
 # Hydra prints something with these and does nothing.
 _SHOW = (*_HELP, "--cfg", "-c", "--info", "-i", "--hydra-help")
-# Options of Hydra whose next word is their value.
-_WITH_VALUE = (
-    "--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn",
-    "--config-dir", "-cd", "--experimental-rerun", "--info", "-i",
-)  # fmt: skip
 
 
 def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
@@ -45,8 +39,6 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
 
     def run() -> int | None:
         name, verb, rest = find(given)
-        if problem := wrong_word(name, verb, rest):
-            raise FactoryError(problem)
         if any(word in _HELP for word in rest):
             print(f"{head(name, verb)}\n", flush=True)
             if not verb.hydra and not all(map(find_spec, verb.needs)):
@@ -74,7 +66,8 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
     Raises FactoryError, one line, for words that are none.
     """
     name, rest = words[0], list(words[1:])
-    second = bool(rest) and _has_own(name) and not _is_option(rest[0])
+    own = [one for one in VERBS if one.startswith(f"{name} ")]
+    second = bool(rest and own) and not _is_option(rest[0])
     if second:
         name = f"{name} {rest.pop(0)}"
     if name in VERBS:
@@ -92,49 +85,23 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
     raise FactoryError(f"{word}: no such verb; {close if near else listed}")
 
 
-def wrong_word(name: str, verb: Verb, words: Sequence[str]) -> str | None:
-    """What is wrong with the words of a Hydra verb, before its grammar says so at length."""
-    if not verb.hydra:
-        return None
-    places = 0
-    for before, word in pairwise(["", *words]):
-        if word == "--":
-            return None
-        if not _is_option(word) and before not in _WITH_VALUE:
-            places += 1
-            if verb.places is not None and places > verb.places:
-                return f"{word}: not KEY=VALUE; see `simnfnd {name} --help`"
-    return None
-
-
 def overview() -> str:
     """What `simnfnd --help` prints."""
-    lines = ["simnfnd VERB ...: sonar pictures with a known truth, and denoisers made of them", ""]
+    lines = ["simnfnd VERB ...: sonar pictures with a known truth, and denoisers made of them"]
     for group in dict.fromkeys(verb.group for verb in VERBS.values()):
-        listed = {name: verb for name, verb in VERBS.items() if verb.group == group}
-        lines += [f"{group}:", *_listed(listed), ""]
-    lines.append("`simnfnd VERB --help` tells more about one, `simnfnd --version` the version.")
-    return "\n".join(lines)
+        lines += ["", f"{group}:"]
+        lines += [f"  {name:<17} {one.line}" for name, one in VERBS.items() if one.group == group]
+    more = "`simnfnd VERB --help` tells more about one, `simnfnd --version` the version."
+    return "\n".join([*lines, "", more])
 
 
 def head(name: str, verb: Verb) -> str:
     """What `simnfnd VERB --help` begins with; the options or configuration groups follow."""
     lines = [f"simnfnd {name}: {verb.line}", "", "Examples:"]
     lines += [f"  {example}" for example in verb.examples]
-    if _has_own(name):
-        own = {one: verb for one, verb in VERBS.items() if one.startswith(f"{name} ")}
-        lines += ["", "Verbs of its own:", *_listed(own)]
     if verb.needs:
         lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]
     return "\n".join(lines)
-
-
-def _listed(verbs: Mapping[str, Verb]) -> list[str]:
-    return [f"  {name:<17} {verb.line}" for name, verb in verbs.items()]
-
-
-def _has_own(name: str) -> bool:
-    return any(one.startswith(f"{name} ") for one in VERBS)
 
 
 def _is_option(word: str) -> bool:

@@ -16,7 +16,6 @@ class Verb(NamedTuple):
     examples: commands that `simnfnd VERB --help` begins with.
     needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.cli.extras`).
     hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
-    places: how many words that are no KEY=VALUE a Hydra verb takes; None: any number.
     """
 
     group: str
@@ -25,16 +24,10 @@ class Verb(NamedTuple):
     examples: tuple[str, ...]
     needs: tuple[str, ...] = ()
     hydra: bool = False
-    places: int | None = 0
 
 
-MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
-    "Make datasets",
-    "Look at datasets",
-    "Pass datasets on",
-    "Denoise",
-    "Judge",
-)
+MAKE, LOOK, PASS_ON = "Make datasets", "Look at datasets", "Pass datasets on"
+DENOISE, JUDGE = "Denoise", "Judge"
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
 _NETWORK = ("onnxruntime", "safetensors", *_SONAR)
@@ -56,7 +49,6 @@ VERBS: dict[str, Verb] = {
             "scenes.intrinsics=[525,525,320,240]",
             "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3",
             "simnfnd make experiment=demo --cfg job",
-            "simnfnd make -m experiment=benchmark,benchmark_physical sonar.image.width_px=256,512",
         ),
         hydra=True,
     ),
@@ -72,7 +64,6 @@ VERBS: dict[str, Verb] = {
             "simnfnd cache stats",
             "simnfnd cache pack experiment=demo --out views.pack",
             "simnfnd make scenes=pack scenes.root=views.pack",
-            "simnfnd cache clear cache.dir=outputs/cache",
         ),
     ),
     "status": Verb(
@@ -96,12 +87,11 @@ VERBS: dict[str, Verb] = {
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(
-        LOOK, "what is in a dataset", f"{_COMMANDS}.inspect:main",
-        ("simnfnd inspect outputs/demo",),
+        LOOK, "what is in a dataset", f"{_COMMANDS}.inspect:main", ("simnfnd inspect outputs/demo",)
     ),
     "validate": Verb(
         LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.inspect:check",
-        ("simnfnd validate outputs/demo", "simnfnd validate outputs/demo --deep"),
+        ("simnfnd validate outputs/demo --deep",),
     ),
     "merge": Verb(
         PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
@@ -112,16 +102,12 @@ VERBS: dict[str, Verb] = {
         f"{_COMMANDS}.export:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
-            "simnfnd export outputs/demo --to png --split test --out outputs/png",
             "simnfnd export outputs/labelled --to coco --out outputs/coco",
         ),
     ),
     "train": Verb(
         DENOISE, "a denoiser on a dataset", "simnfnd.models.training:main",
-        (
-            "simnfnd train dataset=outputs/demo train.steps=200",
-            "simnfnd train dataset=outputs/demo model=sonarnet loss=l1 name=small",
-        ),
+        ("simnfnd train dataset=outputs/demo model=sonarnet train.steps=200 name=small",),
         needs=_TORCH, hydra=True,
     ),
     "denoise": Verb(
@@ -191,13 +177,13 @@ VERBS: dict[str, Verb] = {
         JUDGE, "what methods make of real pictures and recordings",
         "simnfnd.evaluation.commands:real",
         ("simnfnd evaluate real mdd models=[simnfnd]",),
-        needs=("skimage", *_SONAR), hydra=True, places=1,
+        needs=("skimage", *_SONAR), hydra=True,
     ),
     "evaluate realism": Verb(
         JUDGE, "how near datasets are to real pictures",
         "simnfnd.evaluation.commands:realism",
         ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
-        needs=("skimage", *_SONAR), hydra=True, places=None,
+        needs=("skimage", *_SONAR), hydra=True,
     ),
     "evaluate fit": Verb(
         JUDGE, "the noise parameters that come nearest to real pictures",
@@ -205,6 +191,6 @@ VERBS: dict[str, Verb] = {
         ("simnfnd evaluate fit mdd name=mine trials=100",
          "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
          "scenes.root=views.pack"),
-        needs=("optuna", "skimage", *_SONAR), hydra=True, places=None,
+        needs=("optuna", "skimage", *_SONAR), hydra=True,
     ),
 }  # fmt: skip

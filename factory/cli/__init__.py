@@ -8,7 +8,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..errors import FactoryError
@@ -44,8 +44,8 @@ class Parser(argparse.ArgumentParser):
         raise FactoryError(f"{self.prog}: {message} (see `{self.prog} --help`)")
 
 
-def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
-    """Run `task` as a Hydra application (single run or `-m` sweep) and return the exit code.
+def run_app(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:
+    """Run `task` as a Hydra application (`words` or a sweep, `-m`) and return the exit code.
 
     `task` gets the composed config and returns None or an int exit code.  FactoryError and every
     mistake in the configuration become one line on stderr and exit code 2; a traceback is shown
@@ -61,12 +61,13 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
 
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    debug = any(argument.replace(" ", "") in ("debug=true", "debug=True") for argument in sys.argv)
-    words = readable(sys.argv[1:])
+    debug = any(word.replace(" ", "") in ("debug=true", "debug=True") for word in words)
+    words = readable(words)
     if config_name != "factory":
         # Hydra takes `dataset=DIR` for a choice of the group of that name, which `make` has.
         words = [re.sub("^dataset=", "dataset.dir=", word) for word in words]
-    sys.argv[1:] = words
+    # Hydra reads the command line, and refuses a flag between overrides.
+    sys.argv[1:] = sorted(words, key=lambda word: word not in ("-m", "--multirun"))
     codes: list[int] = []
 
     def point(config: DictConfig) -> int:
@@ -127,22 +128,14 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
     except MemoryError:
         if debug:
             raise
-        return say_error(FactoryError(f"memory: not enough of it ({_memory_limit()})"))
+        hint = _HINTS[errno.ENOMEM]
+        return say_error(FactoryError(f"memory: not enough of it; {hint}"))
     except KeyboardInterrupt as stopped:
         # Who knows better what is kept says so in the exception.
         kept = getattr(stopped, "kept", "what was finished is kept, run again to go on")
         print(f"error: {getattr(stopped, 'said', f'interrupted; {kept}')}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
-
-
-def _memory_limit() -> str:
-    import resource
-
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit == resource.RLIM_INFINITY:
-        return "the machine has no more; give fewer scheduler.workers"
-    return f"ulimit -v is {limit // 1024}; raise it, or give fewer scheduler.workers"
 
 
 def say_error(error: Exception) -> int:

@@ -110,6 +110,8 @@ def config_line(error: Exception, name: str) -> str:
         return f"{key}: no such key; {hint}"
     if found := re.search(r"Ambiguous value for argument '([^=]+)=", text):
         return f"{found[1]}: several values are a sweep, `-m`, or a list, {found[1]}=[a,b]"
+    if found := re.search(r"Error parsing override '([^']+)' missing EQUAL", text):
+        return f"{found[1]}: not KEY=VALUE; see `--help`"
     text = re.sub(r"\s*See https://hydra\S+ for details", "", text)
     return f"config: {text} (see `--cfg job` for every key)"
 

@@ -30,10 +30,7 @@ def main(words: Sequence[str]) -> int:
     from ..cli.generate import generate
     from ..distribution import as_override
 
-    # Hydra's parser refuses a flag between overrides; people write it where they like.
-    flags = [word for word in words if word in ("-m", "--multirun")]
-    sys.argv[1:] = flags + [as_override(word) for word in words if word not in flags]
-    return run_app(generate, "factory")
+    return run_app(generate, "factory", list(map(as_override, words)))
 
 
 def _makes_here(words: Sequence[str]) -> bool:

@@ -21,19 +21,11 @@ Scenes = Annotated[
     Field(discriminator="kind"),
 ]
 
-# kind -> (module, reader class).  Modules are imported when a reader is opened, so that reading a
-# configuration loads no image or ray-casting library.
-_READERS = {
-    "flsea": ("simnfnd.factory.scenes.flsea", "FlseaReader"),
-    "csv_list": ("simnfnd.factory.scenes.csv_list", "CsvListReader"),
-    "mesh": ("simnfnd.factory.scenes.mesh", "MeshReader"),
-    "pack": ("simnfnd.factory.scenes.pack", "PackReader"),
-    "seabed": ("simnfnd.factory.scenes.seabed", "SeabedReader"),
-}
-
 
 def open_reader(settings: Scenes) -> Reader:
     """The reader of `settings.kind`; cheap, and equal in every process that has the settings."""
-    module, name = _READERS[settings.kind]
-    reader: Reader = getattr(import_module(module), name)(settings)
+    # CsvListReader of csv_list.  Imported when it is opened: reading a configuration loads no
+    # image or ray-casting library.
+    name = f"{settings.kind.title().replace('_', '')}Reader"
+    reader: Reader = getattr(import_module(f".{settings.kind}", __package__), name)(settings)
     return reader

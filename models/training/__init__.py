@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -18,10 +17,9 @@ from .. import WEIGHTS_NAME
 
 def main(words: Sequence[str]) -> int:
     """Train as the configuration says; returns the exit code."""
-    sys.argv[1:] = words
     if {"--help", "-h"} & set(words):
-        sys.argv.append(f"hydra.help.template='{_help()}'")
-    return run_app(run, "models")
+        words = [*words, f"hydra.help.template='{_help()}'"]
+    return run_app(run, "models", words)
 
 
 def _help() -> str:

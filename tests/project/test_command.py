@@ -71,7 +71,7 @@ def test_the_overview_and_the_version(monkeypatch, capsys) -> None:
         (("cache", "sats"), "invalid choice: 'sats' (choose from"),
         (("evaluate", "qqqqq"), "qqqqq: no such verb; `simnfnd evaluate --help` lists them"),
         (("seed=3",), "seed=3: a setting needs a verb before it; did you mean `simnfnd make"),
-        (("make", "demo"), "demo: not KEY=VALUE; see `simnfnd make --help`"),
+        (("make", "demo"), "demo: not KEY=VALUE; see `--help`"),
         (("train", "sed=1"), "sed"),
         (("export", "x"), "--to, --out (see `simnfnd export --help`)"),
         (("status", "x", "--faled"), "unrecognized arguments: --faled"),

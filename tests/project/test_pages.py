@@ -134,7 +134,7 @@ QUICK = ("render=analytic", "scheduler=serial", "dataset.preview_pairs=0", "fram
 REAL: dict[str, tuple[str, ...]] = {
     "demo": (*QUICK, *SMALL_SEABED),
     **dict.fromkeys(("make", "plan", "cache pack"), QUICK),
-    **dict.fromkeys(("cache stats", "cache clear", "status", "inspect"), ()),
+    **dict.fromkeys(("cache stats", "status", "inspect"), ()),
     **dict.fromkeys(("validate", "merge", "preview", "export"), ()),
 }
 ABSENT = ("dive.aris", "simnfnd view")
