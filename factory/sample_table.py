@@ -120,7 +120,7 @@ def record(
         "resample.rate": sample.rate,
         "points.scene": sample.points,
         "full_scale": sample.full_scale,
-        **({"clean_full_scale": sample.clean_full_scale} if formation == "field" else {}),
+        **({"clean_full_scale": sample.full_scale} if formation == "field" else {}),
         **draws.row(sample.added),
     }
 

@@ -50,8 +50,7 @@ class Sample(ABC):
     effects: those drawn for it.  clouds: of each of stage points.
     rate: fraction of the scene's points that resampling has kept.  points: number of scene points
         in the pictures.
-    full_scale: echo intensity, after time-varying gain, that the noisy picture shows as grey value
-        1.  clean_full_scale: the same of the clean picture, in the unit of its target.
+    full_scale: echo intensity, after time-varying gain, that is shown as grey value 1.
     """
 
     effects: Sequence[DrawnEffect]
@@ -59,7 +58,6 @@ class Sample(ABC):
     rate: float
     points: int
     full_scale: float
-    clean_full_scale: float
 
     @cached_property
     def added(self) -> Mapping[str, int]:

@@ -44,8 +44,7 @@ class PointScene:
         level = self.level([kept])
         full_scale = transfer.full_scale(level, self.surface.sonar.transfer, "intensity")
         clouds = effect_clouds(effects, kept, self.surface.window)
-        scales = full_scale, full_scale
-        return PointSample(effects, clouds, rate, len(kept), *scales, self, kept, level)
+        return PointSample(effects, clouds, rate, len(kept), full_scale, self, kept, level)
 
     def level(self, echoes: Sequence[Echoes]) -> Floats:
         """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""
