@@ -30,10 +30,6 @@ LOOPS = (*PICTURES, SEABED, FIELD)
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-class NotCompiled(ImportError):
-    """A loop that was not to be compiled now has no compiled form on disk."""
-
-
 class _Mode:
     loading = False
 
@@ -59,7 +55,7 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
             made = numba.njit(**options)(function)
         for signature in signatures:
             if _Mode.loading and made._cache.load_overload(signature, made.targetctx) is None:
-                raise NotCompiled(function.__name__)
+                raise ImportError(f"{function.__name__} is not compiled yet")
             made.compile(signature)
         if signatures:
             made.disable_compile()
@@ -94,7 +90,7 @@ def load_compiled() -> None:
     """Load what has a compiled form on disk, for processes that are forked from this one."""
     _Mode.loading = True
     for name in LOOPS:
-        with suppress(NotCompiled):
+        with suppress(ImportError):
             importlib.import_module(name)
     _Mode.loading = False
 

@@ -196,21 +196,14 @@ def beamform_power(power: Floats, ping: Ping) -> Floats:
 def white_noise(rng: np.random.Generator, looks: int, shape: tuple[int, int]) -> Floats:
     """(looks, 2, *shape) float32: complex circular Gaussian noise of intensity 1."""
     noise = np.zeros((looks, 2, *shape), np.float32)
-    add_white_noise(noise, rng, np.ones(shape[0], np.float32))
+    add_white_noise(noise, rng, *(np.ones(side, np.float32) for side in shape))
     return noise
 
 
-def add_white_noise(
-    field: Floats, rng: np.random.Generator, along: Floats, across: Floats | None = None
-) -> None:
-    """Add such noise to a field in place, times amplitudes of the rows and of the beams.
-
-    along: (range_bins,) float32; across: (beams,) float32, all 1 where left out.
-    """
+def add_white_noise(field: Floats, rng: np.random.Generator, along: Floats, across: Floats) -> None:
+    """Add such noise to a field in place, times float32 amplitudes of the rows and the beams."""
     from . import kernels
 
-    if across is None:
-        across = np.ones(field.shape[-1], np.float32)
     for look in field:
         kernels.add_white(int(rng.integers(2**32)), gaussian_table(), along, across, look)
 

@@ -72,12 +72,11 @@ def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Devic
 
 def columns(settings: DeviceSettings) -> tuple[Column, ...]:
     """Columns of the sample table: what was drawn for the device of each picture."""
-    return tuple(Column(f"device.{name}", "f8", _unit(name)) for name in distributions(settings))
-
-
-def _unit(name: str) -> str:
     units = {"deg": "deg", "khz": "kHz", "px": "px", "m": "m", "db": "dB"}
-    return units.get(name.rsplit("_", 1)[-1], "1")
+    return tuple(
+        Column(f"device.{name}", "f8", units.get(name.rsplit("_", 1)[-1], "1"))
+        for name in distributions(settings)
+    )
 
 
 def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> FactoryConfig:
