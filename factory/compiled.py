@@ -37,8 +37,7 @@ class _Mode:
 def compiled(*signatures: str) -> Callable[[Function], Function]:
     """Decorator: compile for these argument types (numba's notation), or where called if none.
 
-    The compiled code lies beside the module, or in the user's cache where that cannot be written;
-    where neither can, it is compiled anew in every process.
+    The compiled code lies beside the module, or in the user's cache where that cannot be written.
     """
 
     def decorate(function: Function) -> Function:
@@ -46,13 +45,7 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
         options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         import numba
 
-        made: Any
-        try:
-            made = numba.njit(cache=True, **options)(function)
-        except RuntimeError as error:
-            if "cannot cache" not in str(error):
-                raise
-            made = numba.njit(**options)(function)
+        made: Any = numba.njit(cache=True, **options)(function)
         for signature in signatures:
             if _Mode.loading and made._cache.load_overload(signature, made.targetctx) is None:
                 raise ImportError(f"{function.__name__} is not compiled yet")

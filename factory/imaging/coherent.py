@@ -28,20 +28,20 @@ from .signal import Ping, Signal, averaged, beamform, beamform_power, sounds
 
 @dataclass(frozen=True, eq=False)
 class FieldScene:
-    """A frame as the device receives it; a `contract.Scene`."""
+    """A frame as the device receives it: what all its samples share; no randomness."""
 
     ping: Ping
 
     @property
     def filled(self) -> npt.NDArray[np.bool_]:
-        """See `contract.Scene`."""
+        """(range_bins, beams) bool: bins in which insonified surface lies."""
         rows, beams = self.ping.shape
         samples = self.ping.surface.sonar.samples_per_bin
         by_bin = self.ping.scatterers.in_beam.reshape(rows // samples, samples, beams)
         return np.asarray(by_bin.any(axis=1))
 
     def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> FieldSample:
-        """See `contract.Scene`."""
+        """One sample; equal calls, equal bytes."""
         ping, surface = self.ping, self.ping.surface
         on_points = [effect for effect in effects if effect.stage == "points"]
         clouds: tuple[EffectCloud, ...] = ()

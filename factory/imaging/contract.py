@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,17 +20,6 @@ from .effect import DrawnEffect
 
 Floats = npt.NDArray[np.float32]
 Layers = npt.NDArray[np.generic]
-
-
-class Scene(Protocol):
-    """A frame as the sonar observes it: what all its samples share; no randomness."""
-
-    @property
-    def filled(self) -> npt.NDArray[np.bool_]:
-        """(range_bins, beams) bool: bins in which insonified surface lies."""
-
-    def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> Sample:
-        """One sample; equal calls, equal bytes."""
 
 
 class EffectCloud(NamedTuple):

@@ -5,9 +5,8 @@ gamma-distributed, and E[10 log10 I] lies psi(L) - ln L nepers below 10 log10 E[
 look (psi: digamma).  So every effect says what it makes of the expected intensities, and the
 transfer curve is averaged over their distribution, clipping included.
 
-An effect is random (speckle, texture, spokes: it averages out) or systematic (haze, the receiver's
-floor, a wrong gain, ghosts: it is there in every picture).  Target mean_log keeps the systematic
-ones, target restored has none of them.
+Random effects (speckle, texture, spokes) average out; systematic ones (haze, a wrong gain, ghosts)
+are there in every picture: target mean_log keeps them, target restored has none of them.
 """
 
 from __future__ import annotations
@@ -37,9 +36,8 @@ class Expected:
 
     echo: of what fluctuates as speckle does and texture can change; noise: of what else does.
     steady: of what does not fluctuate.  textured: the part of echo and steady that texture varies.
-    looks: independent fields whose intensities are averaged, whole or not.  shape: nu of the
-        texture.
-    standing: part of the speckle's power that is the same in every ping.
+    looks: independent fields whose intensities are averaged, whole or not.
+    shape: nu of the texture.  standing: part of the speckle's power that stays from ping to ping.
     scintillation_nepers2: variance of the logarithm of the intensity that comes on top of all.
     """
 
@@ -92,9 +90,8 @@ def expected(
 ) -> Expected:
     """The expected intensities after time-varying gain.
 
-    realised: whether random effects act as they do in this one sample, where that can be told, or
-        on average.
-    standing: part of the speckle's power that averaging leaves, as it is in this sample.
+    realised: whether random effects act as in this one sample, where that can be told, or on
+        average.  standing: see `Expected`.
     """
     none = [np.zeros(ping.shape, np.float32) for _ in range(3)]
     state = Expected(none[0], none[1], ping.expected.copy(), none[2], standing=standing)
