@@ -30,10 +30,6 @@ LOOPS = (*PICTURES, SEABED, FIELD)
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-class NotCompiled(ImportError):
-    """A loop that was not to be compiled now has no compiled form on disk."""
-
-
 class _Mode:
     loading = False
 
@@ -41,8 +37,7 @@ class _Mode:
 def compiled(*signatures: str) -> Callable[[Function], Function]:
     """Decorator: compile for these argument types (numba's notation), or where called if none.
 
-    The compiled code lies beside the module, or in the user's cache where that cannot be written;
-    where neither can, it is compiled anew in every process.
+    The compiled code lies beside the module, or in the user's cache where that cannot be written.
     """
 
     def decorate(function: Function) -> Function:
@@ -50,16 +45,10 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
         options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         import numba
 
-        made: Any
-        try:
-            made = numba.njit(cache=True, **options)(function)
-        except RuntimeError as error:
-            if "cannot cache" not in str(error):
-                raise
-            made = numba.njit(**options)(function)
+        made: Any = numba.njit(cache=True, **options)(function)
         for signature in signatures:
             if _Mode.loading and made._cache.load_overload(signature, made.targetctx) is None:
-                raise NotCompiled(function.__name__)
+                raise ImportError(f"{function.__name__} is not compiled yet")
             made.compile(signature)
         if signatures:
             made.disable_compile()
@@ -94,7 +83,7 @@ def load_compiled() -> None:
     """Load what has a compiled form on disk, for processes that are forked from this one."""
     _Mode.loading = True
     for name in LOOPS:
-        with suppress(NotCompiled):
+        with suppress(ImportError):
             importlib.import_module(name)
     _Mode.loading = False
 

@@ -22,7 +22,7 @@ from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging import coherent, pointwise
 from .imaging import layers as truth
-from .imaging.contract import Floats, Scene
+from .imaging.contract import Floats
 from .noise.draws import StreamNames, draw
 from .sample_table import Camera, columns, image_axes, record, requested, requested_row
 from .selection import choose_frames
@@ -53,7 +53,7 @@ class ObservedFrame:
     ref: FrameRef
     has_pose: bool
     window: Window
-    scene: Scene
+    scene: pointwise.PointScene | coherent.FieldScene
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float | str]
@@ -121,7 +121,7 @@ def observe(
     window = window or fitted_window(frame, rendered, config)
     window = conical(window, sonar) if cones else window
     lit = surface.LitSurface(frame, rendered, window, sonar, cones)
-    scene: Scene = (
+    scene = (
         coherent.observe(lit, config.water, config.acoustics)
         if cones
         else pointwise.observe(lit, config.seed, config.resample)

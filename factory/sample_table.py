@@ -113,7 +113,7 @@ def record(
         *(sample.rate, sample.points, sample.full_scale),
     )
     if formation == "field":
-        row[_TARGET.name] = sample.clean_full_scale
+        row[_TARGET.name] = sample.full_scale
     return row | draws.row(sample.added)
 
 

@@ -7,7 +7,6 @@ workers, before and after an interruption.  `hash()` is salted per process and i
 from __future__ import annotations
 
 import hashlib
-from functools import cache
 
 import numpy as np
 
@@ -21,14 +20,9 @@ def spawn_key(*names: str | int) -> tuple[int, ...]:
 
 def stream(root_seed: int, *names: str | int) -> np.random.Generator:
     """A generator for the draw named by `names`, for example (stage, scene, frame, variant)."""
-    # SeedSequence(root_seed, spawn_key=...) put together by hand, which takes a third of the time.
-    words = [*_words(root_seed), *spawn_key(*names)]
-    sequence = np.random.SeedSequence(np.array(words, dtype=np.uint32))
-    return np.random.Generator(np.random.PCG64(sequence))
-
-
-@cache
-def _words(root_seed: int) -> tuple[int, ...]:
-    """The seed in 32-bit words, the lowest first, at least the four of SeedSequence's pool."""
+    # SeedSequence(root_seed, spawn_key=...) put together by hand, which takes a third of the time:
+    # the seed in 32-bit words, the lowest first, at least the four of its pool.
     count = max(4, -(-root_seed.bit_length() // 32))
-    return tuple(root_seed >> 32 * word & 0xFFFFFFFF for word in range(count))
+    words = [root_seed >> 32 * word & 0xFFFFFFFF for word in range(count)]
+    sequence = np.random.SeedSequence(np.array([*words, *spawn_key(*names)], dtype=np.uint32))
+    return np.random.Generator(np.random.PCG64(sequence))

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -29,41 +28,27 @@ from .signal import Ping, Signal, averaged, beamform, beamform_power, sounds
 
 @dataclass(frozen=True, eq=False)
 class FieldScene:
-    """A frame as the device receives it; a `contract.Scene`."""
+    """A frame as the device receives it: what all its samples share; no randomness."""
 
     ping: Ping
 
     @property
     def filled(self) -> npt.NDArray[np.bool_]:
-        """See `contract.Scene`."""
+        """(range_bins, beams) bool: bins in which insonified surface lies."""
         rows, beams = self.ping.shape
         samples = self.ping.surface.sonar.samples_per_bin
         by_bin = self.ping.scatterers.in_beam.reshape(rows // samples, samples, beams)
         return np.asarray(by_bin.any(axis=1))
 
-    @cached_property
-    def geometry(self) -> tuple[Floats, float] | None:
-        """Where it is the target the paper's T, of the points: grey values and full scale."""
-        surface = self.ping.surface
-        window, sonar, curve = surface.window, surface.sonar, surface.sonar.transfer
-        if self.ping.acoustics.target != "geometry":
-            return None
-        points = polar.accumulate(surface.insonified.echoes, window, sonar)
-        level = polar.spread_points(points, sonar)
-        intensity = transfer.full_scale(level, curve, "intensity")
-        grey = transfer.grey(level, intensity, curve, "intensity")
-        return polar.where_seen(grey, window, sonar), intensity
-
     def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> FieldSample:
-        """See `contract.Scene`."""
+        """One sample; equal calls, equal bytes."""
         ping, surface = self.ping, self.ping.surface
-        full_scale = ping.full_scale if self.geometry is None else self.geometry[1]
         on_points = [effect for effect in effects if effect.stage == "points"]
         clouds: tuple[EffectCloud, ...] = ()
         if on_points:
             clouds = effect_clouds(on_points, surface.insonified.echoes, surface.window)
         many = len(ping.scatterers.bins)
-        return FieldSample(effects, clouds, 1.0, many, ping.full_scale, full_scale, self)
+        return FieldSample(effects, clouds, 1.0, many, ping.full_scale, self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +60,6 @@ class FieldSample(Sample):
     @property
     def clean(self) -> Floats:
         """See `Sample`."""
-        if self.scene.geometry is not None:
-            return self.scene.geometry[0]
         ping, acoustics = self.scene.ping, self.scene.ping.acoustics
         effects = self.effects
         if acoustics.target == "restored":

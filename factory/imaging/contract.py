@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,17 +20,6 @@ from .effect import DrawnEffect
 
 Floats = npt.NDArray[np.float32]
 Layers = npt.NDArray[np.generic]
-
-
-class Scene(Protocol):
-    """A frame as the sonar observes it: what all its samples share; no randomness."""
-
-    @property
-    def filled(self) -> npt.NDArray[np.bool_]:
-        """(range_bins, beams) bool: bins in which insonified surface lies."""
-
-    def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> Sample:
-        """One sample; equal calls, equal bytes."""
 
 
 class EffectCloud(NamedTuple):
@@ -50,8 +39,7 @@ class Sample(ABC):
     effects: those drawn for it.  clouds: of each of stage points.
     rate: fraction of the scene's points that resampling has kept.  points: number of scene points
         in the pictures.
-    full_scale: echo intensity, after time-varying gain, that the noisy picture shows as grey value
-        1.  clean_full_scale: the same of the clean picture, in the unit of its target.
+    full_scale: echo intensity, after time-varying gain, that is shown as grey value 1.
     """
 
     effects: Sequence[DrawnEffect]
@@ -59,7 +47,6 @@ class Sample(ABC):
     rate: float
     points: int
     full_scale: float
-    clean_full_scale: float
 
     @cached_property
     def added(self) -> Mapping[str, int]:

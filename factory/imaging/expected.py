@@ -5,9 +5,8 @@ gamma-distributed, and E[10 log10 I] lies psi(L) - ln L nepers below 10 log10 E[
 look (psi: digamma).  So every effect says what it makes of the expected intensities, and the
 transfer curve is averaged over their distribution, clipping included.
 
-An effect is random (speckle, texture, spokes: it averages out) or systematic (haze, the receiver's
-floor, a wrong gain, ghosts: it is there in every picture).  Target mean_log keeps the systematic
-ones, target restored has none of them.
+Random effects (speckle, texture, spokes) average out; systematic ones (haze, a wrong gain, ghosts)
+are there in every picture: target mean_log keeps them, target restored has none of them.
 """
 
 from __future__ import annotations
@@ -37,9 +36,8 @@ class Expected:
 
     echo: of what fluctuates as speckle does and texture can change; noise: of what else does.
     steady: of what does not fluctuate.  textured: the part of echo and steady that texture varies.
-    looks: independent fields whose intensities are averaged, whole or not.  shape: nu of the
-        texture.
-    standing: part of the speckle's power that is the same in every ping.
+    looks: independent fields whose intensities are averaged, whole or not.
+    shape: nu of the texture.  standing: part of the speckle's power that stays from ping to ping.
     scintillation_nepers2: variance of the logarithm of the intensity that comes on top of all.
     """
 
@@ -92,9 +90,8 @@ def expected(
 ) -> Expected:
     """The expected intensities after time-varying gain.
 
-    realised: whether random effects act as they do in this one sample, where that can be told, or
-        on average.
-    standing: part of the speckle's power that averaging leaves, as it is in this sample.
+    realised: whether random effects act as in this one sample, where that can be told, or on
+        average.  standing: see `Expected`.
     """
     none = [np.zeros(ping.shape, np.float32) for _ in range(3)]
     state = Expected(none[0], none[1], ping.expected.copy(), none[2], standing=standing)
@@ -112,18 +109,21 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
 
     full_scale: intensity that is shown as grey value 1.
     """
+    # The power of the intensity that is displayed; 0 for its logarithm, soft or not.
+    power = {"linear": 0.5, "power": 0.5 * settings.exponent}.get(settings.kind, 0.0)
     # E[x^p]^(1/p) of a log-normal x of median 1.
-    full_scale /= float(np.exp(_power(settings) * state.scintillation_nepers2 / 2))
+    full_scale /= float(np.exp(power * state.scintillation_nepers2 / 2))
     if not (sounds(state.echo) or sounds(state.noise)):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
     one, total = np.float32(1), state.total() + _FAINTEST
     level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))
     # What texture does to the level goes by the variance that it brings.
     part = np.minimum(state.textured / total, one)
-    shifts_db = _texture_shifts_db(state.shape, _power(settings))
+    shifts_db = _texture_shifts_db(state.shape, power)
     level_db += between(shifts_db, part * part * np.float32(_SHIFTS - 1))
-    level = (level_db - np.float32(_lowest_db(settings))) * np.float32(_STEPS_PER_DB)
-    fixed, table = np.minimum(state.steady / total, one), _table(settings)
+    low_db, table = _table(settings)
+    level = (level_db - np.float32(low_db)) * np.float32(_STEPS_PER_DB)
+    fixed = np.minimum(state.steady / total, one)
     variance = (one - fixed * fixed) * (one / np.float32(state.looks)) * np.float32(_VARIANCES - 1)
     row = np.minimum(variance.astype(np.intp), _VARIANCES - 2)
     levels = table.shape[1]
@@ -139,26 +139,17 @@ def between(table: Floats, place: Floats, first: npt.NDArray[np.intp] | int = 0)
     return np.asarray(low + (place - step.astype(np.float32)) * (high - low), np.float32)
 
 
-def _power(settings: TransferSettings) -> float:
-    """The power of the intensity that is displayed; 0 for its logarithm, soft or not."""
-    return {"linear": 0.5, "power": 0.5 * settings.exponent}.get(settings.kind, 0.0)
-
-
-def _lowest_db(settings: TransferSettings) -> float:
-    is_log = settings.kind in ("log", "soft_log")
-    return -settings.dynamic_range_db - _BEYOND_DB if is_log else _DARKEST_DB
-
-
 @lru_cache(maxsize=8)
-def _table(settings: TransferSettings) -> Floats:
-    """(variances, levels) expected grey values of gamma-distributed intensities.
+def _table(settings: TransferSettings) -> tuple[float, Floats]:
+    """Lowest level, dB; (variances, levels) expected grey values of gamma-distributed intensities.
 
     variances: 0 to 1 in equal steps, of the intensity over its mean squared.  A constant in speckle
     (Rice) is nearly gamma-distributed, too, with its own variance (Nakagami).
     """
     from scipy import special  # slow to import
 
-    low_db = _lowest_db(settings)
+    is_log = settings.kind in ("log", "soft_log")
+    low_db = -settings.dynamic_range_db - _BEYOND_DB if is_log else _DARKEST_DB
     count = round((_BEYOND_DB - low_db) * _STEPS_PER_DB) + 1
     mean = 10 ** ((low_db + np.arange(count) / _STEPS_PER_DB) / 10)
     chance = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
@@ -167,7 +158,7 @@ def _table(settings: TransferSettings) -> Floats:
         quantiles = special.gammaincinv(1 / variance, chance) * variance
         shown = transfer.grey(np.sqrt(mean[:, None] * quantiles), 1.0, settings)
         rows.append(shown.mean(axis=1, dtype=np.float64).astype(np.float32))
-    return np.ascontiguousarray(rows, np.float32)
+    return low_db, np.ascontiguousarray(rows, np.float32)
 
 
 @lru_cache(maxsize=64)

@@ -23,7 +23,7 @@ from .settings import ResampleSettings
 
 @dataclass(frozen=True, eq=False)
 class PointScene:
-    """A frame as echoes at full density; a `contract.Scene`.
+    """A frame as echoes at full density: what all its samples share; no randomness.
 
     seed: of the random streams.  echoes: every insonified surface point in the window, strengths
     after time-varying gain.  filled: (range_bins, beams) bool, bins that hold one.
@@ -36,7 +36,7 @@ class PointScene:
     filled: npt.NDArray[np.bool_]
 
     def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> PointSample:
-        """See `contract.Scene`."""
+        """One sample; equal calls, equal bytes."""
         ref = self.surface.frame.ref
         names = ("resample", ref.location, ref.scene, ref.frame, variant)
         rate = self.resample.rate.draw(seeds.stream(self.seed, "parameter", *names))
@@ -44,8 +44,7 @@ class PointScene:
         level = self.level([kept])
         full_scale = transfer.full_scale(level, self.surface.sonar.transfer, "intensity")
         clouds = effect_clouds(effects, kept, self.surface.window)
-        scales = full_scale, full_scale
-        return PointSample(effects, clouds, rate, len(kept), *scales, self, kept, level)
+        return PointSample(effects, clouds, rate, len(kept), full_scale, self, kept, level)
 
     def level(self, echoes: Sequence[Echoes]) -> Floats:
         """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""

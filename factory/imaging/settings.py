@@ -28,8 +28,7 @@ class AcousticsSettings:
     formation: points (the paper's, every echo a point) or field (sonar equation and complex field;
         the keys below, `water` and `sonar.array` count for it alone).
     target: what the clean picture is: mean_log (the expected displayed picture: random noise
-        averaged, systematic effects kept), restored (the same without the systematic ones) or
-        geometry (the paper's T).
+        averaged, systematic effects kept) or restored (the same without the systematic ones).
     standing: part of the speckle's power that stands still from ping to ping, 0 to 1.  It does not
         average out, so targets mean_log and restored keep it; 0 for a sonar that moves.
     lambert_exponent: backscatter falls as cos(incidence) to this power, in intensity; 2 is Lambert.
@@ -42,7 +41,7 @@ class AcousticsSettings:
     """
 
     formation: Literal["points", "field"] = "points"
-    target: Literal["mean_log", "restored", "geometry"] = "mean_log"
+    target: Literal["mean_log", "restored"] = "mean_log"
     standing: Annotated[float, Field(ge=0, le=1)] = 0.0
     lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
     reflectivity_db: dict[str, Decibel] = field(default_factory=lambda: {"Background": -25.0})

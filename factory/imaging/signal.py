@@ -196,21 +196,14 @@ def beamform_power(power: Floats, ping: Ping) -> Floats:
 def white_noise(rng: np.random.Generator, looks: int, shape: tuple[int, int]) -> Floats:
     """(looks, 2, *shape) float32: complex circular Gaussian noise of intensity 1."""
     noise = np.zeros((looks, 2, *shape), np.float32)
-    add_white_noise(noise, rng, np.ones(shape[0], np.float32))
+    add_white_noise(noise, rng, *(np.ones(side, np.float32) for side in shape))
     return noise
 
 
-def add_white_noise(
-    field: Floats, rng: np.random.Generator, along: Floats, across: Floats | None = None
-) -> None:
-    """Add such noise to a field in place, times amplitudes of the rows and of the beams.
-
-    along: (range_bins,) float32; across: (beams,) float32, all 1 where left out.
-    """
+def add_white_noise(field: Floats, rng: np.random.Generator, along: Floats, across: Floats) -> None:
+    """Add such noise to a field in place, times float32 amplitudes of the rows and the beams."""
     from . import kernels
 
-    if across is None:
-        across = np.ones(field.shape[-1], np.float32)
     for look in field:
         kernels.add_white(int(rng.integers(2**32)), gaussian_table(), along, across, look)
 
@@ -270,16 +263,12 @@ def matrices(sonar: SonarSettings, power: bool) -> tuple[tuple[Floats, ...], ...
     """The mixing of amplitudes or, squared, of intensities: matrices whose product it is.
 
     A device whose left is the mirror of its right mixes the sums of mirrored beams with one matrix
-    and their differences with another, each of half the size: together half the work.  Other
-    devices have the whole matrix alone.  A beam so gets the rounding errors of its mirror image:
-    2e-7 of the row's strongest number.
+    and their differences with another, each of half the size (errors: 2e-7 of the row's strongest
+    number).  Other devices have the whole matrix alone.
 
-    The beams are no more independent than the aperture is long: an aperture of L wavelengths tells
-    apart about 2 L sin(hfov / 2) directions.  With more beams than that, each half is (beams / 2,
-    modes) times (modes, beams / 2), of amplitudes, where this saves work.  A beam then gets errors
-    of up to 1e-5 of its row's strongest number.
-
-    Rows and columns are filled up with zeros to multiples of 4.
+    An aperture of L wavelengths tells apart about 2 L sin(hfov / 2) directions.  With more beams
+    than that, each half is (beams / 2, modes) times (modes, beams / 2), of amplitudes, where this
+    saves work (errors: 1e-5).  Rows and columns are filled up with zeros to multiples of 4.
     """
     halves = _halves(mixing(sonar).astype(np.float64) ** (2 if power else 1))
     parts: list[tuple[Matrix, ...]] = [(half,) for half in halves]

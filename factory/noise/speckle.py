@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from ..distribution import AnyNumber, NonNegative, Positive
@@ -140,7 +139,11 @@ def path_speckle(
         (places[:, axis] + (kernels.scrambled(names ^ salt) >> np.uint32(8)) * 2.0**-24) * cell_m
         for axis, salt in enumerate(_SALTS)
     )
-    ahead, left, up = (m[0] * x + m[1] * y + m[2] * z + m[3] for m in _sonar_from_world(ping))
+    # World axes to sonar axes (x forward, y left, z up).
+    turn = ping.sonar.mount.rotation_sonar_from_camera()
+    seen_from = turn @ np.linalg.inv(scene.world_from_camera)[:3]
+    seen_from[:, 3] -= turn @ ping.sonar.mount.position_camera_m()
+    ahead, left, up = (m[0] * x + m[1] * y + m[2] * z + m[3] for m in seen_from)
     ground = ahead * ahead + left * left
     range_m = np.sqrt(ground + up * up)
     on_ground, near_m, bins_per_m, rows, edges, *_ = grid_of(ping.window, ping.sonar)
@@ -162,16 +165,6 @@ def edge_m(ping: Ping) -> float:
     length_m = max(ping.bin_m, ping.resolution_m)
     width_m = _NEAR * ping.window.range_max_m * array.beam_width_sine(ping.sonar.array)
     return float(2.0 ** np.floor(np.log2(min(length_m, width_m))))
-
-
-def _sonar_from_world(ping: Ping) -> npt.NDArray[np.float64]:
-    """(3, 4): world axes to sonar axes (x forward, y left, z up)."""
-    camera_from_world = np.linalg.inv(ping.scatterers.world_from_camera)
-    mount = ping.sonar.mount
-    turn = mount.rotation_sonar_from_camera()
-    made = turn @ camera_from_world[:3]
-    made[:, 3] -= turn @ mount.position_camera_m()
-    return np.ascontiguousarray(made)
 
 
 PATH_SPECKLE = Effect(

@@ -156,26 +156,21 @@ class SonarSettings:
     mount: Mount = field(default_factory=Mount)
 
     @model_validator(mode="after")
-    def _raw_samples(self) -> Self:
+    def _consistent(self) -> Self:
         if self.range_bins * self.samples_per_bin > MOST_SAMPLES:
             raise ValueError(
                 f"range_bins {self.range_bins} of samples_per_bin {self.samples_per_bin} are more "
                 f"than {MOST_SAMPLES} raw samples; take fewer of one"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _beam_table(self) -> Self:
         table = self.beam_azimuths_deg
-        if table is not None:
-            if len(table) != self.beams:
-                raise ValueError(
-                    f"beam_azimuths_deg has {len(table)} entries for {self.beams} beams"
-                )
-            if np.any(np.diff(table) <= 0):
-                raise ValueError("beam_azimuths_deg must increase from left to right")
-            if max(abs(table[0]), abs(table[-1])) > self.hfov_deg / 2:
-                raise ValueError("beam_azimuths_deg must lie within hfov_deg")
+        if table is None:
+            return self
+        if len(table) != self.beams:
+            raise ValueError(f"beam_azimuths_deg has {len(table)} entries for {self.beams} beams")
+        if np.any(np.diff(table) <= 0):
+            raise ValueError("beam_azimuths_deg must increase from left to right")
+        if max(abs(table[0]), abs(table[-1])) > self.hfov_deg / 2:
+            raise ValueError("beam_azimuths_deg must lie within hfov_deg")
         return self
 
     def beam_centres_rad(self) -> npt.NDArray[np.float64]:

@@ -105,11 +105,8 @@ def conical(window: Window, sonar: SonarSettings) -> Window:
     """
     half_rad = math.radians(sonar.hfov_deg) / 2
     narrower = math.cos(math.radians(sonar.vfov_deg) / 2)
-
-    def bearing(azimuth_rad: float) -> float:
-        if abs(azimuth_rad) >= 0.999 * half_rad:
-            return azimuth_rad
-        return math.asin(math.sin(azimuth_rad) * narrower)
-
-    edges = bearing(window.azimuth_min_rad), bearing(window.azimuth_max_rad)
-    return replace(window, azimuth_min_rad=edges[0], azimuth_max_rad=edges[1])
+    left, right = (
+        edge if abs(edge) >= 0.999 * half_rad else math.asin(math.sin(edge) * narrower)
+        for edge in (window.azimuth_min_rad, window.azimuth_max_rad)
+    )
+    return replace(window, azimuth_min_rad=left, azimuth_max_rad=right)

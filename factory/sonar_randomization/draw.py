@@ -11,7 +11,8 @@ import numpy as np
 from .. import seeds
 from ..dataset.schema import Column
 from ..distribution import number
-from ..imaging.contract import Scene
+from ..imaging.coherent import FieldScene
+from ..imaging.pointwise import PointScene
 from ..imaging.settings import ResampleSettings
 from ..noise.registry import EFFECTS, NoiseSettings, blocks
 from ..sonar.fan import fan_size
@@ -72,12 +73,11 @@ def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Devic
 
 def columns(settings: DeviceSettings) -> tuple[Column, ...]:
     """Columns of the sample table: what was drawn for the device of each picture."""
-    return tuple(Column(f"device.{name}", "f8", _unit(name)) for name in distributions(settings))
-
-
-def _unit(name: str) -> str:
     units = {"deg": "deg", "khz": "kHz", "px": "px", "m": "m", "db": "dB"}
-    return units.get(name.rsplit("_", 1)[-1], "1")
+    return tuple(
+        Column(f"device.{name}", "f8", units.get(name.rsplit("_", 1)[-1], "1"))
+        for name in distributions(settings)
+    )
 
 
 def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> FactoryConfig:
@@ -150,11 +150,12 @@ def resolved(
     return replace(config, sonar=replace(sonar, array=array, image=image))
 
 
-def fitted(config: FactoryConfig, device: Device, scene: Scene) -> FactoryConfig:
+def fitted(config: FactoryConfig, device: Device, scene: PointScene | FieldScene) -> FactoryConfig:
     """The same once the scene is known: the receiver's noise lies so far over its median echo."""
-    receiver, ping = config.noise.receiver, getattr(scene, "ping", None)
-    if ping is None or receiver is None or not receiver.enabled:
+    receiver = config.noise.receiver
+    if isinstance(scene, PointScene) or receiver is None or not receiver.enabled:
         return config
+    ping = scene.ping
     echoes = ping.expected[ping.expected > 0]
     level_db = device.values["receiver_db"]
     if len(echoes):

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -219,24 +215,6 @@ def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
     assert using == set(LOOPS)
     for name in LOOPS:
         importlib.import_module(name)
-
-
-def test_loops_work_where_nothing_can_be_kept(tmp_path: Path) -> None:
-    """Neither the package nor the user's cache can be written: compiled in memory, same result."""
-    script = tmp_path / "script.py"
-    script.write_text("""
-import numba.core.caching as caching
-caching.CacheImpl._locator_classes = []
-from simnfnd.factory.compiled import compiled
-
-@compiled("int64(int64)")
-def twice(number):
-    return 2 * number
-
-assert twice(21) == 42
-""")
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, str(script)], cwd=ROOT, env=environment, check=True)
 
 
 @pytest.mark.parametrize("side", [3, 5, 7, 61])
