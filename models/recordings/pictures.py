@@ -32,8 +32,8 @@ from .base import (
     swapped,
 )
 
-# Times its size that a stranger's file of pages may unpack to, and what a small one may.
-RATIO, ALWAYS_BYTES = 200, 1 << 28
+# Pixels in all that a stranger's file of pages may unpack to: for each of its bytes, and always.
+RATIO, ALWAYS_PIXELS = 200, 1 << 28
 LEAST_SIDE_PX = 16  # smaller arrays are tables: poses, matrices, bearings
 _COLOURS = ((1,), (3,), (4,))
 
@@ -204,11 +204,11 @@ class StackFile(Recording):
             self.count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
         ask_pixels(what, width, height)
-        needed = self.count * width * height
-        if needed > ALWAYS_BYTES + RATIO * self.size:
+        pixels = self.count * width * height
+        if pixels > ALWAYS_PIXELS + RATIO * self.size:
             raise FrameError(
-                f"{what}: unpacks to {needed:,} bytes, at most {RATIO} times its size are read; if "
-                "it is sound, save it uncompressed or in parts"
+                f"{what}: unpacks to {pixels:,} pixels, at most {RATIO} for a byte are read; if it "
+                "is sound, save it uncompressed or in parts"
             )
 
     def _read(self, number: int) -> Frame:
