@@ -17,7 +17,9 @@ from ..factory.dataset.reader import ImageStack, Split, open_shard, reading, val
 from ..factory.dataset.schema import CORE
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
-from ..models.recordings.pictures import in_unit_range, read_picture
+from ..models.recordings.base import Frame
+from ..models.recordings.pictures import read_picture
+from ..models.recordings.views import grey_of
 from .filters import REGISTRY
 from .methods import Method
 from .metrics.fidelity import MetricError, finite_psnr
@@ -186,7 +188,7 @@ def given_picture(folder: Path, names: Sequence[str]) -> Gray:
         if (image[..., :3] != image[..., :1]).any():
             raise FactoryError(f"{path}: in colour; sonar images are gray, convert it first")
         image = image[..., 0]
-    return in_unit_range(image, str(path))
+    return grey_of(Frame(0, image))
 
 
 def given_methods(

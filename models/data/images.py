@@ -20,7 +20,6 @@ from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.polar import Echoes, in_plane
 from ...factory.sonar.window import Window
 from ..recordings import PICTURE_SUFFIXES, is_recording, kind_of, open_recording
-from ..recordings.pictures import read_grey
 from ..recordings.views import frame_picture
 from ..settings import OldData
 from .fans import read_fans
@@ -63,8 +62,6 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
 
     A ping becomes a fan.  Raises FactoryError when it cannot be read.
     """
-    if not is_recording(sample.path):
-        return read_grey(sample.path), None
     return frame_picture(sample.path, sample.row)
 
 

@@ -17,7 +17,6 @@ from zipfile import ZipFile
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
 from ...factory.errors import FactoryError, FrameError
@@ -38,7 +37,6 @@ from .base import (
     explained,
     swapped,
 )
-from .palettes import grey_of_colours
 
 _FORMAT: Any = np.lib.format  # whose functions are not typed
 LEAST_SIDE_PX = 16  # smaller arrays are tables: poses, matrices, bearings
@@ -127,18 +125,6 @@ def as_samples(page: Samples, what: str) -> Samples:
             f"{page.max():g}; scale them (of echoes in linear units the logarithm)"
         )
     return page
-
-
-def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
-    """Float32 with full scale 1, of the same shape.  Raises FrameError as `as_samples` does."""
-    samples = as_samples(picture, what)
-    return samples.astype(np.float32) / np.float32(FULL_SCALE[str(samples.dtype)])
-
-
-def read_grey(path: Path) -> npt.NDArray[np.float32]:
-    """(H, W) float32 in 0..1 of a file; of colours see `grey_of_colours`.  Raises FrameError."""
-    picture = read_picture(path)
-    return in_unit_range(picture, str(path)) if picture.ndim == 2 else grey_of_colours(picture)
 
 
 class ArrayFile(Recording):

@@ -20,7 +20,7 @@ from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.fans import read_fans
 from simnfnd.models.data.images import list_images, read_sample, smallest_side, with_noise
 from simnfnd.models.data.sources import open_data
-from simnfnd.models.recordings.pictures import read_grey
+from simnfnd.models.recordings.views import frame_picture
 from simnfnd.models.training.train import train
 from tests.models.data.small_renders import SMALL, composed
 from tests.models.recordings.recording_files import pings, write_array
@@ -76,7 +76,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
     fan = read_fans(images / "fans.csv")["0.png"]
-    clean = read_grey(images / "0.png") * fan.maps(0, 0, 48, 48)["sector"]
+    clean = frame_picture(images / "0.png", 0)[0] * fan.maps(0, 0, 48, 48)["sector"]
     config = compose_config(["noise=simnfnd"]).noise
     draws = draw(config, 0, StreamNames.single("a"))
     sector = fan.maps(0, 0, 48, 48)["sector"] > 0

@@ -11,7 +11,7 @@ import scipy.io
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.recordings import base, is_recording, kind_of, open_recording
-from simnfnd.models.recordings.pictures import is_table, read_grey, read_picture
+from simnfnd.models.recordings.pictures import is_table, read_picture
 from tests.models.recordings.recording_files import pings, write_array
 
 NAMES = ("a.npz", "b.npz", "a.mat", "b.mat")
@@ -86,7 +86,7 @@ def test_tables_are_no_pictures(tmp_path: Path, array: Any) -> None:
 )
 def test_values_that_are_no_grey_values(tmp_path: Path, array: Any, words: str) -> None:
     with pytest.raises(FactoryError, match=f"a.npy: .*{words}"):
-        read_grey(saved(tmp_path / "a.npy", array))
+        read_picture(saved(tmp_path / "a.npy", array))
     several = saved(tmp_path / "b.npy", np.stack([array, array]))
     with open_recording(several) as recording, pytest.raises(FactoryError, match=words):
         recording[1]
