@@ -162,10 +162,8 @@ def correlation(grey: Gray) -> float:
 def halved(plane: Gray) -> Gray:
     """(H, W) -> half of the size, means of 2 x 2; odd sides end in their last."""
     even = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
-    return np.asarray(
-        (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / np.float32(4),
-        np.float32,
-    )
+    four = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
+    return np.asarray(four / np.float32(4), np.float32)
 
 
 def tiled(work: Work, image: Gray, maps: Maps, tile: int, overlap: int) -> Gray:

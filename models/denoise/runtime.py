@@ -45,10 +45,8 @@ def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
 
 def _on_gpu(device: str, there: bool) -> bool:
     if device == "gpu" and not there:
-        raise FactoryError(
-            "--device gpu: no usable GPU here; install onnxruntime-gpu (for weights of your own a "
-            "torch for GPUs), or use --device cpu"
-        )
+        needed = "onnxruntime-gpu, for weights of your own a torch for GPUs"
+        raise FactoryError(f"--device gpu: no usable GPU here ({needed}); use --device cpu")
     return there and device != "cpu"
 
 

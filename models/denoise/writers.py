@@ -26,13 +26,8 @@ Frames = Iterator[Picture]
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
-
-COMPARED = 4
-"""How many pictures of one file `--compare` shows."""
-
-CAPTION_PX = 20
-"""Height of the line with the names."""
-
+COMPARED = 4  # pictures of one file that `--compare` shows
+CAPTION_PX = 20  # height of the line with the names
 _NAMES = ("noisy", "denoised", "clean")
 _GAP_PX = 4
 

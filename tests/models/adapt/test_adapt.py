@@ -141,7 +141,7 @@ def test_stretches_are_found_in_a_shuffled_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("files", "words", "said"),
     [
-        ([], [], "holds no image"),
+        ([], [], "no image, shard, video or recording"),
         (["a0.png"], [], "is one picture"),
         (["a.png", "b.png"], ["--steps", "0"], "--steps 0"),
         (["a.png", "b.png"], ["--minutes", "0"], "--minutes 0"),
