@@ -40,7 +40,8 @@ class Denoiser:
     """Trained weights as a function of a picture.
 
     name: of the weights file.  digest: its SHA-256.  runtime: what computes it.
-    tile, overlap: see `tiled`.
+    knows_frames: whether the weights know how many frames were averaged; else `frames` changes
+    nothing.  tile, overlap: see `tiled`.
     """
 
     tile, overlap = 1024, 96
@@ -58,11 +59,7 @@ class Denoiser:
         self.name = path.name if path.stem == "weights" else path.stem
         self.digest = sha256_of(path)
         self.strength = np.float32(strength)
-
-    @property
-    def knows_frames(self) -> bool:
-        """Whether the weights know how many frames were averaged; else `frames` changes nothing."""
-        return "frames" in self.runtime.extras
+        self.knows_frames = "frames" in self.runtime.extras
 
     def __call__(
         self,

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     import h5py
 
 SCHEMA = "simnfnd-denoised/1"
-_FURTHEST_TURN_DEG = 20.0  # between two frames; a compass that says more is not to be trusted
 
 
 @dataclass
@@ -290,8 +289,6 @@ def _turned_px(frame: Frame, before: Frame | None) -> tuple[float, float] | None
         return None
     azimuths = frame.beams.azimuths_rad
     turned_deg = (now_deg - before_deg + 180) % 360 - 180
-    if abs(turned_deg) > _FURTHEST_TURN_DEG:
-        return None
     spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
     return -math.radians(turned_deg) / spacing, 0.0
 

@@ -25,8 +25,7 @@ from .pictures import Gray
 Maps = Mapping[str, Gray]
 Positions = Sequence[Gray]
 _SMALLEST = np.float32(1e-6)
-_MOST = np.float32(80)
-"""Of a logit, so that its exponential is a number."""
+_MOST = np.float32(80)  # of a logit, so that its exponential is a number
 
 
 def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:

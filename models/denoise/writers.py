@@ -57,10 +57,9 @@ def write_frames(
     first = next(frames, None)
     if first is None:
         return
-    frames, is_even = (
-        itertools.chain([first], frames),
-        not any(side % 2 for side in first.shape[:2]),
-    )
+    frames = itertools.chain([first], frames)
+    is_video = path.suffix.lower() in CODECS and not path.is_dir()
+    is_video = is_video and first.shape[0] % 2 == first.shape[1] % 2 == 0
     path.parent.mkdir(parents=True, exist_ok=True)
     for stale in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
         stale.unlink(missing_ok=True)  # of a run that was killed
@@ -77,7 +76,7 @@ def write_frames(
                 with closing(NpyWriter(partial, source.header)) as array:
                     for picture in frames:
                         array.add(picture.astype(source.header.dtype))
-            elif path.suffix.lower() in CODECS and rate_hz and not path.is_dir() and is_even:
+            elif is_video and rate_hz:
                 _write_video(partial, frames, path, first.shape, rate_hz)
             else:
                 for number, picture in enumerate(frames):
