@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
     from .models.denoise.denoiser import Denoiser
-    from .models.recordings import Frame, Recording
+    from .models.recordings import Frame
 
 
 def denoise(
@@ -180,10 +180,11 @@ class RecordedFrame:
 class OpenRecording:
     """An opened recording: iterate, index or measure it; close it, or use it in `with`."""
 
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-        # Pictures of a folder may have a fan each.
-        self._moves = bool(recording.files)
+    def __init__(self, path: str | Path) -> None:
+        """See `open_recording`."""
+        from .models.recordings import open_recording as opened
+
+        self._recording = opened(path)
         self._found: dict[tuple[int, ...], FanGeometry | None] = {}
 
     def __len__(self) -> int:
@@ -218,10 +219,11 @@ class OpenRecording:
         if frame.beams is not None:
             return RecordedFrame(*fan_of(grey_of(frame), frame.beams), frame.time_s, frame)
         from .models.recordings.fan_finder import find_geometry  # of the extra sonar
+        from .models.recordings.pictures import Pictures
 
-        # As `simnfnd denoise` does it: a video's fan stays where it was found first.
+        # A video's fan stays where it was found first; pictures of a folder may have a fan each.
         shape = frame.samples.shape
-        if self._moves or shape not in self._found:
+        if shape not in self._found or isinstance(self._recording, Pictures):
             self._found[shape] = find_geometry(frame.samples)
         return RecordedFrame(frame.samples, self._found[shape], frame.time_s, frame)
 
@@ -235,6 +237,4 @@ def open_recording(path: str | Path) -> OpenRecording:
     Frames are read when they are asked for.  Raises FactoryError, one line, for a file that is not
     there, of no known kind, or damaged.
     """
-    from .models.recordings import open_recording as opened
-
-    return OpenRecording(opened(path))
+    return OpenRecording(path)

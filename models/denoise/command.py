@@ -32,56 +32,30 @@ your own sonar: `simnfnd adapt RECORDING --out own.safetensors`, then --weights 
 def main(arguments: Sequence[str]) -> int:
     """`simnfnd denoise IN... --out DIR`; 1 when some files were skipped."""
     keep_freed_memory()  # every picture needs the same planes again
-    parser = Parser(
-        prog="simnfnd denoise",
-        epilog=_WHICH,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    how = argparse.RawDescriptionHelpFormatter
+    parser = Parser(prog="simnfnd denoise", epilog=_WHICH, formatter_class=how)
+    add = parser.add_argument
+    add("inputs", nargs="+", metavar="IN", help="image, folder, shard, video, recording, array")
+    add("--out", required=True, help="folder for the results; names are kept")
+    add("--weights", help="weights.safetensors of a training, or a name of those that ship (below)")
+    of_noise = "of real sonars, or of the paper's points; shards say it themselves"
+    add("--noise", choices=("real", "points"), default="real", help=of_noise)
+    add("--strength", type=float, default=1.0, help="part of the change, 0 to 1 (default: 1)")
+    fused = (
+        "fuse up to N frames of a recording, video, stack or folder numbered in time where they "
+        f"show the same, half before and half after each; odd ({FRAMES}; 1: each by itself)"
     )
-    parser.add_argument(
-        "inputs",
-        nargs="+",
-        metavar="IN",
-        help="image, folder, shard, video, .aris, .ddf, .raw, bag or array (.npy)",
+    add("--frames", type=int, default=FRAMES, metavar="N", help=fused)
+    add("--causal", action="store_true", help="fuse with frames before alone, for live use")
+    add("--compare", action="store_true", help="also write pictures side by side")
+    where = (
+        "of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV table "
+        "of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
     )
-    parser.add_argument("--out", required=True, help="folder for the results; names are kept")
-    parser.add_argument(
-        "--weights",
-        help="weights.safetensors of a training, or the name of weights that ship (see below)",
-    )
-    parser.add_argument(
-        "--noise",
-        choices=("real", "points"),
-        default="real",
-        help="of real sonars, or of the paper's points; shards say it themselves",
-    )
-    parser.add_argument(
-        "--strength", type=float, default=1.0, help="part of the change, 0 to 1 (default: 1)"
-    )
-    parser.add_argument(
-        "--frames",
-        type=int,
-        default=FRAMES,
-        metavar="N",
-        help="fuse up to N frames of a recording, video, stack or folder numbered in time where "
-        f"they show the same, half before and half after each; odd ({FRAMES}; 1: each by itself)",
-    )
-    parser.add_argument(
-        "--causal", action="store_true", help="fuse with frames before alone, for live use"
-    )
-    parser.add_argument("--compare", action="store_true", help="also write pictures side by side")
-    parser.add_argument(
-        "--geometry",
-        default=FIND,
-        help="of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV "
-        "table of fans (file, apex_x, apex_y, ...); shards and recordings know theirs",
-    )
-    parser.add_argument(
-        "--topic",
-        action="append",
-        default=[],
-        help="of bags: whose pictures to denoise (may be repeated; default: those of sonars)",
-    )
-    parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
+    add("--geometry", default=FIND, help=where)
+    topics = "of bags: whose pictures to denoise (may be repeated; default: those of sonars)"
+    add("--topic", action="append", default=[], help=topics)
+    add("--device", choices=("auto", "cpu", "gpu"), default="auto")
     chosen = parser.parse_args(list(arguments))
     if not 0 <= chosen.strength <= 1:
         raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
@@ -96,11 +70,9 @@ def main(arguments: Sequence[str]) -> int:
     check_writable(out, "--out")
     load = cache(partial(Denoiser, device=chosen.device, strength=chosen.strength))
     denoise = load(chosen.weights)
+    window = partial(Denoising, frames=chosen.frames, causal=chosen.causal)
     # What is asked for by hand is not what predicts other frames of a recording.
-    calibrated = chosen.strength == 1
-    denoising = Denoising(
-        denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
-    )
+    denoising = window(denoise, calibrated=chosen.strength == 1)
     points = partial(load, chosen.weights or POINTS)
     finished = Finished(out, denoise.digest, list(arguments))
     job = Job(out, denoise, points, denoising, geometries, finished, chosen.compare, chosen.topic)

@@ -40,7 +40,8 @@ class Denoiser:
     """Trained weights as a function of a picture.
 
     name: of the weights file.  digest: its SHA-256.  runtime: what computes it.
-    tile, overlap: see `tiled`.
+    knows_frames: whether the weights know how many frames were averaged; else `frames` changes
+    nothing.  tile, overlap: see `tiled`.
     """
 
     tile, overlap = 1024, 96
@@ -58,11 +59,7 @@ class Denoiser:
         self.name = path.name if path.stem == "weights" else path.stem
         self.digest = sha256_of(path)
         self.strength = np.float32(strength)
-
-    @property
-    def knows_frames(self) -> bool:
-        """Whether the weights know how many frames were averaged; else `frames` changes nothing."""
-        return "frames" in self.runtime.extras
+        self.knows_frames = "frames" in self.runtime.extras
 
     def __call__(
         self,
@@ -162,10 +159,8 @@ def correlation(grey: Gray) -> float:
 def halved(plane: Gray) -> Gray:
     """(H, W) -> half of the size, means of 2 x 2; odd sides end in their last."""
     even = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
-    return np.asarray(
-        (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / np.float32(4),
-        np.float32,
-    )
+    four = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
+    return np.asarray(four / np.float32(4), np.float32)
 
 
 def tiled(work: Work, image: Gray, maps: Maps, tile: int, overlap: int) -> Gray:

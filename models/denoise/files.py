@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     import h5py
 
 SCHEMA = "simnfnd-denoised/1"
-_FURTHEST_TURN_DEG = 20.0  # between two frames; a compass that says more is not to be trusted
 
 
 @dataclass
@@ -62,12 +61,10 @@ class Job:
         """
         self.finished.add(item)
         self.used[name] += 1
-        if of_points is None or name != (DEFAULT if of_points else POINTS):
-            return
         made_for, other = ("real sonars", POINTS) if of_points else ("the paper's points", DEFAULT)
-        self.warnings.append(
-            f"{item.source}: {name} is made for {made_for}; {other} suits this file"
-        )
+        if of_points is not None and name == (DEFAULT if of_points else POINTS):
+            said = f"{name} is made for {made_for}; {other} suits this file"
+            self.warnings.append(f"{item.source}: {said}")
 
 
 def denoise_files(items: Sequence[Item], job: Job) -> None:
@@ -129,9 +126,7 @@ def _denoise_recording(item: Item, job: Job) -> None:
 
     Pictures become what `write_frames` says.  An ARIS recording and a bag become one, with the same
     headers, stamps and other topics; other recordings a folder of their name with a fan
-    (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.  Frames of
-    several topics of a bag are denoised one by one.
-    FrameError when it cannot be read, or a folder of a bag's name is there already.
+    (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.
     """
     path = job.out / item.relative
     if item.kind == "rosbag" and path.is_dir():
@@ -168,10 +163,7 @@ def _denoise_recording(item: Item, job: Job) -> None:
 
 
 def _denoise_shard(item: Item, job: Job) -> None:
-    """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along.
-
-    Raises FrameError when it is not a shard of this program, or damaged.
-    """
+    """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along."""
     import h5py  # for datasets alone
 
     from ...factory.dataset.layout import config_of
@@ -264,10 +256,7 @@ def _opened(item: Item, topics: Sequence[str]) -> Recording:
 def _frames(
     item: Item, recording: Recording, job: Job, shown: list[tuple[Picture, Picture]]
 ) -> Iterator[tuple[Frame, Picture]]:
-    """Each frame and what became of it; the first are shown to compare.
-
-    FrameError names a frame that cannot be denoised.
-    """
+    """Each frame and what became of it; the first are shown to compare."""
 
     def place(frame: Frame, picture: Picture) -> FanGeometry | None:
         if frame.beams is not None:
@@ -299,8 +288,6 @@ def _turned_px(frame: Frame, before: Frame | None) -> tuple[float, float] | None
         return None
     azimuths = frame.beams.azimuths_rad
     turned_deg = (now_deg - before_deg + 180) % 360 - 180
-    if abs(turned_deg) > _FURTHEST_TURN_DEG:
-        return None
     spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
     return -math.radians(turned_deg) / spacing, 0.0
 

@@ -95,28 +95,23 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
 
 
 def _of_input(path: Path, out: Path) -> list[Item]:
-    known = ", ".join(SUFFIXES)
-    if path.is_file():
-        if path.suffix.lower() not in SUFFIXES:
-            raise FactoryError(
-                f"{path}: neither an image nor a shard nor a video or recording ({known})"
-            )
-        return [_item(path, path.parent)]
-    if not path.is_dir():
+    if not path.exists():
         raise FactoryError(f"{path}: no such file or folder")
-    if is_bag_folder(path):
+    if path.is_dir() and is_bag_folder(path):
         return [Item(path, Path(path.resolve().name))]
-    # These load h5py, which a single picture can do without.
-    from ...factory.dataset import PairDataset
-    from ...factory.dataset.manifest import MANIFEST_NAME
+    if path.is_dir():
+        # These load h5py, which a single picture can do without.
+        from ...factory.dataset import PairDataset
+        from ...factory.dataset.manifest import MANIFEST_NAME
 
-    if (path / MANIFEST_NAME).is_file():
-        # Each is looked at when it is opened.
-        shards = PairDataset(path, "all", trusted=True).paths
-        return [_item(shard, path) for shard in shards]
-    found = items_below(path, out)
+        if (path / MANIFEST_NAME).is_file():
+            # Each is looked at when it is opened.
+            return [_item(shard, path) for shard in PairDataset(path, "all", trusted=True).paths]
+        found = items_below(path, out)
+    else:
+        found = [_item(path, path.parent)] if path.suffix.lower() in SUFFIXES else []
     if not found:
-        raise FactoryError(f"{path}: holds no image, shard, video or recording ({known})")
+        raise FactoryError(f"{path}: no image, shard, video or recording ({', '.join(SUFFIXES)})")
     return found
 
 

@@ -25,8 +25,7 @@ from .pictures import Gray
 Maps = Mapping[str, Gray]
 Positions = Sequence[Gray]
 _SMALLEST = np.float32(1e-6)
-_MOST = np.float32(80)
-"""Of a logit, so that its exponential is a number."""
+_MOST = np.float32(80)  # of a logit, so that its exponential is a number
 
 
 def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
@@ -45,10 +44,8 @@ def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
 
 def _on_gpu(device: str, there: bool) -> bool:
     if device == "gpu" and not there:
-        raise FactoryError(
-            "--device gpu: no usable GPU here; install onnxruntime-gpu (for weights of your own a "
-            "torch for GPUs), or use --device cpu"
-        )
+        needed = "onnxruntime-gpu, for weights of your own a torch for GPUs"
+        raise FactoryError(f"--device gpu: no usable GPU here ({needed}); use --device cpu")
     return there and device != "cpu"
 
 

@@ -25,13 +25,8 @@ Frames = Iterator[Picture]
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
-
-COMPARED = 4
-"""How many pictures of one file `--compare` shows."""
-
-CAPTION_PX = 20
-"""Height of the line with the names."""
-
+COMPARED = 4  # pictures of one file that `--compare` shows
+CAPTION_PX = 20  # height of the line with the names
 _NAMES = ("noisy", "denoised", "clean")
 _GAP_PX = 4
 
@@ -62,7 +57,8 @@ def write_frames(
     if first is None:
         return
     frames = itertools.chain([first], frames)
-    is_even = not any(side % 2 for side in first.shape[:2])
+    is_video = path.suffix.lower() in CODECS and not path.is_dir()
+    is_video = is_video and first.shape[0] % 2 == first.shape[1] % 2 == 0
     path.parent.mkdir(parents=True, exist_ok=True)
     for stale in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
         stale.unlink(missing_ok=True)  # of a run that was killed
@@ -78,7 +74,7 @@ def write_frames(
             elif isinstance(source, ArrayFile):
                 with partial.open("wb") as file:
                     write_array(file, frames, source.stored)
-            elif path.suffix.lower() in CODECS and rate_hz and not path.is_dir() and is_even:
+            elif is_video and rate_hz:
                 _write_video(partial, frames, path, first.shape, rate_hz)
             else:
                 for number, picture in enumerate(frames):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from ...factory import __version__
 from ...factory.cli import Parser
@@ -45,22 +44,17 @@ SUFFIXES = {"safetensors": ".safetensors", "onnx": ".onnx", "runtime": ".onnx"}
 def main(arguments: Sequence[str]) -> int:
     """Write the weights in the form that is asked for."""
     parser = Parser(prog="simnfnd export-weights")
-    parser.add_argument("weights", help="weights.safetensors of a training, or a name that ships")
-    parser.add_argument("--out", required=True, help="file to write")
-    parser.add_argument(
-        "--to",
-        choices=tuple(SUFFIXES),
-        default="safetensors",
-        help="safetensors: 16 bits with a model card (default); onnx: for other programs, see "
+    add = parser.add_argument
+    add("weights", help="weights.safetensors of a training, or a name that ships")
+    add("--out", required=True, help="file to write")
+    form = (
+        "safetensors: 16 bits with a model card (default); onnx: for other programs, see "
         "docs/deploy.md; runtime: the graph without weights by which `simnfnd denoise` does "
-        "without torch",
+        "without torch"
     )
-    parser.add_argument(
-        "--geometry",
-        choices=("none", "fan", "polar"),
-        default="none",
-        help="of the pictures that an onnx file gets with their range and bearing",
-    )
+    add("--to", choices=tuple(SUFFIXES), default="safetensors", help=form)
+    where = "of the pictures that an onnx file gets with their range and bearing"
+    add("--geometry", choices=("none", "fan", "polar"), default="none", help=where)
     chosen = parser.parse_args(list(arguments))
     out = Path(chosen.out).expanduser()
     if out.suffix != SUFFIXES[chosen.to]:
@@ -103,20 +97,11 @@ def export(weights: str | Path, out: Path) -> float:
         "parameters": f"{count:,}",
         "GMAC for a 256x256 picture": f"{count_macs(trained.network, 256) / 1e9:.2f}",
         "file": f"{size_mb:.2f} MB, 16-bit safetensors",
-        **_flat({"model": trained.model, **trained.training}),
+        "model": dict(trained.model),
+        **trained.training,
     }
-    rows = "\n".join(f"| `{key}` | {value} |" for key, value in facts.items())
+    shown = {key: one if isinstance(one, str) else json.dumps(one) for key, one in facts.items()}
+    rows = "\n".join(f"| `{key}` | {one} |" for key, one in shown.items())
     card = _CARD.format(name=out.stem, version=__version__, facts=rows)
     write_atomically(out.with_suffix(".md"), card.encode(), key="--out")
     return size_mb
-
-
-def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, str]:
-    """Values by their dotted names, as text."""
-    found: dict[str, str] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            found |= _flat(value, f"{above}{key}.")
-        else:
-            found[above + key] = value if isinstance(value, str) else json.dumps(value)
-    return found

@@ -27,11 +27,7 @@ from ..networks.network import Network, padded
 from ..networks.sonarnet import MapLines, SonarNet
 from ..networks.weights import load_weights
 
-OPSET = 18
-"""ONNX operators: GridSample and sums by ScatterElements came with 16, LayerNormalization with 17.
-
-Newer runtimes read older opsets.
-"""
+OPSET = 18  # GridSample and sums by ScatterElements came with 16, LayerNormalization with 17
 Layout = Literal["none", "fan", "polar"]
 Inputs = dict[str, Tensor]
 Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]

@@ -127,10 +127,7 @@ class Fusion:
 
 
 class _Agreement:
-    """How far frames agree in a small window and in a wide one.
-
-    limit: standard deviations that are agreement.  usual: deviations in the small window.
-    """
+    """How far frames agree in a small window and in a wide one, up to a limit in deviations."""
 
     def __init__(self, limit: float) -> None:
         self._limit, self.usual, self._wide = np.float32(limit), Usual(), Usual()

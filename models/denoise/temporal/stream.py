@@ -110,13 +110,10 @@ class InTime:
         self._pool.shutdown()
 
     def _wait(self) -> int:
-        """How many frames are to come before one is denoised.
-
-        The first wait until the strength is measured; then one frame beyond a window is read, to
-        measure it again.
-        """
+        """How many frames are to come before one is denoised."""
         if self._causal or not self._calibrated:
             return self._after
+        # The first wait until the strength is measured; then one beyond a window measures it again.
         first = self._next == 0 and self._newest < self._frames
         return self._frames if first else self._after + 1
 
@@ -174,10 +171,8 @@ class InTime:
         return None if motion is None else laid_over(levels, motion)
 
     def _place(self, number: int) -> FanGeometry | None:
-        """Where range and bearing are: as in the nearest frame if that shows the same scene.
-
-        To find a fan anew in each frame costs more than the network.
-        """
+        """Where range and bearing are: as in the nearest frame if that shows the same scene."""
+        # To find a fan anew in each frame costs more than the network.
         self._places.pop(number - self._frames, None)
         near = min(self._places, key=lambda one: abs(one - number), default=None)
         if near is None or self._aligner.motion(number, near) is None:

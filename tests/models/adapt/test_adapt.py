@@ -141,7 +141,7 @@ def test_stretches_are_found_in_a_shuffled_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("files", "words", "said"),
     [
-        ([], [], "holds no image"),
+        ([], [], "no image, shard, video or recording"),
         (["a0.png"], [], "nothing stands still in 1 frames"),
         (["a.png", "b.png"], ["--steps", "0"], "--steps 0"),
         (["a.png", "b.png"], ["--learning-rate", "2"], "--learning-rate 2"),

@@ -157,6 +157,16 @@ def test_a_moving_sonar_keeps_what_it_gains() -> None:
     assert error(found[6], truth[6]) < 0.6 * NOISE
 
 
+def test_colours_of_no_map_are_fused_too() -> None:
+    wide = scene()
+    truth = [view(wide, 2 * n) for n in range(9)]
+    tints = np.array([0.9, 0.5, 0.7], np.float32)
+    coloured = [one[..., None] * tints for one in truth]
+    found, tally = through([noisy(one, n) for n, one in enumerate(coloured)], calibrated=False)
+    assert tally["alone"] == 0
+    assert error(found[4], coloured[4]) < 0.7 * NOISE
+
+
 @pytest.mark.parametrize("causal", [False, True])
 def test_order_and_window(causal: bool) -> None:
     """No frame further away than the window changes a result; causal: none that comes later."""

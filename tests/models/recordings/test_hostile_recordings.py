@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.models.recordings import open_recording, pictures
+from simnfnd.models.recordings import base, open_recording
 from simnfnd.models.recordings.pictures import read_picture
 from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE, SONAR, typestore
 from simnfnd.models.recordings.sonar_files import ArisFile
@@ -162,10 +162,10 @@ def test_a_picture_that_is_too_large_says_how_large_is_allowed(tmp_path: Path) -
 def test_a_stack_that_unpacks_to_too_much_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pictures, "ALWAYS_PIXELS", 1 << 16)
+    monkeypatch.setattr(base, "ALWAYS_BYTES", 1 << 16)
     pages, path = [np.zeros((1024, 1024), np.uint8)] * 5, tmp_path / "a.tif"
     assert cv2.imwritemulti(str(path), pages, (cv2.IMWRITE_TIFF_COMPRESSION, 8))
-    with pytest.raises(FactoryError, match=r"a\.tif: unpacks to 5,242,880 pixels, at most 200"):
+    with pytest.raises(FactoryError, match=r"a\.tif: unpacks to 5,242,880 bytes or more"):
         open_recording(path)
 
 

@@ -50,7 +50,7 @@ def test_exported_weights_are_half_the_size_and_denoise_the_same(
         "GMAC",
         "`dataset.config_hash` | 0123abcd",
         "| `seed` | 3",
-        "| `validation.psnr` | 24.1",
+        '"psnr": 24.1',
     ):
         assert words in card
     first = out.read_bytes()
