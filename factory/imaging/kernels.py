@@ -173,8 +173,7 @@ def place(
     A pixel covers the ranges from its own to that of the pixel below it, where both are one
     surface.  `power` gets its echo in exact parts.  A scatterer lies anywhere in between, one for
     each range bin that it covers: at grazing incidence there are fewer pixels than bins.
-    A line of elements tells apart the angles to itself alone, so its beams are cones:
-    sin(bearing) = sin(azimuth) cos(elevation).
+    Beams of a line of elements are cones: sin(bearing) = sin(azimuth) cos(elevation).
 
     camera, grid: see above.  radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0;
     reflectivity: of each, the last of those beyond, too.

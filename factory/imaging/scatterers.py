@@ -112,10 +112,10 @@ def scatterers(
     bins, pixels = np.empty((2, most), np.int32)
     powers, parts = np.empty((2, most), np.float32)
     labels = np.empty((0, 0), np.uint8) if frame.segmentation is None else frame.segmentation
-    # Times the solid angle of the middle pixel.
-    echo = np.array(acoustics.reflectivity()) / (frame.intrinsics.fx * frame.intrinsics.fy)
+    echo, exponents = np.array(acoustics.of_classes()).T
+    echo = echo / (frame.intrinsics.fx * frame.intrinsics.fy)  # the middle pixel's solid angle
     count = kernels.place(
-        camera_of(frame), surface.rendered.radiance, labels, _factor(surface, acoustics),
+        camera_of(frame), surface.rendered.radiance, labels, _factor(surface, exponents),
         echo.astype(np.float32), sonar.mount.axes(), grid_of(window, sonar),
         vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
         (power.reshape(-1), owner.reshape(-1), in_beam.reshape(-1)),
@@ -148,10 +148,9 @@ def grid_of(window: Window, sonar: SonarSettings) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-def _factor(surface: LitSurface, acoustics: AcousticsSettings) -> Floats:
+def _factor(surface: LitSurface, exponents: npt.NDArray[np.float64]) -> Floats:
     """(H, W): what the render lacks for other exponents than 2 or a sonar elsewhere, or (0, 0)."""
     frame, mount = surface.frame, surface.sonar.mount
-    exponents = np.array(acoustics.exponents())
     if (exponents == 2).all() and mount.colocated:
         return np.empty((0, 0), np.float32)
     if frame.segmentation is None or (exponents == exponents[0]).all():

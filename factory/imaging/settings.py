@@ -50,19 +50,17 @@ class AcousticsSettings:
     tvg_log: Annotated[float, Field(ge=0, le=80)] = 30.0
     tvg_absorption: bool = True
 
-    def reflectivity(self) -> tuple[float, ...]:
-        """Backscatter coefficient of every class, in the order of `labels.class_names`.
+    def of_classes(self) -> list[tuple[float, float]]:
+        """Backscatter coefficient and Lambert's exponent of each of `labels.class_names`.
 
         The user's classes are those in `reflectivity_db` that are not in CLASSES, in order.
         """
-        ground = self.reflectivity_db.get("Background", -25.0)
-        names = class_names(self.reflectivity_db)
-        return tuple(10 ** (self.reflectivity_db.get(name, ground) / 10) for name in names)
-
-    def exponents(self) -> tuple[float, ...]:
-        """Lambert's exponent of every class, in the same order."""
-        usual, names = self.lambert_exponent, class_names(self.reflectivity_db)
-        return tuple(self.lambert_exponents.get(name, usual) for name in names)
+        echo_db, usual = self.reflectivity_db, self.lambert_exponent
+        ground_db = echo_db.get("Background", -25.0)
+        return [
+            (10 ** (echo_db.get(name, ground_db) / 10), self.lambert_exponents.get(name, usual))
+            for name in class_names(echo_db)
+        ]
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -1,8 +1,7 @@
 """The noise of one sample: drawn parameters, random streams, and what the record says of them.
 
-Every effect and every parameter has a random stream of its own, so changing or switching off one
-leaves the draws of the others as they are.  Drawn values, given again as numbers, make the same
-sample.
+Every effect and every parameter has a random stream of its own, so changing one leaves the draws of
+the others as they are.  Drawn values, given again as numbers, make the same sample.
 """
 
 from __future__ import annotations

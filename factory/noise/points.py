@@ -35,11 +35,10 @@ class RangeSpreadingSettings(EffectSettings):
 def range_spreading(scene: Echoes, window: Window, rng: Rng, *, mode: str, alpha: float) -> Echoes:
     """The echoes, later and more dispersed the farther they come from; same number and order.
 
-    Section 3.3.2: n_i = alpha * d_i, N ~ N(0, n_i), and each coordinate gets |N| added.  Printed
-    so, in camera axes, the formula also turns every point to the right and downwards and brings
-    those that lie to the left nearer, although the text says later and farther.  `mode: paper` is
-    that formula to the letter; `radial` is what the text means: the range grows by |N| and the
-    direction stays.  `exponential` delays by e ~ Exp(alpha * d) and weakens the echo by
+    Section 3.3.2: n_i = alpha * d_i, N ~ N(0, n_i), and each coordinate gets |N| added.  In camera
+    axes that also turns every point to the right and downwards and brings those on the left nearer.
+    `mode: paper` is that formula to the letter; `radial` is what the text means: the range grows by
+    |N| and the direction stays.  `exponential` delays by e ~ Exp(alpha * d) and weakens the echo by
     exp(-e / (alpha * d)) (Potokar et al. 2022, HoloOcean).
     """
     from .. import elementary  # loads numba

@@ -1,7 +1,4 @@
-"""Grain of the complex field: speckle, its texture on the ground, haze, and scintillation.
-
-For acoustics.formation=field, as all effects of stages echo, beam and picture.
-"""
+"""Grain of the complex field: speckle, its texture on the ground, haze, and scintillation."""
 
 from __future__ import annotations
 
@@ -297,9 +294,8 @@ class ScintillationSettings(EffectSettings):
 def scintillation(field: Floats, ping: Ping, rng: Rng, *, sigma_db: float) -> Floats:
     """Every sample's level trembles from ping to ping, whatever its level is.
 
-    Recordings of a scene at rest show it: part of the speckle stands still, and what changes is
-    nearly Gaussian on a logarithmic display and about as strong in bright bins as in dark ones.
-    Here the intensity of each sample is multiplied by a log-normal number whose median is 1.
+    In recordings of a scene at rest what changes is nearly Gaussian on a logarithmic display and as
+    strong in bright bins as in dark ones.  Here each intensity gets a log-normal factor, median 1.
     """
     level_nepers = rng.standard_normal(field.shape[-2:], np.float32)
     level_nepers *= np.float32(sigma_db * _NEPERS_PER_DB / 2)  # of amplitude

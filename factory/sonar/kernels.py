@@ -203,21 +203,15 @@ def bin_of_each(places: Any, grid: Any, edges_rad: Any, bins: Any) -> None:
                 bins[at] = _nearest_beam(bins[at], azimuth_rad[at], edges_rad, grid[6])
 
 
-@compiled(f"void(int32[::1], {FLOATS}, int64, {_OUT}, int32[::1])")
-def gather(bins: Any, strength: Any, how: Any, level: Any, count: Any) -> None:
-    """Add the echoes (how = 0), or keep the loudest (how = 1), in `level`; how many in `count`.
-
-    The last cell of either is for echoes without a bin.  how = 2 adds and counts.
-    """
-    if how == 1:
+@compiled(f"void(int32[::1], {FLOATS}, boolean, {_OUT})")
+def gather(bins: Any, strength: Any, loudest: Any, level: Any) -> None:
+    """Add the echoes, or keep the loudest, in `level`; its last cell is for those without a bin."""
+    if loudest:
         for at in range(len(bins)):
             level[bins[at]] = max(level[bins[at]], strength[at])
-        return
-    for at in range(len(bins)):
-        level[bins[at]] += strength[at]
-    if how == 2:
+    else:
         for at in range(len(bins)):
-            count[bins[at]] += strength[at] > _ZERO
+            level[bins[at]] += strength[at]
 
 
 @compiled()

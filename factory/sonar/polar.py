@@ -15,7 +15,6 @@ Polar = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 Grid = tuple[tuple[bool, np.float32, np.float32, int, np.float32, np.float32, int], Polar]
 
-_HOW = {"sum": 0, "max": 1, "mean": 2}
 # Bins smaller than the pixel grid of the camera leave pinholes up to this far from an echo.
 _PINHOLE_ROWS, _PINHOLE_BEAMS = 2, 1
 
@@ -125,13 +124,14 @@ def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echo
     """
     from . import kernels  # loads numba
 
-    size = sonar.range_bins * sonar.beams + 1
-    level, how = np.zeros(size, np.float32), _HOW[sonar.accumulate]
-    count = np.zeros(size if how == _HOW["mean"] else 1, np.int32)
+    level = np.zeros(sonar.range_bins * sonar.beams + 1, np.float32)
+    count, how = np.zeros(level.size, np.intp), sonar.accumulate
     for part in (echoes, *more):
         bins, strength = bin_index(part, window, sonar), np.ascontiguousarray(part.strength)
-        kernels.gather(bins, strength, how, level, count)
-    if how == _HOW["mean"]:
+        kernels.gather(bins, strength, how == "max", level)
+        if how == "mean":
+            count += np.bincount(bins[strength > 0], minlength=level.size)
+    if how == "mean":
         level /= np.maximum(count, 1)
     return level[:-1].reshape(sonar.range_bins, sonar.beams)
 
