@@ -161,8 +161,6 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         check_writable(partial, "--out")
         try:
             yield partial
-            if folder.exists():
-                folder.rmdir()
             sync_folder(partial)
             os.replace(partial, folder)
             sync_folder(folder.absolute().parent)

@@ -22,7 +22,7 @@ from .template import THREAD_VARIABLES
 
 _CONNECT_S = 20.0
 _STOP_S = 4.0
-_LOOK_S = 0.5
+_LOOK_S = 1.0
 # A worker's start, and the way of a result that a worker has ready.
 _START_S = 120
 _RESULT_S = 60

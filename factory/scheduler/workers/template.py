@@ -30,10 +30,7 @@ _owner = 0
 
 
 def start(modules: tuple[str, ...]) -> None:
-    """Start it, unless it runs; returns at once, while it imports `modules`.
-
-    Without modules a fork would spare little, and nothing is started.
-    """
+    """Start it, unless it runs or has no modules; returns at once, while it imports them."""
     if not modules or runs() or sys.platform != "linux":
         return
     global _owner
