@@ -27,9 +27,7 @@ from .layout import config_of, crc32, image_axes, optional_layers, write_checksu
 from .manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
 from .reader import reading
 from .schema import (
-    LIBRARY_VERSIONS,
     ROOT_ATTRIBUTES,
-    SAMPLE_DIMENSION,
     SEALS,
     SPLITS,
     Axis,
@@ -46,11 +44,22 @@ from .schema import (
 )
 from .settings import DatasetSettings
 
-_IMAGE_BLOCK_BYTES = 1 << 20
 # What isal calls levels are others than zlib's, but these two are alike in size.
 _ISAL_LEVEL = 1
 # Of the sums of Fletcher's checksum, for a piece of so many words.
 _WEIGHTS = np.arange(1 << 16, 0, -1, dtype=np.float64)
+
+
+def _file_in_memory() -> h5py.File:
+    """A file that goes to disk in one write, so that its SHA-256 costs no second read.
+
+    HDF5, which cannot close a file on a full disk, never touches the disk.
+    """
+    # Readable by every HDF5 since 1.10 (2016), and the same bytes whatever newer library writes.
+    versions = ("v108", "v110")
+    return h5py.File(
+        "new.h5", "w", driver="core", backing_store=False, block_size=1 << 20, libver=versions
+    )
 
 
 def write_shard(
@@ -73,18 +82,8 @@ def write_shard(
     split = relative.split("/")[0]
     rows: list[tuple[Any, ...]] = []
     sums: dict[str, list[int]] = {}
-    dtype = table_dtype(columns)
-    # The file is made in memory: it goes to disk in one write, its SHA-256 costs no second read,
-    # and HDF5, which cannot close a file on a full disk, never touches the disk.
-    with h5py.File(
-        "shard.h5",
-        "w",
-        driver="core",
-        backing_store=False,
-        block_size=_IMAGE_BLOCK_BYTES,
-        libver=LIBRARY_VERSIONS,
-    ) as file:
-        stacks: dict[Layer, h5py.Dataset] = {}
+    stacks: dict[Layer, h5py.Dataset] = {}
+    with _file_in_memory() as file:
         for pair in pairs:
             name = f"{relative} sample {len(rows)}"
             row = check_pair(pair, axes, columns, name)
@@ -106,9 +105,12 @@ def write_shard(
                     stack[-1] = image
         if not rows:
             return None
-        _write_table(file, np.array(rows, dtype=dtype), columns)
-        for key, value in root_attributes(provenance, split, settings.dtype).items():
-            file.attrs[key] = value
+        data = np.array(rows, dtype=table_dtype(columns))
+        table = file.create_dataset("meta", data=data, track_times=False)
+        for column in columns:
+            table.attrs[f"{column.name}.units"] = column.units
+            table.attrs[f"{column.name}.description"] = column.description
+        file.attrs.update(root_attributes(provenance, split, settings.dtype))
         write_checksums(file, sums)
         file.flush()
         content = file.id.get_file_image()
@@ -116,20 +118,12 @@ def write_shard(
     with explain_os_errors(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content)
-    return ShardInfo(
-        path=relative,
-        split=split,
-        samples=len(rows),
-        bytes=len(content),
-        sha256=hashlib.sha256(content).hexdigest(),
-    )
+    sha256 = hashlib.sha256(content).hexdigest()
+    return ShardInfo(relative, split, len(rows), len(content), sha256)
 
 
 def _create_stacks(
-    file: h5py.File,
-    axes: tuple[Axis, Axis],
-    wanted: Sequence[Layer],
-    settings: DatasetSettings,
+    file: h5py.File, axes: tuple[Axis, Axis], wanted: Sequence[Layer], settings: DatasetSettings
 ) -> dict[Layer, h5py.Dataset]:
     """Empty, growing image stacks with their axes attached."""
     for axis in axes:
@@ -140,7 +134,7 @@ def _create_stacks(
         filters = {"fletcher32": True, "compression": "gzip", "compression_opts": level}
     stacks, shape = {}, tuple(len(axis.values) for axis in axes)
     for layer in wanted:
-        stack = file.create_dataset(
+        stacks[layer] = file.create_dataset(
             layer.name,
             shape=(0, *shape),
             maxshape=(None, *shape),
@@ -149,8 +143,7 @@ def _create_stacks(
             track_times=False,
             **filters,
         )
-        _describe(stack, layer, axes)
-        stacks[layer] = stack
+        _describe(stacks[layer], layer, axes)
     return stacks
 
 
@@ -165,20 +158,11 @@ def _write_axis(file: h5py.File, axis: Axis) -> None:
 
 def _describe(stack: h5py.Dataset, layer: Layer, axes: tuple[Axis, Axis]) -> None:
     """Attributes and dimensions of an image stack; its axes are in the file."""
-    for key, value in layer.attributes().items():
-        stack.attrs[key] = value
-    stack.dims[0].label = SAMPLE_DIMENSION
+    stack.attrs.update(layer.attributes())
+    stack.dims[0].label = "sample"
     for dimension, axis in enumerate(axes, start=1):
         stack.dims[dimension].label = axis.name
         stack.dims[dimension].attach_scale(stack.file[f"axes/{axis.name}"])
-
-
-def _write_table(file: h5py.File, rows: np.ndarray[Any, Any], columns: tuple[Column, ...]) -> None:
-    """/meta, one row a sample; units and meaning of every column are attributes beside it."""
-    table = file.create_dataset("meta", data=rows, track_times=False)
-    for column in columns:
-        table.attrs[f"{column.name}.units"] = column.units
-        table.attrs[f"{column.name}.description"] = column.description
 
 
 def write_gzip_chunk(
@@ -219,9 +203,6 @@ def _folded(total: int) -> int:
 
 # --- index.h5
 
-# What every shard says in the same words; the index says it once.
-_SHARED_ATTRIBUTES = tuple(name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))
-
 
 def write_index(directory: Path, manifest: Manifest) -> Path:
     """Write index.h5 for the shards of `manifest` and return its path; equal input, equal bytes.
@@ -232,46 +213,30 @@ def write_index(directory: Path, manifest: Manifest) -> Path:
     """
     if not manifest.shards:
         raise FactoryError(f"{directory}: the dataset has no samples to index")
-    with (
-        reading(directory / min(manifest.shards)) as first,
-        h5py.File(
-            INDEX_NAME, "w", driver="core", backing_store=False, libver=LIBRARY_VERSIONS
-        ) as index,
-    ):
-        _write_shared(index, first, manifest)
-        for split in SPLITS:
-            if shards := manifest.of_split(split):
-                _write_split(index, split, shards, first)
+    with reading(directory / min(manifest.shards)) as first, _file_in_memory() as index:
+        # What every shard says in the same words is said once.
+        shared = (name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))
+        index.attrs.update({name: first.attrs[name] for name in shared})
+        # A merged dataset is of another configuration than any of its shards.
+        index.attrs["config_hash"] = manifest.config_hash
+        index.attrs["config"] = config_text(manifest.config)
+        axes = image_axes(first["noisy"])
+        for axis in axes:
+            _write_axis(index, axis)
+        classes = classes_of(config_of(first))
+        known = layers(str(first["noisy"].dtype), optional_layers(first), classes)
+        for split, shards in ((split, manifest.of_split(split)) for split in SPLITS):
+            for layer in known if shards else ():
+                _describe(_virtual(index, split, first[layer.name], shards), layer, axes)
+            if shards:
+                table = _virtual(index, split, first["meta"], shards)
+                table.attrs.update(first["meta"].attrs)
         index.flush()
         content = index.id.get_file_image()
     path = directory / INDEX_NAME
     write_atomically(path, content)
     save_manifest(directory, replace(manifest, index_sha256=hashlib.sha256(content).hexdigest()))
     return path
-
-
-def _write_shared(index: h5py.File, first: h5py.File, manifest: Manifest) -> None:
-    """Attributes and axes."""
-    for name in _SHARED_ATTRIBUTES:
-        index.attrs[name] = first.attrs[name]
-    # A merged dataset is of another configuration than any of its shards.
-    index.attrs["config_hash"] = manifest.config_hash
-    index.attrs["config"] = config_text(manifest.config)
-    for axis in image_axes(first["noisy"]):
-        _write_axis(index, axis)
-
-
-def _write_split(
-    index: h5py.File, split: str, shards: Sequence[ShardInfo], first: h5py.File
-) -> None:
-    axes = image_axes(first["noisy"])
-    classes = classes_of(config_of(first))
-    for layer in layers(str(first["noisy"].dtype), optional_layers(first), classes):
-        stack = _virtual(index, split, first[layer.name], shards)
-        _describe(stack, layer, axes)
-    table = _virtual(index, split, first["meta"], shards)
-    for key, value in dict(first["meta"].attrs).items():
-        table.attrs[key] = value
 
 
 def _virtual(
