@@ -14,7 +14,7 @@ from typing import Any
 
 from ..cli import Parser
 from ..dataset.card import write_card
-from ..dataset.folder import dataset_settings, differences, list_differences, open_folder
+from ..dataset.folder import dataset_settings, differences, open_folder
 from ..dataset.manifest import (
     MANIFEST_NAME,
     PARTS,
@@ -98,12 +98,10 @@ def _check_alike(manifests: Mapping[Path, Manifest]) -> None:
                 f"merge: {first} was made by {one.generator}, {other} by {two.generator}; "
                 "make them with one version"
             )
-        found = differences(one.config, two.config)
-        changes = {key: change for key, change in found.items() if not _FREE.match(key)}
-        if changes:
+        if changes := differences(one.config, two.config, _FREE):
             raise FactoryError(
                 f"merge: {first} and {other} were made with different settings "
-                f"({list_differences(changes)}); merge only what differs in frames and seed"
+                f"({changes}); merge only what differs in frames and seed"
             )
 
 
