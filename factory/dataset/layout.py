@@ -23,6 +23,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
+from itertools import accumulate
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -70,8 +71,7 @@ def exists(file: h5py.File, name: str) -> bool:
 
 def object_inside(file: h5py.File, name: str) -> Any:
     """The object at `name`; links that could lead out of the file are refused on the way."""
-    parts = name.split("/")
-    for part in ("/".join(parts[: count + 1]) for count in range(len(parts))):
+    for part in accumulate(name.split("/"), "{}/{}".format):
         if not exists(file, part):
             raise FactoryError(f"dataset /{part} is absent; generate the shard again")
         # Not h5py's own `in` and `get`: they open the file that an external link names.
@@ -167,12 +167,15 @@ def check_shard(file: h5py.File) -> None:
 
     Other exceptions can escape from HDF5 itself when the file is damaged.
     """
-    schema = file.attrs.get("schema")
-    if not isinstance(schema, str) or schema != SCHEMA:
-        raise FactoryError(
-            f"schema {str(schema)[:40]!r}, but this program reads {SCHEMA!r}; "
-            "use a matching release"
-        )
+    allowed = {"schema": (SCHEMA,), "split": SPLITS, "generator": (), "config_hash": ()}
+    for name, values in allowed.items():
+        text = _text_attribute(file, name)
+        if values and text not in values:
+            raise FactoryError(
+                f"attribute {name} is {text[:40]!r}, this program reads {' or '.join(values)}; use "
+                "a matching release"
+            )
+    config_of(file)
     noisy = dataset_inside(file, "noisy", chunks=True)
     shape, dtype = noisy.shape, str(noisy.dtype)
     size = prod(shape[1:]) if len(shape) == 3 else 0
@@ -192,11 +195,6 @@ def check_shard(file: h5py.File) -> None:
             )
         _check_chunks(stack)
     _check_table(dataset_inside(file, "meta"), shape[0])
-    for name in ("generator", "config_hash"):
-        _text_attribute(file, name)
-    config_of(file)
-    if (split := _text_attribute(file, "split")) not in SPLITS:
-        raise FactoryError(f"attribute split is {split[:40]!r}; expected {' or '.join(SPLITS)}")
     _check_contents(file)
 
 
@@ -232,8 +230,8 @@ def _check_chunks(stack: h5py.Dataset) -> None:
 def _filters(stack: h5py.Dataset) -> tuple[str, int]:
     """Compression of an image stack (or none), and bytes of its Fletcher-32 checksum, 4 or 0.
 
-    Raises FactoryError for any filter that the schema has not: it would be a library that HDF5
-    loads from wherever HDF5_PLUGIN_PATH points, or let a chunk grow without bound.
+    Any other filter would be a library that HDF5 loads from wherever HDF5_PLUGIN_PATH points, or
+    let a chunk grow without bound.
     """
     plist = stack.id.get_create_plist()
     codes = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
@@ -263,12 +261,11 @@ def _check_table(table: h5py.Dataset, samples: int) -> None:
     if not set(kinds.values()) <= set("iufS") or text != {"S"} or kinds["variant"] not in "iu":
         raise FactoryError("/meta has columns of types that the schema does not know")
     rows = table[()]
-    for name in (name for name in names if kinds[name] == "S"):
-        try:
-            # Decoded wherever they are shown.
-            b" ".join(rows[name].tolist()).decode()
-        except UnicodeDecodeError as error:
-            raise FactoryError(f"/meta: column {name} has text that is not UTF-8") from error
+    try:
+        for name in (name for name in names if kinds[name] == "S"):
+            b" ".join(rows[name].tolist()).decode()  # as it is wherever it is shown
+    except UnicodeDecodeError as error:
+        raise FactoryError("/meta has text that is not UTF-8") from error
 
 
 def _text_attribute(file: h5py.File, name: str) -> str:
@@ -307,10 +304,7 @@ def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
 
 
 def _check_contents(file: h5py.File) -> None:
-    """Compare `checksum` in a file of sound layout.  Raises FactoryError when it differs.
-
-    A row a sample and a column a layer must be in /checksums.
-    """
+    """Compare `checksum`; /checksums must have a row a sample and a column a layer."""
     if not exists(file, CHECKSUMS) or not set(SEALS) <= set(file.attrs):
         raise FactoryError(
             "its checksums are absent; generate the shard again (versions before 0.3 wrote none)"
@@ -380,7 +374,5 @@ def _attributes(item: h5py.Dataset) -> list[tuple[str, Any]]:
 def _value(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.hex()
-    if isinstance(value, np.ndarray | np.generic):
-        listed = value.tolist()
-        return [value.dtype.str, listed.hex() if isinstance(listed, bytes) else listed]
-    return value
+    array = isinstance(value, np.ndarray | np.generic)
+    return [value.dtype.str, _value(value.tolist())] if array else value

@@ -21,10 +21,8 @@ from ..storage.copies import fetched
 from .schema import SCHEMA, SPLITS, config_hash
 
 MANIFEST_NAME = "manifest.json"
-# All shards as one file, by virtual datasets.
 INDEX_NAME = "index.h5"
 FAILURES_NAME = "failed.jsonl"
-# Every setting of the run.
 CONFIG_NAME = "config.yaml"
 # Keys of a configuration under which those of earlier datasets are kept.
 PARTS = ("merged", "extends")
@@ -77,8 +75,8 @@ class ShardInfo:
 class Manifest:
     """All finished shards of a dataset, by path.
 
-    config: the settings that `config_hash` stands for.
-    index_sha256: of the index.h5 that shows these very shards; empty: there is none.
+    config: what `config_hash` stands for.  index_sha256: of the index.h5 that shows these very
+    shards; empty: there is none.
     """
 
     config_hash: str
@@ -206,7 +204,6 @@ def save_outcome(
 
     shard: its path.  config_hash: of the settings that it was made with.
     info: the finished shard; None when no frame gave a sample.
-    Raises FactoryError when that is impossible.
     """
     document = {
         "schema": SCHEMA,
@@ -264,8 +261,7 @@ class Failure:
     """One frame (all its planned variants) that gave no sample.
 
     kind: frame (its data is bad), error (a defect of the program), crash (its worker process
-        died) or timeout.
-    shard: the shard that it was planned for.
+        died) or timeout.  shard: that it was planned for.
     """
 
     ref: FrameRef
@@ -314,4 +310,4 @@ def load_failures(directory: Path) -> Lines:
         ) from error
     settled = outcomes(directory)
     kept = [item for item in items if item["shard"] not in settled]
-    return kept + [line for shard in sorted(settled) for line in settled[shard][1]]
+    return kept + [line for _, (_, lines) in sorted(settled.items()) for line in lines]
