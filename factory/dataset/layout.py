@@ -328,12 +328,6 @@ def check_texts(file: h5py.File) -> None:
         raise FactoryError("units or descriptions differ from their checksum; damaged")
 
 
-def picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
-    """(samples,) `crc32` of each picture, a column a layer."""
-    sums: npt.NDArray[np.void] = file[CHECKSUMS][()]
-    return sums
-
-
 def _summed(file: h5py.File) -> tuple[str, ...]:
     return (*CORE, *optional_layers(file), *echo_names(file))
 

@@ -32,11 +32,7 @@ Sample = dict[str, Image]
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """What all shards of a dataset share, as the first one says it.
-
-    layers: dtype of the images of each layer, the core ones first.
-    axes: of rows and columns.  columns: of /meta.  config: the settings.
-    """
+    """What all shards share, as the first says it.  layers: dtype of each, the core ones first."""
 
     layers: Mapping[str, np.dtype[Any]]
     axes: tuple[Axis, Axis]
@@ -62,9 +58,8 @@ class PairDataset:
     """Random access to the samples of one split, without a copy of the dataset in memory.
 
     `pairs[i]` is a dict of the asked layers, each (H, W); `pairs[a:b]` and `pairs[[i, j, ...]]`
-    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8
-    and (0.0, 1.0) for float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are
-    float32 in 0..1.  The arrays are new ones at every read.
+    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8 and (0.0, 1.0) for
+    float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are float32 in 0..1.
 
     Nothing is open until the first read, and then in each process by itself, so the object can go
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
@@ -72,10 +67,8 @@ class PairDataset:
 
     folder: of the dataset, or its URL on a storage (s3://bucket/folder), from where shards are
     fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.schema` names them; None: all that the first shard has.
-    manifest.json decides which shards count; while a run adds some, the ones of the moment of
-    opening stay.
-
+    layers: as `factory.dataset.schema` names them; None: all that the first shard has.
+    manifest.json decides which shards count, at the moment of opening.
     trusted: False has another process open every shard first (a third of a second, and some
     milliseconds a shard), because a damaged file can make HDF5 crash or hang.
 
@@ -121,10 +114,11 @@ class PairDataset:
             samples = [self[number] for number in item]
             return {name: np.stack([one[name] for one in samples]) for name in self.layers}
         path, row = self.place(item)
-        images = self._shards.read(path, self.layers, row)
-        return {
-            name: self._scaled(name, image) for name, image in zip(self.layers, images, strict=True)
-        }
+        images = dict(zip(self.layers, self._shards.read(path, self.layers, row), strict=True))
+        for name in images if self.scaled else ():
+            if name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER):
+                images[name] = in_unit_range(images[name])
+        return images
 
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order."""
@@ -246,10 +240,6 @@ class PairDataset:
 
     def __repr__(self) -> str:
         return f"PairDataset({str(self.folder)!r}, {self.split!r}, {len(self)} samples)"
-
-    def _scaled(self, name: str, image: Image) -> Image:
-        grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)
-        return in_unit_range(image) if self.scaled and grey else image
 
 
 def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
