@@ -19,7 +19,7 @@ from ..config import (
     plain,
     with_cache,
 )
-from ..dataset.quality import lit_share, seen_sector_deg
+from ..dataset.quality import lit_share
 from ..dataset.schema import Provenance
 from ..errors import FactoryError
 from ..frame import FrameRef
@@ -124,7 +124,6 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
             f"no frame could be used: {len(report.failures)} of {len(report.failures)} failed, "
             f"{count} of them because: {reason}; {_LIKELIEST}"
         )
-    _report_sector(job.directory, config)
     # Again at the end: what was said first has scrolled away.
     say_warnings(job.warnings)
     if (share := lit_share(job.directory)) < _LEAST_LIT:
@@ -196,16 +195,6 @@ def say_warnings(warnings: Sequence[str]) -> None:
     """One line each on stderr."""
     for line in warnings:
         print(f"warning: {line}", file=sys.stderr, flush=True)
-
-
-def _report_sector(directory: Path, config: FactoryConfig) -> None:
-    """Tell the user when the camera saw less than the sonar's sector."""
-    narrowest, widest = seen_sector_deg(directory)
-    if narrowest < 0.98 * config.sonar.hfov_deg:
-        print(
-            f"sonar: the camera saw {narrowest:.0f} to {widest:.0f} of {config.sonar.hfov_deg:g} "
-            "degrees; the rest is masked (azimuth_min_deg and azimuth_max_deg in /meta)"
-        )
 
 
 def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:

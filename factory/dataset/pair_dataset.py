@@ -22,7 +22,8 @@ from ..storage.copies import local_folder
 from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
 from .reader import Image, OpenShards, Split, check_in_isolation, listed_shards, reading
-from .schema import CORE, EFFECT_FOLDER, REQUIRED_COLUMNS, VALUE_RANGES, Axis, Column, layers
+from .schema import CORE, EFFECT_FOLDER, REQUIRED_COLUMNS, VALUE_RANGES, Axis, Column
+from .schema import layers as known_layers
 
 WINDOW = 16
 THREADS = 4
@@ -37,6 +38,7 @@ class Form:
     layers: Mapping[str, np.dtype[Any]]
     axes: tuple[Axis, Axis]
     columns: tuple[Column, ...]
+    table: np.dtype[np.void]
     config: Mapping[str, Any]
     config_hash: str
 
@@ -87,8 +89,9 @@ class PairDataset:
     ) -> None:
         self.folder = local_folder(folder)
         self.split, self.scaled = split, scaled
-        if layers is not None:
-            _check_names(tuple(layers))
+        known_layers("uint8", layers or ())
+        if layers is not None and not 0 < len(set(layers)) == len(layers):
+            raise FactoryError(f"layers={list(layers)}: name at least one, and none twice")
         manifest = load_manifest(self.folder)
         found = listed_shards(self.folder, split, manifest)
         self.paths = tuple(found)
@@ -156,6 +159,7 @@ class PairDataset:
                 {name: file[name].dtype for name in (*CORE, *optional_layers(file))},
                 image_axes(file["noisy"]),
                 tuple(columns),
+                table.dtype,
                 config_of(file),
                 str(file.attrs["config_hash"]),
             )
@@ -211,14 +215,10 @@ class PairDataset:
     def table(self, path: Path) -> npt.NDArray[np.void]:
         """The sample table of one shard.  Raises FactoryError when its form is not the first's."""
         with reading(path) as file:
-            shape, rows = file["noisy"].shape[1:], file["meta"][()]
-        if shape != self.shape:
-            raise FactoryError(f"{self.folder}: images of several sizes ({self.shape}, {shape})")
-        if [(column.name, column.dtype) for column in self.form.columns] != [
-            (name, rows.dtype[name].str) for name in rows.dtype.names
-        ]:
-            raise FactoryError(f"{path}: its columns differ from those of {self.paths[0]}")
-        return np.asarray(rows)
+            shape, rows = file["noisy"].shape[1:], np.asarray(file["meta"][()])
+        if (shape, rows.dtype) != (self.shape, self.form.table):
+            raise FactoryError(f"{path}: its sizes or columns differ from {self.paths[0]}'s")
+        return rows
 
     def names(self) -> Iterator[SampleName]:
         """What every sample is of, in order."""
@@ -238,22 +238,12 @@ class PairDataset:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def __repr__(self) -> str:
-        return f"PairDataset({str(self.folder)!r}, {self.split!r}, {len(self)} samples)"
-
 
 def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
     """Stored grey values (uint8 in 0..255 or float32 in 0..1) as float32 in 0..1."""
     if grey.dtype == np.uint8:
         return grey.astype(np.float32) * np.float32(1 / 255)
     return grey.astype(np.float32, copy=False)
-
-
-def _check_names(names: tuple[str, ...]) -> None:
-    """Raise FactoryError for a layer that the format does not know."""
-    layers("uint8", names)
-    if not names or len(set(names)) != len(names):
-        raise FactoryError(f"layers={list(names)}: name at least one, and none twice")
 
 
 def _count(path: Path) -> int:
@@ -268,8 +258,6 @@ def mixed_order(
 
     places: the shard of each sample.
     """
-    if window < 1:
-        raise FactoryError(f"window={window}: must be at least 1 shard")
     numbers = {path: number for number, path in enumerate(dict.fromkeys(places))}
     rank = np.argsort(rng.permutation(len(numbers)))
     windows = rank[[numbers[path] for path in places]] // window

@@ -77,13 +77,6 @@ def _gradient(image: Values) -> Values:
     return np.asarray(np.hypot(across, down))
 
 
-def seen_sector_deg(directory: Path) -> tuple[float, float]:
-    """Smallest and largest horizontal sector, degrees, that the camera saw of a sample."""
-    tables = (shard["meta"][()] for shard in _shards(directory))
-    seen = np.concatenate([t["azimuth_max_deg"] - t["azimuth_min_deg"] for t in tables])
-    return float(seen.min()), float(seen.max())
-
-
 def lit_share(directory: Path, most: int = 64) -> float:
     """Share of the pixels of (at most `most`) clean pictures that show an echo, 0 to 1."""
     pictures = (picture for shard in _shards(directory) for picture in shard["clean"])

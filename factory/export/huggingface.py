@@ -44,7 +44,12 @@ def write_huggingface(pairs: PairDataset, folder: Path) -> str:
             path = folder / "data" / f"{split}-{part:05d}-of-{parts:05d}.parquet"
             _write_part(pairs, islice(found, SAMPLES_PER_FILE), path)
         files += parts
-    _write_card(pairs, folder)
+    settings = dataset_settings(pairs.folder)
+    fields = hub_fields(settings.get("name") or "dataset", settings.get("licence"), len(pairs))
+    places = [{"path": f"data/{split}-*.parquet", "split": split} for split in pairs.splits]
+    fields["configs"] = [{"config_name": "default", "data_files": places}]
+    front = f"---\n{yaml.safe_dump(fields, sort_keys=False)}---\n\n"
+    write_notes(pairs, folder, _NOTES, front=front)
     return f"{files} parquet files, {len(pairs)} samples"
 
 
@@ -101,14 +106,6 @@ def _schema(pairs: PairDataset) -> Any:
     features = {name: feature for name, (_, feature) in columns.items()}
     schema = pyarrow.schema([(name, kind) for name, (kind, _) in columns.items()])
     return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
-
-
-def _write_card(pairs: PairDataset, folder: Path) -> None:
-    settings = dataset_settings(pairs.folder)
-    fields = hub_fields(settings.get("name") or "dataset", settings.get("licence"), len(pairs))
-    files = [{"split": split, "path": f"data/{split}-*.parquet"} for split in pairs.splits]
-    configs = yaml.safe_dump({"configs": [{"config_name": "default", "data_files": files}]})
-    write_notes(pairs, folder, _NOTES, front=f"---\n{fields}\n{configs}---\n\n")
 
 
 _NOTES = """\
