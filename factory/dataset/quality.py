@@ -17,11 +17,8 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
 
-SIGMA_PX = 1.5
-RADIUS_PX = 5
+SIGMA_PX, RADIUS_PX = 1.5, 5
 """Of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
-
-_K1, _K2 = 0.01, 0.03
 
 
 def noisiness(directory: Path, most: int = 200) -> dict[str, float]:
@@ -101,7 +98,7 @@ class SsimReference:
 
     def __init__(self, image: Values, data_range: float) -> None:
         self.image = image
-        self._c1, self._c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
+        self._c1, self._c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
         self._mean = window(image)
         self._mean_squared = self._mean * self._mean
         self._variance = window(image * image) - self._mean_squared

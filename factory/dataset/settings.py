@@ -62,8 +62,6 @@ class DatasetSettings:
         for key, names in (("layers", self.layers), ("columns", self.columns)):
             if len(set(names)) != len(names):
                 raise ValueError(f"{key} {list(names)} names one twice")
-        if self.dir is not None and not self.dir.strip():
-            raise ValueError("dir must name a folder, or be null")
 
     def directory(self, config_hash: str, part: str = "") -> Path:
         """The folder that this dataset goes to, or the local copy of the URL.
