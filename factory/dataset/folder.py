@@ -56,7 +56,7 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
     body = yaml.safe_dump(
         plain_values(config), sort_keys=False, allow_unicode=True, default_flow_style=False
     )
-    head = f"# {SCHEMA}, {provenance.generator}, {_hash_line(provenance)}\n"
+    head = f"# {SCHEMA}, {provenance.generator}, config hash {provenance.config_hash}\n"
     write_atomically(directory / CONFIG_NAME, (head + body).encode())
     if manifest is None:
         values = plain_values(provenance.config)
@@ -65,10 +65,6 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
         # A manifest.json that was lost takes what lies beside the shards in again.
         manifest = load_manifest(directory) or manifest
     return manifest
-
-
-def _hash_line(provenance: Provenance) -> str:
-    return f"config hash {provenance.config_hash}"
 
 
 def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
@@ -80,7 +76,7 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     else:
         with suppress(OSError):
             head = read_regular(directory / CONFIG_NAME).partition(b"\n")[0]
-            same = head.endswith(_hash_line(provenance).encode())
+            same = head.endswith(f"config hash {provenance.config_hash}".encode())
     if not same:
         raise FactoryError(
             f"dataset.dir: {directory} holds a dataset of another configuration "

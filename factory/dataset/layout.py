@@ -280,8 +280,8 @@ def _text_attribute(file: h5py.File, name: str) -> str:
 # --- checksums
 
 _CONTENTS, _TEXTS = SEALS
-# Addresses in the file; what they lead to is in `_texts` by name.
-_REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
+# In the file; what they lead to is in `_texts` by name.
+_ADDRESSES = {"DIMENSION_LIST", "REFERENCE_LIST"}
 
 
 def crc32(values: npt.NDArray[Any]) -> int:
@@ -355,14 +355,14 @@ def _texts(file: h5py.File, names: Sequence[str]) -> list[Any]:
     return [
         [[name, axes.get(name, [])] for name in names],
         *(
-            [name, [[key, _value(value)] for key, value in sorted(_attributes(file[name]))]]
+            [
+                name,
+                [[key, _value(attributes[key])] for key in sorted(attributes.keys() - _ADDRESSES)],
+            ]
             for name in (*names, "meta", *(f"axes/{axis}" for axis in scales))
+            for attributes in (file[name].attrs,)
         ),
     ]
-
-
-def _attributes(item: h5py.Dataset) -> list[tuple[str, Any]]:
-    return [(name, item.attrs[name]) for name in item.attrs if name not in _REFERENCES]
 
 
 def _value(value: Any) -> Any:

@@ -170,23 +170,19 @@ def write_webdataset(pairs: PairDataset, folder: Path) -> str:
         # A time stamp and a user name would make every export another file.
         with TarWriter(str(folder / name), encoder=False, mtime=0.0, user="", group="") as tar:
             for sample in found:
-                tar.write(_entry(sample))
+                entry: dict[str, str | bytes] = {"__key__": sample.key}
+                for layer, image in sample.images.items():
+                    if is_picture(image.dtype):
+                        entry[f"{layer}.png"] = png(image)
+                        continue
+                    buffer = io.BytesIO()
+                    np.save(buffer, image, allow_pickle=False)
+                    entry[f"{layer}.npy"] = buffer.getvalue()
+                entry["json"] = json.dumps(sample.json_record(), allow_nan=False).encode()
+                tar.write(entry)
     write_notes(pairs, folder, _WEBDATASET_NOTES)
     counts = " and ".join(f"{count} {split} samples" for split, count in pairs.splits.items())
     return f"{tars} tars, {counts}"
-
-
-def _entry(sample: Sample) -> dict[str, str | bytes]:
-    files: dict[str, str | bytes] = {"__key__": sample.key}
-    for name, image in sample.images.items():
-        if is_picture(image.dtype):
-            files[f"{name}.png"] = png(image)
-        else:
-            buffer = io.BytesIO()
-            np.save(buffer, image, allow_pickle=False)
-            files[f"{name}.npy"] = buffer.getvalue()
-    files["json"] = json.dumps(sample.json_record(), allow_nan=False).encode()
-    return files
 
 
 def write_huggingface(pairs: PairDataset, folder: Path) -> str:
