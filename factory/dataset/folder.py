@@ -128,16 +128,14 @@ def dataset_settings(directory: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
-        raise FactoryError(
-            f"{path}: cannot be read ({one_line(error)}); restore or delete it"
-        ) from error
+        reason = f"cannot be read ({one_line(error)}); restore or delete it"
+        raise FactoryError(f"{path}: {reason}") from error
     block = values.get("dataset") if isinstance(values, dict) else None
     block = block if isinstance(block, dict) else {}
     name, licence = block.get("name") or "dataset", block.get("licence")
+    problem = "" if isinstance(licence, str | None) else f"licence {str(licence)[:40]!r} is no text"
     if not (isinstance(name, str) and DATASET_NAME.fullmatch(name)):
-        raise FactoryError(
-            f"{path}: dataset.name {str(name)[:40]!r} is not letters, digits, dot, dash, underscore"
-        )
-    if not isinstance(licence, str | None):
-        raise FactoryError(f"{path}: dataset.licence {str(licence)[:40]!r} must be text")
+        problem = f"name {str(name)[:40]!r} is not letters, digits, dot, dash, underscore"
+    if problem:
+        raise FactoryError(f"{path}: dataset.{problem}")
     return block

@@ -274,16 +274,8 @@ def failure_lines(failures: Iterable[Failure], rerun_command: Callable[[FrameRef
 
     `rerun_command(ref)` is the command line that tries that one frame again.
     """
-    return [
-        {
-            "frame": failure.ref.name,
-            "shard": failure.shard,
-            "kind": failure.kind,
-            "reason": failure.reason,
-            "command": rerun_command(failure.ref),
-        }
-        for failure in failures
-    ]
+    told = ((f.ref.name, f.shard, f.kind, f.reason, rerun_command(f.ref)) for f in failures)
+    return [dict(zip(FAILURE_KEYS, values, strict=True)) for values in told]
 
 
 def save_failures(directory: Path, lines: Lines) -> None:

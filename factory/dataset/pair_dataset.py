@@ -95,9 +95,10 @@ class PairDataset:
         manifest = load_manifest(self.folder)
         found = listed_shards(self.folder, split, manifest)
         self.paths = tuple(found)
-        self._config_hash = manifest.config_hash if manifest else ""
         if not trusted:
             check_in_isolation(self.paths)
+        # Of the settings that it was made with, the last ones if it was extended.
+        self.config_hash = manifest.config_hash if manifest else self.form.config_hash
         self._counts = [info.samples if info else _count(path) for path, info in found.items()]
         self._ends = list(accumulate(self._counts))
         self._shards = OpenShards()
@@ -179,11 +180,6 @@ class PairDataset:
     def value_range(self) -> tuple[float, float]:
         """Values of noisy and clean, as given out, that stand for no echo and for full scale."""
         return VALUE_RANGES[str(self.dtype)]
-
-    @property
-    def config_hash(self) -> str:
-        """Of the settings that the dataset was made with, the last ones if it was extended."""
-        return self._config_hash or self.form.config_hash
 
     @property
     def axes(self) -> tuple[Axis, Axis]:

@@ -46,11 +46,7 @@ class Shown:
 
 
 def preview(
-    dataset_dir: Path | str,
-    out: Path | str | None = None,
-    pairs: int = 8,
-    *,
-    trusted: bool = False,
+    directory: Path, out: Path | None = None, pairs: int = 8, *, trusted: bool = False
 ) -> Path:
     """Draw `pairs` samples, evenly spread, as noisy | clean | shadow; returns the path.
 
@@ -58,7 +54,6 @@ def preview(
     trusted: leave out the check of the shards in another process; for datasets just made.
     Raises FactoryError when the folder holds no dataset, or one without samples.
     """
-    directory = Path(dataset_dir)
     if pairs < 1:
         raise FactoryError(f"pairs must be at least 1, got {pairs}")
     dataset = PairDataset(directory, "all", trusted=trusted)
@@ -66,7 +61,7 @@ def preview(
     title = f"{counts.get('train', 0)} train and {counts.get('test', 0)} test pairs"
     chosen = [load(name) for name in spread(list(dataset.names()), pairs)]
     content = draw(chosen, title, f"config {dataset.config_hash[:8]}")
-    path = directory / PREVIEW_NAME if out is None else Path(out)
+    path = out or directory / PREVIEW_NAME
     # Whoever asks for a preview alone has no key dataset.dir to change.
     write_atomically(path, content, key="dataset.dir" if trusted else "--out")
     return path

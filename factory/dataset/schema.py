@@ -15,7 +15,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -198,8 +197,8 @@ class Pair:
 class Prepared:
     """What became of one frame.
 
-    hit: it was ready already.  bytes: added to the cache.  key: what a `PairSource` finds it by, so
-    that it need not be worked out again (by reading all files of the frame); empty: nothing.
+    hit: it was ready already.  bytes: added to the cache.  key: what a `PairSource` finds it by
+    without reading all files of the frame again; empty: nothing.
     """
 
     hit: bool
@@ -284,16 +283,6 @@ def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str,
 
 
 ROOT_ATTRIBUTES = (*root_attributes(Provenance({}, "", ""), "", "uint8"), *SEALS)
-
-
-def table_dtype(columns: Sequence[Column]) -> np.dtype[np.void]:
-    """The compound dtype of /meta.  `S<n>` columns hold UTF-8 text of at most n bytes."""
-    fields = []
-    for column in columns:
-        dtype = np.dtype(column.dtype)
-        text = dtype.kind == "S"
-        fields.append((column.name, h5py.string_dtype("utf-8", dtype.itemsize) if text else dtype))
-    return np.dtype(fields)
 
 
 def check_pair(

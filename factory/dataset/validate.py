@@ -152,17 +152,16 @@ def shard_facts(path: Path, deep: bool) -> Facts:
     """Check one shard; `deep` reads every picture."""
     try:
         with reading(path) as file:
+            check_texts(file)
             return _facts(file, deep)
     except FactoryError as error:
         return {"problems": [str(error).removeprefix(f"{path}: ")]}
 
 
 def _facts(file: h5py.File, deep: bool) -> Facts:
-    noisy = file["noisy"]
+    noisy, table = file["noisy"], file["meta"][()]
     known = layers(str(noisy.dtype), optional_layers(file), classes_of(config_of(file)))
-    table = file["meta"][()]
     axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
-    check_texts(file)
     problems = [
         f"/meta: column {name} has infinite values"
         for name in table.dtype.names

@@ -18,6 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
+from h5py import string_dtype
 from isal import isal_zlib
 
 from ..errors import FactoryError, FrameError
@@ -40,12 +41,9 @@ from .schema import (
     layers,
     root_attributes,
     stored_image,
-    table_dtype,
 )
 from .settings import DatasetSettings
 
-# What isal calls levels are others than zlib's, but these two are alike in size.
-_ISAL_LEVEL = 1
 # Of the sums of Fletcher's checksum, for a piece of so many words.
 _WEIGHTS = np.arange(1 << 16, 0, -1, dtype=np.float64)
 
@@ -105,8 +103,9 @@ def write_shard(
                     stack[-1] = image
         if not rows:
             return None
-        data = np.array(rows, dtype=table_dtype(columns))
-        table = file.create_dataset("meta", data=data, track_times=False)
+        kinds = ((column.name, np.dtype(column.dtype)) for column in columns)
+        fields = [(n, string_dtype("utf-8", k.itemsize) if k.kind == "S" else k) for n, k in kinds]
+        table = file.create_dataset("meta", data=np.array(rows, dtype=fields), track_times=False)
         for column in columns:
             table.attrs[f"{column.name}.units"] = column.units
             table.attrs[f"{column.name}.description"] = column.description
@@ -175,8 +174,8 @@ def write_gzip_chunk(
     image: of the stack's dtype and the shape of one chunk.  level: of gzip, 0 to 9.
     """
     plain = np.ascontiguousarray(image).data
-    # The same on every processor since SSE4.2 (2008).
-    content = (isal_zlib if level == _ISAL_LEVEL else zlib).compress(plain, level)
+    # The same on every processor since SSE4.2 (2008); of isal's levels 1 alone is like zlib's.
+    content = (isal_zlib if level == 1 else zlib).compress(plain, level)
     offset = (number, *(0 for _ in image.shape))
     stack.id.write_direct_chunk(offset, content + struct.pack("<I", fletcher32(content)))
 
@@ -204,12 +203,12 @@ def _folded(total: int) -> int:
 # --- index.h5
 
 
-def write_index(directory: Path, manifest: Manifest) -> Path:
-    """Write index.h5 for the shards of `manifest` and return its path; equal input, equal bytes.
+def write_index(directory: Path, manifest: Manifest) -> None:
+    """Write index.h5 for the shards of `manifest`, and manifest.json with its SHA-256.
 
-    manifest.json is saved with its SHA-256.
     The shards are of one configuration or were compared (`merge`), so the first shows the form of
-    all.  Raises FactoryError when there is no shard, or the first cannot be read.
+    all.  Equal input gives equal bytes.  Raises FactoryError when there is no shard, or the first
+    cannot be read.
     """
     if not manifest.shards:
         raise FactoryError(f"{directory}: the dataset has no samples to index")
@@ -233,10 +232,8 @@ def write_index(directory: Path, manifest: Manifest) -> Path:
                 table.attrs.update(first["meta"].attrs)
         index.flush()
         content = index.id.get_file_image()
-    path = directory / INDEX_NAME
-    write_atomically(path, content)
+    write_atomically(directory / INDEX_NAME, content)
     save_manifest(directory, replace(manifest, index_sha256=hashlib.sha256(content).hexdigest()))
-    return path
 
 
 def _virtual(
