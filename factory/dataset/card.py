@@ -52,9 +52,8 @@ def write_card(
     facts = [
         f"made by {provenance.generator}, format {SCHEMA}, config hash `{provenance.config_hash}`",
         *(
-            f"{how} a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
-            for key, how in (("merged", "merged from"), ("extends", "extends"))
-            for part in manifest.config.get(key, ())
+            f"merged from a dataset of {one['samples']} pairs, config hash `{one['config_hash']}`"
+            for one in manifest.config.get("merged", ())
         ),
         *(f"images left out: {count}, {why}" for why, count in sorted((skipped or {}).items())),
         *([f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}"] if failures else []),

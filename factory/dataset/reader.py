@@ -25,7 +25,6 @@ Split = Literal["train", "test", "all"]
 
 # Opening a shard takes milliseconds; a disk that sleeps takes seconds to wake.
 _LIMIT_S = 30.0
-_TRIES = 3
 
 
 def listed_shards(
@@ -105,7 +104,7 @@ def open_shard(path: Path) -> h5py.File:
     Call `check_in_isolation` first for what may be a stranger's.
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
-    for _ in range(_TRIES):
+    for _ in range(3):
         bring(path)
         if path.exists():
             break  # another process may have made room meanwhile

@@ -56,13 +56,13 @@ class Layer:
 
     def attributes(self) -> dict[str, Any]:
         """Attribute name -> value of the image stack."""
-        attributes: dict[str, Any] = {"description": self.description}
-        if self.grey:
-            attributes["value_range"] = np.asarray(VALUE_RANGES[self.dtype], dtype=self.dtype)
-        attributes["units"] = self.units
-        if self.classes:
-            attributes["classes"] = list(self.classes)
-        return attributes
+        limits = {"value_range": np.asarray(VALUE_RANGES.get(self.dtype, ()), dtype=self.dtype)}
+        return {
+            "description": self.description,
+            **(limits if self.grey else {}),
+            "units": self.units,
+            **({"classes": list(self.classes)} if self.classes else {}),
+        }
 
     def value_problem(self, picture: npt.NDArray[np.generic]) -> str | None:
         """What is wrong with the values of a picture of the right type."""

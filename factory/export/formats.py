@@ -6,7 +6,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -293,32 +294,32 @@ def shown_in(sample: Sample, classes: tuple[str, ...], directory: Path) -> Itera
             yield Shown(label, mask)
 
 
-def _write_objects(
-    pairs: PairDataset, to: str, folder: Path, take: Callable[[str, str, list[Shown]], None]
-) -> str:
-    """Write images/SPLIT/KEY.png and clean/ of every sample; returns one line that says so.
+def _objects(
+    pairs: PairDataset, folder: Path, split: str, counts: Counter[str]
+) -> Iterator[tuple[str, list[Shown]]]:
+    """Write images/SPLIT/KEY.png and clean/ of every sample, and give its key and its objects.
 
-    take: is given split, key and objects of each.  Raises FactoryError for a dataset without
-    labels.
+    counts: of objects, and of those left out.  Raises FactoryError for a dataset without labels.
     """
     if not {"segmentation", "instance"} <= set(pairs.layers):
         raise FactoryError(
-            f"--to {to}: {pairs.folder} has no labels (/segmentation and /instance); make it from "
-            "scenes with labels and dataset.layers=[segmentation], or export with --to png"
+            f"{pairs.folder} has no labels (/segmentation and /instance); make it from scenes with "
+            "labels and dataset.layers=[segmentation], or export with --to png"
         )
-    objects = left_out = 0
-    for split in pairs.splits:
-        for sample in samples(pairs, split):
-            for name, layer in (("images", "noisy"), ("clean", "clean")):
-                path = folder / name / split / f"{sample.key}.png"
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(png(stored_image(sample.images[layer], "uint8")))
-            found = list(shown_in(sample, classes_of(pairs.form.config), pairs.folder))
-            large = [shown for shown in found if int(shown.mask.sum()) >= LEAST_PX]
-            objects += len(large)
-            left_out += len(found) - len(large)
-            take(split, sample.key, large)
-    return f"{len(pairs)} pictures, {objects} objects; {left_out} below {LEAST_PX} pixels left out"
+    for sample in samples(pairs, split):
+        for name, layer in (("images", "noisy"), ("clean", "clean")):
+            path = folder / name / split / f"{sample.key}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(png(stored_image(sample.images[layer], "uint8")))
+        found = list(shown_in(sample, classes_of(pairs.form.config), pairs.folder))
+        large = [shown for shown in found if int(shown.mask.sum()) >= LEAST_PX]
+        counts.update(objects=len(large), small=len(found) - len(large))
+        yield sample.key, large
+
+
+def _counted(pairs: PairDataset, counts: Counter[str]) -> str:
+    small = f"{counts['small']} below {LEAST_PX} pixels left out"
+    return f"{len(pairs)} pictures, {counts['objects']} objects; {small}"
 
 
 def write_coco(pairs: PairDataset, folder: Path) -> str:
@@ -326,45 +327,40 @@ def write_coco(pairs: PairDataset, folder: Path) -> str:
 
     Categories have the numbers of the classes (`simnfnd.factory.labels`), from 1.  clean/SPLIT
     holds the ideal pictures.  Format: https://cocodataset.org/#format-data.
-    Raises FactoryError for a dataset without labels.
     """
-    height, width = pairs.shape
+    (height, width), counts = pairs.shape, Counter[str]()
     (folder / "annotations").mkdir()
-    documents: dict[str, dict[str, Any]] = {}
     for split in pairs.splits:
-        documents[split] = {
+        images: list[dict[str, Any]] = []
+        annotations: list[dict[str, Any]] = []
+        for key, found in _objects(pairs, folder, split, counts):
+            size = {"width": width, "height": height}
+            images.append({"id": len(images) + 1, "file_name": f"{key}.png", **size})
+            for shown in found:
+                one = {
+                    "id": len(annotations) + 1,
+                    "image_id": len(images),
+                    "category_id": shown.label,
+                    "bbox": shown.box,
+                    "area": int(shown.mask.sum()),
+                    "segmentation": run_lengths(shown.mask),
+                    "iscrowd": 0,
+                }
+                annotations.append(one)
+        document = {
             "info": {"description": f"SimNFND, {split}", "version": "1.0"},
-            "images": [],
-            "annotations": [],
+            "images": images,
+            "annotations": annotations,
             "categories": [
                 {"id": label, "name": name, "supercategory": "object"}
                 for label, name in enumerate(classes_of(pairs.form.config))
                 if label
             ],
         }
-
-    def take(split: str, key: str, found: list[Shown]) -> None:
-        images, annotations = (documents[split][name] for name in ("images", "annotations"))
-        size = {"width": width, "height": height}
-        images.append({"id": len(images) + 1, "file_name": f"{key}.png", **size})
-        for shown in found:
-            one = {
-                "id": len(annotations) + 1,
-                "image_id": len(images),
-                "category_id": shown.label,
-                "bbox": shown.box,
-                "area": int(shown.mask.sum()),
-                "segmentation": run_lengths(shown.mask),
-                "iscrowd": 0,
-            }
-            annotations.append(one)
-
-    said = _write_objects(pairs, "coco", folder, take)
-    for split, document in documents.items():
         text = json.dumps(document, separators=(",", ":"))
         (folder / "annotations" / f"instances_{split}.json").write_text(text + "\n")
     write_notes(pairs, folder, _COCO_NOTES)
-    return said
+    return _counted(pairs, counts)
 
 
 def run_lengths(mask: npt.NDArray[np.bool_]) -> dict[str, list[int]]:
@@ -382,22 +378,17 @@ def write_yolo(pairs: PairDataset, folder: Path) -> str:
     programs that detect take the box around it.  An object in parts that do not touch has a line
     for each part; holes, which the format does not know, are filled.  Format:
     https://docs.ultralytics.com/datasets/segment.
-    Raises FactoryError for a dataset without labels.
     """
-    splits = tuple(pairs.splits)
+    splits, counts = tuple(pairs.splits), Counter[str]()
     for split in splits:
         (folder / "labels" / split).mkdir(parents=True)
-
-    def take(split: str, key: str, found: list[Shown]) -> None:
-        lines = []
-        for shown in found:
-            for ring in outlines(shown.mask):
+        for key, found in _objects(pairs, folder, split, counts):
+            lines = []
+            for shown, ring in ((one, ring) for one in found for ring in outlines(one.mask)):
                 corners = (ring / shown.mask.shape[::-1]).ravel()
-                places = " ".join(f"{value:.6f}" for value in corners)
-                lines.append(f"{shown.label - 1} {places}\n")
-        (folder / "labels" / split / f"{key}.txt").write_text("".join(lines))
-
-    said = _write_objects(pairs, "yolo", folder, take)
+                numbers = " ".join(f"{value:.6f}" for value in corners)
+                lines.append(f"{shown.label - 1} {numbers}\n")
+            (folder / "labels" / split / f"{key}.txt").write_text("".join(lines))
     # Without `path`, places are those beside data.yaml.  Both keys must be there.
     places = {
         key: f"images/{split if split in splits else splits[0]}"
@@ -407,7 +398,7 @@ def write_yolo(pairs: PairDataset, folder: Path) -> str:
     text = yaml.safe_dump({**places, "names": names}, sort_keys=False)
     (folder / "data.yaml").write_text(text)
     write_notes(pairs, folder, _YOLO_NOTES)
-    return said
+    return _counted(pairs, counts)
 
 
 def outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
