@@ -118,9 +118,8 @@ def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
     """Row and column axes.
 
     With one fixed range window they are metres (and degrees of azimuth for polar pictures).  With
-    an automatic one, or several, every sample has its own scale, so the axes count from 0 to 1 or
-    in pixels and `range_min_m`, `range_max_m`, `metres_per_pixel` of the sample table turn them
-    into metres.
+    an automatic one, or several, every sample has its own scale: the axes count from 0 to 1 or in
+    pixels, which `range_min_m`, `range_max_m`, `metres_per_pixel` of the table turn into metres.
     """
     rows, columns_ = (np.arange(size) + 0.5 for size in sonar.shape())
     near, far = sonar.range.min_m, sonar.range.max_m

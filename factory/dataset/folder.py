@@ -16,8 +16,7 @@ from ..small_files import load_yaml, one_line, read_regular
 from .manifest import CONFIG_NAME, MANIFEST_NAME, PARTS, Manifest, load_manifest, save_manifest
 from .schema import DATASET_NAME, SCHEMA, SPLITS, Provenance, plain_values
 
-CARD_NAME = "README.md"
-PREVIEW_NAME = "preview.png"
+CARD_NAME, PREVIEW_NAME = "README.md", "preview.png"
 # Of workers that crashed; gone after a run that ended by itself.
 WORK_NAME = ".work"
 STATUS_NAME = "status.json"

@@ -2,17 +2,13 @@
 
 A dataset may come from a stranger or a dying disk.  What is checked here reads no image: links,
 types, sizes, filters and attributes.  A file that passes names no other file and has one chunk for
-each picture; its checksum says whether that is the right one.
-
-HDF5 has no checksums for what it keeps in one piece (/meta, /axes, plain pictures), for texts, and
-for the tables that say where a chunk lies.  So a shard has
+each picture.  HDF5 has no checksums for what it keeps in one piece (/meta, /axes, plain pictures),
+for texts, and for the tables that say where a chunk lies.  So a shard has
 
 - `/checksums`, one row a sample and one column a layer: CRC-32 of the picture's bytes;
-- the root attribute `checksum`, of the other root attributes, /meta, the axes and `/checksums`;
-- the root attribute `text_checksum`, of what the layers, columns and axes say of themselves.
-
-The latter two are BLAKE2b (digest of 16 bytes, hexadecimal) of a JSON text that `_contents` and
-`_texts` write.
+- root attributes `checksum`, of the others, /meta, the axes and `/checksums`, and `text_checksum`,
+  of what layers, columns and axes say of themselves: BLAKE2b (16 bytes, hexadecimal) of a JSON text
+  that `_contents` and `_texts` write.
 """
 
 from __future__ import annotations

@@ -274,7 +274,9 @@ def failure_lines(failures: Iterable[Failure], rerun_command: Callable[[FrameRef
 
     `rerun_command(ref)` is the command line that tries that one frame again.
     """
-    told = ((f.ref.name, f.shard, f.kind, f.reason, rerun_command(f.ref)) for f in failures)
+    told = (
+        (one.ref.name, one.shard, one.kind, one.reason, rerun_command(one.ref)) for one in failures
+    )
     return [dict(zip(FAILURE_KEYS, values, strict=True)) for values in told]
 
 

@@ -74,8 +74,7 @@ class PairDataset:
     trusted: False has another process open every shard first (a third of a second, and some
     milliseconds a shard), because a damaged file can make HDF5 crash or hang.
 
-    Raises FactoryError: no dataset, an empty split, another schema, a shard that is absent or
-    damaged, pictures of several sizes.
+    Raises FactoryError: no dataset, an empty split, a shard that is absent or damaged.
     """
 
     def __init__(

@@ -9,7 +9,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +21,6 @@ from .folder import PREVIEW_NAME
 from .pair_dataset import PairDataset, SampleName
 from .reader import ImageStack, reading, value_range
 from .schema import CORE
-
-Anything = TypeVar("Anything")
 
 _BACKGROUND, _TEXT, _FAINT = "#0d1117", "#e6edf3", "#8b949e"
 # Black over amber to near white, as imaging sonars show echoes; shadows in the opposite hue.
@@ -90,7 +88,7 @@ def side_by_side(points: Sequence[tuple[str, Path]], out: Path, frames: int = 3)
     return bool(shown)
 
 
-def spread(samples: Sequence[Anything], count: int) -> list[Anything]:
+def spread(samples: Sequence[Any], count: int) -> list[Any]:
     """`count` samples (or all), evenly spread, in their order."""
     count = min(count, len(samples))
     return [samples[(2 * k + 1) * len(samples) // (2 * count)] for k in range(count)]

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
 Values = npt.NDArray[np.float64]
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
@@ -117,7 +116,7 @@ class SsimReference:
         return luminance, structure
 
 
-def inner(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+def inner(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """(H, W) values without the border of 5 pixels that the window does not fit into."""
     return values[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
 
@@ -135,5 +134,4 @@ def window(values: Values) -> Values:
             wide = views @ (weights / weights.sum())
         return wide
     size = (2 * RADIUS_PX + 1,) * 2
-    means = cv2.GaussianBlur(values, size, SIGMA_PX, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(means, np.float64)
+    return np.asarray(cv2.GaussianBlur(values, size, SIGMA_PX, borderType=cv2.BORDER_REFLECT))

@@ -47,11 +47,8 @@ def listed_shards(
         raise FactoryError(f"dataset={root}: no shards in train/ or test/; is it a dataset folder?")
     chosen = {path: info for path, info in found.items() if split in ("all", path.parent.name)}
     if not chosen:
-        other = next(iter(found)).parent.name
-        raise FactoryError(
-            f"dataset={root}: the {split} split is empty; it has {len(found)} shard(s) in "
-            f"{other} (split={other})"
-        )
+        there = f"split={next(iter(found)).parent.name} has {len(found)} shard(s)"
+        raise FactoryError(f"dataset={root}: the {split} split is empty; {there}")
     # What lies at a URL is fetched, and looked at, when it is opened.
     for path, info in () if url_of(root) else chosen.items():
         problem = ""

@@ -84,15 +84,12 @@ class Layer:
         return f"has values outside {low:g}..{high:g}{', or NaN' if self.grey else ''}"
 
 
-_RIGHT_ANGLE = math.pi / 2
-
-
 def _grey(name: str, description: str) -> Layer:
     return Layer(name, "uint8", description, most=1.0, grey=True)
 
 
 def _angle(name: str, description: str) -> Layer:
-    return Layer(name, "float32", description, "rad", least=-_RIGHT_ANGLE, most=_RIGHT_ANGLE)
+    return Layer(name, "float32", description, "rad", least=-math.pi / 2, most=math.pi / 2)
 
 
 _CORE_LAYERS = (

@@ -31,8 +31,7 @@ class DatasetSettings:
         acoustics.formation=field also what was received: intensity_db and field (complex).
     columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), calibration
         (source level, absorption, time-varying gain; of acoustics.formation=field), boxes (JSON: of
-        each object in sight its box in 3-D, its box in range and bearing, and how much of it the
-        sound reaches).
+        each object its box in 3-D and in range and bearing, and how much of it the sound reaches).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.

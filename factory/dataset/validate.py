@@ -28,17 +28,14 @@ from .schema import REQUIRED_COLUMNS, SPLITS, layers
 _LIMIT_S = 60.0
 # Slower than any disk: a shard that takes longer is not read but stuck.
 _BYTES_PER_S = 1e6
-_SHOWN = 3
 # A table that is wrong in every row is reported a few times, not a thousand times.
 _MOST_PROBLEMS = 8
-
 
 Facts = dict[str, Any]
 """What a shard says of itself.
 
 problems: what is wrong; with any, nothing else need be there.  config_hash, split.
-form: what all shards of a dataset share, as text.
-samples: location, scene, frame and variant of each.
+form: what all shards share, as text.  samples: location, scene, frame and variant of each.
 noisy, clean: digests of the pictures, in hexadecimal, when they were read.
 """
 
@@ -139,8 +136,7 @@ def _of_all(facts: Mapping[str, Facts]) -> Iterator[str]:
         scenes[split].update("/".join(key[:2]) for key in found.get("samples", ()))
         clean[split].update(found.get("clean", ()))
     if both := sorted(set.intersection(*scenes.values())):
-        shown = ", ".join(both[:_SHOWN])
-        yield f"{MANIFEST_NAME}: {len(both)} scene(s) both train and test: {shown}"
+        yield f"{MANIFEST_NAME}: {len(both)} scene(s) both train and test: {', '.join(both[:3])}"
     if both := sorted(set.intersection(*clean.values())):
         yield f"{MANIFEST_NAME}: {len(both)} clean picture(s) are in train and in test"
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from h5py import string_dtype
 from isal import isal_zlib
 
-from ..errors import FactoryError, FrameError
+from ..errors import FrameError
 from ..files import explain_os_errors, write_atomically
 from ..labels import classes_of
 from .layout import config_of, crc32, image_axes, optional_layers, write_checksums
@@ -98,13 +98,16 @@ def write_shard(
                     image = stored_image(image, layer.dtype)
                 sums.setdefault(layer.name, []).append(crc32(image))
                 if settings.compression == "gzip":
-                    write_gzip_chunk(stack, len(rows) - 1, image, settings.compression_level)
+                    _write_gzip_chunk(stack, len(rows) - 1, image, settings.compression_level)
                 else:
                     stack[-1] = image
         if not rows:
             return None
-        kinds = ((column.name, np.dtype(column.dtype)) for column in columns)
-        fields = [(n, string_dtype("utf-8", k.itemsize) if k.kind == "S" else k) for n, k in kinds]
+        types = ((column.name, np.dtype(column.dtype)) for column in columns)
+        fields = [
+            (name, string_dtype("utf-8", kind.itemsize) if kind.kind == "S" else kind)
+            for name, kind in types
+        ]
         table = file.create_dataset("meta", data=np.array(rows, dtype=fields), track_times=False)
         for column in columns:
             table.attrs[f"{column.name}.units"] = column.units
@@ -164,23 +167,22 @@ def _describe(stack: h5py.Dataset, layer: Layer, axes: tuple[Axis, Axis]) -> Non
         stack.dims[dimension].attach_scale(stack.file[f"axes/{axis.name}"])
 
 
-def write_gzip_chunk(
+def _write_gzip_chunk(
     stack: h5py.Dataset, number: int, image: npt.NDArray[np.generic], level: int
 ) -> None:
     """Store an image as chunk `number` of a stack that has gzip and fletcher32 as its filters.
 
     HDF5's own deflate costs as much as forming the picture.  ISA-L makes the same format, as small,
     seven times faster; HDF5 only stores what comes of it, and every reader opens it.
-    image: of the stack's dtype and the shape of one chunk.  level: of gzip, 0 to 9.
     """
     plain = np.ascontiguousarray(image).data
     # The same on every processor since SSE4.2 (2008); of isal's levels 1 alone is like zlib's.
     content = (isal_zlib if level == 1 else zlib).compress(plain, level)
     offset = (number, *(0 for _ in image.shape))
-    stack.id.write_direct_chunk(offset, content + struct.pack("<I", fletcher32(content)))
+    stack.id.write_direct_chunk(offset, content + struct.pack("<I", _fletcher32(content)))
 
 
-def fletcher32(content: bytes) -> int:
+def _fletcher32(content: bytes) -> int:
     """HDF5's variant of Fletcher's checksum, which ends every chunk.
 
     Of big-endian 16-bit words w_1 .. w_n, an odd last byte being the upper half of one: the sums of
@@ -207,11 +209,8 @@ def write_index(directory: Path, manifest: Manifest) -> None:
     """Write index.h5 for the shards of `manifest`, and manifest.json with its SHA-256.
 
     The shards are of one configuration or were compared (`merge`), so the first shows the form of
-    all.  Equal input gives equal bytes.  Raises FactoryError when there is no shard, or the first
-    cannot be read.
+    all.  Equal input gives equal bytes.  Raises FactoryError when the first cannot be read.
     """
-    if not manifest.shards:
-        raise FactoryError(f"{directory}: the dataset has no samples to index")
     with reading(directory / min(manifest.shards)) as first, _file_in_memory() as index:
         # What every shard says in the same words is said once.
         shared = (name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))

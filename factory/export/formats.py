@@ -34,7 +34,6 @@ LEAST_PX = 8
 # Level 1: a third of the time of the default, a few per cent larger.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
-Mask = npt.NDArray[np.bool_]
 Value = float | int | str
 
 
@@ -270,7 +269,7 @@ class Shown:
     """An object in a picture: its class, 1 or more, and the pixels (H, W) where it is seen."""
 
     label: int
-    mask: Mask
+    mask: npt.NDArray[np.bool_]
 
     @property
     def box(self) -> tuple[int, int, int, int]:
