@@ -38,16 +38,14 @@ if TYPE_CHECKING:
     from .config import FactoryConfig
     from .scenes import Reader
 
-Matrix = npt.NDArray[np.float64]
+Row = dict[str, float | str]
 Frames = tuple[FrameRef, ...]
 Choose = Callable[[Frames, "FactoryConfig"], Frames]
 
-_NAME = "S96"
-
 _SAMPLE = (
-    Column("location", _NAME, "", "area of the recording"),
-    Column("scene", _NAME, "", "recording; train and test are split by it"),
-    Column("frame", _NAME, "", "frame within the scene"),
+    Column("location", "S96", "", "area of the recording"),
+    Column("scene", "S96", "", "recording; train and test are split by it"),
+    Column("frame", "S96", "", "frame within the scene"),
     Column("variant", "i4", "1", "number of the noise draw of this frame"),
     Column("seed_key", "S32", "", "blake2b spawn key of the sample's random streams, hexadecimal"),
     Column("range_min_m", "f8", "m", "range at the near edge of the picture"),
@@ -59,12 +57,14 @@ _SAMPLE = (
     Column("points.scene", "i8", "1", "scene points in the pictures"),
     Column("full_scale", "f8", "1", "echo level shown as grey value 1"),
 )
-_TARGET = Column(
-    "clean_full_scale",
-    "f8",
-    "1",
-    "level shown as grey value 1 in the clean picture, in the unit of its target: echo intensity; "
-    "radiometric: backscatter",
+_TARGET = (
+    Column(
+        "clean_full_scale",
+        "f8",
+        "1",
+        "level shown as grey value 1 in the clean picture, in the unit of its target: echo "
+        "intensity; radiometric: backscatter",
+    ),
 )
 
 
@@ -73,7 +73,7 @@ def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ..
 
     formation: acoustics.formation; pictures of points have one scale for clean and noisy.
     """
-    target = (_TARGET,) if formation == "field" else ()
+    target = _TARGET if formation == "field" else ()
     return _SAMPLE + target + tuple(map(_described, drawn.columns(noise)))
 
 
@@ -99,42 +99,32 @@ def record(
     sample: Sample,
     draws: Draws,
     formation: str = "points",
-) -> dict[str, float | str]:
+) -> Row:
     """The row of one sample."""
-    row = _row(
-        _SAMPLE,
-        *(ref.location, ref.scene, ref.frame, variant),
-        "".join(
-            f"{word:08x}" for word in seeds.spawn_key(ref.location, ref.scene, ref.frame, variant)
-        ),
+    names = (ref.location, ref.scene, ref.frame, variant)
+    pixel_m = window.range_span_m / sonar.range_bins
+    if sonar.image.layout != "polar":
+        pixel_m = window.range_max_m * pixel_size(sonar, window.near_fraction)
+    values: tuple[float | str, ...] = (
+        *(*names, "".join(f"{word:08x}" for word in seeds.spawn_key(*names))),
         *(window.range_min_m, window.range_max_m),
         *(float(np.rad2deg(rad)) for rad in (window.azimuth_min_rad, window.azimuth_max_rad)),
-        metres_per_pixel(window, sonar),
-        *(sample.rate, sample.points, sample.full_scale),
+        *(pixel_m, sample.rate, sample.points, sample.full_scale),
     )
-    if formation == "field":
-        row[_TARGET.name] = sample.full_scale
-    return row | draws.row(sample.added)
+    target = _row(_TARGET, sample.full_scale) if formation == "field" else {}
+    return _row(_SAMPLE, *values) | target | draws.row(sample.added)
 
 
-def _row(columns: Sequence[Column], *values: float | str) -> dict[str, float | str]:
+def _row(columns: Sequence[Column], *values: float | str) -> Row:
     return {column.name: value for column, value in zip(columns, values, strict=True)}
-
-
-def metres_per_pixel(window: Window, sonar: SonarSettings) -> float:
-    """Edge of a fan pixel, or length of a range bin of a polar picture, metres."""
-    if sonar.image.layout == "polar":
-        return window.range_span_m / sonar.range_bins
-    return window.range_max_m * pixel_size(sonar, window.near_fraction)
 
 
 def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
     """Row and column axes.
 
     With one fixed range window they are metres (and degrees of azimuth for polar pictures).  With
-    an automatic one, or several, every sample has its own scale, so the axes count from 0 to 1 or
-    in pixels and `range_min_m`, `range_max_m`, `metres_per_pixel` of the sample table turn them
-    into metres.
+    an automatic one, or several, every sample has its own scale: the axes count from 0 to 1 or in
+    pixels, which `range_min_m`, `range_max_m`, `metres_per_pixel` of the table turn into metres.
     """
     rows, columns_ = (np.arange(size) + 0.5 for size in sonar.shape())
     near, far = sonar.range.min_m, sonar.range.max_m
@@ -217,17 +207,15 @@ def requested(names: Sequence[str]) -> tuple[Column, ...]:
     return tuple(column for name in names for column in _REQUESTED[name][0])
 
 
-def requested_row(lit: LitSurface, config: FactoryConfig) -> dict[str, float | str]:
+def requested_row(lit: LitSurface, config: FactoryConfig) -> Row:
     """The values of `requested` for a frame as the sonar sees it."""
-    made: dict[str, float | str] = {}
-    for name in config.dataset.columns:
-        made |= _REQUESTED[name][1](lit, config)
-    return made
+    rows = (_REQUESTED[name][1](lit, config) for name in config.dataset.columns)
+    return {name: value for row in rows for name, value in row.items()}
 
 
-def pose_row(frame: Frame, mount: Mount) -> dict[str, float | str]:
+def pose_row(frame: Frame, mount: Mount) -> Row:
     """The values of `pose` for a frame and the sonar mounted at its camera."""
-    row: dict[str, float | str] = dict.fromkeys((column.name for column in _POSE), float("nan"))
+    row: Row = dict.fromkeys((column.name for column in _POSE), float("nan"))
     if frame.time_s is not None:
         row["time_s"] = frame.time_s
     if frame.world_from_camera is None:
@@ -252,7 +240,7 @@ def pose_row(frame: Frame, mount: Mount) -> dict[str, float | str]:
     return row
 
 
-def _quaternion(rotation: Matrix) -> Matrix:
+def _quaternion(rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """(4,) unit quaternion (x, y, z, w) of a rotation matrix, w not negative."""
     from scipy.spatial.transform import Rotation  # slow to import
 
@@ -260,13 +248,13 @@ def _quaternion(rotation: Matrix) -> Matrix:
     return -found if found[3] < 0 else found
 
 
-def _lens_row(frame: Frame) -> dict[str, float | str]:
+def _lens_row(frame: Frame) -> Row:
     lens = frame.intrinsics
     numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion, 0.0, 0.0, 0.0, 0.0)
     return _row(_LENS, *map(float, numbers[: len(_LENS)]))
 
 
-def _calibration_row(config: FactoryConfig) -> dict[str, float | str]:
+def _calibration_row(config: FactoryConfig) -> Row:
     sonar, water, acoustics = config.sonar, config.water, config.acoustics
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
     return _row(
@@ -279,7 +267,7 @@ def _calibration_row(config: FactoryConfig) -> dict[str, float | str]:
     )
 
 
-def _boxes_row(lit: LitSurface, classes: Sequence[str]) -> dict[str, str]:
+def _boxes_row(lit: LitSurface, classes: Sequence[str]) -> Row:
     """Raises FrameError for a frame without boxes."""
     frame = lit.frame
     if frame.boxes is None or frame.instance is None:
@@ -327,10 +315,7 @@ def _of_sonar(box: npt.NDArray[np.float64], lit: LitSurface) -> dict[str, object
 
 
 # What `dataset.columns` can ask for: columns, and their values for a frame as the sonar sees it.
-_REQUESTED: dict[
-    str,
-    tuple[tuple[Column, ...], Callable[[LitSurface, FactoryConfig], Mapping[str, float | str]]],
-] = {
+_REQUESTED: dict[str, tuple[tuple[Column, ...], Callable[[LitSurface, FactoryConfig], Row]]] = {
     "pose": (_POSE, lambda lit, config: pose_row(lit.frame, config.sonar.mount)),
     "intrinsics": (_LENS, lambda lit, _: _lens_row(lit.frame)),
     "calibration": (_CALIBRATION, lambda _, config: _calibration_row(config)),

@@ -14,7 +14,7 @@ from typing import Any
 
 from ..cli import Parser
 from ..dataset.card import write_card
-from ..dataset.folder import dataset_settings, differences, list_differences, open_folder
+from ..dataset.folder import dataset_settings, differences, open_folder
 from ..dataset.manifest import MANIFEST_NAME, PARTS, Manifest, damage, load_manifest, save_manifest
 from ..dataset.pair_dataset import PairDataset
 from ..dataset.preview import preview
@@ -91,12 +91,10 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Pair
         sizes = [str(sources[folder].form.sizes) for folder in (first, other)]
         there = {"generator": one.generator, "sizes": sizes[0], **one.config}
         here = {"generator": two.generator, "sizes": sizes[1], **two.config}
-        found = differences(there, here)
-        changes = {key: change for key, change in found.items() if not _FREE.match(key)}
-        if changes:
+        if changes := differences(there, here, _FREE):
             raise FactoryError(
                 f"merge: {first} and {other} were made with different settings "
-                f"({list_differences(changes)}); merge only what differs in frames and seed"
+                f"({changes}); merge only what differs in frames and seed"
             )
 
 

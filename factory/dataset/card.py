@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -22,7 +23,6 @@ _HUB_LICENCES = (
     "cc-by-nd-4.0", "cc-by-nc-nd-4.0", "odbl", "pddl", "odc-by", "cdla-permissive-2.0",
 )  # fmt: skip
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
-_TAGS = ("sonar", "forward-looking-sonar", "underwater", "denoising", "synthetic", "hdf5")
 PAPER = (
     'T. Yang, T. Zhang, Y. Yao, "SimNFND: A Forward-Looking Sonar Denoising Model Trained on '
     'Simulated Noise-Free and Noisy Data", Remote Sensing 16(15), 2815, 2024'
@@ -44,6 +44,7 @@ def write_card(
     """
     pairs = PairDataset(directory, "all", trusted=True)
     rows, columns = pairs.shape
+    hub = hub_fields(settings.name, settings.licence, manifest.samples())
     splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
     counts = Counter((one.split, one.location, one.scene) for one in pairs.names())
     preview = (directory / PREVIEW_NAME).exists()
@@ -51,17 +52,15 @@ def write_card(
     facts = [
         f"made by {provenance.generator}, format {SCHEMA}, config hash `{provenance.config_hash}`",
         *(
-            f"{how} a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
-            for key, how in (("merged", "merged from"), ("extends", "extends"))
-            for part in manifest.config.get(key, ())
+            f"merged from a dataset of {one['samples']} pairs, config hash `{one['config_hash']}`"
+            for one in manifest.config.get("merged", ())
         ),
         *(f"images left out: {count}, {why}" for why, count in sorted((skipped or {}).items())),
         *([f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}"] if failures else []),
     ]
     text = f"""\
 ---
-{hub_fields(settings.name, settings.licence, manifest.samples())}
----
+{yaml.safe_dump(hub, sort_keys=False)}---
 
 # {settings.name}: simulated forward-looking sonar images, noisy and clean
 
@@ -113,18 +112,16 @@ source images hold for what is derived from them.
     return path
 
 
-def hub_fields(name: str, licence: str | None, samples: int) -> str:
-    """YAML lines of a card's front matter, for the Hugging Face hub."""
+def hub_fields(name: str, licence: str | None, samples: int) -> dict[str, Any]:
+    """Front matter of a card, for the Hugging Face hub."""
     stated = (licence or "unknown").strip()
     known = stated.lower() if stated.lower() in (*_HUB_LICENCES, "unknown") else None
-    lines = [f"license: {known or 'other'}"]
-    if not known:
-        lines.append(f"license_name: {re.sub(r'[^a-z0-9.-]+', '-', stated.lower()).strip('-')}")
-    size = next((name for limit, name in _SIZES if samples < limit), "n>1M")
-    lines += [
-        f"pretty_name: {name}",
-        "task_categories:\n- image-to-image",
-        "size_categories:\n- " + size,
-        "tags:\n" + "\n".join(f"- {tag}" for tag in _TAGS),
-    ]
-    return "\n".join(lines)
+    other = {"license_name": re.sub(r"[^a-z0-9.-]+", "-", stated.lower()).strip("-")}
+    return {
+        "license": known or "other",
+        **({} if known else other),
+        "pretty_name": name,
+        "task_categories": ["image-to-image"],
+        "size_categories": [next((size for limit, size in _SIZES if samples < limit), "n>1M")],
+        "tags": ["sonar", "forward-looking-sonar", "underwater", "denoising", "synthetic", "hdf5"],
+    }

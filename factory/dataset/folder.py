@@ -4,40 +4,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from ..errors import FactoryError
-from ..files import (
-    check_writable,
-    is_temporary,
-    remove_stale_temporaries,
-    write_atomically,
-)
+from ..files import check_writable, is_temporary, remove_stale_temporaries, write_atomically
 from ..small_files import load_yaml, one_line, read_regular
-from .manifest import (
-    CONFIG_NAME,
-    MANIFEST_NAME,
-    PARTS,
-    Manifest,
-    load_manifest,
-    save_manifest,
-)
+from .manifest import CONFIG_NAME, MANIFEST_NAME, PARTS, Manifest, load_manifest, save_manifest
 from .schema import DATASET_NAME, SCHEMA, SPLITS, Provenance, plain_values
 
-CARD_NAME = "README.md"
-PREVIEW_NAME = "preview.png"
+CARD_NAME, PREVIEW_NAME = "README.md", "preview.png"
 # Of workers that crashed; gone after a run that ended by itself.
 WORK_NAME = ".work"
 STATUS_NAME = "status.json"
 
 # Names of what comes and goes with runs, and of where a copy comes from.
 _COMING = (".lock", ".origin", WORK_NAME)
-
-_SHOWN_DIFFERENCES = 6
-_HASH = re.compile(r"config hash (\w+)")
+_SHOWN = 6
 
 
 def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenance) -> Manifest:
@@ -51,12 +37,14 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
     """
     if directory.exists() and not directory.is_dir():
         raise FactoryError(f"dataset.dir: {directory} is a file; give a folder with dataset.dir=")
-    foreign = _foreign_files(directory)
+    names = sorted(entry.name for entry in directory.iterdir()) if directory.exists() else []
+    foreign = [n for n in names if not (is_temporary(n) or n.startswith(_COMING))]
     # Asked later: another slice may make the folder a dataset just now.
-    ours = _is_dataset(directory)
+    ours = any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME))
     if foreign and not ours:
+        shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         raise FactoryError(
-            f"dataset.dir: {directory} holds other files ({foreign}) and no dataset; "
+            f"dataset.dir: {directory} holds other files ({shown}) and no dataset; "
             "give an empty or new folder with dataset.dir="
         )
     check_writable(directory, "dataset.dir")
@@ -64,7 +52,11 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
         remove_stale_temporaries(folder)
     manifest = _same_dataset(directory, provenance) if ours else None
     # First of all files, because it tells other slices whose folder this is.
-    write_atomically(directory / CONFIG_NAME, _config_text(config, provenance).encode())
+    body = yaml.safe_dump(
+        plain_values(config), sort_keys=False, allow_unicode=True, default_flow_style=False
+    )
+    head = f"# {SCHEMA}, {provenance.generator}, config hash {provenance.config_hash}\n"
+    write_atomically(directory / CONFIG_NAME, (head + body).encode())
     if manifest is None:
         values = plain_values(provenance.config)
         manifest = Manifest(provenance.config_hash, provenance.generator, values)
@@ -74,29 +66,21 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
     return manifest
 
 
-def _is_dataset(directory: Path) -> bool:
-    return any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME))
-
-
-def _foreign_files(directory: Path) -> str:
-    """The first names in a folder that do not come and go with runs; empty if there are none."""
-    if not directory.is_dir():
-        return ""
-    names = (entry.name for entry in directory.iterdir())
-    foreign = sorted(n for n in names if not (is_temporary(n) or n.startswith(_COMING)))
-    return ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
-
-
 def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     """The folder's manifest when it is of this very dataset, None when it has none any more."""
-    manifest = load_manifest(directory)
-    config_hash = manifest.config_hash if manifest else _hash_in_config(directory)
-    if config_hash != provenance.config_hash:
-        changes = differences(manifest.config if manifest else {}, provenance.config)
-        listed = list_differences(changes) if manifest and changes else "its config hash differs"
+    manifest, same, changes = load_manifest(directory), False, ""
+    if manifest:
+        same = manifest.config_hash == provenance.config_hash
+        changes = differences(manifest.config, provenance.config)
+    else:
+        with suppress(OSError):
+            head = read_regular(directory / CONFIG_NAME).partition(b"\n")[0]
+            same = head.endswith(f"config hash {provenance.config_hash}".encode())
+    if not same:
         raise FactoryError(
-            f"dataset.dir: {directory} holds a dataset of another configuration ({listed}); "
-            "give another folder with dataset.dir=, or remove this one"
+            f"dataset.dir: {directory} holds a dataset of another configuration "
+            f"({changes or 'its config hash differs'}); give another folder with dataset.dir=, or "
+            "remove this one"
         )
     if manifest and manifest.generator != provenance.generator:
         raise FactoryError(
@@ -106,50 +90,29 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     return manifest
 
 
-def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, str]:
-    """Dotted key -> `value there -> value here`, of every key in which two configurations differ.
+def differences(
+    there: Mapping[str, Any], here: Mapping[str, Any], free: re.Pattern[str] | None = None
+) -> str:
+    """`key there -> here` of the first keys in which two configurations differ, in one line.
 
-    The records of earlier datasets are left out.
+    The records of earlier datasets are left out, and dotted keys that match `free`.
     """
-    one, two = (
-        {key: repr(value) for key, value in _leaves(plain_values(config)) if key not in PARTS}
-        for config in (there, here)
-    )
-    return {
-        key: f"{one.get(key, '(absent)')} -> {two.get(key, '(absent)')}"
+    one, two = (dict(_leaves(plain_values(config))) for config in (there, here))
+    found = [
+        f"{key} {one.get(key, '(absent)')} -> {two.get(key, '(absent)')}"
         for key in sorted(one.keys() | two.keys())
-        if one.get(key) != two.get(key)
-    }
+        if one.get(key) != two.get(key) and key not in PARTS and not (free and free.match(key))
+    ]
+    more = [f"and {len(found) - _SHOWN} more"] if len(found) > _SHOWN else []
+    return "; ".join(found[:_SHOWN] + more)
 
 
-def list_differences(changes: Mapping[str, str]) -> str:
-    """The first of the differences in one line."""
-    parts = [f"{key} {change}" for key, change in changes.items()]
-    more = len(parts) - _SHOWN_DIFFERENCES
-    return "; ".join(parts[:_SHOWN_DIFFERENCES] + ([f"and {more} more"] if more > 0 else []))
-
-
-def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
     if isinstance(value, Mapping) and value:
         for key, item in value.items():
             yield from _leaves(item, f"{prefix}.{key}" if prefix else str(key))
     else:
-        yield prefix, value
-
-
-def _hash_in_config(directory: Path) -> str | None:
-    try:
-        match = _HASH.search(read_regular(directory / CONFIG_NAME).partition(b"\n")[0].decode())
-    except (OSError, UnicodeDecodeError):
-        return None
-    return match[1] if match else None
-
-
-def _config_text(config: Mapping[str, Any], provenance: Provenance) -> str:
-    body = yaml.safe_dump(
-        plain_values(config), sort_keys=False, allow_unicode=True, default_flow_style=False
-    )
-    return f"# {SCHEMA}, {provenance.generator}, config hash {provenance.config_hash}\n{body}"
+        yield prefix, repr(value)
 
 
 def dataset_settings(directory: Path) -> dict[str, Any]:
@@ -164,16 +127,14 @@ def dataset_settings(directory: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
-        raise FactoryError(
-            f"{path}: cannot be read ({one_line(error)}); restore or delete it"
-        ) from error
+        reason = f"cannot be read ({one_line(error)}); restore or delete it"
+        raise FactoryError(f"{path}: {reason}") from error
     block = values.get("dataset") if isinstance(values, dict) else None
     block = block if isinstance(block, dict) else {}
     name, licence = block.get("name") or "dataset", block.get("licence")
+    problem = "" if isinstance(licence, str | None) else f"licence {str(licence)[:40]!r} is no text"
     if not (isinstance(name, str) and DATASET_NAME.fullmatch(name)):
-        raise FactoryError(
-            f"{path}: dataset.name {str(name)[:40]!r} is not letters, digits, dot, dash, underscore"
-        )
-    if not isinstance(licence, str | None):
-        raise FactoryError(f"{path}: dataset.licence {str(licence)[:40]!r} must be text")
+        problem = f"name {str(name)[:40]!r} is not letters, digits, dot, dash, underscore"
+    if problem:
+        raise FactoryError(f"{path}: dataset.{problem}")
     return block

@@ -2,17 +2,13 @@
 
 A dataset may come from a stranger or a dying disk.  What is checked here reads no image: links,
 types, sizes, filters and attributes.  A file that passes names no other file and has one chunk for
-each picture; its checksum says whether that is the right one.
-
-HDF5 has no checksums for what it keeps in one piece (/meta, /axes, plain pictures), for texts, and
-for the tables that say where a chunk lies.  So a shard has
+each picture.  HDF5 has no checksums for what it keeps in one piece (/meta, /axes, plain pictures),
+for texts, and for the tables that say where a chunk lies.  So a shard has
 
 - `/checksums`, one row a sample and one column a layer: CRC-32 of the picture's bytes;
-- the root attribute `checksum`, of the other root attributes, /meta, the axes and `/checksums`;
-- the root attribute `text_checksum`, of what the layers, columns and axes say of themselves.
-
-The latter two are BLAKE2b (digest of 16 bytes, hexadecimal) of a JSON text that `_contents` and
-`_texts` write.
+- root attributes `checksum`, of the others, /meta, the axes and `/checksums`, and `text_checksum`,
+  of what layers, columns and axes say of themselves: BLAKE2b (16 bytes, hexadecimal) of a JSON text
+  that `_contents` and `_texts` write.
 """
 
 from __future__ import annotations
@@ -23,6 +19,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
+from itertools import accumulate
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -71,8 +68,7 @@ def exists(file: h5py.File, name: str) -> bool:
 
 def object_inside(file: h5py.File, name: str) -> Any:
     """The object at `name`; links that could lead out of the file are refused on the way."""
-    parts = name.split("/")
-    for part in ("/".join(parts[: count + 1]) for count in range(len(parts))):
+    for part in accumulate(name.split("/"), "{}/{}".format):
         if not exists(file, part):
             raise FactoryError(f"dataset /{part} is absent; generate the shard again")
         # Not h5py's own `in` and `get`: they open the file that an external link names.
@@ -168,12 +164,15 @@ def check_shard(file: h5py.File) -> None:
 
     Other exceptions can escape from HDF5 itself when the file is damaged.
     """
-    schema = file.attrs.get("schema")
-    if not isinstance(schema, str) or schema != SCHEMA:
-        raise FactoryError(
-            f"schema {str(schema)[:40]!r}, but this program reads {SCHEMA!r}; "
-            "use a matching release"
-        )
+    allowed = {"schema": (SCHEMA,), "split": SPLITS, "generator": (), "config_hash": ()}
+    for name, values in allowed.items():
+        text = _text_attribute(file, name)
+        if values and text not in values:
+            raise FactoryError(
+                f"attribute {name} is {text[:40]!r}, this program reads {' or '.join(values)}; use "
+                "a matching release"
+            )
+    config_of(file)
     noisy = dataset_inside(file, "noisy", chunks=True)
     shape, dtype = noisy.shape, str(noisy.dtype)
     if len(shape) != 3 or dtype not in VALUE_RANGES:
@@ -186,11 +185,6 @@ def check_shard(file: h5py.File) -> None:
         _check_stack(stack, layer, shape)
         _check_chunks(stack)
     _check_table(dataset_inside(file, "meta"), shape[0])
-    for name in ("generator", "config_hash"):
-        _text_attribute(file, name)
-    config_of(file)
-    if (split := _text_attribute(file, "split")) not in SPLITS:
-        raise FactoryError(f"attribute split is {split[:40]!r}; expected {' or '.join(SPLITS)}")
     _check_contents(file)
 
 
@@ -242,8 +236,8 @@ def _check_chunks(stack: h5py.Dataset) -> None:
 def _filters(stack: h5py.Dataset) -> tuple[str, int]:
     """Compression of an image stack (or none), and bytes of its Fletcher-32 checksum, 4 or 0.
 
-    Raises FactoryError for any filter that the schema has not: it would be a library that HDF5
-    loads from wherever HDF5_PLUGIN_PATH points, or let a chunk grow without bound.
+    Any other filter would be a library that HDF5 loads from wherever HDF5_PLUGIN_PATH points, or
+    let a chunk grow without bound.
     """
     plist = stack.id.get_create_plist()
     codes = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
@@ -273,12 +267,11 @@ def _check_table(table: h5py.Dataset, samples: int) -> None:
     if not set(kinds.values()) <= set("iufS") or text != {"S"} or kinds["variant"] not in "iu":
         raise FactoryError("/meta has columns of types that the schema does not know")
     rows = table[()]
-    for name in (name for name in names if kinds[name] == "S"):
-        try:
-            # Decoded wherever they are shown.
-            b" ".join(rows[name].tolist()).decode()
-        except UnicodeDecodeError as error:
-            raise FactoryError(f"/meta: column {name} has text that is not UTF-8") from error
+    try:
+        for name in (name for name in names if kinds[name] == "S"):
+            b" ".join(rows[name].tolist()).decode()  # as it is wherever it is shown
+    except UnicodeDecodeError as error:
+        raise FactoryError("/meta has text that is not UTF-8") from error
 
 
 def _text_attribute(file: h5py.File, name: str) -> str:
@@ -293,8 +286,8 @@ def _text_attribute(file: h5py.File, name: str) -> str:
 # --- checksums
 
 _CONTENTS, _TEXTS = SEALS
-# Addresses in the file; what they lead to is in `_texts` by name.
-_REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
+# In the file; what they lead to is in `_texts` by name.
+_ADDRESSES = {"DIMENSION_LIST", "REFERENCE_LIST"}
 
 
 def crc32(values: npt.NDArray[Any]) -> int:
@@ -317,10 +310,7 @@ def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
 
 
 def _check_contents(file: h5py.File) -> None:
-    """Compare `checksum` in a file of sound layout.  Raises FactoryError when it differs.
-
-    A row a sample and a column a layer must be in /checksums.
-    """
+    """Compare `checksum`; /checksums must have a row a sample and a column a layer."""
     if not exists(file, CHECKSUMS) or not set(SEALS) <= set(file.attrs):
         raise FactoryError(
             "its checksums are absent; generate the shard again (versions before 0.3 wrote none)"
@@ -342,12 +332,6 @@ def check_texts(file: h5py.File) -> None:
     dict(file.attrs)
     if file.attrs[_TEXTS] != _digest(_texts(file, _summed(file))):
         raise FactoryError("units or descriptions differ from their checksum; damaged")
-
-
-def picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
-    """(samples,) `crc32` of each picture, a column a layer."""
-    sums: npt.NDArray[np.void] = file[CHECKSUMS][()]
-    return sums
 
 
 def _summed(file: h5py.File) -> tuple[str, ...]:
@@ -377,20 +361,18 @@ def _texts(file: h5py.File, names: Sequence[str]) -> list[Any]:
     return [
         [[name, axes.get(name, [])] for name in names],
         *(
-            [name, [[key, _value(value)] for key, value in sorted(_attributes(file[name]))]]
+            [
+                name,
+                [[key, _value(attributes[key])] for key in sorted(attributes.keys() - _ADDRESSES)],
+            ]
             for name in (*names, "meta", *(f"axes/{axis}" for axis in scales))
+            for attributes in (file[name].attrs,)
         ),
     ]
-
-
-def _attributes(item: h5py.Dataset) -> list[tuple[str, Any]]:
-    return [(name, item.attrs[name]) for name in item.attrs if name not in _REFERENCES]
 
 
 def _value(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.hex()
-    if isinstance(value, np.ndarray | np.generic):
-        listed = value.tolist()
-        return [value.dtype.str, listed.hex() if isinstance(listed, bytes) else listed]
-    return value
+    array = isinstance(value, np.ndarray | np.generic)
+    return [value.dtype.str, _value(value.tolist())] if array else value

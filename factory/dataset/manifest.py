@@ -21,17 +21,14 @@ from ..storage.copies import fetched
 from .schema import SCHEMA, SPLITS, config_hash
 
 MANIFEST_NAME = "manifest.json"
-# All shards as one file, by virtual datasets.
 INDEX_NAME = "index.h5"
 FAILURES_NAME = "failed.jsonl"
-# Every setting of the run.
 CONFIG_NAME = "config.yaml"
 # Keys of a configuration under which those of earlier datasets are kept.
 PARTS = ("merged", "extends")
 FAILURE_KEYS = ("frame", "shard", "kind", "reason", "command")
 
-# A shard takes some 400 bytes.
-MAX_SHARDS = 200_000
+# Of 300,000 shards, which take some 400 bytes each.
 _MAX_BYTES = 1 << 27
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/[A-Za-z0-9_-]+\.h5")
 
@@ -77,8 +74,8 @@ class ShardInfo:
 class Manifest:
     """All finished shards of a dataset, by path.
 
-    config: the settings that `config_hash` stands for.
-    index_sha256: of the index.h5 that shows these very shards; empty: there is none.
+    config: what `config_hash` stands for.  index_sha256: of the index.h5 that shows these very
+    shards; empty: there is none.
     """
 
     config_hash: str
@@ -206,7 +203,6 @@ def save_outcome(
 
     shard: its path.  config_hash: of the settings that it was made with.
     info: the finished shard; None when no frame gave a sample.
-    Raises FactoryError when that is impossible.
     """
     document = {
         "schema": SCHEMA,
@@ -264,8 +260,7 @@ class Failure:
     """One frame (all its planned variants) that gave no sample.
 
     kind: frame (its data is bad), error (a defect of the program), crash (its worker process
-        died) or timeout.
-    shard: the shard that it was planned for.
+        died) or timeout.  shard: that it was planned for.
     """
 
     ref: FrameRef
@@ -279,16 +274,10 @@ def failure_lines(failures: Iterable[Failure], rerun_command: Callable[[FrameRef
 
     `rerun_command(ref)` is the command line that tries that one frame again.
     """
-    return [
-        {
-            "frame": failure.ref.name,
-            "shard": failure.shard,
-            "kind": failure.kind,
-            "reason": failure.reason,
-            "command": rerun_command(failure.ref),
-        }
-        for failure in failures
-    ]
+    told = (
+        (one.ref.name, one.shard, one.kind, one.reason, rerun_command(one.ref)) for one in failures
+    )
+    return [dict(zip(FAILURE_KEYS, values, strict=True)) for values in told]
 
 
 def save_failures(directory: Path, lines: Lines) -> None:
@@ -314,4 +303,4 @@ def load_failures(directory: Path) -> Lines:
         ) from error
     settled = outcomes(directory)
     kept = [item for item in items if item["shard"] not in settled]
-    return kept + [line for shard in sorted(settled) for line in settled[shard][1]]
+    return kept + [line for _, (_, lines) in sorted(settled.items()) for line in lines]

@@ -22,7 +22,8 @@ from ..storage.copies import local_folder
 from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
 from .reader import Image, OpenShards, Split, check_in_isolation, listed_shards, reading
-from .schema import CORE, EFFECT_FOLDER, REQUIRED_COLUMNS, VALUE_RANGES, Axis, Column, layers
+from .schema import CORE, EFFECT_FOLDER, REQUIRED_COLUMNS, VALUE_RANGES, Axis, Column
+from .schema import layers as known_layers
 
 WINDOW = 16
 THREADS = 4
@@ -32,16 +33,16 @@ Sample = dict[str, Image]
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """What all shards of a dataset share, as the first one says it.
+    """What all shards share, as the first one says it.
 
     layers, sizes: dtype and shape of the images of each layer, the core ones first.
-    axes: of rows and columns.  columns: of /meta.  config: the settings.
     """
 
     layers: Mapping[str, np.dtype[Any]]
     sizes: Mapping[str, tuple[int, ...]]
     axes: tuple[Axis, Axis]
     columns: tuple[Column, ...]
+    table: np.dtype[np.void]
     config: Mapping[str, Any]
     config_hash: str
 
@@ -63,9 +64,8 @@ class PairDataset:
     """Random access to the samples of one split, without a copy of the dataset in memory.
 
     `pairs[i]` is a dict of the asked layers, each (H, W); `pairs[a:b]` and `pairs[[i, j, ...]]`
-    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8
-    and (0.0, 1.0) for float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are
-    float32 in 0..1.  The arrays are new ones at every read.
+    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8 and (0.0, 1.0) for
+    float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are float32 in 0..1.
 
     Nothing is open until the first read, and then in each process by itself, so the object can go
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
@@ -73,15 +73,12 @@ class PairDataset:
 
     folder: of the dataset, or its URL on a storage (s3://bucket/folder), from where shards are
     fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.schema` names them; None: all that the first shard has.
-    manifest.json decides which shards count; while a run adds some, the ones of the moment of
-    opening stay.
-
+    layers: as `factory.dataset.schema` names them; None: all that the first shard has.
+    manifest.json decides which shards count, at the moment of opening.
     trusted: False has another process open every shard first (a third of a second, and some
     milliseconds a shard), because a damaged file can make HDF5 crash or hang.
 
-    Raises FactoryError: no dataset, an empty split, another schema, a shard that is absent or
-    damaged, pictures of several sizes.
+    Raises FactoryError: no dataset, an empty split, a shard that is absent or damaged.
     """
 
     def __init__(
@@ -95,14 +92,16 @@ class PairDataset:
     ) -> None:
         self.folder = local_folder(folder)
         self.split, self.scaled = split, scaled
-        if layers is not None:
-            _check_names(tuple(layers))
+        known_layers("uint8", layers or ())
+        if layers is not None and not 0 < len(set(layers)) == len(layers):
+            raise FactoryError(f"layers={list(layers)}: name at least one, and none twice")
         manifest = load_manifest(self.folder)
         found = listed_shards(self.folder, split, manifest)
         self.paths = tuple(found)
-        self._config_hash = manifest.config_hash if manifest else ""
         if not trusted:
             check_in_isolation(self.paths)
+        # Of the settings that it was made with, the last ones if it was extended.
+        self.config_hash = manifest.config_hash if manifest else self.form.config_hash
         self._counts = [info.samples if info else _count(path) for path, info in found.items()]
         self._ends = list(accumulate(self._counts))
         self._shards = OpenShards()
@@ -122,10 +121,11 @@ class PairDataset:
             samples = [self[number] for number in item]
             return {name: np.stack([one[name] for one in samples]) for name in self.layers}
         path, row = self.place(item)
-        images = self._shards.read(path, self.layers, row)
-        return {
-            name: self._scaled(name, image) for name, image in zip(self.layers, images, strict=True)
-        }
+        images = dict(zip(self.layers, self._shards.read(path, self.layers, row), strict=True))
+        for name in images if self.scaled else ():
+            if name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER):
+                images[name] = in_unit_range(images[name])
+        return images
 
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order."""
@@ -165,6 +165,7 @@ class PairDataset:
                 {name: file[name].shape[1:] for name in names},
                 image_axes(file["noisy"]),
                 tuple(columns),
+                table.dtype,
                 config_of(file),
                 str(file.attrs["config_hash"]),
             )
@@ -184,11 +185,6 @@ class PairDataset:
     def value_range(self) -> tuple[float, float]:
         """Values of noisy and clean, as given out, that stand for no echo and for full scale."""
         return VALUE_RANGES[str(self.dtype)]
-
-    @property
-    def config_hash(self) -> str:
-        """Of the settings that the dataset was made with, the last ones if it was extended."""
-        return self._config_hash or self.form.config_hash
 
     @property
     def axes(self) -> tuple[Axis, Axis]:
@@ -220,14 +216,10 @@ class PairDataset:
     def table(self, path: Path) -> npt.NDArray[np.void]:
         """The sample table of one shard.  Raises FactoryError when its form is not the first's."""
         with reading(path) as file:
-            shape, rows = file["noisy"].shape[1:], file["meta"][()]
-        if shape != self.shape:
-            raise FactoryError(f"{self.folder}: images of several sizes ({self.shape}, {shape})")
-        if [(column.name, column.dtype) for column in self.form.columns] != [
-            (name, rows.dtype[name].str) for name in rows.dtype.names
-        ]:
-            raise FactoryError(f"{path}: its columns differ from those of {self.paths[0]}")
-        return np.asarray(rows)
+            shape, rows = file["noisy"].shape[1:], np.asarray(file["meta"][()])
+        if (shape, rows.dtype) != (self.shape, self.form.table):
+            raise FactoryError(f"{path}: its sizes or columns differ from {self.paths[0]}'s")
+        return rows
 
     def names(self) -> Iterator[SampleName]:
         """What every sample is of, in order."""
@@ -247,26 +239,12 @@ class PairDataset:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def __repr__(self) -> str:
-        return f"PairDataset({str(self.folder)!r}, {self.split!r}, {len(self)} samples)"
-
-    def _scaled(self, name: str, image: Image) -> Image:
-        grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)
-        return in_unit_range(image) if self.scaled and grey else image
-
 
 def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
     """Stored grey values (uint8 in 0..255 or float32 in 0..1) as float32 in 0..1."""
     if grey.dtype == np.uint8:
         return grey.astype(np.float32) * np.float32(1 / 255)
     return grey.astype(np.float32, copy=False)
-
-
-def _check_names(names: tuple[str, ...]) -> None:
-    """Raise FactoryError for a layer that the format does not know."""
-    layers("uint8", names)
-    if not names or len(set(names)) != len(names):
-        raise FactoryError(f"layers={list(names)}: name at least one, and none twice")
 
 
 def _count(path: Path) -> int:
@@ -281,8 +259,6 @@ def mixed_order(
 
     places: the shard of each sample.
     """
-    if window < 1:
-        raise FactoryError(f"window={window}: must be at least 1 shard")
     numbers = {path: number for number, path in enumerate(dict.fromkeys(places))}
     rank = np.argsort(rng.permutation(len(numbers)))
     windows = rank[[numbers[path] for path in places]] // window

@@ -9,7 +9,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +21,6 @@ from .folder import PREVIEW_NAME
 from .pair_dataset import PairDataset, SampleName
 from .reader import ImageStack, reading, value_range
 from .schema import CORE
-
-Anything = TypeVar("Anything")
 
 _BACKGROUND, _TEXT, _FAINT = "#0d1117", "#e6edf3", "#8b949e"
 # Black over amber to near white, as imaging sonars show echoes; shadows in the opposite hue.
@@ -46,11 +44,7 @@ class Shown:
 
 
 def preview(
-    dataset_dir: Path | str,
-    out: Path | str | None = None,
-    pairs: int = 8,
-    *,
-    trusted: bool = False,
+    directory: Path, out: Path | None = None, pairs: int = 8, *, trusted: bool = False
 ) -> Path:
     """Draw `pairs` samples, evenly spread, as noisy | clean | shadow; returns the path.
 
@@ -58,7 +52,6 @@ def preview(
     trusted: leave out the check of the shards in another process; for datasets just made.
     Raises FactoryError when the folder holds no dataset, or one without samples.
     """
-    directory = Path(dataset_dir)
     if pairs < 1:
         raise FactoryError(f"pairs must be at least 1, got {pairs}")
     dataset = PairDataset(directory, "all", trusted=trusted)
@@ -66,7 +59,7 @@ def preview(
     title = f"{counts.get('train', 0)} train and {counts.get('test', 0)} test pairs"
     chosen = [load(name) for name in spread(list(dataset.names()), pairs)]
     content = draw(chosen, title, f"config {dataset.config_hash[:8]}")
-    path = directory / PREVIEW_NAME if out is None else Path(out)
+    path = out or directory / PREVIEW_NAME
     # Whoever asks for a preview alone has no key dataset.dir to change.
     write_atomically(path, content, key="dataset.dir" if trusted else "--out")
     return path
@@ -95,7 +88,7 @@ def side_by_side(points: Sequence[tuple[str, Path]], out: Path, frames: int = 3)
     return bool(shown)
 
 
-def spread(samples: Sequence[Anything], count: int) -> list[Anything]:
+def spread(samples: Sequence[Any], count: int) -> list[Any]:
     """`count` samples (or all), evenly spread, in their order."""
     count = min(count, len(samples))
     return [samples[(2 * k + 1) * len(samples) // (2 * count)] for k in range(count)]

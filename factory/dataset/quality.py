@@ -5,23 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
 Values = npt.NDArray[np.float64]
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
 
-SIGMA_PX = 1.5
-RADIUS_PX = 5
+SIGMA_PX, RADIUS_PX = 1.5, 5
 """Of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
-
-_K1, _K2 = 0.01, 0.03
 
 
 def noisiness(directory: Path, most: int = 200) -> dict[str, float]:
@@ -108,7 +104,7 @@ class SsimReference:
 
     def __init__(self, image: Values, data_range: float) -> None:
         self.image = image
-        self._c1, self._c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
+        self._c1, self._c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
         self._mean = window(image)
         self._mean_squared = self._mean * self._mean
         self._variance = window(image * image) - self._mean_squared
@@ -127,7 +123,7 @@ class SsimReference:
         return luminance, structure
 
 
-def inner(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+def inner(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """(H, W) values without the border of 5 pixels that the window does not fit into."""
     return values[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
 
@@ -145,5 +141,4 @@ def window(values: Values) -> Values:
             wide = views @ (weights / weights.sum())
         return wide
     size = (2 * RADIUS_PX + 1,) * 2
-    means = cv2.GaussianBlur(values, size, SIGMA_PX, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(means, np.float64)
+    return np.asarray(cv2.GaussianBlur(values, size, SIGMA_PX, borderType=cv2.BORDER_REFLECT))

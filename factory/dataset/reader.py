@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -18,15 +17,14 @@ import numpy.typing as npt
 from ..errors import FactoryError
 from ..isolated import look_at
 from ..storage.copies import fetched, url_of
-from .layout import DEFLATE, check_shard, check_texts, crc32, inside, picture_sums
+from .layout import DEFLATE, check_shard, check_texts, crc32, inside
 from .manifest import Manifest, ShardInfo
-from .schema import SPLITS, VALUE_RANGES
+from .schema import CHECKSUMS, SPLITS, VALUE_RANGES
 
 Split = Literal["train", "test", "all"]
 
 # Opening a shard takes milliseconds; a disk that sleeps takes seconds to wake.
 _LIMIT_S = 30.0
-_TRIES = 3
 
 
 def listed_shards(
@@ -49,31 +47,27 @@ def listed_shards(
         raise FactoryError(f"dataset={root}: no shards in train/ or test/; is it a dataset folder?")
     chosen = {path: info for path, info in found.items() if split in ("all", path.parent.name)}
     if not chosen:
-        other = next(iter(found)).parent.name
-        raise FactoryError(
-            f"dataset={root}: the {split} split is empty; it has {len(found)} shard(s) in "
-            f"{other} (split={other})"
-        )
+        there = f"split={next(iter(found)).parent.name} has {len(found)} shard(s)"
+        raise FactoryError(f"dataset={root}: the {split} split is empty; {there}")
     # What lies at a URL is fetched, and looked at, when it is opened.
     for path, info in () if url_of(root) else chosen.items():
+        problem = ""
         if not path.exists():
             problem = "listed in the manifest but absent"
         elif not inside(root, path):
             raise FactoryError(f"{path}: leads out of the dataset's folder; not read")
-        elif info is None or info.bytes == (size := path.stat().st_size):
-            continue
-        else:
+        elif info and info.bytes != (size := path.stat().st_size):
             problem = f"{size} bytes, the manifest says {info.bytes}"
-        raise FactoryError(f"{path}: {problem}; run the command that made the dataset again")
+        if problem:
+            raise FactoryError(f"{path}: {problem}; run the command that made the dataset again")
     return chosen
 
 
 def check_in_isolation(paths: Iterable[Path]) -> None:
     """Have another process open every shard first: a damaged file can make HDF5 crash or hang.
 
-    Whatever opens files that may be a stranger's goes through here.  Takes a third of a second
-    the first time, and some milliseconds a shard.  Raises FactoryError for the first shard that
-    cannot be read.
+    Whatever opens files that may be a stranger's goes through here: a third of a second, and some
+    milliseconds a shard.  Raises FactoryError for the first shard that cannot be read.
     """
     for path in paths:
         if path.exists() or not url_of(path.parent.parent):
@@ -102,30 +96,24 @@ def bring(path: Path) -> None:
 
 
 def open_shard(path: Path) -> h5py.File:
-    """Open one shard for reading and check how it is laid out (`format.layout`).
+    """Open one shard for reading and check how it is laid out, unless this process has already.
 
     Call `check_in_isolation` first for what may be a stranger's.
-    One that this process has checked is checked again when it has changed.
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
-    for _ in range(_TRIES):
+    for _ in range(3):
         bring(path)
         if path.exists():
             break  # another process may have made room meanwhile
     try:
-        # A pipe would wait for a writer for ever.
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise FactoryError(f"{path}: no regular file; not read")
         state = _state_of(path)
         # A chunk is a picture and read whole: HDF5's cache would only copy it once more (a fifth
         # of the time of an uncompressed one) and hold megabytes for every open dataset.
         file = h5py.File(path, "r", rdcc_nbytes=0)
-    except FileNotFoundError as error:
-        raise FactoryError(
-            f"{path}: listed in the manifest but absent; generate it again"
-        ) from error
     except OSError as error:
-        raise FactoryError(f"{path}: not a readable HDF5 file; generate it again") from error
+        absent = isinstance(error, FileNotFoundError)
+        problem = "listed in the manifest but absent" if absent else "not a readable HDF5 file"
+        raise FactoryError(f"{path}: {problem}; generate it again") from error
     if _sound.get(path) == state:
         return file
     try:
@@ -166,13 +154,12 @@ def _explained(path: Path) -> Iterator[None]:
 
 # Shards that this process has found sound, by (inode, bytes, time of change in ns): a check takes
 # twenty times as long as opening a file, and random access opens one for every sample.
-_State = tuple[int, int, int]
-_sound: dict[Path, _State] = {}
+_sound: dict[Path, tuple[int, int, int]] = {}
 # A file that changed so lately can change again without its time telling.
 _SETTLED_NS = 2_000_000_000
 
 
-def _state_of(path: Path) -> _State:
+def _state_of(path: Path) -> tuple[int, int, int]:
     now = path.stat()
     return now.st_ino, now.st_size, now.st_mtime_ns
 
@@ -194,15 +181,14 @@ class ImageStack:
     """`stack[row]` is one (H, W) picture, as stored and writable.
 
     Pictures in colour have a third dimension.
-    sums: (samples,) `crc32` of each picture, where they were read already.
     Raises FactoryError (without the file's name) for a picture that is damaged.
     """
 
-    def __init__(self, dataset: h5py.Dataset, sums: npt.NDArray[np.uint32] | None = None) -> None:
+    def __init__(self, dataset: h5py.Dataset) -> None:
         self._dataset = dataset
         self._gzip = dataset.compression == "gzip"
         self._form: tuple[tuple[int, ...], Any] = dataset.shape[1:], dataset.dtype
-        self._sums = picture_sums(dataset.file)[dataset.name[1:]] if sums is None else sums
+        self._sums = dataset.file[CHECKSUMS][dataset.name[1:]]
 
     def __len__(self) -> int:
         """Number of pictures."""
@@ -214,7 +200,10 @@ class ImageStack:
         image: Image = np.empty(*self._form)
         try:
             if self._gzip:
-                pixels = self._unpacked(number, image.nbytes)
+                # 1.5 times as fast as by HDF5, and never more bytes than a picture has.
+                place = (number, *(0 for _ in image.shape))
+                _, packed = self._dataset.id.read_direct_chunk(place)
+                pixels = DEFLATE.decompressobj().decompress(packed, image.nbytes)
                 image.reshape(-1).view(np.uint8)[:] = np.frombuffer(pixels, np.uint8)
             else:
                 self._dataset.read_direct(image, np.s_[number])
@@ -227,14 +216,6 @@ class ImageStack:
                 "run the command that made the dataset again"
             ) from error
         return image
-
-    def _unpacked(self, number: int, size: int) -> bytes:
-        """The bytes of a gzip chunk: 1.5 times as fast as by HDF5, and never more than `size`."""
-        _, packed = self._dataset.id.read_direct_chunk((number, *(0 for _ in self._form[0])))
-        pixels: bytes = DEFLATE.decompressobj().decompress(packed, size)
-        if len(pixels) != size:
-            raise ValueError(f"it does not hold the {size} bytes of a picture")
-        return pixels
 
 
 class OpenShards:
@@ -253,16 +234,19 @@ class OpenShards:
         """
         self._forget_parent()
         with self._lock:
-            stacks = self._open.pop(path, None)
-            if stacks is None:
+            if path not in self._open:
                 while len(self._open) >= _MOST_FILES:
                     self._close_oldest()
-                stacks = _Stacks(open_shard(path))
-            self._open[path] = stacks
+                self._open[path] = open_shard(path), {}
+            file, stacks = self._open[path] = self._open.pop(path)
             try:
+                for name in layers:
+                    # Looking one up in HDF5 costs as much as a small read.
+                    if name not in stacks:
+                        stacks[name] = ImageStack(file[name])
                 return [stacks[name][row] for name in layers]
             except KeyError as error:
-                absent = next(name for name in layers if name not in stacks.file)
+                absent = next(name for name in layers if name not in file)
                 raise FactoryError(
                     f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
                 ) from error
@@ -277,7 +261,7 @@ class OpenShards:
                 self._close_oldest()
 
     def _close_oldest(self) -> None:
-        self._open.pop(next(iter(self._open))).file.close()
+        self._open.pop(next(iter(self._open)))[0].close()
 
     def _forget_parent(self) -> None:
         """After a fork: HDF5's state and a lock that another thread holds stay behind."""
@@ -285,22 +269,9 @@ class OpenShards:
             self._forget()
 
     def _forget(self) -> None:
-        self._open: dict[Path, _Stacks] = {}
+        self._open: dict[Path, tuple[h5py.File, dict[str, ImageStack]]] = {}
         self._lock = threading.Lock()
         self._process = os.getpid()
 
     def __reduce__(self) -> tuple[type[OpenShards], tuple[()]]:
         return OpenShards, ()
-
-
-class _Stacks(dict[str, ImageStack]):
-    """The layers of one file by name; looking one up in HDF5 costs as much as a small read."""
-
-    def __init__(self, file: h5py.File) -> None:
-        super().__init__()
-        self.file = file
-        self._sums = picture_sums(file)
-
-    def __missing__(self, name: str) -> ImageStack:
-        self[name] = ImageStack(self.file[name], self._sums[name])
-        return self[name]

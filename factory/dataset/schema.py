@@ -15,7 +15,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -25,37 +24,15 @@ from ..labels import CLASSES
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
-SAMPLE_DIMENSION = "sample"
 # What a dataset may be called.
 DATASET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-
-# Readable by every HDF5 since 1.10 (2016), and the same bytes whatever newer library writes.
-LIBRARY_VERSIONS = ("v108", "v110")
-
-
 # Every shard says whose sample a row is; a source adds its own columns to these.
 REQUIRED_COLUMNS = ("location", "scene", "frame", "variant")
-
 VALUE_RANGES: dict[str, tuple[float, float]] = {"uint8": (0, 255), "float32": (0.0, 1.0)}
-
-ROOT_ATTRIBUTES = {
-    "schema": "name and version of this format",
-    "generator": "program and version that wrote the file",
-    "config": "JSON of every setting that decides the content; sorted keys, no spaces, ASCII",
-    "config_hash": "16 hexadecimal digits: BLAKE2b (digest of 8 bytes) of the text of `config`",
-    "split": "train or test",
-    "value_range": "values of /noisy and /clean that stand for no echo and full scale",
-    "value_meaning": "what a value of /noisy and /clean is; for its limits see below",
-    "checksum": "of the attributes above, /meta, /axes and /checksums; see below",
-    "text_checksum": "of units, descriptions and all else that layers, columns and axes state",
-}
-# Those of them that are made of all the rest.
-SEALS = ("checksum", "text_checksum")
 # A row a sample, a column a layer: CRC-32 of each picture.
 CHECKSUMS = "checksums"
-
-VALUE_MEANING = "echo strength after the transfer curve in `config`, the same for noisy and clean"
-
+# Root attributes that are made of all the rest.
+SEALS = ("checksum", "text_checksum")
 # A picture of 4096 x 4096; the largest imaging sonars have 2048 beams.
 MAX_PIXELS = 1 << 24
 
@@ -82,13 +59,13 @@ class Layer:
 
     def attributes(self) -> dict[str, Any]:
         """Attribute name -> value of the image stack."""
-        attributes: dict[str, Any] = {"description": self.description}
-        if self.grey:
-            attributes["value_range"] = np.asarray(VALUE_RANGES[self.dtype], dtype=self.dtype)
-        attributes["units"] = self.units
-        if self.classes:
-            attributes["classes"] = list(self.classes)
-        return attributes
+        limits = {"value_range": np.asarray(VALUE_RANGES.get(self.dtype, ()), dtype=self.dtype)}
+        return {
+            "description": self.description,
+            **(limits if self.grey else {}),
+            "units": self.units,
+            **({"classes": list(self.classes)} if self.classes else {}),
+        }
 
     def size_problem(self, shape: tuple[int, ...], sonar_shape: tuple[int, ...]) -> str | None:
         """What is wrong with the shape of a picture.  sonar_shape: (H, W) of the sonar's."""
@@ -120,15 +97,12 @@ class Layer:
         return f"has values outside {low:g}..{high:g}{', or NaN' if self.grey else ''}"
 
 
-_RIGHT_ANGLE = math.pi / 2
-
-
 def _grey(name: str, description: str) -> Layer:
     return Layer(name, "uint8", description, most=1.0, grey=True)
 
 
 def _angle(name: str, description: str) -> Layer:
-    return Layer(name, "float32", description, "rad", least=-_RIGHT_ANGLE, most=_RIGHT_ANGLE)
+    return Layer(name, "float32", description, "rad", least=-math.pi / 2, most=math.pi / 2)
 
 
 _CORE_LAYERS = (
@@ -199,15 +173,9 @@ def layers(
     known = {layer.name: layer for layer in (*_CORE_LAYERS, *OPTIONAL_LAYERS, *effects)}
     if unknown := [name for name in wanted if name not in known]:
         raise FactoryError(f"/{unknown[0]}: no layer of the format")
-    return tuple(
-        replace(
-            layer,
-            dtype=dtype if layer.grey else layer.dtype,
-            classes=classes if layer.classes else (),
-        )
-        for name, layer in known.items()
-        if name in CORE or name in wanted
-    )
+    chosen = [layer for name, layer in known.items() if name in (*CORE, *wanted)]
+    typed = [replace(layer, dtype=dtype) if layer.grey else layer for layer in chosen]
+    return tuple(replace(layer, classes=classes) if layer.classes else layer for layer in typed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +223,8 @@ class Pair:
 class Prepared:
     """What became of one frame.
 
-    hit: it was ready already.  bytes: added to the cache.  key: what a `PairSource` finds it by, so
-    that it need not be worked out again (by reading all files of the frame); empty: nothing.
+    hit: it was ready already.  bytes: added to the cache.  key: what a `PairSource` finds it by
+    without reading all files of the frame again; empty: nothing.
     """
 
     hit: bool
@@ -280,10 +248,7 @@ class PairSource(Protocol):
         """
 
     def expect(self, keys: Mapping[str, str]) -> None:
-        """Take the keys of frames that were prepared, by their names; those before are forgotten.
-
-        Frames without a key are found as before.
-        """
+        """Take the keys of prepared frames, by their names; those before are forgotten."""
 
 
 class Preparer(Protocol):
@@ -330,7 +295,7 @@ def config_hash(config: Mapping[str, Any]) -> str:
 
 
 def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str, Any]:
-    """Root attribute name -> value, in the order of ROOT_ATTRIBUTES, without the checksums."""
+    """Root attribute name -> value, without the checksums."""
     return {
         "schema": SCHEMA,
         "generator": provenance.generator,
@@ -338,47 +303,12 @@ def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str,
         "config_hash": provenance.config_hash,
         "split": split,
         "value_range": np.asarray(VALUE_RANGES[dtype], dtype=dtype),
-        "value_meaning": VALUE_MEANING,
+        "value_meaning": "echo strength after the transfer curve in `config`, the same for noisy "
+        "and clean",
     }
 
 
-def table_dtype(columns: Sequence[Column]) -> np.dtype[np.void]:
-    """The compound dtype of /meta.  `S<n>` columns hold UTF-8 text of at most n bytes."""
-    fields = []
-    for column in columns:
-        dtype = np.dtype(column.dtype)
-        text = dtype.kind == "S"
-        fields.append((column.name, h5py.string_dtype("utf-8", dtype.itemsize) if text else dtype))
-    return np.dtype(fields)
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def table_row(columns: Sequence[Column], record: Mapping[str, Any], name: str) -> tuple[Any, ...]:
-    """One row of /meta.  `name` opens the message of the FrameError that any loss raises."""
-    odd = sorted(set(record) ^ {column.name for column in columns})
-    if odd:
-        raise FrameError(f"{name}: record and columns disagree about {', '.join(odd)}")
-    row = []
-    for column in columns:
-        value, dtype = record[column.name], np.dtype(column.dtype)
-        try:
-            stored: Any
-            if dtype.kind == "S":
-                stored = value.encode()
-                kept = len(stored) <= dtype.itemsize and b"\0" not in stored
-            elif dtype.kind == "f":
-                stored = dtype.type(value)
-                kept = math.isfinite(stored) == math.isfinite(value)
-            else:
-                stored, limits = int(value), np.iinfo(dtype)
-                kept = stored == value and limits.min <= stored <= limits.max
-        except (AttributeError, OverflowError, TypeError, ValueError):
-            kept = False
-        if not kept:
-            text = f"text of at most {dtype.itemsize} bytes" if dtype.kind == "S" else f"{dtype}"
-            raise FrameError(f"{name}: column {column.name} is {text} and cannot hold {value!r}")
-        row.append(stored)
-    return tuple(row)
+ROOT_ATTRIBUTES = (*root_attributes(Provenance({}, "", ""), "", "uint8"), *SEALS)
 
 
 def check_pair(
@@ -389,7 +319,9 @@ def check_pair(
     Raises FrameError when a pair does not fit the axes or columns, or holds what none may hold;
     `name` (of the frame) opens the message.
     """
-    row = table_row(columns, pair.record, name)
+    if odd := sorted(set(pair.record) ^ {column.name for column in columns}):
+        raise FrameError(f"{name}: record and columns disagree about {', '.join(odd)}")
+    row = tuple(_stored_value(column, pair.record[column.name], name) for column in columns)
     height, width = (len(axis.values) for axis in axes)
     for layer in layers(str(pair.noisy.dtype), pair.layers):
         image = pair.image(layer.name)
@@ -404,12 +336,32 @@ def check_pair(
     return row
 
 
+@np.errstate(over="ignore", invalid="ignore")
+def _stored_value(column: Column, value: Any, name: str) -> Any:
+    """A value as /meta keeps it.  Raises FrameError when anything would be lost."""
+    dtype = np.dtype(column.dtype)
+    try:
+        if dtype.kind == "S":
+            stored = value.encode()
+            kept = len(stored) <= dtype.itemsize and b"\0" not in stored
+        else:
+            stored = np.asarray(value).astype(dtype)[()]
+            kept = stored == value or (
+                dtype.kind == "f" and np.isfinite(stored) == np.isfinite(value)
+            )
+    except (AttributeError, OverflowError, TypeError, ValueError):
+        kept = False
+    if not kept:
+        text = f"text of at most {dtype.itemsize} bytes" if dtype.kind == "S" else f"{dtype}"
+        raise FrameError(f"{name}: column {column.name} is {text} and cannot hold {value!r}")
+    return stored
+
+
 def stored_image(image: npt.NDArray[np.generic], dtype: str) -> npt.NDArray[np.generic]:
     """(H, W) uint8 or float32 in [0, 1] -> the stored dtype; full scale stays full scale."""
     if image.dtype == np.dtype(dtype):
         return image
+    values: npt.NDArray[np.float32] = image.astype(np.float32)
     if dtype == "uint8":
-        full_scale: npt.NDArray[np.float32] = image.astype(np.float32) * np.float32(255)
-        return np.rint(full_scale).astype(np.uint8)
-    scaled: npt.NDArray[np.float32] = image.astype(np.float32) / np.float32(255)
-    return scaled
+        return np.asarray(np.rint(values * np.float32(255)).astype(np.uint8))
+    return np.asarray(values / np.float32(255))

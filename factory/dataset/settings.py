@@ -30,9 +30,9 @@ class DatasetSettings:
         acoustics.formation=field also what was received: intensity_db and field (complex); and
         what the camera saw: rgb and depth, in the frame's own size.
     columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), intrinsics
-        (of the camera) and calibration (source level, absorption, time-varying gain; of
-        acoustics.formation=field), boxes (JSON: of each object in sight its box in 3-D, its box in
-        range and bearing, and how much of it the sound reaches).
+        (of the camera), calibration (source level, absorption, time-varying gain; of
+        acoustics.formation=field), boxes (JSON: of each object its box in 3-D and in range and
+        bearing, and how much of it the sound reaches).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.
@@ -62,8 +62,6 @@ class DatasetSettings:
         for key, names in (("layers", self.layers), ("columns", self.columns)):
             if len(set(names)) != len(names):
                 raise ValueError(f"{key} {list(names)} names one twice")
-        if self.dir is not None and not self.dir.strip():
-            raise ValueError("dir must name a folder, or be null")
 
     def directory(self, config_hash: str, part: str = "") -> Path:
         """The folder that this dataset goes to, or the local copy of the URL.

@@ -18,18 +18,17 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
+from h5py import string_dtype
 from isal import isal_zlib
 
-from ..errors import FactoryError, FrameError
+from ..errors import FrameError
 from ..files import explain_os_errors, write_atomically
 from ..labels import classes_of
 from .layout import config_of, crc32, image_axes, optional_layers, write_checksums
 from .manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
 from .reader import reading
 from .schema import (
-    LIBRARY_VERSIONS,
     ROOT_ATTRIBUTES,
-    SAMPLE_DIMENSION,
     SEALS,
     SPLITS,
     Axis,
@@ -42,15 +41,23 @@ from .schema import (
     layers,
     root_attributes,
     stored_image,
-    table_dtype,
 )
 from .settings import DatasetSettings
 
-_IMAGE_BLOCK_BYTES = 1 << 20
-# What isal calls levels are others than zlib's, but these two are alike in size.
-_ISAL_LEVEL = 1
 # Of the sums of Fletcher's checksum, for a piece of so many words.
 _WEIGHTS = np.arange(1 << 16, 0, -1, dtype=np.float64)
+
+
+def _file_in_memory() -> h5py.File:
+    """A file that goes to disk in one write, so that its SHA-256 costs no second read.
+
+    HDF5, which cannot close a file on a full disk, never touches the disk.
+    """
+    # Readable by every HDF5 since 1.10 (2016), and the same bytes whatever newer library writes.
+    versions = ("v108", "v110")
+    return h5py.File(
+        "new.h5", "w", driver="core", backing_store=False, block_size=1 << 20, libver=versions
+    )
 
 
 def write_shard(
@@ -73,18 +80,8 @@ def write_shard(
     split = relative.split("/")[0]
     rows: list[tuple[Any, ...]] = []
     sums: dict[str, list[int]] = {}
-    dtype = table_dtype(columns)
-    # The file is made in memory: it goes to disk in one write, its SHA-256 costs no second read,
-    # and HDF5, which cannot close a file on a full disk, never touches the disk.
-    with h5py.File(
-        "shard.h5",
-        "w",
-        driver="core",
-        backing_store=False,
-        block_size=_IMAGE_BLOCK_BYTES,
-        libver=LIBRARY_VERSIONS,
-    ) as file:
-        stacks: dict[Layer, h5py.Dataset] = {}
+    stacks: dict[Layer, h5py.Dataset] = {}
+    with _file_in_memory() as file:
         for pair in pairs:
             name = f"{relative} sample {len(rows)}"
             row = check_pair(pair, axes, columns, name)
@@ -104,14 +101,21 @@ def write_shard(
                     image = stored_image(image, layer.dtype)
                 sums.setdefault(layer.name, []).append(crc32(image))
                 if settings.compression == "gzip":
-                    write_gzip_chunk(stack, len(rows) - 1, image, settings.compression_level)
+                    _write_gzip_chunk(stack, len(rows) - 1, image, settings.compression_level)
                 else:
                     stack[-1] = image
         if not rows:
             return None
-        _write_table(file, np.array(rows, dtype=dtype), columns)
-        for key, value in root_attributes(provenance, split, settings.dtype).items():
-            file.attrs[key] = value
+        types = ((column.name, np.dtype(column.dtype)) for column in columns)
+        fields = [
+            (name, string_dtype("utf-8", kind.itemsize) if kind.kind == "S" else kind)
+            for name, kind in types
+        ]
+        table = file.create_dataset("meta", data=np.array(rows, dtype=fields), track_times=False)
+        for column in columns:
+            table.attrs[f"{column.name}.units"] = column.units
+            table.attrs[f"{column.name}.description"] = column.description
+        file.attrs.update(root_attributes(provenance, split, settings.dtype))
         write_checksums(file, sums)
         file.flush()
         content = file.id.get_file_image()
@@ -119,13 +123,8 @@ def write_shard(
     with explain_os_errors(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content)
-    return ShardInfo(
-        path=relative,
-        split=split,
-        samples=len(rows),
-        bytes=len(content),
-        sha256=hashlib.sha256(content).hexdigest(),
-    )
+    sha256 = hashlib.sha256(content).hexdigest()
+    return ShardInfo(relative, split, len(rows), len(content), sha256)
 
 
 def _create_stacks(
@@ -143,7 +142,7 @@ def _create_stacks(
         filters = {"fletcher32": True, "compression": "gzip", "compression_opts": level}
     stacks = {}
     for layer, shape in shapes.items():
-        stack = file.create_dataset(
+        stacks[layer] = file.create_dataset(
             layer.name,
             shape=(0, *shape),
             maxshape=(None, *shape),
@@ -152,8 +151,7 @@ def _create_stacks(
             track_times=False,
             **filters,
         )
-        _describe(stack, layer, axes)
-        stacks[layer] = stack
+        _describe(stacks[layer], layer, axes)
     return stacks
 
 
@@ -168,40 +166,30 @@ def _write_axis(file: h5py.File, axis: Axis) -> None:
 
 def _describe(stack: h5py.Dataset, layer: Layer, axes: tuple[Axis, Axis]) -> None:
     """Attributes and dimensions of an image stack; its axes are in the file."""
-    for key, value in layer.attributes().items():
-        stack.attrs[key] = value
-    for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
+    stack.attrs.update(layer.attributes())
+    for dimension, label in enumerate(("sample", *layer.of_camera)):
         stack.dims[dimension].label = label
     for dimension, axis in enumerate(() if layer.of_camera else axes, start=1):
         stack.dims[dimension].label = axis.name
         stack.dims[dimension].attach_scale(stack.file[f"axes/{axis.name}"])
 
 
-def _write_table(file: h5py.File, rows: np.ndarray[Any, Any], columns: tuple[Column, ...]) -> None:
-    """/meta, one row a sample; units and meaning of every column are attributes beside it."""
-    table = file.create_dataset("meta", data=rows, track_times=False)
-    for column in columns:
-        table.attrs[f"{column.name}.units"] = column.units
-        table.attrs[f"{column.name}.description"] = column.description
-
-
-def write_gzip_chunk(
+def _write_gzip_chunk(
     stack: h5py.Dataset, number: int, image: npt.NDArray[np.generic], level: int
 ) -> None:
     """Store an image as chunk `number` of a stack that has gzip and fletcher32 as its filters.
 
     HDF5's own deflate costs as much as forming the picture.  ISA-L makes the same format, as small,
     seven times faster; HDF5 only stores what comes of it, and every reader opens it.
-    image: of the stack's dtype and the shape of one chunk.  level: of gzip, 0 to 9.
     """
     plain = np.ascontiguousarray(image).data
-    # The same on every processor since SSE4.2 (2008).
-    content = (isal_zlib if level == _ISAL_LEVEL else zlib).compress(plain, level)
+    # The same on every processor since SSE4.2 (2008); of isal's levels 1 alone is like zlib's.
+    content = (isal_zlib if level == 1 else zlib).compress(plain, level)
     offset = (number, *(0 for _ in image.shape))
-    stack.id.write_direct_chunk(offset, content + struct.pack("<I", fletcher32(content)))
+    stack.id.write_direct_chunk(offset, content + struct.pack("<I", _fletcher32(content)))
 
 
-def fletcher32(content: bytes) -> int:
+def _fletcher32(content: bytes) -> int:
     """HDF5's variant of Fletcher's checksum, which ends every chunk.
 
     Of big-endian 16-bit words w_1 .. w_n, an odd last byte being the upper half of one: the sums of
@@ -223,59 +211,35 @@ def _folded(total: int) -> int:
 
 # --- index.h5
 
-# What every shard says in the same words; the index says it once.
-_SHARED_ATTRIBUTES = tuple(name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))
 
+def write_index(directory: Path, manifest: Manifest) -> None:
+    """Write index.h5 for the shards of `manifest`, and manifest.json with its SHA-256.
 
-def write_index(directory: Path, manifest: Manifest) -> Path:
-    """Write index.h5 for the shards of `manifest` and return its path; equal input, equal bytes.
-
-    manifest.json is saved with its SHA-256.
     The shards are of one configuration or were compared (`merge`), so the first shows the form of
-    all.  Raises FactoryError when there is no shard, or the first cannot be read.
+    all.  Equal input gives equal bytes.  Raises FactoryError when the first cannot be read.
     """
-    if not manifest.shards:
-        raise FactoryError(f"{directory}: the dataset has no samples to index")
-    with (
-        reading(directory / min(manifest.shards)) as first,
-        h5py.File(
-            INDEX_NAME, "w", driver="core", backing_store=False, libver=LIBRARY_VERSIONS
-        ) as index,
-    ):
-        _write_shared(index, first, manifest)
-        for split in SPLITS:
-            if shards := manifest.of_split(split):
-                _write_split(index, split, shards, first)
+    with reading(directory / min(manifest.shards)) as first, _file_in_memory() as index:
+        # What every shard says in the same words is said once.
+        shared = (name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))
+        index.attrs.update({name: first.attrs[name] for name in shared})
+        # A merged dataset is of another configuration than any of its shards.
+        index.attrs["config_hash"] = manifest.config_hash
+        index.attrs["config"] = config_text(manifest.config)
+        axes = image_axes(first["noisy"])
+        for axis in axes:
+            _write_axis(index, axis)
+        classes = classes_of(config_of(first))
+        known = layers(str(first["noisy"].dtype), optional_layers(first), classes)
+        for split, shards in ((split, manifest.of_split(split)) for split in SPLITS):
+            for layer in known if shards else ():
+                _describe(_virtual(index, split, first[layer.name], shards), layer, axes)
+            if shards:
+                table = _virtual(index, split, first["meta"], shards)
+                table.attrs.update(first["meta"].attrs)
         index.flush()
         content = index.id.get_file_image()
-    path = directory / INDEX_NAME
-    write_atomically(path, content)
+    write_atomically(directory / INDEX_NAME, content)
     save_manifest(directory, replace(manifest, index_sha256=hashlib.sha256(content).hexdigest()))
-    return path
-
-
-def _write_shared(index: h5py.File, first: h5py.File, manifest: Manifest) -> None:
-    """Attributes and axes."""
-    for name in _SHARED_ATTRIBUTES:
-        index.attrs[name] = first.attrs[name]
-    # A merged dataset is of another configuration than any of its shards.
-    index.attrs["config_hash"] = manifest.config_hash
-    index.attrs["config"] = config_text(manifest.config)
-    for axis in image_axes(first["noisy"]):
-        _write_axis(index, axis)
-
-
-def _write_split(
-    index: h5py.File, split: str, shards: Sequence[ShardInfo], first: h5py.File
-) -> None:
-    axes = image_axes(first["noisy"])
-    classes = classes_of(config_of(first))
-    for layer in layers(str(first["noisy"].dtype), optional_layers(first), classes):
-        stack = _virtual(index, split, first[layer.name], shards)
-        _describe(stack, layer, axes)
-    table = _virtual(index, split, first["meta"], shards)
-    for key, value in dict(first["meta"].attrs).items():
-        table.attrs[key] = value
 
 
 def _virtual(

@@ -11,14 +11,14 @@ from ..dataset.reader import Split
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
-# Format -> the module whose `write_FORMAT(pairs, folder)` fills an empty folder and returns one
-# line that says what it wrote, and the libraries that it needs.
+# Format -> the libraries that it needs; `write_FORMAT(pairs, folder)` of formats.py fills an empty
+# folder and returns one line that says what it wrote.
 FORMATS = {
-    "webdataset": ("pictures", "webdataset", "cv2"),
-    "huggingface": ("huggingface", "pyarrow", "cv2"),
-    "png": ("pictures", "cv2"),
-    "coco": ("objects", "cv2"),
-    "yolo": ("objects", "cv2"),
+    "webdataset": ("webdataset", "cv2"),
+    "huggingface": ("pyarrow", "cv2"),
+    "png": ("cv2",),
+    "coco": ("cv2",),
+    "yolo": ("cv2",),
 }
 
 
@@ -31,9 +31,8 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
     """
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
-    module, *libraries = FORMATS[to]
-    require(Need(f"--to {to}", library) for library in libraries)
-    write = getattr(import_module(f".{module}", __package__), f"write_{to}")
+    require(Need(f"--to {to}", library) for library in FORMATS[to])
+    write = getattr(import_module(f"{__name__}.formats"), f"write_{to}")
     folder = Path(out)
     refuse_files(folder)
     with PairDataset(dataset, split, layers=None) as pairs, whole_folder(folder) as unfinished:

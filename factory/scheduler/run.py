@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from ..dataset.card import write_card
 from ..dataset.folder import open_folder
-from ..dataset.manifest import MAX_SHARDS, Manifest, load_manifest
+from ..dataset.manifest import Manifest, load_manifest
 from ..dataset.preview import preview
 from ..dataset.schema import SPLITS
 from ..dataset.writer import write_index
@@ -36,11 +36,6 @@ def make_dataset(job: Job) -> RunReport:
     """
     if not job.tasks:
         raise FactoryError("nothing to make: no frame was chosen, or max_train and max_test are 0")
-    if len(job.tasks) > MAX_SHARDS:
-        raise FactoryError(
-            f"scheduler.shard_size={job.scheduler.shard_size}: gives {len(job.tasks)} shards, a "
-            f"manifest lists {MAX_SHARDS} at most; raise it"
-        )
     apart = job.scheduler.address is not None
     with (
         stop_signals(),

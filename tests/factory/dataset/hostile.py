@@ -128,7 +128,7 @@ def check(root: Path, reader: IsolatedProcess) -> tuple[str, str]:
     try:
         with mock.patch.object(validate, "_LIMIT_S", 2.0):
             report = validate.validate(root, deep=True)
-        found = "; ".join(str(finding) for finding in report.errors) or "valid"
+        found = "; ".join(report.errors) or "valid"
     except FactoryError as error:
         found = f"refused: {error}"
     for text in (outcome, found):

@@ -189,7 +189,7 @@ def test_another_schema_names_file_and_cure(folder: Path, trusted: bool) -> None
     with h5py.File(folder / SHARD, "r+") as file:
         file.attrs["schema"] = "simnfnd/2"
     admit(folder)
-    with pytest.raises(FactoryError, match=r"shard-00000\.h5: schema 'simnfnd/2'.*matching"):
+    with pytest.raises(FactoryError, match=r"shard-00000\.h5: attribute schema .*2'.*matching"):
         PairDataset(folder, trusted=trusted)[0]
 
 

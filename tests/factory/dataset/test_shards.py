@@ -110,7 +110,7 @@ def test_every_layer_column_and_attribute_is_documented() -> None:
         *((f"/{one.name}", one.dtype, one.units, one.description) for one in OPTIONAL_LAYERS),
         *((one.name, one.dtype, one.units) for one in columns(NoiseSettings())),
         *((one.name, one.dtype, one.units, one.description) for one in asked),
-        *ROOT_ATTRIBUTES.items(),
+        *((name,) for name in ROOT_ATTRIBUTES),
     ]
     for name, *words in expected:
         found = [line for line in lines if line.startswith(f"| `{name}` |")]

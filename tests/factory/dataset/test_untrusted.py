@@ -66,7 +66,7 @@ ATTRIBUTES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "config cut off": (set_attribute("config", '{"seed": 3'), "attribute config is no JSON"),
     "config deep": (set_attribute("config", "[" * 60_000), "attribute config is no JSON"),
     "no config_hash": (set_attribute("config_hash", None), "attribute config_hash is absent"),
-    "split above": (set_attribute("split", "../../escaped"), "expected train or test"),
+    "split above": (set_attribute("split", "../../escaped"), "reads train or test"),
 }
 
 

@@ -57,7 +57,7 @@ def layered(scene: str, first: int = 0, **changes: Any) -> list[Pair]:
 
 
 def errors(report: Report) -> str:
-    return "\n".join(str(finding) for finding in report.errors)
+    return "\n".join(report.errors)
 
 
 def test_the_command_says_it_with_its_exit_code(
@@ -123,7 +123,7 @@ def test_what_is_not_as_the_manifest_says_is_found(folder: Path) -> None:
     manifest = manifest.with_shard(replace(info, samples=3))
     save_manifest(folder, replace(manifest, config_hash=config_hash({}), config={}))
     report = validate(folder, False)
-    text = "\n".join(str(finding) for finding in report.findings)
+    text = "\n".join(report.findings)
     assert "error: test/shard-00000.h5: 4 samples, the manifest says 3" in text
     assert "error: train/shard-00000.h5: is of another configuration" in text
 

@@ -16,7 +16,7 @@ import yaml
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import FORMATS, export
-from simnfnd.factory.export.objects import LEAST_PX
+from simnfnd.factory.export.formats import LEAST_PX
 from simnfnd.factory.labels import CLASSES
 from tests.factory.dataset.hostile import admit, reseal
 from tests.factory.export import export_dataset
@@ -85,7 +85,7 @@ def test_webdataset_gives_back_every_sample(which, request, tmp_path) -> None:
 @pytest.mark.parametrize("which", ["fans", "floats"])
 def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    monkeypatch.setattr("simnfnd.factory.export.huggingface.SAMPLES_PER_FILE", 6)
+    monkeypatch.setattr("simnfnd.factory.export.formats.SAMPLES_PER_FILE", 6)
     import datasets
 
     source = request.getfixturevalue(which)

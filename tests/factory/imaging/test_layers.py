@@ -177,7 +177,7 @@ def written(tmp_path_factory):
 def test_layers_are_read_back(written):
     folder, _, pair = written
     path = folder / "train/shard-00000.h5"
-    assert not shard_facts(path, deep=True).problems
+    assert not shard_facts(path, deep=True)["problems"]
     with h5py.File(path) as file:
         for name in [*LAYERS, *RECEIVED, "instance"]:
             np.testing.assert_array_equal(file[name][0], pair.layers[name])

@@ -1,0 +1,484 @@
+"""The formats that datasets are exported to: PNG, WebDataset, Hugging Face, COCO and YOLO."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from ..dataset.card import hub_fields
+from ..dataset.folder import dataset_settings
+from ..dataset.pair_dataset import PairDataset
+from ..dataset.schema import stored_image
+from ..errors import FactoryError
+from ..labels import classes_of
+
+SAMPLES_PER_FILE = 1000
+# The hub reads whole row groups to show one row.
+_SAMPLES_PER_GROUP = 100
+LEAST_PX = 8
+"""An object that shows in fewer pixels is no larger than a speckle, and is left out."""
+
+# Level 1: a third of the time of the default, a few per cent larger.
+_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+Value = float | int | str
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample.
+
+    key: SPLIT-NUMBER, which counts from 0 within the split; sorts as the dataset does.
+    images: `named` layer -> (H, W) array as it is stored, rgb (H, W, 3).  record: its row of /meta.
+    """
+
+    key: str
+    images: Mapping[str, npt.NDArray[Any]]
+    record: Mapping[str, Value]
+
+    def json_record(self) -> dict[str, Value | None]:
+        """The record as strict JSON can hold it: a parameter that was not drawn (NaN) is null."""
+        return {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in self.record.items()
+        }
+
+
+def named(layer: str) -> str:
+    """A layer's name without a slash: `layers/<effect>` is called `layers_<effect>`."""
+    return layer.replace("/", "_")
+
+
+def samples(pairs: PairDataset, split: str) -> Iterator[Sample]:
+    """Every sample of one split of a dataset that was opened with all layers.
+
+    Raises FactoryError where a shard has other layers, columns or sizes than the first.
+    """
+    start = number = 0
+    for path in pairs.paths:
+        rows = pairs.table(path)
+        for row, record in enumerate(rows if path.parent.name == split else ()):
+            images = pairs[start + row]
+            if any(image.dtype != pairs.form.layers[name] for name, image in images.items()):
+                raise FactoryError(f"{path}: its layers differ in type from the other shards'")
+            values = {name: record[name].item() for name in rows.dtype.names or ()}
+            yield Sample(
+                f"{split}-{number:06d}",
+                {named(name): image for name, image in images.items()},
+                {name: v.decode() if isinstance(v, bytes) else v for name, v in values.items()},
+            )
+            number += 1
+        start += len(rows)
+
+
+def _files(pairs: PairDataset, name: str) -> Iterator[tuple[str, Iterator[Sample]]]:
+    """Files of at most SAMPLES_PER_FILE samples each, by a name of split, number and files."""
+    for split, count in pairs.splits.items():
+        found, files = samples(pairs, split), -(-count // SAMPLES_PER_FILE)
+        for number in range(files):
+            yield name.format(split, number, files), islice(found, SAMPLES_PER_FILE)
+
+
+def is_picture(dtype: np.dtype[np.generic]) -> bool:
+    """Whether a PNG holds this type without loss."""
+    return dtype in (np.bool_, np.uint8, np.uint16)
+
+
+def png(image: npt.NDArray[Any]) -> bytes:
+    """(H, W) uint8, uint16, bool (as 0 and 255) or float in 0..1 (16 bits), or RGB -> PNG."""
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    if image.dtype == np.bool_:
+        image = image.astype(np.uint8) * np.uint8(255)
+    elif not is_picture(image.dtype):
+        image = np.rint(image.astype(np.float64) * 65535).astype(np.uint16)
+    done, encoded = cv2.imencode(".png", image, _PNG)
+    assert done  # only unknown types and empty images fail
+    return encoded.tobytes()
+
+
+def write_notes(pairs: PairDataset, folder: Path, reading: str, *, front: str = "") -> None:
+    """Write README.md; `reading` says in Markdown what the files are, `front` comes before all."""
+    settings = dataset_settings(pairs.folder)
+    counts = "".join(f"- {split}: {count} samples\n" for split, count in pairs.splits.items())
+    rows, columns = pairs.shape
+    text = f"""\
+{front}# {settings.get("name") or "dataset"}
+
+Pairs of simulated forward-looking-sonar images, exported from a SimNFND dataset (config hash \
+`{pairs.config_hash}`). {rows} x {columns} pixels, {pairs.dtype}, {pairs.layout} layout.
+
+{counts}
+## What the files are
+
+{reading}
+## Licence
+
+{settings.get("licence") or "not stated"}. The terms of the source images hold for what is derived \
+from them.
+"""
+    (folder / "README.md").write_text(text, encoding="utf-8")
+
+
+def write_png(pairs: PairDataset, folder: Path) -> str:
+    """SPLIT/noisy/NNNNNN.png, SPLIT/clean/..., SPLIT/shadow/... and SPLIT/samples.csv.
+
+    uint8 images without loss, float32 ones with 16 bits (0..65535).  Optional layers that are
+    neither go nowhere: a PNG cannot hold metres.
+    """
+    layers = {named(name): dtype for name, dtype in pairs.form.layers.items()}
+    drawn = [n for n, dtype in layers.items() if n in ("noisy", "clean") or is_picture(dtype)]
+    for split in pairs.splits:
+        for name in drawn:
+            (folder / split / name).mkdir(parents=True)
+        with (folder / split / "samples.csv").open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow(["file", *(column.name for column in pairs.form.columns)])
+            for sample in samples(pairs, split):
+                picture = f"{sample.key.removeprefix(f'{split}-')}.png"
+                for name in drawn:
+                    (folder / split / name / picture).write_bytes(png(sample.images[name]))
+                rows.writerow([picture, *sample.json_record().values()])
+    write_notes(pairs, folder, _PNG_NOTES)
+    written = f"{len(pairs)} samples as PNG ({', '.join(drawn)})"
+    if left_out := [name for name in layers if name not in drawn]:
+        written += f"; left out, as no PNG holds them: {', '.join(left_out)}"
+    return written
+
+
+def write_webdataset(pairs: PairDataset, folder: Path) -> str:
+    """Numbered tars of `KEY.noisy.png`, `KEY.clean.png`, `KEY.shadow.png`, `KEY.json`.
+
+    What no PNG holds without loss is `.npy`.
+    """
+    from webdataset import TarWriter  # an extra
+
+    tars = 0
+    for name, found in _files(pairs, "{}-{:06d}.tar"):
+        tars += 1
+        # A time stamp and a user name would make every export another file.
+        with TarWriter(str(folder / name), encoder=False, mtime=0.0, user="", group="") as tar:
+            for sample in found:
+                entry: dict[str, str | bytes] = {"__key__": sample.key}
+                for layer, image in sample.images.items():
+                    if is_picture(image.dtype):
+                        entry[f"{layer}.png"] = png(image)
+                        continue
+                    buffer = io.BytesIO()
+                    np.save(buffer, image, allow_pickle=False)
+                    entry[f"{layer}.npy"] = buffer.getvalue()
+                entry["json"] = json.dumps(sample.json_record(), allow_nan=False).encode()
+                tar.write(entry)
+    write_notes(pairs, folder, _WEBDATASET_NOTES)
+    counts = " and ".join(f"{count} {split} samples" for split, count in pairs.splits.items())
+    return f"{tars} tars, {counts}"
+
+
+def write_huggingface(pairs: PairDataset, folder: Path) -> str:
+    """Fill `folder` with data/SPLIT-NNNNN-of-NNNNN.parquet and the card that names them.
+
+    `load_dataset("out")` gives train and test with images.  Parquet as the hub keeps it: each image
+    is a struct of PNG bytes and a path, and the schema's metadata tell `datasets` that these are
+    images.  float32 pictures become Array2D columns.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    if received := [name for name, dtype in pairs.form.layers.items() if dtype.kind == "c"]:
+        raise FactoryError(
+            f"--to huggingface: parquet holds no complex numbers ({received[0]}); export with "
+            "--to webdataset"
+        )
+    (folder / "data").mkdir()
+    schema, files = _schema(pairs), 0
+    for name, found in _files(pairs, "{}-{:05d}-of-{:05d}.parquet"):
+        files += 1
+        # PNG bytes do not get smaller, so compression is for the table alone.
+        with parquet.ParquetWriter(folder / "data" / name, schema, compression="snappy") as writer:
+            while rows := [_row(pairs, one) for one in islice(found, _SAMPLES_PER_GROUP)]:
+                writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
+    settings = dataset_settings(pairs.folder)
+    fields = hub_fields(settings.get("name") or "dataset", settings.get("licence"), len(pairs))
+    places = [{"path": f"data/{split}-*.parquet", "split": split} for split in pairs.splits]
+    fields["configs"] = [{"config_name": "default", "data_files": places}]
+    front = f"---\n{yaml.safe_dump(fields, sort_keys=False)}---\n\n"
+    write_notes(pairs, folder, _HUGGINGFACE_NOTES, front=front)
+    return f"{files} parquet files, {len(pairs)} samples"
+
+
+def _row(pairs: PairDataset, sample: Sample) -> dict[str, Any]:
+    row: dict[str, Any] = {}
+    if "instance" in sample.images and "segmentation" in sample.images:
+        row["objects"] = [
+            {"bbox": list(one.box), "category": one.label, "area": int(one.mask.sum())}
+            for one in shown_in(sample, classes_of(pairs.form.config), pairs.folder)
+        ]
+    for name, image in sample.images.items():
+        if is_picture(image.dtype):
+            row[name] = {"bytes": png(image), "path": f"{sample.key}.{name}.png"}
+        else:
+            row[name] = list(image)
+    return {**row, **sample.record}
+
+
+def _schema(pairs: PairDataset) -> Any:
+    import pyarrow
+
+    image = pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
+    columns: dict[str, tuple[Any, dict[str, Any]]] = {}
+    for layer, dtype in pairs.form.layers.items():
+        columns[named(layer)] = image, {"_type": "Image"}
+        if not is_picture(dtype):
+            values = pyarrow.list_(pyarrow.list_(pyarrow.from_numpy_dtype(dtype)))
+            feature = {
+                "_type": "Array2D",
+                "shape": list(pairs.form.sizes[layer]),
+                "dtype": str(dtype),
+            }
+            columns[named(layer)] = values, feature
+    if {"instance", "segmentation"} <= set(pairs.layers):
+        number, integer = pyarrow.int32(), {"_type": "Value", "dtype": "int32"}
+        one = {"bbox": pyarrow.list_(number), "category": pyarrow.int64(), "area": number}
+        names = {"_type": "ClassLabel", "names": list(classes_of(pairs.form.config))}
+        kinds = {"bbox": {"_type": "List", "feature": integer}, "category": names, "area": integer}
+        objects = pyarrow.list_(pyarrow.struct(list(one.items())))
+        columns["objects"] = objects, {"_type": "List", "feature": kinds}
+    for column in pairs.form.columns:
+        dtype = np.dtype(column.dtype)
+        text = dtype.kind == "S"
+        kind = pyarrow.string() if text else pyarrow.from_numpy_dtype(dtype)
+        feature = {"_type": "Value", "dtype": "string" if text else str(dtype)}
+        columns[column.name] = kind, feature
+    features = {name: feature for name, (_, feature) in columns.items()}
+    schema = pyarrow.schema([(name, kind) for name, (kind, _) in columns.items()])
+    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
+
+
+# --- objects, for detectors
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """An object in a picture: its class, 1 or more, and the pixels (H, W) where it is seen."""
+
+    label: int
+    mask: npt.NDArray[np.bool_]
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """Left, top, width and height in pixels; the box holds the pixels wholly."""
+        left, top, width, height = cv2.boundingRect(self.mask.astype(np.uint8))
+        return left, top, width, height
+
+
+def shown_in(sample: Sample, classes: tuple[str, ...], directory: Path) -> Iterator[Shown]:
+    """The pixels of each number in /instance, by the label that most of them have."""
+    numbers, labels = sample.images["instance"], sample.images["segmentation"]
+    for number in np.unique(numbers[numbers > 0]):
+        mask = numbers == number
+        label = int(np.bincount(labels[mask]).argmax())
+        if label >= len(classes):
+            raise FactoryError(
+                f"{directory}: {sample.key}: /segmentation has a value {label}, "
+                "which names no class"
+            )
+        if label:
+            yield Shown(label, mask)
+
+
+def _objects(
+    pairs: PairDataset, folder: Path, split: str, counts: Counter[str]
+) -> Iterator[tuple[str, list[Shown]]]:
+    """Write images/SPLIT/KEY.png and clean/ of every sample, and give its key and its objects.
+
+    counts: of objects, and of those left out.  Raises FactoryError for a dataset without labels.
+    """
+    if not {"segmentation", "instance"} <= set(pairs.layers):
+        raise FactoryError(
+            f"{pairs.folder} has no labels (/segmentation and /instance); make it from scenes with "
+            "labels and dataset.layers=[segmentation], or export with --to png"
+        )
+    for sample in samples(pairs, split):
+        for name, layer in (("images", "noisy"), ("clean", "clean")):
+            path = folder / name / split / f"{sample.key}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(png(stored_image(sample.images[layer], "uint8")))
+        found = list(shown_in(sample, classes_of(pairs.form.config), pairs.folder))
+        large = [shown for shown in found if int(shown.mask.sum()) >= LEAST_PX]
+        counts.update(objects=len(large), small=len(found) - len(large))
+        yield sample.key, large
+
+
+def _counted(pairs: PairDataset, counts: Counter[str]) -> str:
+    small = f"{counts['small']} below {LEAST_PX} pixels left out"
+    return f"{len(pairs)} pictures, {counts['objects']} objects; {small}"
+
+
+def write_coco(pairs: PairDataset, folder: Path) -> str:
+    """images/SPLIT/NAME.png and annotations/instances_SPLIT.json, with boxes and masks.
+
+    Categories have the numbers of the classes (`simnfnd.factory.labels`), from 1.  clean/SPLIT
+    holds the ideal pictures.  Format: https://cocodataset.org/#format-data.
+    """
+    (height, width), counts = pairs.shape, Counter[str]()
+    (folder / "annotations").mkdir()
+    for split in pairs.splits:
+        images: list[dict[str, Any]] = []
+        annotations: list[dict[str, Any]] = []
+        for key, found in _objects(pairs, folder, split, counts):
+            size = {"width": width, "height": height}
+            images.append({"id": len(images) + 1, "file_name": f"{key}.png", **size})
+            for shown in found:
+                one = {
+                    "id": len(annotations) + 1,
+                    "image_id": len(images),
+                    "category_id": shown.label,
+                    "bbox": shown.box,
+                    "area": int(shown.mask.sum()),
+                    "segmentation": run_lengths(shown.mask),
+                    "iscrowd": 0,
+                }
+                annotations.append(one)
+        document = {
+            "info": {"description": f"SimNFND, {split}", "version": "1.0"},
+            "images": images,
+            "annotations": annotations,
+            "categories": [
+                {"id": label, "name": name, "supercategory": "object"}
+                for label, name in enumerate(classes_of(pairs.form.config))
+                if label
+            ],
+        }
+        text = json.dumps(document, separators=(",", ":"))
+        (folder / "annotations" / f"instances_{split}.json").write_text(text + "\n")
+    write_notes(pairs, folder, _COCO_NOTES)
+    return _counted(pairs, counts)
+
+
+def run_lengths(mask: npt.NDArray[np.bool_]) -> dict[str, list[int]]:
+    """(H, W) as COCO's uncompressed runs: of 0, of 1, of 0, ... down each column in turn."""
+    flat = mask.ravel(order="F")
+    changes = np.flatnonzero(np.diff(flat, prepend=False))
+    counts = np.diff(changes, prepend=0, append=flat.size)
+    return {"counts": counts.tolist(), "size": list(mask.shape)}
+
+
+def write_yolo(pairs: PairDataset, folder: Path) -> str:
+    """images/SPLIT/NAME.png, labels/SPLIT/NAME.txt and data.yaml, as Ultralytics reads them.
+
+    A line of labels is a polygon: its class, then its corners as fractions of width and height;
+    programs that detect take the box around it.  An object in parts that do not touch has a line
+    for each part; holes, which the format does not know, are filled.  Format:
+    https://docs.ultralytics.com/datasets/segment.
+    """
+    splits, counts = tuple(pairs.splits), Counter[str]()
+    for split in splits:
+        (folder / "labels" / split).mkdir(parents=True)
+        for key, found in _objects(pairs, folder, split, counts):
+            lines = []
+            for shown, ring in ((one, ring) for one in found for ring in outlines(one.mask)):
+                corners = (ring / shown.mask.shape[::-1]).ravel()
+                numbers = " ".join(f"{value:.6f}" for value in corners)
+                lines.append(f"{shown.label - 1} {numbers}\n")
+            (folder / "labels" / split / f"{key}.txt").write_text("".join(lines))
+    # Without `path`, places are those beside data.yaml.  Both keys must be there.
+    places = {
+        key: f"images/{split if split in splits else splits[0]}"
+        for key, split in (("train", "train"), ("val", "test"))
+    }
+    names = dict(enumerate(classes_of(pairs.form.config)[1:]))
+    text = yaml.safe_dump({**places, "names": names}, sort_keys=False)
+    (folder / "data.yaml").write_text(text)
+    write_notes(pairs, folder, _YOLO_NOTES)
+    return _counted(pairs, counts)
+
+
+def outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
+    """(H, W) -> (corners, 2) columns and rows of each part whose pixels touch, also at corners.
+
+    A pixel (column c, row r) covers c to c + 1 and r to r + 1, and rings run along these edges.
+    """
+    # Of pixels of twice the number, the outer ones say which side of their pixel lies outside.
+    double = np.repeat(np.repeat(mask.astype(np.uint8), 2, axis=0), 2, axis=1)
+    found, _ = cv2.findContours(double, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    rings = []
+    for contour in found:
+        ring = (contour[:, 0].astype(np.int64) + 1) // 2
+        ring = ring[np.any(ring != np.roll(ring, 1, axis=0), axis=1)]
+        # Of straight lines the ends alone.
+        step = ring - np.roll(ring, 1, axis=0)
+        rings.append(np.asarray(ring[np.any(step != np.roll(step, -1, axis=0), axis=1)]))
+    return rings
+
+
+_PNG_NOTES = """\
+Pictures of one name belong together: `train/noisy/000000.png` is the input of which
+`train/clean/000000.png` is the target, and `train/shadow/000000.png` is 255 in acoustic shadow.
+`samples.csv` has one row a sample: its file name and its record (empty: not drawn). uint8 data are
+stored as they are, float32 data (0..1) as 16 bits (0..65535).
+"""
+
+_WEBDATASET_NOTES = """\
+One sample is `KEY.noisy.png`, `KEY.clean.png` (input and target), `KEY.shadow.png` (255 in acoustic
+shadow), any optional layer by its name, and `KEY.json`, the sample's record (null: not drawn).
+float32 images are `.npy`.
+
+```python
+import webdataset
+
+pairs = webdataset.WebDataset("train-000000.tar", shardshuffle=False).decode("l8")
+for noisy, clean, record in pairs.to_tuple("noisy.png", "clean.png", "json"):
+    ...
+```
+"""
+
+_HUGGINGFACE_NOTES = """\
+`noisy` is the input of a denoiser, `clean` its target, `shadow` is 255 where no echo arrives. The
+other columns say which frame a sample is of and every number that was drawn for it (NaN: not
+drawn).
+
+```python
+from datasets import load_dataset
+
+pairs = load_dataset("PATH_OF_THIS_FOLDER")
+```
+"""
+
+_COCO_NOTES = f"""\
+`annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the pictures of
+`images/SPLIT`: box, area in pixels, and the mask as run lengths, which pycocotools reads
+(`annToMask`). Objects that show in fewer than {LEAST_PX} pixels are left out. `clean/SPLIT`
+has the same pictures without noise.
+
+```python
+from pycocotools.coco import COCO
+
+objects = COCO("annotations/instances_train.json")
+```
+"""
+
+_YOLO_NOTES = f"""\
+`labels/SPLIT/NAME.txt` has a line for each object in `images/SPLIT/NAME.png`: its class (`names` of
+`data.yaml`), then the corners of a polygon along the edges of its pixels, as fractions of width and
+height. An object in parts that do not touch has a line for each part; holes are filled. Objects
+that show in fewer than {LEAST_PX} pixels are left out. `data.yaml` takes the test split to
+validate, or the only one that was exported. `clean/SPLIT` has the same pictures without
+noise.
+
+```sh
+yolo segment train data=data.yaml   # or: yolo detect train
+```
+"""
