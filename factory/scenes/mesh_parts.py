@@ -162,7 +162,8 @@ def load(path: Path) -> bytes:
         raise FactoryError("has no faces (points alone?); export a mesh of triangles")
     if faces > MOST_FACES:
         raise FactoryError(f"has {faces:,} faces; at most {MOST_FACES:,} go: decimate it")
-    names, turned, arrays = [], [], {}
+    names, turned = [], []
+    arrays: dict[str, npt.NDArray[Any]] = {}
     for k, (name, solid) in enumerate(found):
         if not np.isfinite(solid.vertices).all():
             raise FactoryError("has vertices that are no numbers; export it again")
