@@ -149,7 +149,8 @@ def decode(content: bytes) -> View:
             more["boxes"] = np.array(head["boxes"], float).reshape(-1, BOX_FIELDS)
         depth_m = unfold(parts[0], shape, DEPTH)
         *lens, distortion = (head["intrinsics"][one.name] for one in fields(Intrinsics))
-        camera = Intrinsics(*map(_finite, lens), distortion=tuple(map(_finite, distortion)))
+        fx, fy, cx, cy = map(_finite, lens)
+        camera = Intrinsics(fx, fy, cx, cy, tuple(map(_finite, distortion)))
         if not min(camera.fx, camera.fy) > 0:
             raise ValueError("no camera")
         seen = Frame(FrameRef("", "", ""), _black(shape), depth_m, camera, **more)
