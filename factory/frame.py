@@ -11,6 +11,8 @@ from .errors import FrameError
 
 # No imaging sonar sees farther, and no camera nearer.
 _LIKELY_M = (0.005, 300.0)
+# Fewer measured pixels make a frame useless.
+_LEAST_VALID = 16
 BOX_FIELDS = 11
 
 
@@ -88,11 +90,10 @@ class Frame:
         return self.depth_m > 0
 
 
-def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> Frame:
+def checked(frame: Frame, *, bad_depth: str = "reject") -> Frame:
     """Return `frame` with clean depth, or raise FrameError that says what is wrong with it.
 
     bad_depth: "reject" refuses NaN, infinite and negative depths; "mask" makes them invalid (0).
-    min_valid: fewer measured pixels than this make a frame useless.
     """
     name, depth_m = frame.ref.name, frame.depth_m
     if frame.rgb.ndim != 3 or frame.rgb.shape[2] != 3 or frame.rgb.dtype != np.uint8:
@@ -119,7 +120,7 @@ def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> 
             )
         depth_m = np.where(bad, np.float32(0), depth_m)
     valid = int(np.count_nonzero(depth_m > 0))
-    if valid < min_valid:
+    if valid < _LEAST_VALID:
         raise FrameError(f"{name}: depth has only {valid} valid pixels; nothing to render")
     depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)
     measured = depth_m[::4, ::4] if min(depth_m.shape) > 64 else depth_m

@@ -11,13 +11,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 
@@ -40,14 +40,6 @@ _SUFFIX = ".view"
 _MOST_BYTES = 1 << 27
 # Room made at once, so that a full cache does not have to be gone through for every entry.
 _EVICT_TO = 0.9
-
-
-class Entry(NamedTuple):
-    """One file of the cache: when it was last used, where it is, and its bytes."""
-
-    used_ns: int
-    path: Path
-    bytes: int
 
 
 class Cache:
@@ -82,12 +74,14 @@ class Cache:
         write_atomically(path, content, durable=False, key="cache.dir")
         return len(content)
 
-    def entries(self) -> Iterator[Entry]:
-        """All entries; those that vanish meanwhile are left out."""
+    def entries(self) -> list[tuple[int, Path, int]]:
+        """When each was last used (ns), its file, its bytes; those that vanish are left out."""
+        found = []
         for path in sorted(self.folder.glob(f"??/*{_SUFFIX}")):
             with suppress(FileNotFoundError):
                 status = path.stat()
-                yield Entry(status.st_mtime_ns, path, status.st_size)
+                found.append((status.st_mtime_ns, path, status.st_size))
+        return found
 
     def grown(self, added_bytes: int) -> None:
         """Note that entries were added, and when there are more bytes than may be, make room.
@@ -103,13 +97,13 @@ class Cache:
         for folder in self.folder.glob("??"):
             remove_stale_temporaries(folder)
         entries = sorted(self.entries())
-        self._total = sum(entry.bytes for entry in entries)
-        if self._total > self._max_bytes:
-            for entry in entries:
-                if self._total <= _EVICT_TO * self._max_bytes:
-                    break
-                entry.path.unlink(missing_ok=True)
-                self._total -= entry.bytes
+        self._total = sum(size for _, _, size in entries)
+        most = _EVICT_TO * self._max_bytes if self._total > self._max_bytes else self._total
+        for _, path, size in entries:
+            if self._total <= most:
+                break
+            path.unlink(missing_ok=True)
+            self._total -= size
 
 
 # Which frames are chosen changes none of them.

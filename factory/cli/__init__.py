@@ -62,7 +62,7 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str, words: Sequence
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     debug = any(word.replace(" ", "") in ("debug=true", "debug=True") for word in words)
-    words = readable(words)
+    words = list(map(readable, words))
     if config_name != "factory":
         # Hydra takes `dataset=DIR` for a choice of the group of that name, which `make` has.
         words = [re.sub("^dataset=", "dataset.dir=", word) for word in words]

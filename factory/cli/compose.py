@@ -46,7 +46,7 @@ def compose_points(
     from ..config import composed_values, from_mapping
     from ..distribution import as_override
 
-    overrides = [as_override(word) for word in readable(words) if not word.startswith("-")]
+    overrides = [as_override(word) for word in map(readable, words) if not word.startswith("-")]
     points, configs = [overrides], []
     try:
         with initialize_config_module("simnfnd.conf", version_base="1.3"):
@@ -133,12 +133,8 @@ def _flat(values: Mapping[str, Any], prefix: str) -> Iterator[str]:
             yield from _flat(value, f"{prefix}{key}.")
 
 
-def readable(words: Sequence[str]) -> list[str]:
-    """`words` with `~` at the start of a value expanded, and text that is no Hydra value quoted."""
-    return [_readable(word) for word in words]
-
-
-def _readable(word: str) -> str:
+def readable(word: str) -> str:
+    """A word with `~` of its value expanded, and quoted where its text is no value of Hydra."""
     key, equals, value = word.partition("=")
     if not equals or not _KEY.fullmatch(key):
         return word

@@ -47,7 +47,7 @@ def generate(composed: DictConfig) -> int:
     0: every frame became pairs.  1: some frames failed (listed in failed.jsonl), the rest is there.
     Raises FactoryError when nothing can be made.
     """
-    from .sweep import each_its_folder, note
+    from .sweep import each_its_folder, in_sweep, note
 
     try:
         each_its_folder(composed)
@@ -61,14 +61,10 @@ def generate(composed: DictConfig) -> int:
         note(state="interrupted", exit_code=int(getattr(stopped, "exit_code", 130)))
         raise
     folder = shown(directory)
-    note(
-        state="made",
-        pairs=report.samples,
-        failed=len(report.failures),
-        **(noisiness(directory) if config.shard.count == 1 else {}),
-        exit_code=code,
-        dataset=str(directory),
-    )
+    if in_sweep() and config.shard.count == 1:
+        figures = {name: round(value, 4) for name, value in noisiness(directory).items()}
+        counts = {"pairs": report.samples, "failed": len(report.failures)}
+        note(state="made", **counts, **figures, exit_code=code, dataset=str(directory))
     print(f"dataset: {folder}")
     if report.failures:
         count, reason = _commonest(report)

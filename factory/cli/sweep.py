@@ -34,14 +34,15 @@ def each_its_folder(composed: DictConfig) -> None:
     from hydra.core.hydra_config import HydraConfig
     from omegaconf import OmegaConf
 
-    if not _is_sweep() or "dataset.dir" in _settings(HydraConfig.get().overrides.task):
+    if not in_sweep() or "dataset.dir" in _settings(HydraConfig.get().overrides.task):
         return
     folder = OmegaConf.to_container(composed.dataset, resolve=False)["dir"]  # type: ignore[call-overload, index]
     if folder and "${" not in folder:
         composed.dataset.dir = None
 
 
-def _is_sweep() -> bool:
+def in_sweep() -> bool:
+    """Whether this is a point of one."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
 
@@ -52,7 +53,7 @@ def note(**row: Any) -> None:
     """Within a sweep, leave the row of a point; else do nothing."""
     from hydra.core.hydra_config import HydraConfig
 
-    if not _is_sweep():
+    if not in_sweep():
         return
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
@@ -74,11 +75,9 @@ class SweepTable(Callback):
         from .compose import sweep_points
 
         # As they were given: what names a job's number is known in the job alone.
-        words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
-        params = OmegaConf.to_container(config.hydra.sweeper, resolve=False)
-        assert isinstance(words, list)
-        assert isinstance(params, dict)
-        points = sweep_points(words, dict(params.get("params") or {}))
+        words: Any = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
+        sweeper: Any = OmegaConf.to_container(config.hydra.sweeper, resolve=False)
+        points = sweep_points(words, dict(sweeper.get("params") or {}))
         _open[:] = [(Path(config.hydra.sweep.dir), points)]
 
 

@@ -31,12 +31,12 @@ def main(words: list[str]) -> None:
         _pack(given.overrides, given.out)
         return
     cache = Cache(compose_config(given.overrides).cache)
-    entries = list(cache.entries())
-    size_mb = sum(entry.bytes for entry in entries) / 1e6
+    entries = cache.entries()
+    size_mb = sum(size for _, _, size in entries) / 1e6
     if given.action == "clear":
         with explain_os_errors(cache.folder, "cache.dir"):
-            for entry in entries:
-                entry.path.unlink(missing_ok=True)
+            for _, path, _ in entries:
+                path.unlink(missing_ok=True)
     removed = " removed" if given.action == "clear" else ""
     print(f"cache: {cache.folder}: {len(entries)} renders{removed}, {size_mb:.1f} MB")
 

@@ -148,11 +148,9 @@ def decode(content: bytes) -> View:
         if "boxes" in head:
             more["boxes"] = np.array(head["boxes"], float).reshape(-1, BOX_FIELDS)
         depth_m = unfold(parts[0], shape, DEPTH)
-        lens = {one.name: head["intrinsics"][one.name] for one in fields(Intrinsics)}
-        distortion = tuple(map(_finite, lens.pop("distortion")))
-        camera = Intrinsics(
-            **{key: _finite(value) for key, value in lens.items()}, distortion=distortion
-        )
+        *lens, distortion = (head["intrinsics"][one.name] for one in fields(Intrinsics))
+        fx, fy, cx, cy = map(_finite, lens)
+        camera = Intrinsics(fx, fy, cx, cy, tuple(map(_finite, distortion)))
         if not min(camera.fx, camera.fy) > 0:
             raise ValueError("no camera")
         seen = Frame(FrameRef("", "", ""), _black(shape), depth_m, camera, **more)

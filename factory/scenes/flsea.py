@@ -14,7 +14,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError
@@ -46,13 +46,6 @@ _DEPTH_ENDINGS = ("_SeaErra_abs_depth.tif", "_abs_depth.tif")
 _EXPECTED = "the folder that holds canyons/ and red_sea/, or to one location or scene in it"
 
 
-def _known(scenes: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    for scene in scenes or ():
-        if scene not in SCENES:
-            raise ValueError(f"unknown scene {scene!r}; the {len(SCENES)} are {', '.join(SCENES)}")
-    return scenes
-
-
 @dataclass(frozen=True, config=STRICT, kw_only=True)
 class FlseaSettings(SceneSettings):
     """Keys of `scenes=flsea`.
@@ -64,9 +57,7 @@ class FlseaSettings(SceneSettings):
 
     kind: Literal["flsea"] = "flsea"
     root: Root
-    scenes: Annotated[
-        Annotated[tuple[str, ...], Field(min_length=1)] | None, AfterValidator(_known)
-    ] = None
+    scenes: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     bad_depth: BadDepth = "reject"
 
 
@@ -83,13 +74,12 @@ class FlseaReader:
         if not os.path.isdir(root):
             raise FactoryError(f"{given}: no such folder; set scenes.root to {_EXPECTED}")
         there, skipped = _scene_folders(Path(root)), Counter[str]()
-        wanted = [scene for scene in SCENES if scene in asked]
-        folders = {scene: there[scene] for scene in wanted if scene in there}
+        folders = {scene: there[scene] for scene in SCENES if scene in asked and scene in there}
         frames = [ref for item in folders.items() for ref in _frames(*item, skipped)]
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
-        if absent := [scene for scene in wanted if scene not in there]:
+        if absent := [scene for scene in asked if scene not in there]:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
-        named = " or ".join(wanted) if len(wanted) < len(SCENES) else ""
+        named = " or ".join(asked) if len(asked) < len(SCENES) else ""
         nothing = (
             f"no FLSea scene {named} here with imgs/<timestamp>.tiff and depth/<timestamp>"
             f"{_DEPTH_ENDINGS[0]}; set scenes.root to {_EXPECTED}"

@@ -162,7 +162,8 @@ def load(path: Path) -> bytes:
         raise FactoryError("has no faces (points alone?); export a mesh of triangles")
     if faces > MOST_FACES:
         raise FactoryError(f"has {faces:,} faces; at most {MOST_FACES:,} go: decimate it")
-    names, turned, arrays = [], [], {}
+    names, turned = [], []
+    arrays: dict[str, npt.NDArray[Any]] = {}
     for k, (name, solid) in enumerate(found):
         if not np.isfinite(solid.vertices).all():
             raise FactoryError("has vertices that are no numbers; export it again")
@@ -213,7 +214,10 @@ def _by_open3d(path: Path, suffix: str, folder: Path) -> list[tuple[str, Mesh]]:
         return [(path.stem, _of_model(one, model)) for one in model.meshes]
     if suffix == ".blend":
         source, path = path, folder / "scene.glb"
-        as_gltf(source, path)
+        _opened(source.resolve()).ops.export_scene.gltf(
+            filepath=str(path), export_apply=True, use_visible=True, export_animations=False,
+            export_skins=False, export_morph=False, export_normals=False,
+        )  # fmt: skip
     copy, owners = _with_own_materials(path, folder)
     model = reader.read_triangle_model(str(copy))
     if owners and not model.meshes:
@@ -328,14 +332,6 @@ def _opened(path: Path) -> Any:
             name = Path(image.filepath.replace("\\", "/")).name
             raise FactoryError(f"its texture {name} is missing; pack it (File, External Data)")
     return bpy
-
-
-def as_gltf(path: Path, made: Path) -> None:
-    """Write the meshes of a file as Blender shows them."""
-    _opened(path.resolve()).ops.export_scene.gltf(
-        filepath=str(made), export_apply=True, use_visible=True, export_animations=False,
-        export_skins=False, export_morph=False, export_normals=False,
-    )  # fmt: skip
 
 
 def photograph(

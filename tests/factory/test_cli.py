@@ -262,7 +262,7 @@ def test_paths_need_no_quotes(path, monkeypatch):
     monkeypatch.setenv("HOME", str(ROOT))
     read = OverridesParser.create().parse_override
     wanted = path.replace("~", str(ROOT))
-    assert read(readable([f"scenes.root={path}"])[0]).value() == wanted
+    assert read(readable(f"scenes.root={path}")).value() == wanted
 
 
 def test_a_dataset_is_made_in_a_folder_of_any_name(monkeypatch, tmp_path, capfd):

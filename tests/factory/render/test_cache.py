@@ -81,14 +81,14 @@ def test_damaged_entries_are_removed_when_they_are_met(tmp_path: Path) -> None:
 def test_what_was_unused_longest_goes_first(tmp_path: Path) -> None:
     cache, view = Cache(CacheSettings(dir=str(tmp_path))), some_view()
     sizes = [cache.put(f"{number:04d}", view) for number in range(6)]
-    for number, entry in enumerate(cache.entries()):
-        os.utime(entry.path, (1000 + number, 1000 + number))
+    for number, (_, path, _) in enumerate(cache.entries()):
+        os.utime(path, (1000 + number, 1000 + number))
     assert cache.get("0000") is not None  # used now, so it stays
     Cache(CacheSettings(dir=str(tmp_path), max_bytes=3 * sizes[0])).grown(sizes[0])
-    left = {entry.path.stem for entry in cache.entries()}
+    left = {path.stem for _, path, _ in cache.entries()}
     assert "0000" in left
     assert left - {"0000"} == {f"{number:04d}" for number in range(6 - len(left) + 1, 6)}
-    assert sum(entry.bytes for entry in cache.entries()) <= 3 * sizes[0]
+    assert sum(size for _, _, size in cache.entries()) <= 3 * sizes[0]
 
 
 def test_a_cache_that_cannot_be_written_is_said_before_the_run(tmp_path: Path) -> None:
