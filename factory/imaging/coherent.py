@@ -144,9 +144,7 @@ def observe(surface: LitSurface, water: WaterSettings, acoustics: AcousticsSetti
 def received(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
     """(range_bins, beams) float32 amplitude after time-varying gain, with the drawn effects."""
     field = received_field(ping, effects)
-    intensity = np.zeros(ping.shape, np.float32)
-    for real, imaginary in field:
-        intensity += real * real + imaginary * imaginary
+    intensity = (field**2).sum(axis=1).sum(axis=0)
     return np.asarray(np.sqrt(intensity / np.float32(len(field))))
 
 

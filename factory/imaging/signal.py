@@ -97,11 +97,6 @@ class Ping:
         """One way."""
         return self.water.absorption_db_per_m(self.sonar.frequency_khz)
 
-    @property
-    def mixing(self) -> Floats:
-        """See `simnfnd.factory.sonar.array.beam_mixing`."""
-        return mixing(self.sonar)
-
     @cached_property
     def kernel(self) -> Floats:
         """See `simnfnd.factory.sonar.array.range_kernel`."""
@@ -111,10 +106,9 @@ class Ping:
     def noise_share(self) -> Floats:
         """(beams,) what noise of intensity 1 in a beam and pulse is in a bin of this field.
 
-        The point-spread leaves the sum of the echoes as it is, so an echo that is the same
-        everywhere is as strong as what a bin holds of it.  A device receives of it what its pulse
-        and its beam hold.  Dividing the noise by their ratio keeps the signal to noise, whatever
-        the sampling.
+        The point-spread leaves the sum of the echoes as it is: an echo that is the same everywhere
+        is as strong as what a bin holds of it, and a device receives what its pulse and its beam
+        hold.  Dividing the noise by their ratio keeps the signal to noise, whatever the sampling.
         """
         pulse_m = array.pulse_length_m(self.sonar.array, self.water.sound_speed_m_s())
         return self.beam_share * np.float32(self.bin_m / pulse_m)

@@ -12,7 +12,7 @@ from ..distribution import AnyNumber, NonNegative, Positive
 from ..imaging.effect import Effect, EffectSettings, Rng, option, parameter
 from ..imaging.expected import Expected
 from ..imaging.scatterers import vertical_table
-from ..imaging.signal import Floats, Ping, Signal, sounds
+from ..imaging.signal import Floats, Ping, Signal, mixing, sounds
 from ..settings import STRICT
 
 # Beyond so many widths a spoke is not there.
@@ -174,7 +174,9 @@ def expect_crosstalk(
     leak, step = np.float32(10 ** (level_db / 20)), max(round(spacing_beams), 1)
     middle, alike = ping.sonar.beams // 2, 0.0
     if middle + step < ping.sonar.beams:
-        one, other = (ping.mixing[:, beam].astype(np.float64) for beam in (middle, middle + step))
+        one, other = (
+            mixing(ping.sonar)[:, beam].astype(np.float64) for beam in (middle, middle + step)
+        )
         alike = float(one @ other / np.sqrt((one @ one) * (other @ other)))
     for plane, correlation in (
         (state.echo, alike),

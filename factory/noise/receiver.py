@@ -37,9 +37,8 @@ class ReceiverSettings(EffectSettings):
 def receiver(field: Floats, ping: Ping, rng: Rng, *, level_db: float, grain: str) -> Floats:
     """The sea's thermal noise (Mellen 1952) and what the electronics add.
 
-    Complex Gaussian, so Rayleigh in amplitude, and equally strong at all ranges; time-varying gain,
-    which comes after, makes it grow with range.  How far echoes stand above it does not depend on
-    how finely the device samples range and bearing (`Ping.noise_share`).
+    Complex Gaussian, so Rayleigh in amplitude, and equally strong at all ranges before time-varying
+    gain.  How far echoes stand above it does not depend on the sampling (`Ping.noise_share`).
     """
     across = np.sqrt(_floor(ping, level_db)).astype(np.float32)
     if grain == "beam":
@@ -248,13 +247,10 @@ class SaturationSettings(EffectSettings):
 def saturation(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Floats:
     """No amplitude above the receiver's largest number, which it has before any gain."""
     limit = _limit(ping, level_db)
-    for real, imaginary in field:
-        intensity = real * real + imaginary * imaginary
-        factor = np.ones_like(intensity)
-        np.divide(limit, intensity, out=factor, where=intensity > limit)
-        np.sqrt(factor, out=factor)
-        real *= factor
-        imaginary *= factor
+    intensity = (field**2).sum(axis=1)
+    factor = np.ones_like(intensity)
+    np.divide(limit, intensity, out=factor, where=intensity > limit)
+    field *= np.sqrt(factor)[:, None]
     return field
 
 

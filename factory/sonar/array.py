@@ -112,11 +112,7 @@ def _elements(furthest: float) -> int:
 
 
 def _response_table(count: int, taper: Taper) -> Floats:
-    """(count,) the response at -1, 0, 1 ... steps of 1 / 128.
-
-    Devices that are drawn for every picture differ in how far they look alone, so all whole chunks
-    are kept; the rest is computed as ever, to the same bits.
-    """
+    """(count,) the response at -1, 0, 1 ... steps of 1 / 128; whole chunks serve all devices."""
     steps = np.arange(-1, count - 1) / _STEPS
     whole = count // _CHUNK * _CHUNK
     kept = _whole_chunks(taper, _elements(steps[-1]))

@@ -19,6 +19,7 @@ from simnfnd.factory.imaging.signal import (
     beamform,
     beamform_power,
     gaussian_table,
+    mixing,
     white_noise,
 )
 from simnfnd.factory.noise.speckle import PATH_SPECKLE, edge_m, gamma_of_normal
@@ -240,7 +241,7 @@ def test_movement_across_takes_it_as_the_aperture_says(at_rest, beams):
     sine = np.sin(ping.sonar.beam_centres_rad())
     # The beam's middle comes nearer as a whole; what is left over is lost.
     tilt = np.exp(-2j * waves * moved_m * sine)
-    weights = ping.mixing[64].astype(np.float64) ** 2
+    weights = mixing(ping.sonar)[64].astype(np.float64) ** 2
     expected = abs((weights * np.exp(2j * waves * moved_m * sine)).sum())
     found = []
     for sign in (1, -1):
