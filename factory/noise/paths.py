@@ -9,7 +9,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from ..distribution import AnyNumber, NonNegative, Positive
-from ..imaging.effect import Effect, EffectSettings, Rng, option, parameter
+from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
 from ..imaging.scatterers import vertical_table
 from ..imaging.signal import Floats, Ping, Signal, mixing, sounds
@@ -209,7 +209,7 @@ class SpokesSettings(EffectSettings):
     count: NonNegative = parameter(1, "1")
     level_db: AnyNumber = parameter(-25, "dB")
     width_beams: NonNegative = parameter(0.7, "1")
-    spacing: Literal["random", "regular"] = option("random")
+    spacing: Literal["random", "regular"] = parameter("random")
 
 
 def spokes(field: Floats, ping: Ping, rng: Rng, **parameters: Any) -> Floats:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from ..distribution import AnyNumber, NonNegative, Positive
-from ..imaging.effect import Effect, EffectSettings, Rng, Scope, option, parameter
+from ..imaging.effect import Effect, EffectSettings, Rng, Scope, parameter
 from ..imaging.expected import Expected
 from ..imaging.signal import Floats, Ping, add_white_noise, beamform, white_noise
 from ..settings import STRICT
@@ -31,7 +31,7 @@ class ReceiverSettings(EffectSettings):
     """
 
     level_db: AnyNumber = parameter(10, "dB")
-    grain: Literal["sample", "beam"] = option("sample")
+    grain: Literal["sample", "beam"] = parameter("sample")
 
 
 def receiver(field: Floats, ping: Ping, rng: Rng, *, level_db: float, grain: str) -> Floats:

@@ -187,8 +187,8 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
     )  # fmt: skip
     found = [grey_of(settings, variant) for variant in range(4)]
     scene = scene_of(observed(settings))
-    assert scene.ping.shape == (96 * samples, 128)
-    looks = expected.looks(scene.ping.kernel, samples)
+    assert scene.shape == (96 * samples, 128)
+    looks = expected.looks(scene.kernel, samples)
     assert 1 < looks < samples
     noisy = np.stack([one for one, _ in found])[(slice(None), *WIDE_EDGE)]
     assert noisy.shape[1:] == (72, 88)
