@@ -23,10 +23,7 @@ from .settings import ResampleSettings
 
 @dataclass(frozen=True, eq=False)
 class PointScene:
-    """A frame as echoes at full density: what all its samples share; no randomness.
-
-    seed: of the random streams.
-    """
+    """A frame as echoes at full density, and the seed of the random streams of its samples."""
 
     surface: LitSurface
     seed: int

@@ -33,7 +33,6 @@ class Signal:
     """Echoes before they are a picture.  Their intensity is power + |field|^2.
 
     Intensities are those at the receiver over the source level (1 m from the source).
-
     power: (range_bins, beams) float32, mean intensity of what has no speckle (yet).
     field: (looks, 2, range_bins, beams) float32, real and imaginary part of what has; the looks
         are averaged at the end.
@@ -232,8 +231,7 @@ def gaussian_table() -> Floats:
     """(65536, 2) float32: the complex circular Gaussian of intensity 1 as equally likely values.
 
     Intensities are the quantiles of the exponential distribution, phases go round by the golden
-    ratio.  A number drawn at random and looked up here is five times as fast as a generator, and
-    unlike a sample of the same size this has the moments of the distribution.
+    ratio.  To look up a random number here is five times as fast as a generator.
     """
     size = 65_536
     number = np.arange(size)

@@ -53,8 +53,7 @@ def _with_images(
     The plane mirrors the sonar.  With r the way to a point and r' the way from the mirrored sonar,
     a path that touches the plane once comes in at range (r + r') / 2, one that touches it both ways
     at r' (Urick 1983, ch. 5; Allen & Berkley, J. Acoust. Soc. Am. 65 (1979), 943, for the method).
-    The two once-touching paths, there and back, are equally long and add up in phase: four times
-    the intensity of one.
+    The two once-touching paths are equally long and add up in phase: four times one's intensity.
     """
     from ..imaging import kernels  # loads numba
 
