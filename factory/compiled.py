@@ -28,10 +28,7 @@ FIELD = f"{__package__}.imaging.kernels"
 LOOPS = (*PICTURES, SEABED, FIELD)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-class _Mode:
-    loading = False
+_mode = {"loading": False}
 
 
 def compiled(*signatures: str) -> Callable[[Function], Function]:
@@ -47,7 +44,7 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
 
         made: Any = numba.njit(cache=True, **options)(function)
         for signature in signatures:
-            if _Mode.loading and made._cache.load_overload(signature, made.targetctx) is None:
+            if _mode["loading"] and made._cache.load_overload(signature, made.targetctx) is None:
                 raise ImportError(f"{function.__name__} is not compiled yet")
             made.compile(signature)
         if signatures:
@@ -71,21 +68,18 @@ def compile_needed(*, scenes: str = "", field: bool = False) -> None:
         names.append(FIELD)
     if all(name in sys.modules for name in names):
         return
-    with (
-        _alone(),
-        stage_if_slow("compiling kernels, once per machine, about 20 s", after_s=2.0),
-    ):
+    with _alone(), stage_if_slow("compiling kernels, once per machine, about 20 s", after_s=2.0):
         for name in names:
             importlib.import_module(name)
 
 
 def load_compiled() -> None:
     """Load what has a compiled form on disk, for processes that are forked from this one."""
-    _Mode.loading = True
+    _mode["loading"] = True
     for name in LOOPS:
         with suppress(ImportError):
             importlib.import_module(name)
-    _Mode.loading = False
+    _mode["loading"] = False
 
 
 @contextmanager

@@ -8,6 +8,7 @@ Imported where it is used: see `simnfnd.factory.compiled`.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -19,19 +20,16 @@ _ONE, _ZERO, _TINY = _F(1), _F(0), _F(1e-30)
 _PI, _HALF_PI = _F(np.pi), _F(np.pi / 2)
 _A2, _A4, _A6, _A8 = _F(-0.3333314528), _F(0.1999355085), _F(-0.1420889944), _F(0.1065626393)
 _A10, _A12, _A14, _A16 = _F(-0.07528964), _F(0.0429096138), _F(-0.0161657367), _F(0.0028662257)
-_C2, _C4, _C6 = _F(-1 / 2), _F(1 / 24), _F(-1 / 720)
-_C8, _C10, _C12 = _F(1 / 40320), _F(-1 / 3628800), _F(1 / 479001600)
-
+_C = tuple(_F((-1) ** k / math.factorial(2 * k)) for k in range(7))
 _L3, _L5, _L7, _L9 = _F(1 / 3), _F(1 / 5), _F(1 / 7), _F(1 / 9)
 _LN2, _ROOT2 = _F(np.log(2)), _F(np.sqrt(2))
 
-_TURN = 2 * np.pi
-_S1, _S3, _S5 = (_F(v) for v in (_TURN, -(_TURN**3) / 6, _TURN**5 / 120))
-_S7, _S9 = _F(-(_TURN**7) / 5040), _F(_TURN**9 / 362880)
-_S11 = _F(-(_TURN**11) / 39916800)
+_S = tuple(
+    _F((-1) ** k * (2 * np.pi) ** j / math.factorial(j)) for k, j in enumerate(range(1, 12, 2))
+)
 _HALF, _ROUND = _F(0.5), _F(12582912)  # added and taken off again, it rounds to whole numbers
 _LOG2E = _F(1 / np.log(2))
-_E = tuple(_F(np.log(2) ** k / f) for k, f in enumerate((1, 1, 2, 6, 24, 120, 720)))
+_E = tuple(_F(np.log(2) ** k / math.factorial(k)) for k in range(7))
 
 FLOATS = "Array(float32, 1, 'C', readonly=True)"
 _OUT = "float32[::1]"
@@ -56,7 +54,7 @@ def atan2(y: Any, x: Any) -> Any:
 def cos(angle: Any) -> Any:
     """Cosine of an angle within a quarter turn, float32."""
     u = angle * angle
-    return _ONE + u * (_C2 + u * (_C4 + u * (_C6 + u * (_C8 + u * (_C10 + u * _C12)))))
+    return _ONE + u * (_C[1] + u * (_C[2] + u * (_C[3] + u * (_C[4] + u * (_C[5] + u * _C[6])))))
 
 
 @compiled()
@@ -67,7 +65,7 @@ def sine_of_turns(turns: Any) -> Any:
     size = min(size, _HALF - size)
     t = size if part >= _F(0) else -size
     u = t * t
-    return t * (_S1 + u * (_S3 + u * (_S5 + u * (_S7 + u * (_S9 + u * _S11)))))
+    return t * (_S[0] + u * (_S[1] + u * (_S[2] + u * (_S[3] + u * (_S[4] + u * _S[5])))))
 
 
 @compiled()

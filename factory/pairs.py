@@ -20,9 +20,10 @@ from .compiled import compile_needed
 from .dataset.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
-from .imaging import coherent, pointwise
 from .imaging import layers as truth
+from .imaging.coherent import FieldScene
 from .imaging.contract import Floats
+from .imaging.pointwise import PointScene
 from .noise.draws import StreamNames, draw
 from .sample_table import Camera, columns, image_axes, record, requested, requested_row
 from .selection import choose_frames
@@ -53,7 +54,7 @@ class ObservedFrame:
     ref: FrameRef
     has_pose: bool
     window: Window
-    scene: pointwise.PointScene | coherent.FieldScene
+    scene: PointScene | FieldScene
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float | str]
@@ -114,7 +115,6 @@ def observe(
     """A rendered frame as the sonar observes it.
 
     window: that of `fitted_window`, where it is known already.
-
     Raises FrameError when the sonar's sector holds no insonified surface.
     """
     sonar, cones = config.sonar, config.acoustics.formation == "field"
@@ -122,9 +122,9 @@ def observe(
     window = conical(window, sonar) if cones else window
     lit = surface.LitSurface(frame, rendered, window, sonar, cones)
     scene = (
-        coherent.observe(lit, config.water, config.acoustics)
+        FieldScene(lit, config.water, config.acoustics)
         if cones
-        else pointwise.observe(lit, config.seed, config.resample)
+        else PointScene(lit, config.seed, config.resample)
     )
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
     layers = {

@@ -82,7 +82,7 @@ def scene_of(made: ObservedFrame) -> FieldScene:
 
 def ping_of(made: ObservedFrame) -> Ping:
     """Its ping."""
-    return scene_of(made).ping
+    return scene_of(made)
 
 
 def slope(pose_m: tuple[float, float, float], name: str = "0") -> tuple[Frame, Rendered]:

@@ -17,38 +17,30 @@ import numpy.typing as npt
 
 from ..errors import FrameError
 from ..sonar import polar, transfer
-from ..sonar.array import WaterSettings
-from ..sonar.surface import LitSurface
 from .contract import EffectCloud, Floats, Layers, Sample, effect_clouds
 from .effect import DrawnEffect
 from .expected import Expected, display, expected
-from .settings import AcousticsSettings
 from .signal import Ping, Signal, averaged, beamform, beamform_power, sounds
 
 
-@dataclass(frozen=True, eq=False)
-class FieldScene:
+class FieldScene(Ping):
     """A frame as the device receives it: what all its samples share; no randomness."""
-
-    ping: Ping
 
     @property
     def filled(self) -> npt.NDArray[np.bool_]:
         """(range_bins, beams) bool: bins in which insonified surface lies."""
-        rows, beams = self.ping.shape
-        samples = self.ping.surface.sonar.samples_per_bin
-        by_bin = self.ping.scatterers.in_beam.reshape(rows // samples, samples, beams)
+        (rows, beams), samples = self.shape, self.surface.sonar.samples_per_bin
+        by_bin = self.scatterers.in_beam.reshape(rows // samples, samples, beams)
         return np.asarray(by_bin.any(axis=1))
 
     def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> FieldSample:
         """One sample; equal calls, equal bytes."""
-        ping, surface = self.ping, self.ping.surface
         on_points = [effect for effect in effects if effect.stage == "points"]
         clouds: tuple[EffectCloud, ...] = ()
         if on_points:
-            clouds = effect_clouds(on_points, surface.insonified.echoes, surface.window)
-        many = len(ping.scatterers.bins)
-        return FieldSample(effects, clouds, 1.0, many, ping.full_scale, self)
+            clouds = effect_clouds(on_points, self.surface.insonified.echoes, self.window)
+        many = len(self.scatterers.bins)
+        return FieldSample(effects, clouds, 1.0, many, self.full_scale, self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +52,7 @@ class FieldSample(Sample):
     @property
     def clean(self) -> Floats:
         """See `Sample`."""
-        ping, acoustics = self.scene.ping, self.scene.ping.acoustics
+        ping, acoustics = self.scene, self.scene.acoustics
         effects = self.effects
         if acoustics.target == "restored":
             effects = [effect for effect in effects if effect.effect.systematic is None]
@@ -68,7 +60,7 @@ class FieldSample(Sample):
 
     def noisy(self, effects: Collection[str]) -> Floats:
         """See `Sample`."""
-        ping = self.scene.ping
+        ping = self.scene
         level = received(ping, [effect for effect in self.effects if effect.name in effects])
         level = ping.averaged(level)
         # The strengths of the points are fractions of full scale.
@@ -87,7 +79,7 @@ class FieldSample(Sample):
         made: dict[str, Layers] = {}
         if not {"intensity_db", "field"}.intersection(layers):
             return made
-        ping = self.scene.ping
+        ping = self.scene
         field = received_field(ping, [one for one in self.effects if one.name in effects])
         source = 10 ** (ping.sonar.array.source_level_db / 20)
         field *= np.float32(source) / np.sqrt(ping.gain)[:, None]
@@ -113,13 +105,13 @@ class FieldSample(Sample):
         kept = {e.name for e in self.effects if e.effect.artefact not in artefacts}
         # Speckle is not switched off but averaged: its mean lifts and lowers a display of levels.
         acting = [e for e in self.effects if e.name in kept or e.effect.artefact == "speckle"]
-        ping = self.scene.ping
+        ping = self.scene
         state = expected(ping, acting, realised=True, standing=ping.acoustics.standing)
         return self._displayed(state, kept)
 
     def _displayed(self, state: Expected, effects: Collection[str]) -> Floats:
         """The expected picture of intensities at the raw samples, and the clouds' echoes."""
-        ping = self.scene.ping
+        ping = self.scene
         state = state.averaged(ping.kernel, ping.surface.sonar.samples_per_bin)
         for extra in self._added(effects):
             state.steady += np.float32(ping.full_scale) * extra**2
@@ -128,7 +120,7 @@ class FieldSample(Sample):
 
     def _added(self, effects: Collection[str]) -> list[Floats]:
         """(range_bins, beams) echo level of the cloud of each of the named effects."""
-        surface = self.scene.ping.surface
+        surface = self.scene.surface
         return [
             polar.accumulate(cloud.echoes, surface.window, surface.sonar)
             for cloud in self.clouds
@@ -136,17 +128,10 @@ class FieldSample(Sample):
         ]
 
 
-def observe(surface: LitSurface, water: WaterSettings, acoustics: AcousticsSettings) -> FieldScene:
-    """The frame as its sonar receives it; `filled` raises FrameError when nothing echoes."""
-    return FieldScene(Ping(surface, water, acoustics))
-
-
 def received(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
     """(range_bins, beams) float32 amplitude after time-varying gain, with the drawn effects."""
     field = received_field(ping, effects)
-    intensity = np.zeros(ping.shape, np.float32)
-    for real, imaginary in field:
-        intensity += real * real + imaginary * imaginary
+    intensity = (field**2).sum(axis=1).sum(axis=0)
     return np.asarray(np.sqrt(intensity / np.float32(len(field))))
 
 

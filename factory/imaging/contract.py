@@ -35,10 +35,8 @@ class Sample(ABC):
     """One sample of a scene.
 
     Pictures are (range_bins, beams) float32 grey values, 0 to 1, and 0 in beams without data.
-
     effects: those drawn for it.  clouds: of each of stage points.
-    rate: fraction of the scene's points that resampling has kept.  points: number of scene points
-        in the pictures.
+    rate: fraction of the scene's points that are kept.  points: number of those in the pictures.
     full_scale: echo intensity, after time-varying gain, that is shown as grey value 1.
     """
 

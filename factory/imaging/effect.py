@@ -41,25 +41,21 @@ class EffectSettings:
     enabled: bool = True
 
 
-def parameter(default: float | dict[str, list[float]], unit: str) -> Any:
-    """A field of an effect's settings that may be a distribution; its draws are recorded.
+def parameter(default: float | str | dict[str, list[float]], unit: str = "1") -> Any:
+    """A field of an effect's settings; its draws are recorded.
 
-    unit: of the record's column; "1" for none.
+    default: a number, a distribution, or one of several words.  unit: of the record's column.
     """
-    return field(default=parse(default), metadata={"unit": unit, "type": float})
-
-
-def option(default: str) -> Any:
-    """A field of an effect's settings that is one of several words."""
-    return field(default=default, metadata={"unit": "1", "type": str})
+    is_word = isinstance(default, str)
+    metadata = {"unit": unit, "type": str if is_word else float}
+    return field(default=default if is_word else parse(default), metadata=metadata)
 
 
 @dataclass(frozen=True)
 class Effect:
     """An effect of noise.
 
-    settings: its block of the configuration; every field but `enabled` is made by `parameter` or
-        `option`.
+    settings: its block of the configuration; every field but `enabled` is made by `parameter`.
     function: pure, `(subject, context, rng, **parameters) -> subject`.  Stage points: subject and
         result are Echoes, the context is the Window.  Stage echo: a Signal and the Ping; stages
         beam and picture: the complex field and the Ping.  These may change the field in place.
@@ -88,7 +84,7 @@ class Effect:
 
     @cached_property
     def parameters(self) -> tuple[Field[Any], ...]:
-        """The fields that `parameter` and `option` made, in the order of the settings."""
+        """The fields that `parameter` made, in the order of the settings."""
         return tuple(item for item in fields(self.settings) if item.metadata)
 
 

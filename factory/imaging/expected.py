@@ -71,11 +71,8 @@ class Expected:
 def looks(kernel: Floats, samples: int) -> float:
     """Independent looks that the average of neighbouring samples is worth.
 
-    A receiver samples faster than its picture shows, and averages intensities.  k samples whose
-    fields have the correlations rho are worth k^2 / sum |rho|^2 looks (Goodman, Speckle Phenomena
-    in Optics, ch. 4).
-
-    kernel: range response in raw samples, as `simnfnd.factory.sonar.array.range_kernel` gives it.
+    k samples whose fields have the correlations rho are worth k^2 / sum |rho|^2 looks (Goodman,
+    Speckle Phenomena in Optics, ch. 4).  kernel: `sonar.array.range_kernel` in raw samples.
     """
     full = np.correlate(kernel.astype(np.float64), kernel.astype(np.float64), "full")
     alike = (full / full.max()) ** 2

@@ -1,7 +1,6 @@
 """Compiled loops of the complex field; see `simnfnd.factory.compiled`.
 
-Here are the steps that NumPy would take several times as long for, or add up in an order that
-depends on the processor.  All others are in NumPy, where they are used.
+The steps that NumPy would take several times as long for, or add up in an order of its own.
 """
 
 from __future__ import annotations

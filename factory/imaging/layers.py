@@ -45,10 +45,9 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
         shown = np.where(strongest >= 0, values[strongest], values.dtype.type(nothing))
         return shown.reshape(shape)
 
-    if "range" in requested:
-        made["range"] = told(echoes.range_m, np.nan)
-    if "elevation" in requested:
-        made["elevation"] = told(echoes.elevation_rad, np.nan)
+    for name, values in (("range", echoes.range_m), ("elevation", echoes.elevation_rad)):
+        if name in requested:
+            made[name] = told(values, np.nan)
     for name, take in (("elevation_min", np.fmin), ("elevation_max", np.fmax)):
         if name in requested:
             limit = np.full(strongest.size, np.nan, np.float32)

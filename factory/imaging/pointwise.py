@@ -23,17 +23,21 @@ from .settings import ResampleSettings
 
 @dataclass(frozen=True, eq=False)
 class PointScene:
-    """A frame as echoes at full density: what all its samples share; no randomness.
-
-    seed: of the random streams.  echoes: every insonified surface point in the window, strengths
-    after time-varying gain.  filled: (range_bins, beams) bool, bins that hold one.
-    """
+    """A frame as echoes at full density, and the seed of the random streams of its samples."""
 
     surface: LitSurface
     seed: int
     resample: ResampleSettings
-    echoes: Echoes
-    filled: npt.NDArray[np.bool_]
+
+    @property
+    def echoes(self) -> Echoes:
+        """Every insonified surface point in the window, strengths after time-varying gain."""
+        return self.surface.insonified.echoes
+
+    @property
+    def filled(self) -> npt.NDArray[np.bool_]:
+        """(range_bins, beams) bool: bins in which insonified surface lies."""
+        return self.surface.insonified.hit
 
     def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> PointSample:
         """One sample; equal calls, equal bytes."""
@@ -76,12 +80,6 @@ class PointSample(Sample):
         chosen = [cloud for cloud in self.clouds if cloud.name in effects]
         level = self.scene.level(noisy_cloud(self.kept, chosen, self.full_scale))
         return transfer.grey(level, self.full_scale, self.scene.surface.sonar.transfer, "intensity")
-
-
-def observe(surface: LitSurface, seed: int, resample: ResampleSettings) -> PointScene:
-    """The frame as its sonar observes it; raises FrameError when no surface lies in its sector."""
-    echoes, _, hit = surface.insonified
-    return PointScene(surface, seed, resample, echoes, hit)
 
 
 def noisy_cloud(scene: Echoes, clouds: Iterable[EffectCloud], full_scale: float) -> list[Echoes]:

@@ -65,10 +65,7 @@ class AcousticsSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class ResampleSettings:
-    """Keys of the `resample` group.
-
-    kind: how points are chosen.  rate: fraction of the points kept, in (0, 1].
-    """
+    """Keys of `resample`: how points are chosen; rate: fraction of them that is kept, in (0, 1]."""
 
     kind: Literal["random"] = "random"
     rate: PositiveFraction = parse({"uniform": [0.35, 0.9]}, 1e-6, 1.0)

@@ -33,7 +33,6 @@ class Signal:
     """Echoes before they are a picture.  Their intensity is power + |field|^2.
 
     Intensities are those at the receiver over the source level (1 m from the source).
-
     power: (range_bins, beams) float32, mean intensity of what has no speckle (yet).
     field: (looks, 2, range_bins, beams) float32, real and imaginary part of what has; the looks
         are averaged at the end.
@@ -97,11 +96,6 @@ class Ping:
         """One way."""
         return self.water.absorption_db_per_m(self.sonar.frequency_khz)
 
-    @property
-    def mixing(self) -> Floats:
-        """See `simnfnd.factory.sonar.array.beam_mixing`."""
-        return mixing(self.sonar)
-
     @cached_property
     def kernel(self) -> Floats:
         """See `simnfnd.factory.sonar.array.range_kernel`."""
@@ -111,10 +105,9 @@ class Ping:
     def noise_share(self) -> Floats:
         """(beams,) what noise of intensity 1 in a beam and pulse is in a bin of this field.
 
-        The point-spread leaves the sum of the echoes as it is, so an echo that is the same
-        everywhere is as strong as what a bin holds of it.  A device receives of it what its pulse
-        and its beam hold.  Dividing the noise by their ratio keeps the signal to noise, whatever
-        the sampling.
+        The point-spread leaves the sum of the echoes as it is: an echo that is the same everywhere
+        is as strong as what a bin holds of it, and a device receives what its pulse and its beam
+        hold.  Dividing the noise by their ratio keeps the signal to noise, whatever the sampling.
         """
         pulse_m = array.pulse_length_m(self.sonar.array, self.water.sound_speed_m_s())
         return self.beam_share * np.float32(self.bin_m / pulse_m)
@@ -238,8 +231,7 @@ def gaussian_table() -> Floats:
     """(65536, 2) float32: the complex circular Gaussian of intensity 1 as equally likely values.
 
     Intensities are the quantiles of the exponential distribution, phases go round by the golden
-    ratio.  A number drawn at random and looked up here is five times as fast as a generator, and
-    unlike a sample of the same size this has the moments of the distribution.
+    ratio.  To look up a random number here is five times as fast as a generator.
     """
     size = 65_536
     number = np.arange(size)

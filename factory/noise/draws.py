@@ -40,10 +40,7 @@ class StreamNames(NamedTuple):
 
 @dataclass(frozen=True)
 class Draws:
-    """All effects of one sample, in the order in which they act.
-
-    settings: what they were drawn from.
-    """
+    """All effects of one sample, in the order in which they act, and what they were drawn from."""
 
     settings: NoiseSettings
     effects: tuple[DrawnEffect, ...]

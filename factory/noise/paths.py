@@ -9,10 +9,10 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from ..distribution import AnyNumber, NonNegative, Positive
-from ..imaging.effect import Effect, EffectSettings, Rng, option, parameter
+from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
 from ..imaging.scatterers import vertical_table
-from ..imaging.signal import Floats, Ping, Signal, sounds
+from ..imaging.signal import Floats, Ping, Signal, mixing, sounds
 from ..settings import STRICT
 
 # Beyond so many widths a spoke is not there.
@@ -53,8 +53,7 @@ def _with_images(
     The plane mirrors the sonar.  With r the way to a point and r' the way from the mirrored sonar,
     a path that touches the plane once comes in at range (r + r') / 2, one that touches it both ways
     at r' (Urick 1983, ch. 5; Allen & Berkley, J. Acoust. Soc. Am. 65 (1979), 943, for the method).
-    The two once-touching paths, there and back, are equally long and add up in phase: four times
-    the intensity of one.
+    The two once-touching paths are equally long and add up in phase: four times one's intensity.
     """
     from ..imaging import kernels  # loads numba
 
@@ -174,7 +173,9 @@ def expect_crosstalk(
     leak, step = np.float32(10 ** (level_db / 20)), max(round(spacing_beams), 1)
     middle, alike = ping.sonar.beams // 2, 0.0
     if middle + step < ping.sonar.beams:
-        one, other = (ping.mixing[:, beam].astype(np.float64) for beam in (middle, middle + step))
+        one, other = (
+            mixing(ping.sonar)[:, beam].astype(np.float64) for beam in (middle, middle + step)
+        )
         alike = float(one @ other / np.sqrt((one @ one) * (other @ other)))
     for plane, correlation in (
         (state.echo, alike),
@@ -207,7 +208,7 @@ class SpokesSettings(EffectSettings):
     count: NonNegative = parameter(1, "1")
     level_db: AnyNumber = parameter(-25, "dB")
     width_beams: NonNegative = parameter(0.7, "1")
-    spacing: Literal["random", "regular"] = option("random")
+    spacing: Literal["random", "regular"] = parameter("random")
 
 
 def spokes(field: Floats, ping: Ping, rng: Rng, **parameters: Any) -> Floats:

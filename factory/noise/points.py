@@ -9,7 +9,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from ..distribution import Fraction, NonNegative
-from ..imaging.effect import Effect, EffectSettings, Rng, option, parameter
+from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..settings import STRICT
 from ..sonar import polar
 from ..sonar.polar import Echoes, from_xyz, in_plane
@@ -28,7 +28,7 @@ class RangeSpreadingSettings(EffectSettings):
     alpha: standard deviation of the spreading as a fraction of the range.
     """
 
-    mode: Literal["paper", "radial", "exponential"] = option("radial")
+    mode: Literal["paper", "radial", "exponential"] = parameter("radial")
     alpha: NonNegative = parameter({"uniform": [0.004, 0.040]}, "1")
 
 

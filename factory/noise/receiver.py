@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from ..distribution import AnyNumber, NonNegative, Positive
-from ..imaging.effect import Effect, EffectSettings, Rng, Scope, option, parameter
+from ..imaging.effect import Effect, EffectSettings, Rng, Scope, parameter
 from ..imaging.expected import Expected
 from ..imaging.signal import Floats, Ping, add_white_noise, beamform, white_noise
 from ..settings import STRICT
@@ -31,15 +31,14 @@ class ReceiverSettings(EffectSettings):
     """
 
     level_db: AnyNumber = parameter(10, "dB")
-    grain: Literal["sample", "beam"] = option("sample")
+    grain: Literal["sample", "beam"] = parameter("sample")
 
 
 def receiver(field: Floats, ping: Ping, rng: Rng, *, level_db: float, grain: str) -> Floats:
     """The sea's thermal noise (Mellen 1952) and what the electronics add.
 
-    Complex Gaussian, so Rayleigh in amplitude, and equally strong at all ranges; time-varying gain,
-    which comes after, makes it grow with range.  How far echoes stand above it does not depend on
-    how finely the device samples range and bearing (`Ping.noise_share`).
+    Complex Gaussian, so Rayleigh in amplitude, and equally strong at all ranges before time-varying
+    gain.  How far echoes stand above it does not depend on the sampling (`Ping.noise_share`).
     """
     across = np.sqrt(_floor(ping, level_db)).astype(np.float32)
     if grain == "beam":
@@ -248,13 +247,10 @@ class SaturationSettings(EffectSettings):
 def saturation(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Floats:
     """No amplitude above the receiver's largest number, which it has before any gain."""
     limit = _limit(ping, level_db)
-    for real, imaginary in field:
-        intensity = real * real + imaginary * imaginary
-        factor = np.ones_like(intensity)
-        np.divide(limit, intensity, out=factor, where=intensity > limit)
-        np.sqrt(factor, out=factor)
-        real *= factor
-        imaginary *= factor
+    intensity = (field**2).sum(axis=1)
+    factor = np.ones_like(intensity)
+    np.divide(limit, intensity, out=factor, where=intensity > limit)
+    field *= np.sqrt(factor)[:, None]
     return field
 
 

@@ -61,15 +61,9 @@ class NoiseSettings:
         return {name: block for name, block in serialise(self).items() if block is not None}
 
 
-def _registered() -> dict[str, Effect]:
-    """The effects that the annotations of `NoiseSettings` name, by the names of their blocks."""
-    hints = get_type_hints(NoiseSettings, include_extras=True)
-    return {name: hint.__metadata__[0] for name, hint in hints.items()}
-
-
-EFFECTS = _registered()
-POINT_EFFECTS = tuple(name for name, effect in EFFECTS.items() if effect.stage == "points")
-FIELD_EFFECTS = tuple(name for name in EFFECTS if name not in POINT_EFFECTS)
+_HINTS = get_type_hints(NoiseSettings, include_extras=True)
+EFFECTS: dict[str, Effect] = {name: hint.__metadata__[0] for name, hint in _HINTS.items()}
+"""Those that the annotations of `NoiseSettings` name, by the names of their blocks."""
 
 
 def blocks(settings: NoiseSettings) -> dict[str, EffectSettings]:

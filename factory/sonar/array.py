@@ -3,9 +3,6 @@
 A tapered aperture and a tapered spectrum have the same response, the Fourier transform of the
 taper.  Its argument is 1 at the first null of the untapered one: (L / lambda) sin(theta) for an
 array of length L, range / (c / 2B) for an unshaded pulse of bandwidth B.
-
-`equivalent_width` of a taper is the integral of its squared response: what it receives of echoes
-that are the same everywhere, over its peak.
 """
 
 from __future__ import annotations
@@ -24,7 +21,6 @@ from pydantic.dataclasses import dataclass
 from ..settings import STRICT
 
 Floats = npt.NDArray[np.float64]
-WindowName = Literal["uniform", "hann", "hamming", "taylor", "chebyshev"]
 
 # Fewest elements of an array.  N of them repeat their response N nulls away (grating lobes), so
 # there are more where a sector reaches further than half of that.
@@ -42,7 +38,7 @@ class Taper:
     sidelobe_db: how far below the main lobe the sidelobes of taylor and chebyshev lie, dB.
     """
 
-    window: WindowName = "hamming"
+    window: Literal["uniform", "hann", "hamming", "taylor", "chebyshev"] = "hamming"
     sidelobe_db: Annotated[float, Field(ge=15, le=100)] = 35.0
 
 
@@ -112,11 +108,7 @@ def _elements(furthest: float) -> int:
 
 
 def _response_table(count: int, taper: Taper) -> Floats:
-    """(count,) the response at -1, 0, 1 ... steps of 1 / 128.
-
-    Devices that are drawn for every picture differ in how far they look alone, so all whole chunks
-    are kept; the rest is computed as ever, to the same bits.
-    """
+    """(count,) the response at -1, 0, 1 ... steps of 1 / 128; whole chunks serve all devices."""
     steps = np.arange(-1, count - 1) / _STEPS
     whole = count // _CHUNK * _CHUNK
     kept = _whole_chunks(taper, _elements(steps[-1]))
@@ -194,10 +186,7 @@ def pulse_length_m(array: ArraySettings, speed_m_s: float) -> float:
 
 
 def _pulse_scale_m(array: ArraySettings, speed_m_s: float) -> float:
-    """Range at which the argument of the pulse's response is 1, metres.
-
-    At this scale the -3 dB width is that of an unshaded pulse of the same bandwidth.
-    """
+    """Range at which the argument of the response is 1, metres: -3 dB as of an unshaded pulse."""
     wider = half_power(Taper(window="uniform")) / half_power(array.pulse)
     return range_resolution_m(array, speed_m_s) * wider
 

@@ -40,12 +40,10 @@ class FanGeometry:
     range_min_m, range_max_m: the range window in metres, None where it is unknown.
     fan: apex_x_px, apex_y_px, the centre of the arcs, in pixels from the centre of the top left
         pixel; far_px, the radius of range_max along y; x_scale, pixels along x for the distance of
-        one along y (0.8 where the picture is squeezed to 0.8 of its width).  quarter_turns, 0 to 3,
-        counter-clockwise (`numpy.rot90`), bring far range to the top; the apex is that of the
-        picture as it is, x and y of far_px and x_scale are those of the turned one.
+        one along y.  quarter_turns, 0 to 3, counter-clockwise (`numpy.rot90`), bring far range to
+        the top; the apex is that of the picture as it is, far_px and x_scale of the turned one.
     polar: range_bins, the number of rows; beam_azimuths_rad, the bearing of each column in
-        ascending order, evenly spaced or not.  Both are empty where the size is not known yet
-        (`with_size` fills them in).
+        ascending order, evenly spaced or not.  Both are empty until `with_size`.
     """
 
     layout: Literal["fan", "polar"]
@@ -108,10 +106,7 @@ class FanGeometry:
 
     @classmethod
     def polar(cls, sector_rad: float = math.radians(_UNKNOWN_SECTOR_DEG)) -> FanGeometry:
-        """A polar picture from range 0 on, whose rows and columns divide it evenly.
-
-        `with_size` says how many rows and columns there are.
-        """
+        """A polar picture from range 0 on, divided evenly; `with_size` says by how many samples."""
         return cls("polar", 0.0, sector_rad, -sector_rad / 2, sector_rad / 2)
 
     def with_size(self, rows: int, columns: int) -> FanGeometry:

@@ -155,11 +155,10 @@ def fitted(config: FactoryConfig, device: Device, scene: PointScene | FieldScene
     receiver = config.noise.receiver
     if isinstance(scene, PointScene) or receiver is None or not receiver.enabled:
         return config
-    ping = scene.ping
-    echoes = ping.expected[ping.expected > 0]
+    echoes = scene.expected[scene.expected > 0]
     level_db = device.values["receiver_db"]
     if len(echoes):
-        level_db += 10 * float(np.log10(np.median(echoes) / ping.thermal_noise))
+        level_db += 10 * float(np.log10(np.median(echoes) / scene.thermal_noise))
     block = replace(receiver, level_db=number(level_db))
     return replace(config, noise=replace(config.noise, receiver=block))
 
@@ -176,28 +175,20 @@ def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
 
 def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
     drawn = device.values
-    made: dict[str, Any]
     if device.formation == "points" and not drawn["points_log_share"]:
-        made = {"kind": "linear", "percentile": 90.0, "reference": 1.0}
-    elif device.formation == "points":
+        return replace(transfer, kind="linear", percentile=90.0, reference=1.0)
+    range_db = drawn["dynamic_range_db"]
+    if device.formation == "points":
+        transfer = replace(transfer, kind="log", percentile=90.0, reference=0.9)
         # Decibels of an energy: half as many as of an amplitude.
-        range_db = drawn["dynamic_range_db"] / 2
-        made = {
-            "kind": "log", "percentile": 90.0, "reference": 0.9, "dynamic_range_db": range_db
-        }  # fmt: skip
-    elif drawn["log_share"]:
+        return replace(transfer, dynamic_range_db=range_db / 2)
+    if drawn["log_share"]:
         soft, reference = bool(drawn["soft_share"]), drawn["log_reference"]
-        made = {
-            "kind": "soft_log" if soft else "log", "percentile": 50.0, "reference": reference,
-            "dynamic_range_db": drawn["dynamic_range_db"],
-            "black": min(drawn["black"], _DARKEST * reference) if soft else 0.0,
-        }  # fmt: skip
-    else:
-        reference, exponent = drawn["power_reference"], drawn["exponent"]
-        made = {
-            "kind": "power", "percentile": 95.0, "reference": reference, "exponent": exponent
-        }  # fmt: skip
-    return replace(transfer, **made)
+        black = min(drawn["black"], _DARKEST * reference) if soft else 0.0
+        transfer = replace(transfer, kind="soft_log" if soft else "log", black=black)
+        return replace(transfer, percentile=50.0, reference=reference, dynamic_range_db=range_db)
+    transfer = replace(transfer, kind="power", exponent=drawn["exponent"])
+    return replace(transfer, percentile=95.0, reference=drawn["power_reference"])
 
 
 def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:

@@ -6,14 +6,7 @@ from dataclasses import fields
 
 from pydantic.dataclasses import dataclass
 
-from ..distribution import (
-    AnyNumber,
-    Distribution,
-    Fraction,
-    NonNegative,
-    Positive,
-    PositiveFraction,
-)
+from ..distribution import AnyNumber, Fraction, NonNegative, Positive, PositiveFraction
 from ..settings import STRICT
 
 
@@ -89,6 +82,6 @@ class DeviceSettings:
     polar_share: Fraction
 
 
-def distributions(settings: DeviceSettings) -> dict[str, Distribution]:
+def distributions(settings: DeviceSettings) -> dict[str, AnyNumber]:
     """Key -> what its value is drawn from, in order."""
     return {item.name: getattr(settings, item.name) for item in fields(settings)}

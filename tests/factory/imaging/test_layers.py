@@ -20,7 +20,6 @@ from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.noise.registry import POINT_EFFECTS
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.view import view_of
@@ -101,7 +100,7 @@ def test_samples_of_a_scene_repeat(formation: str) -> None:
     first, again = (observed.scene.sample(0, draws.effects) for _ in range(2))
     bins = (settings.sonar.range_bins, settings.sonar.beams)
     assert first.clean.shape == observed.scene.filled.shape == bins
-    assert set(first.added) == set(draws.names) & set(POINT_EFFECTS)
+    assert set(first.added) == set(draws.names) & set(POINTS_OFF)
     assert first.points > 0
     assert 0 < first.rate <= 1
     noisy = first.noisy(draws.names)

@@ -19,7 +19,7 @@ from simnfnd.factory.frame import Frame
 from simnfnd.factory.imaging.coherent import received
 from simnfnd.factory.imaging.effect import DrawnEffect
 from simnfnd.factory.imaging.scatterers import scatterers
-from simnfnd.factory.imaging.signal import Ping, Signal, beamform, beamform_power
+from simnfnd.factory.imaging.signal import Ping, Signal, beamform, beamform_power, mixing
 from simnfnd.factory.noise.receiver import receiver
 from simnfnd.factory.noise.speckle import SPECKLE, volume
 from simnfnd.factory.pairs import make_pair, observe
@@ -118,15 +118,15 @@ def test_fast_beams_are_the_matrix_product(words):
     field = np.random.default_rng(3).standard_normal((1, 2, *made.shape)).astype(np.float32)
     power = np.zeros(made.shape, np.float32)
     power[:, -1] = 1  # on one side alone
-    mixing = made.mixing.astype(np.float64)
+    matrix = mixing(made.sonar).astype(np.float64)
     along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), made.kernel, "same")
-    expected = along @ mixing
+    expected = along @ matrix
     error = np.abs(beamform(field, made) - expected) / np.abs(expected).max(axis=-1, keepdims=True)
     assert error.max() < 2e-5
     along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), made.kernel**2, "same")
     blurred = beamform_power(power, made)
     assert blurred.min() >= 0
-    np.testing.assert_allclose(blurred, along @ mixing**2, atol=2e-5)
+    np.testing.assert_allclose(blurred, along @ matrix**2, atol=2e-5)
 
 
 def _powers(depths_m: np.ndarray, plate_m: float, frequency_khz: float) -> np.ndarray:

@@ -19,6 +19,7 @@ from simnfnd.factory.imaging.signal import (
     beamform,
     beamform_power,
     gaussian_table,
+    mixing,
     white_noise,
 )
 from simnfnd.factory.noise.speckle import PATH_SPECKLE, edge_m, gamma_of_normal
@@ -186,8 +187,8 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
     )  # fmt: skip
     found = [grey_of(settings, variant) for variant in range(4)]
     scene = scene_of(observed(settings))
-    assert scene.ping.shape == (96 * samples, 128)
-    looks = expected.looks(scene.ping.kernel, samples)
+    assert scene.shape == (96 * samples, 128)
+    looks = expected.looks(scene.kernel, samples)
     assert 1 < looks < samples
     noisy = np.stack([one for one, _ in found])[(slice(None), *WIDE_EDGE)]
     assert noisy.shape[1:] == (72, 88)
@@ -240,7 +241,7 @@ def test_movement_across_takes_it_as_the_aperture_says(at_rest, beams):
     sine = np.sin(ping.sonar.beam_centres_rad())
     # The beam's middle comes nearer as a whole; what is left over is lost.
     tilt = np.exp(-2j * waves * moved_m * sine)
-    weights = ping.mixing[64].astype(np.float64) ** 2
+    weights = mixing(ping.sonar)[64].astype(np.float64) ** 2
     expected = abs((weights * np.exp(2j * waves * moved_m * sine)).sum())
     found = []
     for sign in (1, -1):

@@ -7,12 +7,13 @@ from scipy import stats
 from simnfnd.factory.imaging.contract import effect_clouds
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.points import azimuth, background, multipath, range_arc, range_spreading
-from simnfnd.factory.noise.registry import EFFECTS, POINT_EFFECTS, NoiseSettings
+from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar.polar import Echoes, in_plane
 from tests.clouds import HALF_RAD, camera_scene, uniform_scene, window
 
 RNG = np.random.default_rng
+POINT_EFFECTS = [name for name, effect in EFFECTS.items() if effect.stage == "points"]
 
 
 def drawn(settings: NoiseSettings, seed: int, *names: str | int):

@@ -29,11 +29,12 @@ from simnfnd.factory.noise.receiver import (
     ring_down,
     saturation,
 )
-from simnfnd.factory.noise.registry import EFFECTS, FIELD_EFFECTS, NoiseSettings, blocks
+from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.noise.speckle import scintillation
 from simnfnd.factory.pairs import ObservedFrame, make_pair
 from tests.constant_field import config, observed, ping_of
 
+FIELD_EFFECTS = [name for name, effect in EFFECTS.items() if effect.stage != "points"]
 EVERY: dict[str, dict[str, Any]] = {name: {} for name in FIELD_EFFECTS}
 
 

@@ -293,7 +293,7 @@ def test_target_strengths_are_those_of_theory(tmp_path: Path, shape: str, expone
     scene: Any = observe(frame, rendered, config).scene
     seen_m = float(np.median(frame.depth_m[frame.valid]))
     loss_db = 2 * config.water.absorption_db_per_m(config.sonar.frequency_khz) * seen_m
-    level_db = 10 * np.log10(scene.ping.scatterers.power.sum()) + loss_db
+    level_db = 10 * np.log10(scene.scatterers.power.sum()) + loss_db
     assert level_db == pytest.approx(theory_db, abs=0.5)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.dataset.pair_dataset import in_unit_range
-from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
+from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.models.data.crops import Crops, Visit, whole_image
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
@@ -27,6 +27,8 @@ from tests.models.data.small_renders import (
     rendered_dataset,
     renders,
 )
+
+POINT_EFFECTS = [name for name, effect in EFFECTS.items() if effect.stage == "points"]
 
 
 @pytest.fixture(scope="module")
