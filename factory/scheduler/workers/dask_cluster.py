@@ -36,6 +36,11 @@ class _Sent:
     remote: Any
     heard_at: float
 
+    def is_late(self) -> bool:
+        """Whether its worker has been silent for too long; an end that is on its way is none."""
+        silent_s = time.monotonic() - self.heard_at
+        return silent_s > self.task.silence_s and not self.remote.done()
+
 
 class DaskBackend(Backend):
     """A `Backend` over `distributed.Client`."""
@@ -110,7 +115,9 @@ class DaskBackend(Backend):
         heard_at = time.monotonic() + _START_S
         with self._lock:
             self._tasks[name] = _Sent(task, future, remote, heard_at)
-        remote.add_done_callback(lambda _: self._done(name, remote))
+        # Not in the one thread of all callbacks, which a result that is lost would hold up.
+        done = threading.Thread(target=self._done, args=(name, remote), daemon=True)
+        remote.add_done_callback(lambda _: done.start())
         return future
 
     def _heard(self, event: tuple[float, Any]) -> None:
@@ -146,11 +153,9 @@ class DaskBackend(Backend):
         """Ends tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         while not self._stopped.wait(_LOOK_S):
             self._count()
-            now = time.monotonic()
             with self._lock:
-                sent = self._tasks.items()
-                late = [k for k, one in sent if now > one.heard_at + one.task.silence_s]
-                self._late = [self._tasks.pop(name) for name in late]
+                silent = (name for name, one in self._tasks.items() if one.is_late())
+                self._late = [self._tasks.pop(name) for name in tuple(silent)]
             for one in self._late:
                 with suppress(Exception):
                     processing = self._asked("processing", workers=None)

@@ -217,10 +217,7 @@ def _kill(process: psutil.Process | None) -> None:
 
 
 def _work(connection: Connection, environment: dict[str, str]) -> None:
-    """What the process does until its connection is closed.
-
-    environment: of the parent as it is now; a template may have been started with another.
-    """
+    """What the process does until its connection is closed, in the parent's environment of now."""
     os.environ.clear()
     os.environ.update(environment)
     start_worker_process()

@@ -44,10 +44,9 @@ def start(modules: tuple[str, ...]) -> None:
 
 
 def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
-    """A process that runs `target(*arguments)`.
+    """A process that runs `target(*arguments)`: if it `forks`, a fork of the template.
 
-    forks: of the template, if one runs.  Where there is none, or it dies or is killed meanwhile
-    because it stands still, the process is spawned.
+    Where none runs, or it dies or is killed meanwhile because it stands still, it is spawned.
     """
     process: BaseProcess
     if forks and runs():
