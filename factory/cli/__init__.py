@@ -9,6 +9,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..errors import FactoryError
@@ -36,12 +37,23 @@ class _Stopped(BaseException):
     """A point of a sweep was interrupted, and has said so."""
 
 
+_URL = re.compile(r"[a-z][a-z0-9+.-]+://")
+
+
 class Parser(argparse.ArgumentParser):
     """For verbs with options: `simnfnd VERB` as `prog`, and mistakes as one line."""
 
     def error(self, message: str) -> NoReturn:
         """Raise FactoryError, like every other mistake of the user."""
         raise FactoryError(f"{self.prog}: {message} (see `{self.prog} --help`)")
+
+    def _get_value(self, action: argparse.Action, word: str) -> Any:
+        if action.type is Path and _URL.match(word):
+            raise FactoryError(
+                f"{self.prog}: {word}: works on files of this machine; fetch the dataset first, "
+                "for example with `aws s3 sync` or `rclone copy`"
+            )
+        return super()._get_value(action, word)
 
 
 def run_app(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:

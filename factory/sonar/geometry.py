@@ -105,9 +105,18 @@ class FanGeometry:
         return cls("fan", near_px / far_px, sector_rad, -half, half, far_px=far_px, **place)
 
     @classmethod
-    def polar(cls, sector_rad: float = math.radians(_UNKNOWN_SECTOR_DEG)) -> FanGeometry:
-        """A polar picture from range 0 on, divided evenly; `with_size` says by how many samples."""
-        return cls("polar", 0.0, sector_rad, -sector_rad / 2, sector_rad / 2)
+    def polar(
+        cls,
+        sector_rad: float = math.radians(_UNKNOWN_SECTOR_DEG),
+        range_min_m: float | None = None,
+        range_max_m: float | None = None,
+    ) -> FanGeometry:
+        """A polar picture whose rows and columns divide its window and its sector evenly.
+
+        Where the window is unknown it begins at range 0.  `with_size` says how many there are.
+        """
+        half, near = sector_rad / 2, (range_min_m or 0.0) / (range_max_m or 1.0)
+        return cls("polar", near, sector_rad, -half, half, range_min_m, range_max_m)
 
     def with_size(self, rows: int, columns: int) -> FanGeometry:
         """The geometry for a picture of this size; another one only where polar sizes were open."""
