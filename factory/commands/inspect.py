@@ -39,10 +39,10 @@ def check(words: list[str]) -> int:
     for finding in report.findings:
         print(finding)
     what = f"{report.samples} samples in {report.shards} shards"
-    depth = "every picture was read" if given.deep else "pictures were not read (--deep reads them)"
     if report.errors:
         print(f"invalid: {given.dir}: {len(report.errors)} error(s) in {what}")
         return 1
+    depth = "every picture was read" if given.deep else "--deep reads every picture, too"
     print(f"valid: {given.dir}: {what}; {depth}")
     return 0
 

@@ -106,11 +106,6 @@ class Rendered:
     radiance: npt.NDArray[np.float32]
     surface: npt.NDArray[np.bool_]
 
-    @property
-    def insonified(self) -> npt.NDArray[np.bool_]:
-        """(H, W) bool: pixels whose surface the sonar's sound reaches."""
-        return self.radiance > 0
-
 
 class Renderer(Protocol):
     """Renders frames one after another in one process; holds its scene between frames."""
