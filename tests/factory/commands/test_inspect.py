@@ -48,7 +48,8 @@ def test_the_report_says_it_in_words(dataset) -> None:
     assert "CC-BY-4.0" in text
     scene = next(line for line in lines if line.startswith("test ") and "reef" in line)
     assert scene.split() == ["test", "reef", "reef-test", "3"]
-    tables, psnr = [], []
+    tables: list[np.ndarray] = []
+    psnr: list[float] = []
     for path in sorted(dataset.glob("*/*.h5")):
         with h5py.File(path) as file:
             tables.append(file["meta"]["range_max_m", "noise.background.density"])
