@@ -169,7 +169,7 @@ def check_shard(file: h5py.File) -> None:
         text = _text_attribute(file, name)
         if values and text not in values:
             raise FactoryError(
-                f"attribute {name} is {text[:40]!r}, this program reads {' or '.join(values)}; use "
+                f"attribute {name} {text[:40]!r}: this program reads {' or '.join(values)}; use "
                 "a matching release"
             )
     config_of(file)

@@ -109,3 +109,6 @@ def test_verbs_take_it(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     for to, word in (("png", "4 samples"), ("coco", "4 pictures"), ("webdataset", "4 samples")):
         main(["export", str(folder), "--to", to, "--out", str(tmp_path / to)])
         assert word in capsys.readouterr().out.replace("2 train samples and 2 test", "4")
+    words = ["export", str(made / "field"), "--to", "huggingface", "--out", str(tmp_path / "hub")]
+    assert main(words) == 2
+    assert "parquet holds no complex numbers (field)" in capsys.readouterr().err
