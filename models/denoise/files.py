@@ -18,7 +18,7 @@ from ...factory.sonar.geometry import FanGeometry, recorded_sonar
 from ..pretrained import DEFAULT, POINTS
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
-from ..recordings.pictures import ArrayFile, VideoFile, read_picture
+from ..recordings.pictures import ArrayFile, read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .denoiser import Denoiser
 from .inputs import Finished, Geometries, Item
@@ -138,7 +138,7 @@ def _denoise_recording(item: Item, job: Job) -> None:
         frames = _frames(item, recording, job, shown)
         rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
         if item.kind in SEQUENCES:
-            rate_hz = recording.rate_hz if isinstance(recording, VideoFile) else None
+            rate_hz = getattr(recording, "rate_hz", None)  # of videos
             write_frames(path, (picture for _, picture in frames), rate_hz, recording)
         elif rewrite is not None:
             path.parent.mkdir(parents=True, exist_ok=True)

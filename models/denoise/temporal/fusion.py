@@ -55,11 +55,11 @@ class Fusion:
         self._to_median, self._to_frame = _Agreement(_AGREES), _Agreement(_LIKE)
         self.noise = Usual()
 
-    def __call__(self, own: Grey, laid: Sequence[Grey], shown: Sequence[Grey | None]) -> Fused:
+    def __call__(self, own: Grey, laid: Sequence[Grey], shown: Sequence[Grey]) -> Fused:
         """The frame with its neighbours.
 
-        own, laid: (H, W) or (H, W, C) float32 in 0..1.  shown: (H, W), where a neighbour shows what
-        the frame does; None: everywhere.
+        own, laid: (H, W) or (H, W, C) float32 in 0..1.  shown: (H, W), 1 where a neighbour shows
+        what the frame does, else 0.
         """
         grey, others = grey_of(own), [grey_of(other) for other in laid]
         one = np.ones(grey.shape, np.float32)
@@ -70,8 +70,8 @@ class Fusion:
         which = self._seen % len(laid) if now else None
         self._seen += 1
         if which is not None:
-            apart, where = (others[which] - grey) * np.float32(np.sqrt(0.5)), shown[which]
-            self.noise.add(apart, grey if where is None else grey * where)
+            apart = (others[which] - grey) * np.float32(np.sqrt(0.5))
+            self.noise.add(apart, grey * shown[which])
         weights, agrees = self._weights(grey, others, shown, which)
         (height, width), (down, right) = grey.shape, factors(grey.shape)
         size = width // right * right, height // down * down
@@ -82,42 +82,36 @@ class Fusion:
 
         total, count, squares = own.copy(), one.copy(), one.copy()
         for other, mask, weight in zip(laid, shown, weights, strict=True):
-            part = enlarged(weight)
-            if mask is not None:
-                part *= mask
+            part = enlarged(weight) * mask
             total += other * (part if own.ndim == 2 else part[..., None])
             count += part
             squares += part * part
         total = total / (count if own.ndim == 2 else count[..., None])
         return Fused(total, count * count / squares, enlarged(agrees))
 
-    def same(self, fused: Grey, outside: Grey, shown: Grey | None) -> npt.NDArray[np.bool_]:
+    def same(self, fused: Grey, outside: Grey, shown: Grey) -> npt.NDArray[np.bool_]:
         """Where another frame, (H, W), shows what was fused, as far as noise lets it be seen."""
         small = blurred(reduced(fused), _SMALL)
         apart = np.abs(blurred(reduced(outside), _SMALL) - small) / self._to_frame.usual.at(small)
         agrees = (apart < _LIKE) & (small > _DARK)
         size = fused.shape[1], fused.shape[0]
         found = cv2.resize(agrees.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        return np.asarray(found if shown is None else found & (shown > 0))
+        return np.asarray(found & (shown > 0))
 
     def _weights(
-        self, own: Grey, others: Sequence[Grey], shown: Sequence[Grey | None], which: int | None
+        self, own: Grey, others: Sequence[Grey], shown: Sequence[Grey], which: int | None
     ) -> tuple[list[Grey], Grey]:
         """Of the neighbours, and how far the frame itself agrees with the median; all reduced."""
         own = blurred(reduced(own), _SMALL)
-        smalls, seen = list[Grey](), None
-        for number, (other, where) in enumerate(zip(others, shown, strict=True)):
-            small = blurred(reduced(other), _SMALL)
-            if where is not None:
-                mask = cv2.erode((reduced(where) > 0.99).astype(np.float32), np.ones((5, 5))) > 0
-                small = np.where(mask, small, own)
-                seen = mask if number == which else seen
-            smalls.append(small)
+        seen = [cv2.erode((reduced(one) > 0.99).astype(np.uint8), np.ones((5, 5))) for one in shown]
+        smalls = [
+            np.where(mask > 0, blurred(reduced(other), _SMALL), own)
+            for other, mask in zip(others, seen, strict=True)
+        ]
         middle = median([*smalls, own])
-        level = middle if seen is None else np.where(seen, middle, np.float32(0))
-        *agree, agrees = self._to_median(
-            [one - middle for one in (*smalls, own)], middle, which, level
-        )
+        level = middle if which is None else middle * seen[which]
+        apart = [one - middle for one in (*smalls, own)]
+        *agree, agrees = self._to_median(apart, middle, which, level)
         like = self._to_frame([one - own for one in smalls], own, which, level)
         weights = []
         for one, other in zip(agree, like, strict=True):

@@ -170,16 +170,15 @@ class Aligner:
         return starts
 
 
-def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey | None]:
+def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey]:
     """A frame as it looks where the other one was taken, and where it shows that, (H, W) of 0 or 1.
 
-    grey: (H, W) or (H, W, C).  None: everywhere.  Whole pixels are copied, others interpolated
-    (bicubic).
+    grey: (H, W) or (H, W, C).  Whole pixels are copied, others interpolated (bicubic).
     """
     height, width = grey.shape[:2]
     down, right = factors(grey.shape)
     if motion.flow is None and not motion.affine.any():
-        return grey, None
+        return grey, np.ones((height, width), np.float32)
     matrix = _matrix(motion.affine, (height // down, width // right))
     # Between reduced pictures; enlarged to whole ones.
     up = np.diag([right, down, 1.0])

@@ -162,7 +162,7 @@ class InTime:
         geometry = self._place(number) if self._network is not None else None
         return _Ready(fused, self._sigma(fused.picture, fused.frames), geometry)
 
-    def _laid(self, number: int, other: int) -> tuple[Grey, Grey | None] | None:
+    def _laid(self, number: int, other: int) -> tuple[Grey, Grey] | None:
         """Another frame over this one; None where it shows something else."""
         levels = self._held[other].levels if other in self._held else None
         if levels is None or levels.shape != self._held[number].levels.shape:

@@ -92,7 +92,7 @@ def test_frames_are_laid_over_each_other_below_a_pixel(
     found = motion_between(noisy(there, 1), noisy(here, 2))
     assert found is not None
     laid, shown = laid_over(there, found)
-    inside = np.ones(here.shape, bool) if shown is None else shown > 0
+    inside = shown > 0
     inside[:30], inside[-30:], inside[:, :30], inside[:, -30:] = False, False, False, False
     difference = np.abs(laid - here)[inside]
     slope = np.hypot(*np.gradient(here))[inside]
