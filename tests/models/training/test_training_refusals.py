@@ -76,7 +76,7 @@ def test_unusable_datasets_are_refused(tmp_path: Path) -> None:
     other = write_dataset(tmp_path / "other", train=4, test=0)
     with h5py.File(other / "train" / "shard-00000.h5", "r+") as file:
         file.attrs["schema"] = "simnfnd/2"
-    with pytest.raises(FactoryError, match=r"schema is 'simnfnd/2'"):
+    with pytest.raises(FactoryError, match=r"schema 'simnfnd/2'"):
         train_small(other, tmp_path / "out")
 
 
