@@ -193,6 +193,10 @@ def _fit(
         raise FactoryError(
             "the GPU has too little memory; lower data.batch or data.patch"
         ) from error
+    finally:
+        # The traceback of an error would keep the reading processes alive.
+        stop = getattr(learning._iterator, "_shutdown_workers", lambda: None)
+        stop()
     return loop.rows
 
 
