@@ -3,7 +3,6 @@
 Written out, because a loop must run several numbers at a time, and because the bytes of a dataset
 may not depend on the C library: atan of Abramowitz and Stegun (1964) 4.4.49, within 2e-8 before
 rounding; cos by its series up to the twelfth power, within 1e-8.
-Imported where it is used: see `simnfnd.factory.compiled`.
 """
 
 from __future__ import annotations

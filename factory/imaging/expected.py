@@ -140,8 +140,7 @@ def between(table: Floats, place: Floats, first: npt.NDArray[np.intp] | int = 0)
 def _table(settings: TransferSettings) -> tuple[float, Floats]:
     """Lowest level, dB; (variances, levels) expected grey values of gamma-distributed intensities.
 
-    variances: 0 to 1 in equal steps, of the intensity over its mean squared.  A constant in speckle
-    (Rice) is nearly gamma-distributed, too, with its own variance (Nakagami).
+    variances: 0 to 1, of the intensity over its mean squared; of Rice's, too (Nakagami).
     """
     from scipy import special  # slow to import
 
@@ -160,10 +159,7 @@ def _table(settings: TransferSettings) -> tuple[float, Floats]:
 
 @lru_cache(maxsize=64)
 def _texture_shifts_db(shape: float, power: float) -> Floats:
-    """(33,) dB by which gamma texture lowers a displayed level, from none of it to all.
-
-    That is 10 / p log10 E[tau^p] of the displayed power p, and 10 E[log10 tau] for the logarithm.
-    """
+    """(33,) 10 / p log10 E[tau^p] of the displayed power p (10 E[log10 tau]), from none to all."""
     from scipy import special  # slow to import
 
     if not np.isfinite(shape):

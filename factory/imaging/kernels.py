@@ -130,8 +130,7 @@ def _row(
 ) -> None:  # fmt: skip
     """Of a row of pixels what a processor does for many at once; made: (4, W) out.
 
-    Sines of bearing and elevation, fractional range bin, radiance times solid angle (without
-    1 / fx fy).  What lies behind the sonar has a bearing beyond every sector.
+    Sines of bearing (inf behind the sonar) and elevation, range bin, radiance times solid angle.
     ground_up: the sonar's upward axis in camera axes where ranges count along the ground, else 0.
     """
     # Local names: the compiler then knows that what it writes changes none of them.

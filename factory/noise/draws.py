@@ -51,10 +51,7 @@ class Draws:
         return tuple(effect.name for effect in self.effects)
 
     def row(self, added: Mapping[str, int]) -> dict[str, Value]:
-        """The values of `columns`; NaN or "" for the parameters of an effect that is off.
-
-        added: points that each effect of stage points has added or moved, by its name.
-        """
+        """The values of `columns`; NaN or "" where an effect is off.  added: `Sample.added`."""
         drawn = {effect.name: effect.parameters for effect in self.effects}
         row: dict[str, Value] = {
             f"points.{name}": added.get(name, 0) for name in _making(self.settings)

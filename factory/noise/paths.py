@@ -50,10 +50,9 @@ def _with_images(
 ) -> Signal:
     """Echoes by way of a level plane `height_m` above the sonar (negative: below).
 
-    The plane mirrors the sonar.  With r the way to a point and r' the way from the mirrored sonar,
-    a path that touches the plane once comes in at range (r + r') / 2, one that touches it both ways
-    at r' (Urick 1983, ch. 5; Allen & Berkley, J. Acoust. Soc. Am. 65 (1979), 943, for the method).
-    The two once-touching paths are equally long and add up in phase: four times one's intensity.
+    With r the way to a point and r' that from the mirrored sonar, a path that touches the plane
+    once comes in at range (r + r') / 2, twice in phase, one that touches it both ways at r' (Urick
+    1983, ch. 5; Allen & Berkley, J. Acoust. Soc. Am. 65 (1979), 943, for the method).
     """
     from ..imaging import kernels  # loads numba
 

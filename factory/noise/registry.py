@@ -1,9 +1,8 @@
 """All effects of noise, and the `noise` group of the configuration.
 
-An effect is a settings class, a pure function and an `Effect` that joins them: in `points` (it
-makes or moves echoes, paper section 3.3), or in `speckle`, `receiver` and `paths` (it acts on the
-complex field of acoustics.formation=field).  To add one: these three, one line in `NoiseSettings`
-below, a block in conf/noise/*.yaml and a test against the formula's statistics.
+An effect is a settings class, a pure function and an `Effect` that joins them: in `points` (paper
+section 3.3), or in `speckle`, `receiver` and `paths` (on the complex field).  To add one: these
+three, a line in `NoiseSettings`, a block in conf/noise/*.yaml and a test of its statistics.
 """
 
 from __future__ import annotations

@@ -192,9 +192,8 @@ def volume(signal: Signal, ping: Ping, rng: Rng, *, strength_db: float) -> Signa
 def _haze(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
     """Expected intensity of the haze in each bin: (range_bins,) times (beams,) float32.
 
-    A bin at range r has the volume r^2 theta phi dr; its echo is s_v V / r^4 without absorption,
-    theta being the bin's bearings and phi the integral of the two-way vertical pattern (Urick 1983,
-    ch. 8).
+    s_v V / r^4 of the volume V = r^2 theta phi dr: theta the bin's bearings, phi the integral of
+    the two-way vertical pattern (Urick 1983, ch. 8).
     """
     sonar = ping.sonar
     upright_rad = array.vertical_width_rad(sonar.vfov_deg, sonar.array)

@@ -95,14 +95,17 @@ class FanGeometry:
         return cls.from_sonar(sonar, *window, *seen)
 
     @classmethod
-    def fan(cls, sector_rad: float, *, near_px: float, far_px: float, **place: Any) -> FanGeometry:
+    def fan(
+        cls, sector_rad: float, *, apex_x_px: float, apex_y_px: float, near_px: float,
+        far_px: float, **more: Any,
+    ) -> FanGeometry:  # fmt: skip
         """A fan picture measured in pixels, its whole sector with data.
 
         near_px, far_px: radii of range_min and range_max along y.
-        place: apex_x_px, apex_y_px, and where they are known x_scale, range_min_m, range_max_m.
+        more: where they are known x_scale, range_min_m, range_max_m.
         """
-        half = sector_rad / 2
-        return cls("fan", near_px / far_px, sector_rad, -half, half, far_px=far_px, **place)
+        more |= {"apex_x_px": apex_x_px, "apex_y_px": apex_y_px, "far_px": far_px}
+        return cls("fan", near_px / far_px, sector_rad, -sector_rad / 2, sector_rad / 2, **more)
 
     @classmethod
     def polar(
@@ -111,12 +114,13 @@ class FanGeometry:
         range_min_m: float | None = None,
         range_max_m: float | None = None,
     ) -> FanGeometry:
-        """A polar picture whose rows and columns divide its window and its sector evenly.
+        """A polar picture that divides its window (unknown: from range 0 on) and sector evenly.
 
-        Where the window is unknown it begins at range 0.  `with_size` says how many there are.
+        `with_size` says how many rows and columns there are.
         """
-        half, near = sector_rad / 2, (range_min_m or 0.0) / (range_max_m or 1.0)
-        return cls("polar", near, sector_rad, -half, half, range_min_m, range_max_m)
+        near, far, half = range_min_m, range_max_m, sector_rad / 2
+        near_fraction = 0.0 if near is None or far is None else near / far
+        return cls("polar", near_fraction, sector_rad, -half, half, near, far)
 
     def with_size(self, rows: int, columns: int) -> FanGeometry:
         """The geometry for a picture of this size; another one only where polar sizes were open."""
