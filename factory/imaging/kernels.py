@@ -24,7 +24,7 @@ _STEPS_X, _STEPS_Y, _STEPS_Z = np.uint32(73856093), np.uint32(19349663), np.uint
 _ZERO, _ONE, _TWO, _FOUR = np.float32(0), np.float32(1), np.float32(2), np.float32(4)
 _TINY = np.float32(1e-6)
 
-_NOTHING = np.uint64(0)
+_NOTHING, _HALF, _BLOCK = np.uint64(0), np.int32(1), 1024
 
 _TABLE = "Array(float32, 1, 'C', readonly=True)"
 _MATRIX = "Array(float32, 2, 'C', readonly=True)"
@@ -159,12 +159,12 @@ def _row(
     f"int64({_CAMERA}, {_MATRIX}, Array(uint8, 2, 'C', readonly=True), {_MATRIX}, float32[::1],"
     f" Tuple((float32[:, ::1], float32[::1])), {_GRID}, float32[::1], float32,"
     " Tuple((float32[::1], int32[::1], boolean[::1])),"
-    " Tuple((int32[::1], float32[::1], int32[::1], float32[::1])))"
+    " Tuple((int32[::1], float32[::1], int32[::1], float32[::1])), int32[::1])"
 )
 def place(
     camera: Any, radiance: Floats, labels: npt.NDArray[np.uint8], factor: Floats,
     reflectivity: Floats, sonar: Any, grid: Any, pattern: Floats, widest_sine: float,
-    bins: Any, scatterers: Any,
+    bins: Any, scatterers: Any, row_end: Integers,
 ) -> int:  # fmt: skip
     """Each lit pixel as scatterers of polar bins; returns how many there are.
 
@@ -181,7 +181,7 @@ def place(
     bins: out, (bins,) each, summed power and last pixel of a bin (-1: none), and whether a pixel
     within sin(elevation) of +-widest_sine fills it.
     scatterers: out, (at least pixels,) each, bin, power, pixel and part: how far towards the pixel
-    below, 0 to 1.
+    below, 0 to 1.  row_end: (H,) out, how many scatterers there are up to the end of each row.
     """
     (depth_m, across, down), (rotation, position_m) = camera, sonar
     ground_range, from_m, per_m, rows, edges, first_beam, per_sine = grid
@@ -271,6 +271,7 @@ def place(
                     power_of[count], pixel_of[count] = value / np.float32(many), pixel
                     part_of[count] = part if end != start else _ZERO
                     count += 1
+        row_end[row] = count
     return count
 
 
@@ -278,62 +279,122 @@ def place(
 
 
 @compiled(
-    f"void({_PLACES}, {_CAMERA}, float64[:, ::1], float64, uint32[:, ::1], uint32[::1],"
-    " float32[::1])"
+    f"void({_PLACES}, int32[::1], {_CAMERA}, float64[:, ::1], float64, uint32[::1], uint32[::1])"
 )
 def cells(
-    scatterers: Any, camera: Any, world_from_camera: Doubles, cell_m: float,
-    table: Words, name_of: Words, share_of: Floats,
+    scatterers: Any, row_end: Integers, camera: Any, world_from_camera: Doubles, cell_m: float,
+    name_of: Words, place_of: Words,
 ) -> None:  # fmt: skip
-    """The world cells in which scatterers lie, and amplitudes that add up coherently.
+    """The world cells in which scatterers lie.
 
-    cell_m: edge of a cell, a cube.  table: (slots, 2) zeros, slots a power of two beyond N.
-    name_of, share_of: (N,) out, the cell of each as a number that looks random, and
-    1 / sqrt(scatterers of its cell).
+    row_end: as `place` gives it.  cell_m: edge of a cell, a cube.
+    name_of, place_of: (N,) out, the cell of each as a number that looks random, and where to look
+    for it in a table (neighbours are close together).
     """
     (pixels, parts), (depth_m, across, down) = scatterers, camera
     height, width = depth_m.shape
     m = world_from_camera / cell_m
-    # Whole cells apart, for 32 bits are converted faster than 64, and must be enough.
-    whole = np.floor(m[:, 3])
-    i0, i1, i2 = np.int64(whole[0]), np.int64(whole[1]), np.int64(whole[2])
-    m[:, 3] -= whole
     m00, m01, m02, m03 = m[0]
     m10, m11, m12, m13 = m[1]
     m20, m21, m22, m23 = m[2]
-    mask, slot_of = np.uint32(table.shape[0] - 1), np.empty(pixels.shape[0], np.uint32)
-    row, end, one = 0, width, np.int32(1)
-    for i in range(pixels.shape[0]):
-        while pixels[i] >= end:
-            row, end = row + 1, end + width
-        column, below, part = (
-            pixels[i] - end + width,
-            min(row + 1, height - 1),
-            np.float64(parts[i]),
-        )
-        z, z_below = np.float64(depth_m[row, column]), np.float64(depth_m[below, column])
-        y = np.float64(down[row]) * z
-        y += part * (np.float64(down[below]) * z_below - y)
-        z += part * (z_below - z)
-        x = np.float64(across[column]) * z
-        u = np.int32(np.int32(np.floor(m00 * x + m01 * y + m02 * z + m03)) + i0)
-        v = np.int32(np.int32(np.floor(m10 * x + m11 * y + m12 * z + m13)) + i1)
-        w = np.int32(np.int32(np.floor(m20 * x + m21 * y + m22 * z + m23)) + i2)
-        name_of[i] = mixed(_corner(u, v, w))
-        # Eight cells, a cube, lie side by side: one line of the processor's memory.
-        block = mixed(_corner(u >> one, v >> one, w >> one))
-        inside = np.uint32(u) & _1 | (np.uint32(v) & _1) << _1 | (np.uint32(w) & _1) << _2
-        slot_of[i] = (np.uint32(block << _3) | inside) & mask
-    for i in range(pixels.shape[0]):
-        name, slot = name_of[i], slot_of[i]
-        # Taken, and by another: a product, for `and` is two branches that nothing foretells.
-        while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
-            slot = np.uint32(slot + _9) & mask
-        table[slot, 0] = name
-        table[slot, 1] += _1
-        slot_of[i] = slot
-    for i in range(pixels.shape[0]):
-        share_of[i] = _ONE / np.sqrt(np.float32(np.int32(table[slot_of[i], 1])))
+    # Whole cells apart, for 32 bits are converted faster than 64, and must be enough.
+    w0, w1, w2 = np.floor(m03), np.floor(m13), np.floor(m23)
+    m03, m13, m23 = m03 - w0, m13 - w1, m23 - w2
+    i0, i1, i2 = np.int32(np.int64(w0)), np.int32(np.int64(w1)), np.int32(np.int64(w2))
+    xs, ys, zs = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    us, vs = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.int32)
+    ws = np.empty(_BLOCK, np.int32)
+    stop = 0
+    for row in range(height):
+        below = min(row + 1, height - 1)
+        here_m, below_m = depth_m[row], depth_m[below]
+        down_here, down_below = np.float64(down[row]), np.float64(down[below])
+        before = np.int32(row * width)
+        start, stop = stop, int(row_end[row])
+        # A block at a time: first what a processor does for many at once, then what it cannot.
+        for begin in range(start, stop, _BLOCK):
+            size = min(_BLOCK, stop - begin)
+            some, some_parts = pixels[begin : begin + size], parts[begin : begin + size]
+            for i in range(size):
+                column = np.uint32(some[i] - before)
+                z, part = np.float64(here_m[column]), np.float64(some_parts[i])
+                y = down_here * z
+                z_below = np.float64(below_m[column])
+                ys[i] = y + part * (down_below * z_below - y)
+                zs[i] = z + part * (z_below - z)
+                xs[i] = np.float64(across[column]) * zs[i]
+            for i in range(size):
+                x, y, z = xs[i], ys[i], zs[i]
+                us[i] = np.int32(np.floor(m00 * x + m01 * y + m02 * z + m03))
+                vs[i] = np.int32(np.floor(m10 * x + m11 * y + m12 * z + m13))
+                ws[i] = np.int32(np.floor(m20 * x + m21 * y + m22 * z + m23))
+            names, places = name_of[begin : begin + size], place_of[begin : begin + size]
+            for i in range(size):
+                first, second = np.int32(us[i] + i0), np.int32(vs[i] + i1)
+                third = np.int32(ws[i] + i2)
+                names[i] = mixed(_corner(first, second, third))
+                # Eight cells, a cube, lie side by side: one line of the processor's memory.
+                block = mixed(
+                    _corner(first >> np.int32(1), second >> np.int32(1), third >> np.int32(1))
+                )
+                inside = np.uint32(first) & _1 | (np.uint32(second) & _1) << _1
+                places[i] = np.uint32(block << _3) | inside | (np.uint32(third) & _1) << _2
+
+
+@compiled("boolean(uint32[::1], uint32[::1], int64, uint32[:, ::1], uint32[:, ::1], float32[::1])")
+def count_cells(
+    name_of: Words, place_of: Words, parts: int, table: Words, sorted_: Words, share_of: Floats
+) -> Any:
+    """1 / sqrt(points of its cell) for each point: amplitudes that add up coherently.
+
+    name_of, place_of: as `cells` gives them; share_of: (N,) out.  The cells are counted in parts,
+    a power of two, each with a table that a processor holds close by.
+    table: (slots, 2), slots a power of two; sorted_: (N, 2), both overwritten.
+    Returns False where a part does not fit the table; share_of then says nothing.
+    """
+    mask, last = np.uint32(table.shape[0] - 1), np.uint32(parts - 1)
+    shift = np.uint32(0)
+    while np.uint32(1) << shift <= mask:
+        shift += np.uint32(1)
+    ends = np.zeros(parts + 1, np.int64)
+    for point in range(place_of.shape[0]):
+        ends[np.uint32((place_of[point] >> shift) & last) + np.uint32(1)] += 1
+    for number in range(parts):
+        if ends[number + 1] > np.int64(mask):
+            return False
+    for number in range(parts):
+        ends[number + 1] += ends[number]
+    # Name and place lie side by side: there are then only as many places to write to as parts.
+    free = ends[:-1].copy()
+    for point in range(name_of.shape[0]):
+        place = place_of[point]
+        among = np.uint32((place >> shift) & last)
+        at = np.uint32(free[among])
+        free[among] += 1
+        sorted_[at, 0], sorted_[at, 1] = name_of[point], place & mask
+    for part in range(parts):
+        table[:] = 0
+        for i in range(ends[part], ends[part + 1]):
+            at = np.uint32(i)
+            name, slot = sorted_[at, 0], sorted_[at, 1]
+            # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
+            # two branches.  Whether a cell is new cannot be foretold, and a wrong guess costs much.
+            while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
+                slot = np.uint32(slot + _9) & mask
+            table[slot, 0] = name
+            table[slot, 1] += _1
+            sorted_[at, 1] = slot
+        for i in range(ends[part], ends[part + 1]):
+            at = np.uint32(i)
+            sorted_[at, 0] = table[sorted_[at, 1], 1]
+    # In the order of the points again, each part being read from its beginning.
+    free = ends[:-1].copy()
+    for point in range(place_of.shape[0]):
+        among = np.uint32((place_of[point] >> shift) & last)
+        found = np.float32(np.int32(sorted_[np.uint32(free[among]), 0]))
+        free[among] += 1
+        share_of[point] = np.float32(1) / np.sqrt(found)
+    return True
 
 
 @compiled(

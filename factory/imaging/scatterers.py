@@ -32,6 +32,9 @@ Floats = npt.NDArray[np.float32]
 
 _BEAM_STEPS = 16_384
 _PATTERN_STEPS = 4096
+# Of one part of the table of cells: what the second cache of a core holds, in so few parts that
+# sorting into them is fast.
+_SLOTS = 131_072
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +42,9 @@ class Scatterers:
     """N scatterers of one frame.
 
     bins: (N,) int32 flat polar bin.  powers: (N,) float32 intensity over the source level, without
-    absorption.  pixels: (N,) int32 flat camera pixel, in order; parts: (N,) float32, how far
-    towards the one below it lies, 0 to 1.
+    absorption.  pixels: (N,) int32 flat camera pixel; parts: (N,) float32, how far towards the one
+    below it lies, 0 to 1.  row_ends: (H,) int32, how many there are up to the end of each camera
+    row.
     power: (range_bins, beams) float32, their sum a bin, with absorption: the sonar equation.
     owner: (range_bins, beams) int32, a pixel that lies in the bin, -1 where none does.
     in_beam: (range_bins, beams) bool, whether one within vfov_deg does.
@@ -52,6 +56,7 @@ class Scatterers:
     powers: Floats
     pixels: npt.NDArray[np.int32]
     parts: Floats
+    row_ends: npt.NDArray[np.int32]
     power: Floats
     owner: npt.NDArray[np.int32]
     in_beam: npt.NDArray[np.bool_]
@@ -71,13 +76,11 @@ class Scatterers:
             from . import kernels  # loads numba
 
             pose = np.ascontiguousarray(self.world_from_camera[:3])
-            many = len(self.pixels)
-            names, shares = np.empty(many, np.uint32), np.empty(many, np.float32)
-            table = np.zeros((1 << (1 + many.bit_length()), 2), np.uint32)
-            where = (self.pixels, self.parts), camera_of(self.frame), pose
-            kernels.cells(*where, edge_m, table, names, shares)
+            names, places = np.empty((2, len(self.pixels)), np.uint32)
+            where = (self.pixels, self.parts), self.row_ends, camera_of(self.frame), pose
+            kernels.cells(*where, edge_m, names, places)
             self._cells.clear()
-            self._cells[edge_m] = names, shares
+            self._cells[edge_m] = names, shares(names, places)
         return self._cells[edge_m]
 
     @cached_property
@@ -96,6 +99,20 @@ class Scatterers:
         return bins, np.stack([across[column] * z, down[row] * z, z])
 
 
+def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Floats:
+    """(N,) float32: see `world_cells`; the arguments are what `kernels.cells` gives."""
+    from . import kernels  # loads numba
+
+    made, work = np.empty(len(names), np.float32), np.empty((len(names), 2), np.uint32)
+    slots = 1 << (2 + len(names).bit_length())
+    parts = max(slots // _SLOTS, 1)
+    while not kernels.count_cells(
+        names, places, parts, np.empty((slots // parts, 2), np.uint32), work, made
+    ):
+        parts //= 2
+    return made
+
+
 def scatterers(
     surface: LitSurface, water: WaterSettings, acoustics: AcousticsSettings
 ) -> Scatterers:
@@ -111,6 +128,7 @@ def scatterers(
     in_beam = np.zeros(shape, np.bool_)
     bins, pixels = np.empty((2, most), np.int32)
     powers, parts = np.empty((2, most), np.float32)
+    row_ends = np.empty(len(frame.depth_m), np.int32)
     labels = np.empty((0, 0), np.uint8) if frame.segmentation is None else frame.segmentation
     echo, exponents = np.array(acoustics.of_classes()).T
     echo = echo / (frame.intrinsics.fx * frame.intrinsics.fy)  # the middle pixel's solid angle
@@ -119,7 +137,7 @@ def scatterers(
         echo.astype(np.float32), sonar.mount.axes(), grid_of(window, sonar),
         vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
         (power.reshape(-1), owner.reshape(-1), in_beam.reshape(-1)),
-        (bins, powers, pixels, parts),
+        (bins, powers, pixels, parts), row_ends,
     )  # fmt: skip
     if not count:
         raise FrameError(f"{frame.ref.name}: no echo inside the sonar's sector; check sonar.mount")
@@ -128,7 +146,7 @@ def scatterers(
     loss = (10 ** (-2 * absorption * range_m / 10)).astype(np.float32)
     power *= loss[:, None]
     pose = np.eye(4) if frame.world_from_camera is None else frame.world_from_camera
-    of_each = bins[:count], powers[:count], pixels[:count], parts[:count]
+    of_each = bins[:count], powers[:count], pixels[:count], parts[:count], row_ends
     return Scatterers(*of_each, power, owner, in_beam, loss, frame, np.asarray(pose, np.float64))
 
 
