@@ -293,7 +293,9 @@ class StackFile(Recording):
             self.count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
         ask_pixels(what, width, height)
-        ask_bytes(what, self.count * width * height, self.size, streamed=True)
+        mode = self._image.mode
+        wide = 2 if "16" in mode else 4 if mode in ("I", "F") else len(self._image.getbands())
+        ask_bytes(what, self.count * width * height * wide, self.size, streamed=True)
 
     def _read(self, number: int) -> Frame:
         what = f"{self.path}: page {number + 1}"
