@@ -65,27 +65,39 @@ def preview(
     return path
 
 
-def side_by_side(points: Sequence[tuple[str, Path]], out: Path, frames: int = 3) -> bool:
-    """Draw the same frames of several datasets, a row each, the first frame clean, too.
+def side_by_side(
+    points: Sequence[tuple[str, Path]], out: Path, frames: int = 3, *, whole: bool = False
+) -> bool:
+    """Draw the same frames of several datasets; False where no sample is in all of them.
 
-    points: label and folder of each, just made.  False where no sample is in all of them.
+    points: label and folder of each, just made.  whole: noisy | clean | shadow of each, datasets
+    beside each other; else a row for each dataset, its noisy images and the first clean one.
     """
     tables = [
         {(one.location, one.scene, one.frame, one.variant): one for one in pairs.names()}
         for pairs in (PairDataset(folder, "all", trusted=True) for _, folder in points)
     ]
     common = [name for name in tables[0] if all(name in table for table in tables)]
-    shown = []
-    for (label, _), table in zip(points, tables, strict=True):
-        samples = [load(table[name]) for name in spread(common, frames)]
-        images = {f"noisy, {k + 1}": one.images["noisy"] for k, one in enumerate(samples)}
-        if samples:
-            images = {"clean, 1": samples[0].images["clean"], **images}
+    rows = [[load(table[name]) for name in spread(common, frames)] for table in tables]
+    labels = [label for label, _ in points]
+    if not common:
+        return False
+    if whole:
+        shown = [
+            replace(one, heading=f"{label}   {one.heading}")
+            for samples in zip(*rows, strict=True)
+            for label, one in zip(labels, samples, strict=True)
+        ]
+        sheet = draw(shown, " and ".join(labels), "", wide=len(labels))
+    else:
+        shown = []
+        for label, samples in zip(labels, rows, strict=True):
+            noisy = {f"noisy, {k + 1}": one.images["noisy"] for k, one in enumerate(samples)}
+            images = {"clean, 1": samples[0].images["clean"], **noisy}
             shown.append(replace(samples[0], heading=label, images=images))
-    if shown:
         sheet = draw(shown, f"{len(shown)} datasets", "the same frames of each", wide=1)
-        write_atomically(out, sheet)
-    return bool(shown)
+    write_atomically(out, sheet)
+    return True
 
 
 def spread(samples: Sequence[Any], count: int) -> list[Any]:
