@@ -10,6 +10,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
@@ -151,14 +152,19 @@ class ArrayFile(Recording):
         ask_pixels(str(self.path), width, height)
         if self.path.suffix.lower() != ARRAY_SUFFIX:
             ask_bytes(f"{self.path}: {name}", math.prod(shape) * dtype.itemsize, self.size)
+        self._name, self._single = name, _is_single(shape)
+        self.count = 1 if self._single else shape[0]
+
+    @cached_property
+    def stored(self) -> Samples:
+        """See the class; unpacked when it is first asked for."""
         with explained(f"{self.path}: cannot be read; is the file damaged?", reason=True):
-            self.stored = _load(self.path, name)
-        self._stack = self.stored[None] if _is_single(shape) else self.stored
-        self.count = len(self._stack)
+            return _load(self.path, self._name)
 
     def _read(self, number: int) -> Frame:
         what = f"{self.path}: picture {number + 1}" if self.count > 1 else str(self.path)
-        return Frame(number, as_samples(np.ascontiguousarray(swapped(self._stack[number])), what))
+        page = self.stored if self._single else self.stored[number]
+        return Frame(number, as_samples(np.ascontiguousarray(swapped(page)), what))
 
 
 def kind_of_array(path: Path) -> str | None:
@@ -191,17 +197,23 @@ def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
 
     Raises FactoryError.
     """
-    suffix = path.suffix.lower()
     with explained(f"{path}: not a readable array", reason=True):
-        if suffix == ".mat":
-            # SciPy may crash over a damaged file, so another process looks at it first.
-            listed = look_at(path, list_matlab, str(path))
-        elif suffix == ".npz":
-            listed = list(_members(path))
-        else:
-            array = _load(path, "")
-            listed = [("", array.shape, array.dtype)]
-        found = {name: (tuple(shape), np.dtype(kind)) for name, shape, kind in listed}
+        return _listed(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4096)
+def _listed(path: Path, changed_ns: int) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+    """See `_arrays`; a file's kind is asked for several times before it is opened."""
+    suffix = path.suffix.lower()
+    if suffix == ".mat":
+        # SciPy may crash over a damaged file, so another process looks at it first.
+        listed = look_at(path, list_matlab, str(path))
+    elif suffix == ".npz":
+        listed = list(_members(path))
+    else:
+        array = _load(path, "")
+        listed = [("", array.shape, array.dtype)]
+    found = {name: (tuple(shape), np.dtype(kind)) for name, shape, kind in listed}
     return {name: one for name, one in found.items() if _may_be_pictures(*one)}
 
 
