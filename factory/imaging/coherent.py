@@ -102,7 +102,7 @@ class FieldSample(Sample):
         """See `Sample`."""
         if "speckle" not in artefacts:
             return super().without(artefacts)
-        kept = {e.name for e in self.effects if e.effect.artefact not in artefacts}
+        kept = self.free_of(artefacts)
         # Speckle is not switched off but averaged: its mean lifts and lowers a display of levels.
         acting = [e for e in self.effects if e.name in kept or e.effect.artefact == "speckle"]
         ping = self.scene

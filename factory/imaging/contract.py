@@ -65,9 +65,11 @@ class Sample(ABC):
 
         Without speckle it is the expected displayed picture: what averages out is averaged.
         """
-        return self.noisy(
-            {one.name for one in self.effects if one.effect.artefact not in artefacts}
-        )
+        return self.noisy(self.free_of(artefacts))
+
+    def free_of(self, artefacts: Collection[str]) -> set[str]:
+        """Names of the drawn effects that show none of these artefacts."""
+        return {one.name for one in self.effects if one.effect.artefact not in artefacts}
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
         """Those of the layers that say what was received, with those of the drawn effects."""
