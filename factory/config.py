@@ -70,7 +70,7 @@ class SplitSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class FactoryConfig:
-    """Everything `simnfnd make` can be told."""
+    """All keys of `simnfnd make`."""
 
     scenes: Scenes
     seed: Annotated[int, Field(ge=0)] = 0

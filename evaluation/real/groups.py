@@ -24,7 +24,7 @@ LEAST = 6
 MOST = 600
 """Frames of a folder or recording that are used, the first ones."""
 MOST_OTHERS = 24
-"""Frames that make a reference, those nearest in time: more would not be told from its mean."""
+"""Frames that make a reference, those nearest in time: more would hardly change the mean."""
 
 FOLDS = 2
 FRAMES_OF_A_GROUP = 2

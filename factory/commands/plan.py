@@ -99,7 +99,7 @@ def _probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> tuple[float, fl
     from ..pairs import pair_maker
     from ..views import ViewMaker
 
-    keep_freed_memory()  # as the workers do whose time is to be foretold
+    keep_freed_memory()  # as the workers do, whose time is estimated
     chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]
     times, made, sizes, problem = [], [], [], ""
     with tempfile.TemporaryDirectory() as folder:

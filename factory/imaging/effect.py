@@ -22,7 +22,7 @@ Value = float | int | str
 # after beamforming; after time-varying gain.
 Stage = Literal["points", "echo", "beam", "picture"]
 
-# What an effect shows in a picture, and what a denoiser can be told to remove: grain that averages
+# What an effect shows in a picture, and what a network can learn to remove: grain that averages
 # out; a level added to the ground; bright beams and arcs; copies of objects at the wrong place;
 # smeared ranges; wrong gains of beams and ranges.
 Artefact = Literal["speckle", "haze", "spokes", "ghosts", "blur", "gains"]

@@ -87,7 +87,7 @@ def expected(
 ) -> Expected:
     """The expected intensities after time-varying gain.
 
-    realised: whether random effects act as in this one sample, where that can be told, or on
+    realised: whether random effects act as in this one sample, where that is known, or on
         average.  standing: see `Expected`.
     """
     none = [np.zeros(ping.shape, np.float32) for _ in range(3)]

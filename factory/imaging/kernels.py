@@ -378,7 +378,7 @@ def count_cells(
             at = np.uint32(i)
             name, slot = sorted_[at, 0], sorted_[at, 1]
             # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
-            # two branches.  Whether a cell is new cannot be foretold, and a wrong guess costs much.
+            # two branches.  Whether a cell is new is unpredictable, and a wrong guess costs much.
             while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
                 slot = np.uint32(slot + _9) & mask
             table[slot, 0] = name
