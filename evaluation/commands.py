@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -18,6 +19,7 @@ from ..factory.cli.extras import Need, require
 from ..factory.errors import FactoryError
 from ..factory.settings import build
 from ..factory.storage.copies import local_folder
+from ..models import WEIGHTS_NAME
 
 if TYPE_CHECKING:
     from .settings import EvaluationSettings
@@ -92,11 +94,27 @@ def settings_of(config: DictConfig) -> EvaluationSettings:
     return replace(settings, dataset=replace(settings.dataset, dir=folder))
 
 
-def _needs(key: str, weights: Iterable[str | None]) -> Iterator[Need]:
-    """What networks need: weights that ship run in onnxruntime, those of a path in torch."""
-    for one in filter(None, weights):
-        runtime = "torch" if Path(one).expanduser().exists() else "onnxruntime"
-        yield from (Need(key, module) for module in (runtime, "safetensors"))
+def _needs(key: str, models: Iterable[str | None]) -> Iterator[Need]:
+    """The modules that networks need: onnxruntime where there is a graph of them, else torch.
+
+    models: weights files, folders of trainings or names of weights that ship.  Raises FactoryError
+    for a file that holds no network.
+    """
+    for model in filter(None, models):
+        yield Need(key, "safetensors")
+        yield Need(key, _runtime_of(model))
+
+
+def _runtime_of(model: str) -> str:
+    """`torch` or `onnxruntime`."""
+    path = Path(model).expanduser()
+    weights = path / WEIGHTS_NAME if path.is_dir() else path
+    if not weights.is_file() or find_spec("safetensors") is None:
+        # A name of weights that ship, or an error that is reported when the file is opened.
+        return "onnxruntime"
+    from ..models.denoise.runtime import find_graph
+
+    return "torch" if find_graph(weights) is None else "onnxruntime"
 
 
 def _report(config: DictConfig) -> None:

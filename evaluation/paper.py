@@ -1,7 +1,7 @@
 """`simnfnd evaluate paper`: Tables 2 and 3 of the paper, from the dataset to both tables.
 
-Every step is a command of its own, which is printed, goes on where it stopped, and is skipped over
-by itself where it is done: the same `simnfnd evaluate paper` continues after an interruption.
+Every step is a command of its own, which is printed.  Making and training resume where they were
+interrupted and do nothing where they are done; the report is measured anew each time.
 """
 
 from __future__ import annotations

@@ -110,15 +110,19 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     lesson = Lesson(lessons, chosen.seed, network.extras)
     rate, steps = chosen.learning_rate, chosen.steps
     best = tune(network, lesson, steps, rate, device)
-    noisy, before, after = lesson.figure(), best["before"], best["after"]
+    noisy = lesson.figure(lesson.judging)
+    before = best["before"]
+    after = best["after"]
+    frames = "frames held out"
+    if not lesson.is_judged_apart:
+        frames += " (one, which chose the weights too)"
     print(
-        f"frames held out, PSNR after levels: noisy {noisy:.2f}, before {before:.2f}, "
-        f"after {after:.2f} dB"
+        f"{frames}, PSNR after levels: noisy {noisy:.2f}, before {before:.2f}, after {after:.2f} dB"
     )
     if after < noisy:
         print("that is less than the frames as they are; more --steps may help")
     if not after > before:
-        print("nothing written: no weights on the way were better than those it began with")
+        print("nothing written: the frames held out are no better by the weights on the way")
         return 1
     facts = {
         "adapted.by": "mean of the other frames",

@@ -52,27 +52,50 @@ class Loss:
         batch: `noisy`, `shadow`, and of a network with heads `shadow_logits` and `weight`.
         """
         loss = (prediction - clean).abs().mean()
+
         if self.weight:
-            lit = (clean > self.threshold).to(prediction.dtype)
-            shown = (prediction > self.threshold).to(prediction.dtype)
-            if self.shadow == "ste":
-                shown = shown + (prediction - prediction.detach())
-            loss = loss + self.weight * (shown - lit).abs().mean()
+            loss = loss + self.weight * self._shadow_difference(prediction, clean)
+
         if self.square:
             loss = loss + self.square * (prediction - clean).square().mean()
+
         if self.decibels:
-            each = (prediction - clean).square().mean(dim=(1, 2, 3))
-            loss = loss + self.decibels * 10 * torch.log10(each + _PSNR_FLOOR).mean()
+            squared_error = (prediction - clean).square().mean(dim=(1, 2, 3))
+            loss = loss + self.decibels * 10 * torch.log10(squared_error + _PSNR_FLOOR).mean()
+
         if self.mask and "shadow_logits" in batch:
-            logits, shadow = batch["shadow_logits"], batch["shadow"]
+            logits = batch["shadow_logits"]
+            shadow = batch["shadow"]
             loss = loss + self.mask * functional.binary_cross_entropy_with_logits(logits, shadow)
+
         if self.blend and "weight" in batch:
-            change = (prediction.detach() - batch["noisy"]).float()
-            noise = (clean - batch["noisy"]).float()
-            power = change.square().mean(dim=(1, 2, 3))
-            best = ((change * noise).mean(dim=(1, 2, 3)) / (power + _EQUAL)).clamp(0, 1)
-            counts = power / (noise.square().mean(dim=(1, 2, 3)) + _CLEAN)
-            given = batch["weight"].float()
-            off = functional.binary_cross_entropy(given, best, counts.clamp(max=1))
-            loss = loss + self.blend * off
+            loss = loss + self.blend * _blend_entropy(prediction, clean, batch)
+
         return loss
+
+    def _shadow_difference(self, prediction: Tensor, clean: Tensor) -> Tensor:
+        """Mean absolute difference of the thresholded images, the second term of `newloss`."""
+        is_lit = (clean > self.threshold).to(prediction.dtype)
+        predicted = (prediction > self.threshold).to(prediction.dtype)
+        if self.shadow == "ste":
+            predicted = predicted + (prediction - prediction.detach())
+        return (predicted - is_lit).abs().mean()
+
+
+def _blend_entropy(prediction: Tensor, clean: Tensor, batch: Mapping[str, Tensor]) -> Tensor:
+    """Cross entropy between the network's `weight` and the best weight of each image, scalar.
+
+    The best weight is the least-squares factor on the change.  Each image counts as the power of
+    its change over that of its noise, at most 1.
+    """
+    # Autocast forbids the cross entropy of probabilities on a GPU.
+    with torch.autocast(prediction.device.type, enabled=False):
+        change = prediction.detach().float() - batch["noisy"].float()
+        noise = clean.float() - batch["noisy"].float()
+        change_power = change.square().mean(dim=(1, 2, 3))
+        noise_power = noise.square().mean(dim=(1, 2, 3))
+
+        overlap = (change * noise).mean(dim=(1, 2, 3))
+        best_weight = (overlap / (change_power + _EQUAL)).clamp(0, 1)
+        importance = (change_power / (noise_power + _CLEAN)).clamp(max=1)
+        return functional.binary_cross_entropy(batch["weight"].float(), best_weight, importance)

@@ -111,11 +111,6 @@ class TrainSettings:
         """A training that is shorter than the interval is checked at its end."""
         if self.steps < self.check_every:
             object.__setattr__(self, "check_every", self.steps)
-        if self.steps % self.check_every:
-            raise ValueError(
-                f"steps {self.steps} must be a multiple of check_every {self.check_every}, "
-                "so that training ends with a validation"
-            )
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -137,7 +137,7 @@ VERBS: dict[str, Verb] = {
         DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
         "simnfnd.models.pretrained.export:main",
         (
-            "simnfnd export-weights outputs/models/nafnet/weights.safetensors "
+            "simnfnd export-weights outputs/models/sonarnet/weights.safetensors "
             "--out own.safetensors",
             "simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx",
         ),
@@ -148,7 +148,8 @@ VERBS: dict[str, Verb] = {
         "simnfnd.evaluation.commands:report",
         (
             "simnfnd evaluate dataset=outputs/demo",
-            "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
+            "simnfnd evaluate dataset=outputs/demo baselines=[all] "
+            "models=[outputs/models/sonarnet]",
             "simnfnd evaluate dataset=outputs/demo \"pictures=[{name: mine, dir: outputs/mine}]\"",
         ),
         needs=("pandas", "skimage", *_SONAR), hydra=True,

@@ -6,8 +6,8 @@ neither the process that makes it nor an interruption of the training matters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property, lru_cache
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,8 +21,12 @@ from ...factory.seeds import stream
 from ..settings import DataSettings
 from .pairs import Batch, Sample, Source
 
-KEPT = 96
-"""Pictures in memory; one of 700x500 pixels takes 4 MB."""
+LANES = 8
+"""Steps that follow each other draw their images from so many lanes; see `VisitSampler`."""
+KEPT_IN_LANE = 12
+"""Images of a lane that are visited again."""
+KEPT = LANES * KEPT_IN_LANE
+"""Images in memory; one of 700x500 pixels takes 4 MB."""
 
 
 class Visit(NamedTuple):
@@ -103,7 +107,12 @@ def concatenate(batches: Sequence[Batch]) -> Batch:
 class VisitSampler(Sampler[list[Visit]]):
     """The visits of each step from `step` to the next check; a batch sampler.
 
-    All images are visited once, in random order, before any is visited again.
+    With `data.reuse` 1 all images are visited once, in random order, before any is visited again.
+
+    With more, a step draws its images from one of `LANES` lanes, which take turns: every
+    `reuse`-th visit of a lane shows a new image, the others one of the last `KEPT_IN_LANE`.  The
+    steps of a lane go to the same reading process where the number of processes divides `LANES`,
+    so an image is made once, by one process.
     """
 
     def __init__(
@@ -118,49 +127,73 @@ class VisitSampler(Sampler[list[Visit]]):
 
         places: the shard of each image, where shards are fetched; see `mixed_order`.
         """
-        self.images, self.data, self.every, self.seed = images, data, every, seed
+        self.images = images
+        self.data = data
+        self.every = every
+        self.seed = seed
         self.step = 0
         self._places = places
         self._orders: dict[int, npt.NDArray[np.int64]] = {}
 
     def __iter__(self) -> Iterator[list[Visit]]:
-        each = self.data.batch // self.data.crops
-        for step in range(self.step, (self.step // self.every + 1) * self.every):
-            yield [self._visit(step * each + number) for number in range(each)]
+        interval_end = (self.step // self.every + 1) * self.every
+        for step in range(self.step, interval_end):
+            yield [self._visit(step, place) for place in range(self._visits_of_a_step)]
 
-    def _visit(self, number: int) -> Visit:
-        round_, place = divmod(self._drawn(number), self.images)
+    @property
+    def _visits_of_a_step(self) -> int:
+        return self.data.batch // self.data.crops
+
+    def _visit(self, step: int, place: int) -> Visit:
+        """The visit at a place of a step's batch."""
+        number = step * self._visits_of_a_step + place
+        draw = number if self.data.reuse == 1 else self._reused_draw(step, place)
+        round_, position = divmod(draw, self.images)
+        return Visit(number, int(self._order(round_)[position]), round_)
+
+    def _reused_draw(self, step: int, place: int) -> int:
+        """Which image this visit shows, counted over all that are drawn in the training."""
+        interval, offset = divmod(step, self.every)
+        lane = offset % LANES
+        steps_of_lane = len(range(lane, self.every, LANES))
+        step_in_lane = interval * steps_of_lane + offset // LANES
+        visit_in_lane = step_in_lane * self._visits_of_a_step + place
+
+        draw_in_lane, visits_since_new = divmod(visit_in_lane, self.data.reuse)
+        if visits_since_new:
+            choices = min(KEPT_IN_LANE, draw_in_lane + 1)
+            draw_in_lane -= int(stream(self.seed, "reuse", step, place).integers(choices))
+        return draw_in_lane * LANES + lane
+
+    def _order(self, round_: int) -> npt.NDArray[np.int64]:
+        """All images in the order of a round."""
         if round_ not in self._orders:
+            # A kept image can be one of an earlier round, of few images of a much earlier one.
+            oldest = round_ - KEPT
+            self._orders = {n: order for n, order in self._orders.items() if n >= oldest}
             rng = stream(self.seed, "order", round_)
             order = mixed_order(self._places, rng) if self._places else rng.permutation(self.images)
-            # A kept picture can be one of the round before, and of few images of earlier ones.
-            self._orders = {r: o for r, o in self._orders.items() if r >= round_ - KEPT}
             self._orders[round_] = order
-        return Visit(number, int(self._orders[round_][place]), round_)
-
-    def _drawn(self, number: int) -> int:
-        """The number of a visit's picture when each serves `data.reuse` visits on average.
-
-        Every `reuse`-th visit shows the next picture, the others one of the last `KEPT`.
-        """
-        newest, is_old = divmod(number, self.data.reuse)
-        if is_old:
-            newest -= int(stream(self.seed, "reuse", number).integers(KEPT))
-        return max(newest, 0)
+        return self._orders[round_]
 
 
 class KeptSource(Source):
-    """The last `KEPT` samples of a source are not made again."""
+    """A source whose last samples are not made again."""
 
     images: Source
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, processes: int = 1) -> None:
+        """processes: how many share the lanes of `VisitSampler`."""
         self.images = source
-
-    @cached_property
-    def _kept(self) -> Callable[[int, int | None], Sample]:
-        return lru_cache(KEPT)(self.images.sample)
+        # Some lanes draw their next image before others do.
+        self._capacity = -(-KEPT // processes) + LANES
+        self._samples: OrderedDict[tuple[int, int | None], Sample] = OrderedDict()
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        return self._kept(index, visit)
+        key = (index, visit)
+        if key not in self._samples:
+            if len(self._samples) == self._capacity:
+                self._samples.popitem(last=False)
+            self._samples[key] = self.images.sample(index, visit)
+        return self._samples[key]

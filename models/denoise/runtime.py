@@ -34,12 +34,26 @@ def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
     device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
     not there, and packages that are not installed.
     """
-    wished = json.dumps(structure(read_weights(weights)[0]["model"]), sort_keys=True).encode()
-    for path in shipped().values():
-        # The words are at the end of the file, and few.
-        if wished in (graph := path.with_suffix(".onnx")).read_bytes():
-            return OnnxNetwork(weights, graph, device)
-    return TorchNetwork(weights, device)
+    graph = find_graph(weights)
+    if graph is None:
+        return TorchNetwork(weights, device)
+    return OnnxNetwork(weights, graph, device)
+
+
+def find_graph(weights: Path) -> Path | None:
+    """The graph that computes these weights without torch, or None where there is none.
+
+    It lies beside the weights under the same name, as `simnfnd export-weights --to runtime` wrote
+    it, or ships.  Raises FactoryError for a file that holds no network.
+    """
+    model = structure(read_weights(weights)[0]["model"])
+    # A graph names the structure that it computes at its end.
+    description = json.dumps(model, sort_keys=True).encode()
+    for path in (weights, *shipped().values()):
+        graph = path.with_suffix(".onnx")
+        if graph.is_file() and description in graph.read_bytes():
+            return graph
+    return None
 
 
 def _on_gpu(device: str, there: bool) -> bool:

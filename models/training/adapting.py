@@ -31,23 +31,37 @@ _LEAST_OTHERS = 3  # frames that a target is the mean of
 
 
 class Lesson:
-    """Crops of the steps, which depend on the seed and the step alone; and the frames held out."""
+    """Crops of the steps, which depend on the seed and the step alone; and the frames held out.
+
+    choosing: frames that choose the step whose weights are kept.  judging: other frames, which
+    nothing is chosen by; where a single frame is held out, the same.
+    """
 
     def __init__(self, found: Lessons, seed: int, extras: Sequence[str]) -> None:
         """extras: optional inputs of the network."""
-        self.stills, self.seed, self.extras = found.learning, seed, extras
+        self.stills = found.learning
+        self.seed = seed
+        self.extras = extras
         # All recordings alike, however long, and in each all frames alike.
         frames = np.array([len(still.frames) for still in self.stills], float)
         recordings = np.array([still.recording for still in self.stills])
         for number in np.unique(recordings):
             frames[recordings == number] /= frames[recordings == number].sum()
         self._odds = frames / frames.sum()
+
         held = tuple(_single(still, i) for still in found.held for i in range(len(still.frames)))
-        self.held = spread(held, _MOST_MEASURED)
+        samples = spread(held, 2 * _MOST_MEASURED)
         if "frames" in extras:
             several = (still for still in found.held if _most(still) > 1)
             means = tuple(_mean(still, 0, _most(still)) for still in several)
-            self.held += spread(means, _MOST_MEASURED)
+            samples += spread(means, 2 * _MOST_MEASURED)
+        self.choosing = samples[::2]
+        self.judging = samples[1::2] or samples
+
+    @property
+    def is_judged_apart(self) -> bool:
+        """Whether the judging frames had no part in choosing the weights."""
+        return self.judging[0] is not self.choosing[0]
 
     def crops(self, step: int) -> Batch:
         """What is learned from in a step."""
@@ -61,14 +75,15 @@ class Lesson:
             samples = [_single(still, i) for i in rng.integers(len(still.frames), size=_BATCH)]
         return concatenate([_crop(sample, self.extras, rng) for sample in samples])
 
-    def figure(self, network: Network | None = None) -> float:
+    def figure(self, samples: Sequence[Sample], network: Network | None = None) -> float:
         """Mean PSNR in dB after levels against the mean of the others; None: of the frames."""
-        made = (
-            denoised(network, whole_image(one, self.extras)) if network else one.noisy
-            for one in self.held
-        )
-        pairs = zip(made, self.held, strict=True)
-        return float(np.mean([psnr_after_levels(picture, one.clean) for picture, one in pairs]))
+        figures = []
+        for sample in samples:
+            image = sample.noisy
+            if network is not None:
+                image = denoised(network, whole_image(sample, self.extras))
+            figures.append(psnr_after_levels(image, sample.clean))
+        return float(np.mean(figures))
 
 
 def tune(
@@ -76,8 +91,9 @@ def tune(
 ) -> Row:
     """Fit the network; it ends with the best weights of all checks, in evaluation mode.
 
-    Returns their step and the figures `before` and `after`, PSNR in dB.  The same seed and number
-    of steps give the same weights.
+    Returns their step, 0 where none on the way were better than the first; and `before` and
+    `after`, PSNR in dB of the frames that judge.  The same seed and number of steps give the same
+    weights.
     Raises FactoryError when the loss becomes no number, and `Stopped` after Ctrl-C.
     """
     every = steps // next(times for times in range(_CHECKS, 0, -1) if steps % times == 0)
@@ -92,22 +108,24 @@ def tune(
         precision="32-true",
     )
     loop = Loop(network, squared_differences, settings, lesson.seed, device, label="adapting")
-    before = lesson.figure(network)
-    best: Row = {"step": 0, "before": before, "after": before}
-    kept = copy.deepcopy(network.state_dict())
+    before = lesson.figure(lesson.judging, network)
+    first = lesson.figure(lesson.choosing, network)
+    best: Row = {"step": 0, "figure": first}
+    best_weights = copy.deepcopy(network.state_dict())
 
     def check(step: int, loss: float) -> Row:
-        figure = lesson.figure(loop.average)
-        loop.bar.set_postfix_str(f"{before:.2f} -> {figure:.2f} dB")
-        if figure > best["after"]:
-            best.update(step=step, after=figure)
-            kept.update(copy.deepcopy(loop.average.state_dict()))
+        figure = lesson.figure(lesson.choosing, loop.average)
+        loop.bar.set_postfix_str(f"{first:.2f} -> {figure:.2f} dB")
+        if figure > best["figure"]:
+            best.update(step=step, figure=figure)
+            best_weights.update(copy.deepcopy(loop.average.state_dict()))
         return {"step": step, "loss": loss, "figure": figure}
 
     loop.run(lambda step: map(lesson.crops, count(step)), check)
-    network.load_state_dict(kept)
+    network.load_state_dict(best_weights)
     network.eval()
-    return best
+    after = lesson.figure(lesson.judging, network)
+    return {"step": best["step"], "before": before, "after": after}
 
 
 def squared_differences(network: Network, batch: Batch) -> Tensor:

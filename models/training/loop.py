@@ -146,9 +146,7 @@ class Loop:
         """One step; returns its loss.  Raises FactoryError when that is not a number."""
         for group in self._optimizer.param_groups:
             group["lr"] = self.learning_rate()
-        if self._is_mixed:
-            # In 16 bits from the start, as the weights that ship were trained.
-            batch = {k: v.bfloat16() if v.is_floating_point() else v for k, v in batch.items()}
+        # Autocast rounds what a convolution reads; images, targets and maps of geometry stay exact.
         with self.autocast():
             loss = self.objective(self.network, batch).float()
         if not torch.isfinite(loss):
@@ -195,17 +193,14 @@ class Loop:
 
     def _steps(self, batches: Batches, interval: int) -> None:
         """The steps of an interval that are left."""
-        end = (interval + 1) * self.settings.check_every
+        end = min((interval + 1) * self.settings.check_every, self.settings.steps)
         if self.step == end:
             return
         saved_s = time.monotonic()
         self.network.train()
-        number = int(stream(self.seed, "torch", interval).integers(2**62))
-        if interval:
-            torch.manual_seed(number)
         left = batches(self.step)
-        if not interval:  # here the loader has drawn its own number before, elsewhere after
-            torch.manual_seed(number)
+        # Afterwards: a loader draws a number of its own when it starts, in a resumed training too.
+        torch.manual_seed(int(stream(self.seed, "torch", interval).integers(2**62)))
         if self._drawn is not None:
             torch.set_rng_state(self._drawn)
         while self.step < end:

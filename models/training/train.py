@@ -26,7 +26,7 @@ from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of, write_atomically
 from ...factory.settings import build
 from .. import WEIGHTS_NAME
-from ..data.crops import Crops, KeptSource, VisitSampler, concatenate, whole_image
+from ..data.crops import LANES, Crops, KeptSource, VisitSampler, concatenate, whole_image
 from ..data.pairs import Batch, Data, Image, spread
 from ..data.sources import open_data
 from ..losses import Loss
@@ -34,11 +34,11 @@ from ..networks import build_network
 from ..networks.network import Network, known_extras
 from ..networks.weights import load_weights, save_weights
 from ..pretrained import find_weights
-from ..settings import ModelsSettings, RenderedData
+from ..settings import DataSettings, ModelsSettings, RenderedData
 from .loop import Loop, Row, denoised, device_of, precision_of
 
 CHECKPOINT_NAME = "checkpoint.ckpt"
-_FORMAT = "simnfnd-checkpoint/4"
+_FORMAT = "simnfnd-checkpoint/5"
 _FIGURES = ("psnr_noisy", "psnr", "ssim_noisy", "ssim")
 _GAP, _SHOWN = 4, 4  # pixels between the images of samples.png, and its rows
 
@@ -244,24 +244,33 @@ def _loader(
     settings: ModelsSettings, device: torch.device, data: Data, extras: tuple[str, ...]
 ) -> tuple[DataLoader[Batch], VisitSampler]:
     """What training reads from, and which visits it asks for."""
-    kind, cores = settings.data, os.cpu_count() or 1
-    if kind.workers != "auto":
-        workers = kind.workers
-    elif device.type == "cpu":
-        # A network keeps every core busy, unless pairs have to be made for it.
-        workers = 1 if isinstance(kind, RenderedData) and cores > 1 else 0
-    else:
-        workers = min(8, max(1, cores - 1))
+    kind = settings.data
+    workers = _reading_processes(kind, device)
     shared: dict[str, Any] = {"num_workers": workers, "pin_memory": device.type != "cpu"}
     if workers:
         # spawn: a fork would copy HDF5's and torch's threads in whatever state they are.
         shared |= {"multiprocessing_context": "spawn", "persistent_workers": True}
         shared["worker_init_fn"] = _leave_ctrl_c
-    source = KeptSource(data.learning) if kind.reuse > 1 else data.learning
+    source = data.learning
+    if kind.reuse > 1:
+        source = KeptSource(source, max(1, workers))
     crops = Crops(source, kind, settings.seed, extras)
-    steps, places = settings.train.check_every, data.learning.places
-    visits = VisitSampler(len(source), kind, steps, settings.seed, places)
+    interval = settings.train.check_every
+    visits = VisitSampler(len(source), kind, interval, settings.seed, data.learning.places)
     return DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared), visits
+
+
+def _reading_processes(data: DataSettings, device: torch.device) -> int:
+    """How many processes make the crops; 0: the training itself."""
+    cores = os.cpu_count() or 1
+    if data.workers != "auto":
+        return data.workers
+    if device.type == "cpu":
+        # A network keeps every core busy, unless pairs have to be made for it.
+        return 1 if isinstance(data, RenderedData) and cores > 1 else 0
+    available = min(LANES, max(1, cores - 1))
+    # A divisor of LANES, so that each lane stays with one process.
+    return max(count for count in (1, 2, 4, 8) if count <= available)
 
 
 def _leave_ctrl_c(_: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from simnfnd.models.denoise.inputs import NONE, Geometries
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.stretches import find_lessons, read_clips
-from simnfnd.models.training.adapting import psnr_after_levels
+from simnfnd.models.training.adapting import Lesson, psnr_after_levels
 from tests.models.adapt.scenes import Gray, noisy, scene, write
 from tests.project_files import ROOT
 
@@ -106,6 +107,21 @@ def test_no_frame_held_out_is_learned_from(tmp_path: Path) -> None:
     inner = np.s_[8:-8, 8:-8]
     assert np.abs(lessons.learning[0].targets[0] - mean)[inner].max() < 0.1
     assert np.abs(lessons.learning[0].targets[0] - mean)[inner].mean() < 0.01
+
+
+def test_the_frames_that_judge_have_no_part_in_the_choice(tmp_path: Path) -> None:
+    stand_still(tmp_path / "two", 2, 8)
+    lessons = find_lessons(clips_of(tmp_path / "two"))
+    assert lessons is not None
+    lesson = Lesson(lessons, 0, ())
+    assert lesson.is_judged_apart
+    choosing = {sample.noisy.tobytes() for sample in lesson.choosing}
+    judging = {sample.noisy.tobytes() for sample in lesson.judging}
+    assert choosing
+    assert judging
+    assert not choosing & judging
+    alone = replace(lessons.held[0], frames=lessons.held[0].frames[:1])
+    assert not Lesson(replace(lessons, held=[alone]), 0, ()).is_judged_apart
 
 
 def test_what_moves_is_no_target(tmp_path: Path) -> None:

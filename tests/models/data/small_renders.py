@@ -65,7 +65,8 @@ def _opened(rendered: tuple[Path, Path], kind: str, changes: dict[str, Any]) -> 
 
 
 SMALL = (
-    *("model.width=4", "model.encoder=[1]", "model.decoder=[1]", "data.patch=32", "data.batch=4"),
+    *("model=nafnet", "model.width=4", "model.encoder=[1]", "model.decoder=[1]"),
+    *("data.patch=32", "data.batch=4"),
     *("train.steps=6", "train.check_every=2", "train.warmup=2", "train.ema=0.5"),
     "data.workers=0",
 )

@@ -10,12 +10,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.data.crops import Crops, Visit, VisitSampler, concatenate
-from simnfnd.models.data.pairs import (
-    PairSource,
-    hold_out,
-    read_table,
-)
+from simnfnd.models.data.crops import Crops, KeptSource, Visit, VisitSampler, concatenate
+from simnfnd.models.data.pairs import PairSource, Sample, Source, hold_out, read_table
 from tests.models.data.small_renders import data_settings
 from tests.small_dataset import write_dataset
 
@@ -96,8 +92,41 @@ def test_the_sampler_goes_on_where_it_was_interrupted() -> None:
         assert list(later) == steps[later.step : 25]
     visits = [visit for step in steps for visit in step]
     assert [visit.number for visit in visits] == list(range(60))
+    # Of eight lanes each draws a new image at every third visit.
     shown = {(visit.image, visit.round) for visit in visits}
-    assert len(shown) == 20
-    # Every picture is another image until all were shown.
-    first = [visit for visit in visits if visit.number % 3 == 0][:7]
-    assert sorted(visit.image for visit in first) == list(range(7))
+    assert len(shown) == pytest.approx(20, abs=8)
+
+
+def test_all_images_are_visited_before_any_is_visited_again() -> None:
+    sampler = VisitSampler(7, data_settings(batch=4, crops=2), every=50, seed=1)
+    visits = [visit for step in sampler for visit in step]
+    for first in range(0, 98, 7):
+        assert sorted(visit.image for visit in visits[first : first + 7]) == list(range(7))
+
+
+class CountedSource(Source):
+    """Counts the samples that are made."""
+
+    def __init__(self, images: int) -> None:
+        self.images = range(images)
+        self.count = 0
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        self.count += 1
+        return Sample(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32))
+
+
+@pytest.mark.parametrize("processes", [1, 2, 8])
+@pytest.mark.parametrize("images", [54, 3000])
+def test_an_image_serves_as_many_visits_as_asked_for(images: int, processes: int) -> None:
+    """For any number of reading processes, which take the steps in turns."""
+    sampler = VisitSampler(images, data_settings(batch=8, crops=2, reuse=8), every=100, seed=0)
+    made = CountedSource(images)
+    kept = [KeptSource(made, processes) for _ in range(processes)]
+    visits = 0
+    for sampler.step in range(0, 1000, 100):
+        for number, step in enumerate(sampler):
+            for visit in step:
+                kept[number % processes].sample(visit.image, visit.round)
+                visits += 1
+    assert visits / made.count > 7

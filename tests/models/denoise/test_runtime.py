@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import torch
 
+from simnfnd.evaluation.commands import _runtime_of
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import Denoiser
-from simnfnd.models.denoise.runtime import OnnxNetwork, TorchNetwork
+from simnfnd.models.denoise.runtime import OnnxNetwork, TorchNetwork, find_graph
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from simnfnd.models.pretrained import find_weights, shipped
@@ -54,11 +55,26 @@ def made(model: dict[str, Any], folder: Path) -> tuple[Path, Path]:
 
 
 def in_onnx(both: tuple[Path, Path]) -> Denoiser:
-    """A denoiser in onnxruntime, whose graph does not ship."""
+    """A denoiser in onnxruntime, which finds the graph beside the weights."""
     denoise = Denoiser(both[0], "cpu")
-    assert isinstance(denoise.runtime, TorchNetwork)
-    denoise.runtime = OnnxNetwork(*both, "cpu")
+    assert isinstance(denoise.runtime, OnnxNetwork)
     return denoise
+
+
+def in_torch(both: tuple[Path, Path]) -> Denoiser:
+    denoise = Denoiser(both[0], "cpu")
+    denoise.runtime = TorchNetwork(both[0], "cpu")
+    return denoise
+
+
+def test_a_graph_of_another_network_is_no_graph_of_these_weights(tmp_path: Path) -> None:
+    weights, _ = made(MODELS["grid"], tmp_path / "grid")
+    _, other = made(MODELS["plane"], tmp_path / "plane")
+    weights.with_suffix(".onnx").write_bytes(other.read_bytes())
+    assert find_graph(weights) is None
+    assert _runtime_of(str(weights)) == "torch"
+    made(MODELS["grid"], tmp_path / "grid")
+    assert _runtime_of(str(weights)) == "onnxruntime"
 
 
 def within(denoise: Denoiser) -> float:
@@ -79,7 +95,7 @@ def test_onnxruntime_gets_what_torch_gets(
     told: float | np.ndarray | None = None if isinstance(frames, str) else frames
     if frames == "map":
         told = np.random.default_rng(0).uniform(1, 7, picture.shape).astype(np.float32)
-    of_torch, of_onnx = Denoiser(both[0], "cpu"), in_onnx(both)
+    of_torch, of_onnx = in_torch(both), in_onnx(both)
     wished = of_torch(picture, known, frames=told)
     assert np.abs(wished - picture).max() > 0.01
     np.testing.assert_allclose(of_onnx(picture, known, frames=told), wished, atol=within(of_onnx))

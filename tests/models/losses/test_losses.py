@@ -126,3 +126,24 @@ def test_decibels_count_every_image_alike() -> None:
     # An error ten times smaller pulls harder: 0.01 / 0.0002 against 0.1 / 0.0101.
     ratio = slope[1].mean() / slope[0].mean()
     assert ratio.item() == pytest.approx(50 / 9.901, rel=1e-3)
+
+
+def test_the_blend_term_is_computed_outside_autocast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A GPU refuses the cross entropy of probabilities under autocast; so does this stand-in."""
+    entropy = torch.nn.functional.binary_cross_entropy
+
+    def refusing(*given: Any) -> Tensor:
+        if torch.is_autocast_enabled("cpu"):
+            raise RuntimeError("binary_cross_entropy is unsafe to autocast")
+        assert all(values.dtype == torch.float32 for values in given)
+        return entropy(*given)
+
+    monkeypatch.setattr("simnfnd.models.losses.functional.binary_cross_entropy", refusing)
+    source = torch.Generator().manual_seed(0)
+    prediction, clean, noisy = torch.rand(3, 2, 1, 5, 7, generator=source)
+    batch = {"noisy": noisy, "weight": torch.tensor([0.3, 0.9])}
+    loss = build_loss({"kind": "l1", "blend": 1.0})
+    exact = loss(prediction, clean, batch)
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = loss(prediction, clean, {**batch, "weight": batch["weight"].bfloat16()})
+    assert mixed.item() == pytest.approx(exact.item(), rel=0.01)

@@ -12,8 +12,8 @@ from tests.models.data.small_renders import composed
 TINY = {"kind": "nafnet", "width": 8, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]}
 # The recipe of every small training here, as overrides of conf/models.yaml.
 SMALL = (
-    *("model.width=8", "model.encoder=[1,1]", "model.decoder=[1,1]", "data.patch=32"),
-    *("data.batch=4", "train.steps=45", "train.check_every=15", "train.warmup=3"),
+    *("model=nafnet", "model.width=8", "model.encoder=[1,1]", "model.decoder=[1,1]"),
+    *("data.patch=32", "data.batch=4", "train.steps=45", "train.check_every=15", "train.warmup=3"),
     *("train.learning_rate=0.006", "train.ema=0.9"),
 )
 

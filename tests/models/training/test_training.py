@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -177,6 +178,68 @@ def test_checkpoints_are_kept_by_time(
     assert read_checkpoint(tmp_path / "checkpoint.ckpt")["step"] == 4
 
 
+def test_a_resumed_training_forgets_geometry_at_the_same_steps(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped right after a check: the loader's own random number must not shift the network's."""
+    words = ["model=sonarnet", "model.widths=[8,8]", "model.blocks=[1,1]", "model.forget=0.5"]
+    words += [word for word in SMALL if not word.startswith("model")]
+    words += ["train.steps=6", "train.check_every=2", "data.workers=1"]
+    drawn: dict[str, list[float]] = {"whole": [], "resumed": []}
+    update = Loop.update
+
+    def noted(self: Loop, batch: Any) -> Any:
+        if name == "resumed" and self.step == 2 and len(drawn[name]) == 2:
+            drawn[name].append(-1.0)
+            raise OSError("the power went")
+        drawn[name].append(float(torch.rand(())))
+        return update(self, batch)
+
+    monkeypatch.setattr(Loop, "update", noted)
+    name = "whole"
+    train(*config_for(dataset, tmp_path / name, *words))
+    name = "resumed"
+    with pytest.raises(OSError, match="power"):
+        train(*config_for(dataset, tmp_path / name, *words))
+    train(*config_for(dataset, tmp_path / name, *words))
+    drawn[name].remove(-1.0)
+    assert drawn["resumed"] == drawn["whole"]
+    files = [tmp_path / name / WEIGHTS_NAME for name in drawn]
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_geometry_stays_exact_in_mixed_precision(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[dict[str, torch.Tensor]] = []
+
+    def noted(network: torch.nn.Module, batch: dict[str, torch.Tensor]) -> torch.Tensor:
+        seen.append(batch)
+        return next(network.parameters()).sum() * 0
+
+    settings, _ = config_for(dataset, tmp_path, *SMALL)
+    mixed = replace(settings.train, precision="bf16-mixed")
+    network = build_network(TINY)
+    loop = Loop(network, noted, mixed, 0, torch.device("cpu"))
+    third = torch.full((1, 1, 8, 8), 1 / 3)
+    loop.update({"noisy": third, "clean": third, "azimuth_rad": third, "range_fraction": third})
+    assert all(torch.equal(values, third) for values in seen[0].values())
+
+
+def test_a_training_ends_with_a_check_between_intervals(dataset: Path, tmp_path: Path) -> None:
+    row = train_small(dataset, tmp_path, "train.steps=5", "train.check_every=3")
+    lines = (tmp_path / "metrics.csv").read_text(encoding="utf-8").splitlines()
+    assert [line.split(",")[0] for line in lines[1:]] == ["3", "5"]
+    assert row["step"] in (3, 5)
+
+
+def test_a_network_is_trained_with_geometry_by_default(dataset: Path, tmp_path: Path) -> None:
+    settings, _ = config_for(dataset, tmp_path)
+    network = build_network(settings.model)
+    assert {"range_fraction", "azimuth_rad", "sector"} <= set(network.extras)
+    assert "remove" not in network.extras
+
+
 def test_finished_training_is_not_done_again(
     trained: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -310,7 +373,7 @@ def test_a_student_becomes_like_its_teacher(teacher: Path, dataset: Path, tmp_pa
     before = copy.deepcopy(load_weights(teacher).network.state_dict())
     out = tmp_path / "student"
     words = ["model=sonarnet", "model.widths=[8,8]", "model.blocks=[1,1]", "model.lines=false"]
-    words += [word for word in SMALL if not word.startswith("model.")]
+    words += [word for word in SMALL if not word.startswith("model")]
     words += [f"train.teacher='{teacher}'"]
     train(*config_for(dataset, out, *words))
     student = load_weights(out / WEIGHTS_NAME)
