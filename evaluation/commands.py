@@ -44,6 +44,11 @@ def real(words: Sequence[str]) -> int:
     return run_app(_real, "real", _named(words, "real"))
 
 
+def detect(words: Sequence[str]) -> int:
+    """`simnfnd evaluate detect RECORDING... [KEY=VALUE ...]`."""
+    return run_app(_detect, "detect", _named(_as_keys(words), None, "recordings"))
+
+
 def realism(words: Sequence[str]) -> int:
     """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
     return run_app(_realism, "realism", _named(words, "real", "sim"))
@@ -58,17 +63,36 @@ def fit(words: Sequence[str]) -> int:
     return run_app(_fit, "fit", [*_named(own, "real"), *recipe])
 
 
-def _named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:
+def _named(words: Sequence[str], first: str | None, rest: str | None = None) -> list[str]:
     """Words without `=` as overrides: the first one of `first`, the others a list of `rest`."""
     plain = [word for word in words if "=" not in word and not word.startswith("-")]
     overrides = [word for word in words if word not in plain]
+    if plain and first is not None:
+        overrides.append(f"{first}={quoted(plain.pop(0))}")
     if plain:
-        overrides.append(f"{first}={quoted(plain[0])}")
-    if plain[1:]:
         if rest is None:
-            raise FactoryError(f"{plain[1]}: unexpected; only one folder is taken here")
-        overrides.append(f"{rest}={_listed(plain[1:])}")
+            raise FactoryError(f"{plain[0]}: unexpected; only one folder is taken here")
+        overrides.append(f"{rest}={_listed(plain)}")
     return overrides
+
+
+def _as_keys(words: Sequence[str]) -> list[str]:
+    """`--weights FILE` and `--frames N` of `simnfnd denoise` as keys of the configuration."""
+    keys = {"--weights": "models", "--frames": "frames"}
+    found: list[str] = []
+    left = iter(words)
+    for word in left:
+        option, _, value = word.partition("=")
+        if option not in keys:
+            found.append(word)
+            continue
+        value = value or next(left, "")
+        if not value:
+            raise FactoryError(f"{option}: a value is missing")
+        found.append(
+            f"{keys[option]}={_listed([value]) if option == '--weights' else f'[{value}]'}"
+        )
+    return found
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -143,6 +167,16 @@ def _real(config: DictConfig) -> None:
     settings = _checked(config, RealSettings, real="pictures or a recording")
     require(_needs("models=", settings.models))
     from .real.report import evaluate
+
+    evaluate(settings)
+
+
+def _detect(config: DictConfig) -> None:
+    from .settings import DetectSettings
+
+    settings = _checked(config, DetectSettings, recordings="a static recording or several")
+    require(_needs("models=", settings.models))
+    from .detect.report import evaluate
 
     evaluate(settings)
 

@@ -89,15 +89,17 @@ class Stretch:
     shots: tuple[Shot, ...]
 
 
-def open_input(given: str | Path, most: int | None = None) -> tuple[list[Stretch], tuple[str, ...]]:
+def open_input(
+    given: str | Path, most: int | None = None, key: str = "real"
+) -> tuple[list[Stretch], tuple[str, ...]]:
     """All folders and recordings at a path, and notes for the report.
 
-    most: of each so many shots, the first ones.
+    most: of each so many shots, the first ones.  key: of the configuration, for errors.
     Raises FactoryError when there is nothing, or a recording cannot be opened.
     """
     root = Path(given).expanduser()
     if not root.exists():
-        raise FactoryError(f"real={root}: no such folder or recording")
+        raise FactoryError(f"{key}={root}: no such folder or recording")
     notes: tuple[str, ...] = ()
     if (root / "Images").is_dir() or (root / GEOMETRY_FILE).is_file():
         shots, notes = _with_geometry(root)
@@ -105,7 +107,7 @@ def open_input(given: str | Path, most: int | None = None) -> tuple[list[Stretch
     else:
         found = _below(root)
     if not found:
-        raise FactoryError(f"real={root}: holds no pictures and no recordings")
+        raise FactoryError(f"{key}={root}: holds no pictures and no recordings")
     for stretch in found:
         if most is not None and (count := len(stretch.shots)) > most:
             notes += (f"of the {count} frames of {stretch.name} the first {most} are used",)

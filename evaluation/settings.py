@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass
 from ..factory.settings import STRICT
 
 Count = Annotated[int, Field(ge=1)]
+Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -103,6 +104,38 @@ class RealSettings(ReportSettings):
     def folder(self) -> Path:
         """Where the report goes."""
         return Path(self.out or Path("outputs", "evaluation", f"{self.name}-real"))
+
+
+@dataclass(frozen=True, config=STRICT)
+class DetectSettings(ReportSettings):
+    """All keys of conf/detect.yaml."""
+
+    recordings: Annotated[list[str], Field(min_length=1)]
+    models: list[str]
+    frames: list[Annotated[int, Field(ge=1)]]
+    fixed: list[dict[str, dict[str, int | float]]]
+    sizes: Annotated[list[Pair], Field(min_length=1)]
+    contrasts: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=1)]
+    speed_px: Pair
+    tracks: Count
+    repeats: Count
+    track_frames: Annotated[int, Field(ge=2)]
+    limit: Annotated[int, Field(ge=20)]
+
+    @field_validator("sizes", "speed_px")
+    @classmethod
+    def _positive(cls, value: Any) -> Any:
+        pairs = value if isinstance(value, list) else [value]
+        for first, second in pairs:
+            if min(first, second) <= 0:
+                raise ValueError("numbers must be greater than 0, in pixels")
+        return value
+
+    @property
+    def folder(self) -> Path:
+        """Where the report goes."""
+        name = Path(self.recordings[0]).expanduser().resolve().name
+        return Path(self.out or Path("outputs", "evaluation", f"{name}-detect"))
 
 
 @dataclass(frozen=True, config=STRICT)

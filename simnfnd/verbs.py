@@ -180,6 +180,13 @@ VERBS: dict[str, Verb] = {
         ("simnfnd evaluate real mdd models=[simnfnd]",),
         needs=("skimage", *_SONAR), hydra=True,
     ),
+    "evaluate detect": Verb(
+        JUDGE, "what denoising leaves of moving targets inserted into recordings",
+        "simnfnd.evaluation.commands:detect",
+        ("simnfnd evaluate detect dive.avi", "simnfnd evaluate detect dive.avi frames=[7] "
+         "models=[simnfnd,own.safetensors] contrasts=[1,2]"),
+        needs=("pandas", "skimage", *_SONAR), hydra=True,
+    ),
     "evaluate realism": Verb(
         JUDGE, "how near datasets are to real pictures",
         "simnfnd.evaluation.commands:realism",

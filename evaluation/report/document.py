@@ -25,6 +25,21 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class Drawing:
+    """A picture of a section, a file beside the report.  name: of the file, .svg or .png."""
+
+    name: str
+    caption: str
+    content: bytes
+
+    @property
+    def data_uri(self) -> str:
+        """The file as part of a page."""
+        kind = "svg+xml" if self.name.endswith(".svg") else "png"
+        return f"data:image/{kind};base64," + base64.b64encode(self.content).decode("ascii")
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of a report.  Names in `text` stand between backticks.
 
@@ -35,6 +50,7 @@ class Section:
     tables: Sequence[pd.DataFrame] = ()
     text: Sequence[str] = ()
     folded: bool = False
+    drawings: Sequence[Drawing] = ()
 
 
 @dataclass(frozen=True)
@@ -60,29 +76,33 @@ def write_report(
     facts: Mapping[str, Any],
     examples: Sequence[Example] = (),
 ) -> None:
-    """<name>.md, .json and .html in a folder.
+    """<name>.md, .json and .html in a folder, and the drawings of its sections.
 
     facts: the JSON.  Raises FactoryError when the folder cannot be written to.
     """
-    shown = [one for one in sections if one.tables or any(one.text)]
+    shown = [one for one in sections if one.tables or one.drawings or any(one.text)]
     parts = [f"# {title}", about]
     for one in shown:
         parts += [f"## {one.title}", *map(as_markdown, one.tables), *filter(None, one.text)]
+        parts += [f"![{drawing.caption}]({drawing.name})" for drawing in one.drawings]
     page = _environment().get_template("report.html")
     html = page.render(
         title=title, about=about, sections=shown, examples=_data(examples), file=_own_file
     )
     markdown = "\n\n".join(parts) + "\n"
     data = json.dumps(facts, indent=1, allow_nan=False) + "\n"
-    write_files(out, {f"{name}.json": data, f"{name}.md": markdown, f"{name}.html": html.lstrip()})
+    files: dict[str, str | bytes] = {f"{name}.json": data, f"{name}.md": markdown}
+    files |= {drawing.name: drawing.content for one in shown for drawing in one.drawings}
+    write_files(out, {**files, f"{name}.html": html.lstrip()})
 
 
-def write_files(out: Path, files: Mapping[str, str]) -> None:
+def write_files(out: Path, files: Mapping[str, str | bytes]) -> None:
     """Name -> content, each whole or not at all.  FactoryError where the folder cannot be made."""
     with explain_os_errors(out, "out"):
         out.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
-        write_atomically(out / name, content.encode(), key="out")
+        data = content.encode() if isinstance(content, str) else content
+        write_atomically(out / name, data, key="out")
 
 
 def as_data_uri(image: npt.NDArray[np.float32]) -> str:

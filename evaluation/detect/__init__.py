@@ -1,0 +1,1 @@
+"""Moving targets inserted into static recordings: what denoising leaves of them."""

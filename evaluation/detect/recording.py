@@ -1,0 +1,110 @@
+"""Static recordings that targets can be inserted into."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ...models.recordings.fan_finder import find_geometry
+from ...models.recordings.static import find_groups
+from ...models.recordings.views import presentation_of
+from ..metrics.fidelity import Mask
+from ..metrics.measure import Gray
+from ..metrics.statistics import evenly
+from ..real.groups import sector_of
+from ..recorded import Stretch
+from .targets import Frames, blurred
+
+LEAST_FRAMES = 20
+
+_INSONIFIED = (16 / 255, 170 / 255)  # grey values of the smoothed mean
+_INSONIFIED_PX = 2.0
+_MARGIN_PX = 31  # side of the neighbourhood that has to be insonified as well
+_COMPARED = 12  # frames that show whether a recording is static
+_SAME = 0.75  # share of them that must show one scene
+_FURTHEST_PX = 2.0  # from each other
+
+
+@dataclass(frozen=True, eq=False)
+class StaticRecording:
+    """frames: (N, H, W) float32 in 0..1.  insonified: (H, W) bool, where targets may be.
+
+    full_scale: levels of the file above 0; what is inserted is rounded to them.
+    """
+
+    name: str
+    frames: Frames
+    insonified: Mask
+    geometry: FanGeometry | None
+    full_scale: int
+
+    def stored(self, frames: Frames) -> npt.NDArray[np.unsignedinteger]:
+        """Frames as the recording would store them."""
+        dtype = np.uint8 if self.full_scale == 255 else np.uint16
+        levels: npt.NDArray[np.unsignedinteger] = np.rint(frames * self.full_scale).astype(dtype)
+        return levels
+
+
+def open_static(stretch: Stretch, frame_limit: int) -> StaticRecording:
+    """The first frames of a recording.
+
+    Raises FactoryError for one that moves, is too short, or shows no insonified area.
+    """
+    name = stretch.name
+    shots = stretch.shots[:frame_limit]
+    if len(shots) < LEAST_FRAMES:
+        raise FactoryError(
+            f"{name}: has {len(shots)} frames; targets need a static recording of at least "
+            f"{LEAST_FRAMES}"
+        )
+    images: list[Gray] = []
+    for shot in shots:
+        image, geometry = shot.read()
+        if images and image.shape != images[0].shape:
+            raise FactoryError(
+                f"{name}: {shot.name} has {image.shape[1]}x{image.shape[0]} pixels, the first "
+                f"frame {images[0].shape[1]}x{images[0].shape[0]}; give frames of one size"
+            )
+        images.append(image)
+    frames = np.stack(images)
+    # Dark recordings are judged as they are shown.
+    gain = presentation_of(frames.mean(axis=0), None).gain
+    frames = np.minimum(frames * gain, np.float32(1))
+    if geometry is None:
+        geometry = find_geometry(frames[0])
+    insonified = insonified_area(frames)
+    if not insonified.any():
+        raise FactoryError(
+            f"{name}: no insonified area is {_MARGIN_PX} pixels wide; give larger or brighter "
+            "frames"
+        )
+    check_static(name, frames, sector_of(frames[0], geometry))
+    eight_bits = np.allclose(frames[0] * 255, np.rint(frames[0] * 255), atol=1e-3)
+    return StaticRecording(name, frames, insonified, geometry, 255 if eight_bits else 65535)
+
+
+def insonified_area(frames: Frames) -> Mask:
+    """(H, W) bool: neither dark nor saturated, with a margin."""
+    level = blurred(frames.mean(axis=0), _INSONIFIED_PX)
+    least, most = _INSONIFIED
+    lit = ((level > least) & (level < most)).astype(np.uint8)
+    return cv2.erode(lit, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
+
+
+def check_static(name: str, frames: Frames, sector: Mask) -> None:
+    """Raises FactoryError for a recording whose sonar moves."""
+    numbers = evenly(range(len(frames)), _COMPARED)
+    compared: Sequence[npt.NDArray[np.float32]] = [frames[number] for number in numbers]
+    least = int(np.ceil(_SAME * len(numbers)))
+    groups = find_groups(compared, [sector] * len(numbers), least=least, furthest_px=_FURTHEST_PX)
+    if not groups:
+        raise FactoryError(
+            f"{name}: the sonar moves; targets are inserted into static recordings alone, give "
+            "a stretch in which it stands still"
+        )

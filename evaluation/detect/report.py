@@ -1,0 +1,183 @@
+"""The report on targets: detect.json, detect.md, detect.html, curves.svg and crops.png."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable
+from ...factory.scheduler.workers.tasks import TaskPool
+from ..recorded import Stretch, frame_of, open_input
+from ..report.document import Drawing, Section, write_report
+from ..report.tables import as_markdown, as_table, interval, plain, written
+from ..settings import DetectSettings
+from .curves import Plot, drawn
+from .judge import Outcome, judge
+from .scores import CURVE_ALARMS, CURVE_RATES, Estimate, MethodFigures
+from .sheet import crop_sheet
+from .targets import classes_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SCHEMA = "simnfnd-detect/1"
+
+HOW = (
+    "Targets of known position are inserted into the recording: ellipses of the smoothed scene, "
+    "raised by their contrast (in standard deviations of the local grain), with grain from "
+    "elsewhere in the same frame. The twin sequence gets the same grain with zero contrast. "
+    "Both are denoised.",
+    "AUC: a matched filter at the known position, target against twin (1: all information is "
+    "left, .5: none). Contrast: part of the recorded contrast that is retained. Detection: part of "
+    "the targets found at one false alarm per frame by a common detector (scene mean subtracted, "
+    "2 px smoothing, divided by the usual change of each place); real motion is not counted. "
+    "False alarms: per frame without targets, at the threshold that gives one in recorded frames.",
+    "Means over classes. 95 % bootstrap intervals that draw tracks, not frames (false alarms: "
+    "blocks of frames). Filters called tuned have the best PSNR on these recordings without "
+    "targets.",
+)
+
+
+def evaluate(settings: DetectSettings) -> None:
+    """Measure, print the table and write the report.  Raises FactoryError."""
+    stretches: list[Stretch] = []
+    for path in settings.recordings:
+        found, _ = open_input(path, key="recordings")
+        stretches += found
+    if len({stretch.name for stretch in stretches}) < len(stretches):
+        raise FactoryError("recordings: two have one name; give each once, in one folder")
+    check_writable(settings.folder, "out")
+    with TaskPool(settings.workers) as pool:
+        outcome = judge(settings, stretches, pool)
+    frame_of.cache_clear()
+    print(write(settings, outcome))
+    print(f"report: {settings.folder / 'detect.html'}")
+
+
+def write(settings: DetectSettings, outcome: Outcome) -> str:
+    """Write the files; returns what the terminal shows."""
+    frames = sum(len(sequence.with_targets) for sequence in outcome.sequences)
+    tracks = sum(len(sequence.tracks) for sequence in outcome.sequences)
+    names = ", ".join(dict.fromkeys(sequence.name for sequence in outcome.sequences))
+    about = f"{names}: {frames} frames with {tracks} moving targets. "
+    about += "".join(f"{note}. " for note in outcome.notes)
+    table = overall_table(outcome)
+    labels = list(outcome.figures)
+    curves = drawn(_plots(outcome.figures)).encode()
+    drawings = [Drawing("curves.svg", "What each method leaves to find", curves)]
+    if outcome.examples:
+        sheet = crop_sheet(outcome.examples, labels)
+        drawings.append(
+            Drawing(
+                "crops.png",
+                "One target of each class; below each image what the target adds to it",
+                sheet,
+            )
+        )
+    sections = [
+        Section("Targets", [table]),
+        Section("Each class of size and contrast", [class_table(settings, outcome)]),
+        Section("Curves and crops", drawings=drawings),
+        Section("How it was measured", text=HOW),
+    ]
+    write_report(
+        settings.folder,
+        "detect",
+        f"Targets in {names}",
+        about.strip(),
+        sections,
+        facts=_facts(settings, outcome),
+    )
+    return f"{about.strip()}\n\n{as_markdown(table)}"
+
+
+def overall_table(outcome: Outcome) -> pd.DataFrame:
+    """A line a method, with intervals."""
+    head = ["method", "AUC", "contrast", "detection", "against recorded", "false alarms a frame"]
+    lines = []
+    for label, figures in outcome.figures.items():
+        own = figures.overall
+        cells = [_with_interval(estimate) for estimate in (own.auc, own.contrast, own.detection)]
+        cells.append(_with_interval(own.detection_gain, sign=True))
+        lines.append([label, *cells, _with_interval(figures.false_alarms)])
+    for label, why in outcome.lost.items():
+        lines.append([label, f"lost: {why}", "", "", "", ""])
+    return as_table(head, lines)
+
+
+def class_table(settings: DetectSettings, outcome: Outcome) -> pd.DataFrame:
+    """A line a method: AUC / contrast / detection of each class."""
+    classes = classes_of(settings.sizes, settings.contrasts)
+    head = ["AUC / contrast / detection", *(target.label for target in classes)]
+    lines = [
+        [label, *(" / ".join(written(one.value, 2) for one in own[:3]) for own in figures.by_class)]
+        for label, figures in outcome.figures.items()
+    ]
+    return as_table(head, lines)
+
+
+def _with_interval(estimate: Estimate, sign: bool = False) -> str:
+    text = written(estimate.value, 3, sign)
+    if math.isfinite(estimate.low):
+        text += f" ({interval(estimate._asdict(), 2, sign)})"
+    return text
+
+
+def _plots(figures: dict[str, MethodFigures]) -> Sequence[Plot]:
+    return (
+        Plot(
+            "Detector",
+            "false alarms per frame",
+            "targets found",
+            CURVE_ALARMS,
+            {label: own.curve for label, own in figures.items()},
+            (0.1, 0.3, 1, 3, 10),
+            logarithmic=True,
+        ),
+        Plot(
+            "Matched filter (ROC)",
+            "false-positive rate",
+            "true-positive rate",
+            CURVE_RATES,
+            {label: own.roc for label, own in figures.items()},
+            (0, 0.2, 0.4, 0.6, 0.8, 1),
+        ),
+    )
+
+
+def _facts(settings: DetectSettings, outcome: Outcome) -> dict[str, Any]:
+    classes = classes_of(settings.sizes, settings.contrasts)
+    return {
+        "schema": SCHEMA,
+        "sequences": [
+            {"name": one.name, "frames": len(one.with_targets), "tracks": len(one.tracks)}
+            for one in outcome.sequences
+        ],
+        "classes": [target._asdict() for target in classes],
+        "speed_px": settings.speed_px,
+        "seed": settings.seed,
+        "rows": [
+            {
+                "label": label,
+                **{name: _plain(one) for name, one in figures.overall._asdict().items()},
+                "false_alarms": _plain(figures.false_alarms),
+                "classes": {
+                    target.label: {name: _plain(one) for name, one in own._asdict().items()}
+                    for target, own in zip(classes, figures.by_class, strict=True)
+                },
+                "detection_at_false_alarms": dict(
+                    zip(map(str, CURVE_ALARMS), map(plain, figures.curve), strict=True)
+                ),
+            }
+            for label, figures in outcome.figures.items()
+        ],
+        "lost": outcome.lost,
+        "notes": outcome.notes,
+        "rules": HOW,
+    }
+
+
+def _plain(estimate: Estimate) -> dict[str, float | None]:
+    return {name: plain(value) for name, value in estimate._asdict().items()}

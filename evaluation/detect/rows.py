@@ -1,0 +1,127 @@
+"""The rows of the benchmark: recorded frames, filters, means in time, networks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ...models.denoise.pictures import Denoising
+from ...models.denoise.temporal.stream import Shot
+from .. import tuning
+from ..filters import REGISTRY, Baseline, Parameters
+from ..filters.windows import mean_around, registered_mean
+from ..methods import Method, network, shown
+from ..metrics.statistics import evenly
+from ..real.in_time import kinds_of, tuned_weight
+from .targets import Frames
+
+REACH = 3
+"""Frames before and after one that the means in time take."""
+
+_TUNED_ON = 3  # frames
+
+Stored = npt.NDArray[np.unsignedinteger]
+"""(N, H, W) frames as a recording stores them."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A method as the benchmark runs it.
+
+    kind: recorded, filter, mean, registered mean or network.  name: of the filter in the registry.
+    parameters: of the filter, or of the total variation after a mean; {}: none follows.
+    weights, frames: of a network, and of its window.
+    """
+
+    label: str
+    kind: str
+    name: str = ""
+    parameters: Parameters = field(default_factory=dict)
+    weights: str = ""
+    frames: int = 1
+
+
+RECORDED = Row("recorded", "recorded")
+
+
+def rows_of(
+    frames: Frames,
+    *,
+    fixed: Sequence[dict[str, Parameters]],
+    tuned: Sequence[Baseline],
+    networks: Sequence[Method],
+    windows: Sequence[int],
+) -> list[Row]:
+    """All rows, filters tuned on these frames without targets.
+
+    fixed: filters with their parameters.  windows: frames that the networks fuse.
+    """
+    static = next(kinds_of(frames))
+    numbers = evenly(static.numbers(), _TUNED_ON)
+    samples = tuple(
+        tuning.Sample(static.frames[n], static.references[n], static.masks[n]) for n in numbers
+    )
+    rows = [RECORDED]
+    for filters in fixed:
+        rows += [_fixed_filter(name, parameters) for name, parameters in filters.items()]
+    for baseline in tuned:
+        best = tuning.on_frames(tuning.Task(baseline.name, samples, 0))
+        if isinstance(best, str):
+            raise FactoryError(f"baselines: {baseline.name} cannot be tuned: {best}")
+        rows.append(Row(f"{baseline.name}, tuned", "filter", baseline.name, best))
+    window = 2 * REACH + 1
+    weight = {"weight": tuned_weight([static])}
+    rows.append(Row(f"mean of {window}", "mean"))
+    rows.append(Row(f"registered mean of {window} + TV", "registered mean", "tv", weight))
+    for method in networks:
+        for count in windows:
+            label = f"{method.label}, " + ("single frames" if count == 1 else f"{count} frames")
+            rows.append(Row(label, "network", weights=method.weights or "", frames=count))
+    return rows
+
+
+def _fixed_filter(name: str, parameters: Parameters) -> Row:
+    """Raises FactoryError for a filter or parameter that does not exist."""
+    if name not in REGISTRY:
+        raise FactoryError(f"fixed.{name}: no such filter; there are {', '.join(REGISTRY)}")
+    default = REGISTRY[name].default
+    if unknown := sorted(set(parameters) - set(default)):
+        raise FactoryError(
+            f"fixed.{name}.{unknown[0]}: no such parameter; {name} has {', '.join(default)}"
+        )
+    point = {**default, **parameters}
+    return Row(name + shown(point), "filter", name, point)
+
+
+def denoised(
+    row: Row, stored: Stored, full_scale: int, geometry: FanGeometry | None, device: str
+) -> Frames:
+    """(N, H, W) float32 in 0..1: what a row makes of a sequence."""
+    if row.kind == "network":
+        return _by_network(row, stored, geometry, device) / np.float32(full_scale)
+    frames = stored.astype(np.float32) / np.float32(full_scale)
+    if row.kind == "recorded":
+        return frames
+    if row.kind == "filter":
+        return np.stack([REGISTRY[row.name](frame, row.parameters) for frame in frames])
+    mean = registered_mean if row.kind == "registered mean" else mean_around
+    means = (mean(frames, number, REACH) for number in range(len(frames)))
+    if row.parameters:
+        means = (REGISTRY[row.name](one, row.parameters) for one in means)
+    return np.stack(list(means))
+
+
+def _by_network(row: Row, stored: Stored, geometry: FanGeometry | None, device: str) -> Stored:
+    """As `simnfnd denoise --frames N` does it."""
+    denoising = Denoising(network(row.weights, device), frames=row.frames)
+
+    def shots() -> Iterator[Shot]:
+        for number, frame in enumerate(stored):
+            yield denoising.shot(number, frame, lambda _: geometry)
+
+    return np.stack([frame for _, frame in denoising.sequence(shots())])

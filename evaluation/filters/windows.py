@@ -1,0 +1,69 @@
+"""Means over the frames around one in time: the classical denoisers of a recording."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..metrics.measure import Gray
+
+_BAND_PX = (1.0, 8.0)  # sigmas of the blurs whose difference is registered
+_UNKNOWN = -1.0  # where a registered frame shows nothing
+
+
+def mean_around(frames: Gray, number: int, reach: int) -> Gray:
+    """(H, W): mean of the frames (N, H, W) up to `reach` before and after one."""
+    return np.asarray(frames[max(0, number - reach) : number + reach + 1].mean(axis=0), np.float32)
+
+
+def registered_mean(frames: Gray, number: int, reach: int) -> Gray:
+    """The same after each frame is laid over the one at `number`.
+
+    The shift of whole frames is the peak of their phase correlation (Kuglin and Hines 1975),
+    rounded to pixels, so that no frame is interpolated.
+    """
+    fixed = frames[number]
+    total = fixed.astype(np.float64)
+    count = np.ones_like(total)
+    for other in range(max(0, number - reach), min(number + reach + 1, len(frames))):
+        if other == number:
+            continue
+        laid = _moved(frames[other], shift_px(fixed, frames[other]))
+        shown = laid != _UNKNOWN
+        total += np.where(shown, laid, 0)
+        count += shown
+    return np.asarray(total / count, np.float32)
+
+
+def shift_px(fixed: Gray, moved: Gray) -> tuple[int, int]:
+    """How far right and down the scene of `fixed` lies in `moved`, whole pixels."""
+    fade = cv2.createHanningWindow(fixed.shape[::-1], cv2.CV_32F)
+    (right, down), _ = cv2.phaseCorrelate(_band(fixed), _band(moved), fade)
+    return round(right), round(down)
+
+
+def _band(image: Gray) -> Gray:
+    """Without fine grain and without brightness."""
+    fine, broad = _BAND_PX
+    image = np.asarray(image, np.float32)
+    return np.asarray(
+        cv2.GaussianBlur(image, (0, 0), fine) - cv2.GaussianBlur(image, (0, 0), broad)
+    )
+
+
+def _moved(image: Gray, shift_px: tuple[int, int]) -> Gray:
+    """An image with its scene moved left and up by (right, down) pixels; -1 where it shows none."""
+    right, down = shift_px
+    matrix = np.array([[1, 0, right], [0, 1, down]], np.float64)
+    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    size = image.shape[::-1]
+    return np.asarray(
+        cv2.warpAffine(
+            np.asarray(image, np.float32),
+            matrix,
+            size,
+            flags=flags,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(_UNKNOWN,),
+        )
+    )
