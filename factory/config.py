@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
+from .dataset.schema import CAMERA_LAYERS
 from .dataset.settings import DatasetSettings
 from .errors import FactoryError
 from .imaging.settings import AcousticsSettings, ResampleSettings, with_materials
@@ -124,6 +125,22 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
                 f"noise.{moving[0]} moves points, and acoustics.formation=field has none; "
                 f"set noise.{moving[0]}.enabled=false, or use noise=physical"
             )
+    moves = scenes.kind == "seabed" and bool(scenes.moving)
+    if "tracks" in dataset.columns and not moves:
+        yield (
+            "dataset.columns: tracks are of moving objects; give scenes.moving_objects, or leave "
+            "it out"
+        )
+    if moves and not sonar.mount.colocated:
+        yield (
+            "scenes.moving_objects need the sonar at the camera; set "
+            "sonar.mount.translation_m=[0, 0, 0]"
+        )
+    if moves and CAMERA_LAYERS.intersection(dataset.layers):
+        yield (
+            "dataset.layers: rgb and depth do not show moving objects; leave them out, or leave "
+            "scenes.moving_objects out"
+        )
     if "segmentation" in dataset.layers and scenes.kind not in _LABELLED:
         yield (
             f"dataset.layers: segmentation needs labelled frames and scenes={scenes.kind} "
@@ -184,6 +201,8 @@ def plain(config: FactoryConfig) -> dict[str, Any]:
 _LATER: dict[str, Any] = {
     "frames.total": None,
     "scenes.own_objects": [],
+    "scenes.frame_rate_hz": None,
+    "scenes.moving_objects": [],
     "scenes.boxes": False,
     "sonar.samples_per_bin": 1,
     "sonar.range.windows_m": [],
@@ -241,6 +260,12 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
         values["classes"] = list(own)
     for one in scenes.get("own_objects", ()):
         one["file"] = _file_digest(one["file"], "scenes.own_objects")
+        if one["moving"] is None:
+            one.pop("moving")
+    for item in (*scenes.get("moving_objects", ()), *scenes.get("own_objects", ())):
+        moving = item.get("moving") or {}
+        if moving.get("path") is not None:
+            moving["path"] = _file_digest(moving["path"], "moving.path")
     if isinstance(config.scenes, MeshSettings):
         for key, file in (("file", config.scenes.file), ("poses", config.scenes.poses)):
             scenes[key] = file and _file_digest(file, f"scenes.{key}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +57,49 @@ class FrameRef:
 
 
 @dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Where a recording begins, for what moves in it.
+
+    world_from_start: (4, 4) float64, pose of the camera at the first frame.
+    ground_m: (N, N) float32, height of the ground at places `step_m` apart; the middle is the
+        camera's place at the first frame, rows go along the world's y and columns along its x.
+    """
+
+    world_from_start: npt.NDArray[np.float64]
+    ground_m: npt.NDArray[np.float32]
+    step_m: float
+
+
+class Body(Protocol):
+    """A moving object in one frame, as its echoes need it."""
+
+    @property
+    def salt(self) -> int:
+        """32 bits that tell its cells from those of the world and of other objects."""
+
+    def camera_m(self, own_m: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+        """(N, 3) places in camera axes of (N, 3) places in the object's own axes, at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovingPixels:
+    """The M pixels of a frame that show moving objects.
+
+    pixel: (M,) int32 flat, ascending.  body: (M,) int32, index into `bodies`.
+    own_m: (M, 3) float64 place on the object, in its own axes and at rest.
+    alone_px: (B,) int64, pixels that each body would cover alone, beyond the image, too.
+    hidden_px: (B,) int64, of those in the image, hidden by something nearer.
+    """
+
+    pixel: npt.NDArray[np.int32]
+    body: npt.NDArray[np.int32]
+    own_m: npt.NDArray[np.float64]
+    bodies: tuple[Body, ...]
+    alone_px: npt.NDArray[np.int64]
+    hidden_px: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One RGBD frame.
 
@@ -71,6 +115,8 @@ class Frame:
     boxes: (N, 11) float64 of the objects in the picture, or None: number in `instance`, class; box
         around it, centre ahead, left, up (m), length, width, height (m), yaw from ahead to the left
         (rad), all in the camera's own axes; pixels it would cover alone; those hidden by others.
+    surroundings: of a recording in which objects can move, or None.
+    moving: pixels that show moving objects, or None where nothing moves.
     """
 
     ref: FrameRef
@@ -83,6 +129,8 @@ class Frame:
     time_s: float | None = None
     altitude_m: float | None = None
     boxes: npt.NDArray[np.float64] | None = None
+    surroundings: Surroundings | None = None
+    moving: MovingPixels | None = None
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:

@@ -24,6 +24,8 @@ from .imaging import layers as truth
 from .imaging.coherent import FieldScene
 from .imaging.contract import Floats
 from .imaging.pointwise import PointScene
+from .moving.compose import Echo, compose
+from .moving.recordings import Moment, Recordings
 from .noise.draws import StreamNames, draw
 from .sample_table import Camera, columns, image_axes, record, requested, requested_row
 from .selection import choose_frames
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from .noise.registry import NoiseSettings
     from .render.base import Rendered
 
+Scene = PointScene | FieldScene
 _DRAWS = 40
 """Devices that may be drawn for a picture until one sees some of the frame."""
 
@@ -49,6 +52,7 @@ class ObservedFrame:
     window: range and azimuth limits of the picture.  has_pose: whether the frame's is known.
     shadow: (H, W) bool picture.  layers: (H, W) pictures of what lies behind each pixel, by the
     names of `dataset.layers`.  columns: what `dataset.columns` asks for.
+    continuous: whether the frames of its recording share the parameters of the noise.
     """
 
     ref: FrameRef
@@ -58,6 +62,7 @@ class ObservedFrame:
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float | str]
+    continuous: bool = False
 
 
 class PairMaker:
@@ -65,6 +70,7 @@ class PairMaker:
 
     def __init__(self, config: FactoryConfig, views: Views) -> None:
         self.config, self.views = config, views
+        self._recordings = Recordings(config.scenes, config.seed)
         self._camera = Camera(config, choose_frames)
 
     def axes(self) -> tuple[Axis, Axis]:
@@ -89,11 +95,12 @@ class PairMaker:
         view = self.views.view(ref)
         config = self.config if noise is None else replace(self.config, noise=noise)
         frame, rendered = view.frame(ref), view.rendered()
+        moment = self._recordings.moment(frame, rendered)
         if config.devices is None:
-            observed = observe(frame, rendered, config)
+            observed = observe_moment(moment, config)
             made = [make_pair(observed, variant, config) for variant in variants]
         else:
-            made = [pair_by_drawn_device(frame, rendered, one, config) for one in variants]
+            made = [pair_by_drawn_device(moment, one, config) for one in variants]
         seen = self._camera.layers(ref)
         return [replace(pair, layers={**pair.layers, **seen}) if seen else pair for pair in made]
 
@@ -105,35 +112,71 @@ class PairMaker:
 
 def pair_maker(config: FactoryConfig) -> PairMaker:
     """The pair maker of a configuration, with the renders that it means."""
-    compile_needed(field=config.acoustics.formation == "field" or config.devices is not None)
+    moves = "seabed" if config.scenes.is_continuous else ""
+    field = config.acoustics.formation == "field" or config.devices is not None
+    compile_needed(scenes=moves, field=field)
     return PairMaker(config, open_views(config))
 
 
 def observe(
     frame: Frame, rendered: Rendered, config: FactoryConfig, window: Window | None = None
 ) -> ObservedFrame:
-    """A rendered frame as the sonar observes it.
+    """A rendered frame as the sonar observes it; `observe_moment` of a scene where nothing moves.
 
     window: that of `fitted_window`, where it is known already.
     Raises FrameError when the sonar's sector holds no insonified surface.
     """
+    return observe_moment(Moment(frame, rendered), config, window)
+
+
+def observe_moment(
+    moment: Moment, config: FactoryConfig, window: Window | None = None
+) -> ObservedFrame:
+    """A frame with its moving objects as the sonar observes it.
+
+    The static scene alone decides the range window and the scale of the pictures, so that they
+    stay as they are while objects come and go.
+    """
     sonar, cones = config.sonar, config.acoustics.formation == "field"
-    window = window or fitted_window(frame, rendered, config)
+    window = window or fitted_window(moment.frame, moment.rendered, config)
     window = conical(window, sonar) if cones else window
-    lit = surface.LitSurface(frame, rendered, window, sonar, cones)
-    scene = (
-        FieldScene(lit, config.water, config.acoustics)
-        if cones
-        else PointScene(lit, config.seed, config.resample)
-    )
+    lit = surface.LitSurface(moment.frame, moment.rendered, window, sonar, cones)
+    scene = _scene_of(lit, config)
+    if moment.bodies:
+        composed = compose(
+            moment.frame,
+            moment.rendered,
+            moment.bodies,
+            sonar.mount,
+            [Echo(*one) for one in config.acoustics.of_classes()],
+            sonar.frequency_khz,
+        )
+        lit = surface.LitSurface(composed.frame, composed.rendered, window, sonar, cones)
+        scene = _scene_of(lit, config, scene)
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
     layers = {
         name: lay_out_nearest(picture, window, sonar)
         for name, picture in truth.pictures(config.dataset.layers, lit).items()
     }
-    shown, has_pose = lay_out_nearest(shadow, window, sonar), frame.world_from_camera is not None
-    row = requested_row(lit, config)
-    return ObservedFrame(frame.ref, has_pose, window, scene, shown, layers, row)
+    return ObservedFrame(
+        ref=moment.frame.ref,
+        has_pose=moment.frame.world_from_camera is not None,
+        window=window,
+        scene=scene,
+        shadow=lay_out_nearest(shadow, window, sonar),
+        layers=layers,
+        columns=requested_row(lit, config),
+        continuous=moment.is_continuous,
+    )
+
+
+def _scene_of(lit: surface.LitSurface, config: FactoryConfig, static: Scene | None = None) -> Scene:
+    """static: the same scene without moving objects; None where nothing moves."""
+    if config.acoustics.formation == "field":
+        assert static is None or isinstance(static, FieldScene)
+        return FieldScene(lit, config.water, config.acoustics, static)
+    assert static is None or isinstance(static, PointScene)
+    return PointScene(lit, config.seed, config.resample, static)
 
 
 def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Window:
@@ -147,39 +190,39 @@ def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Wi
 
 def observe_by(
     device: devices.Device,
-    frame: Frame,
-    rendered: Rendered,
+    moment: Moment,
     config: FactoryConfig,
     *,
     any_size: bool = False,
 ) -> tuple[ObservedFrame, FactoryConfig]:
-    """A rendered frame as a drawn device observes it, and the configuration of its pictures.
+    """A frame as a drawn device observes it, and the configuration of its pictures.
 
     any_size: whether the device draws the size of its pictures, too.
     Raises FrameError as `observe` does.
     """
     config = devices.configured(config, device, any_size=any_size)
-    window = fitted_window(frame, rendered, config)
+    window = fitted_window(moment.frame, moment.rendered, config)
     config = devices.resolved(config, device, window, any_size=any_size)
-    observed = observe(frame, rendered, config, window)
-    return observed, devices.fitted(config, device, observed.scene)
+    observed = observe_moment(moment, config, window)
+    return observed, devices.fitted(config, device, observed.scene.static or observed.scene)
 
 
-def pair_by_drawn_device(
-    frame: Frame, rendered: Rendered, variant: int, config: FactoryConfig
-) -> Pair:
+def pair_by_drawn_device(moment: Moment, variant: int, config: FactoryConfig) -> Pair:
     """A variant of a frame, by the device that `config.devices` draws for it.
 
     A device whose window shows nothing of the frame gives way to the next draw.
     Raises FrameError as `observe` does, where none of them sees any of it.
     """
     assert config.devices is not None
-    names = (frame.ref.location, frame.ref.scene, frame.ref.frame, variant)
+    ref = moment.frame.ref
+    names: tuple[str | int, ...] = (ref.location, ref.scene, ref.frame, variant)
+    if moment.is_continuous:
+        names = ref.location, ref.scene, variant
     for attempt in range(_DRAWS):
         again = (attempt,) if attempt else ()
         device = devices.draw(config.devices, config.seed, *names, *again)
         try:
-            observed, own = observe_by(device, frame, rendered, config)
+            observed, own = observe_by(device, moment, config)
         except FrameError as error:
             unseen = error
         else:
@@ -199,7 +242,7 @@ def make_pair(
     """
     window, sonar, wanted = observed.window, config.sonar, config.dataset
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
-    draws = draw(config.noise, config.seed, names)
+    draws = draw(config.noise, config.seed, names, continuous=observed.continuous)
     sample = observed.scene.sample(variant, draws.effects)
 
     def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:
@@ -214,6 +257,9 @@ def make_pair(
         layers[name] = lay_out_nearest(measured, window, sonar)
     if "effects" in wanted.layers:
         layers |= {f"layers/{name}": picture(sample.noisy({name})) for name in draws.names}
+    if "static" in wanted.layers:
+        still = observed.scene.static or observed.scene
+        layers["static"] = picture(still.sample(variant, draws.effects).clean, noisy=False)
     formation = config.acoustics.formation if device is None else "field"
     row = record(observed.ref, variant, window, sonar, sample, draws, formation)
     row |= {} if device is None else device.row()

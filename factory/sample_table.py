@@ -24,6 +24,7 @@ from .errors import FactoryError, FrameError
 from .frame import Frame, FrameRef
 from .imaging.contract import Sample
 from .labels import class_names
+from .moving.tracks import TRACKS, tracks_row
 from .noise import draws as drawn
 from .noise.draws import Draws
 from .noise.registry import EFFECTS, NoiseSettings
@@ -323,6 +324,7 @@ _REQUESTED: dict[str, tuple[tuple[Column, ...], Callable[[LitSurface, FactoryCon
         _BOXES,
         lambda lit, config: _boxes_row(lit, class_names(config.scenes.own_classes())),
     ),
+    "tracks": (TRACKS, lambda lit, config: tracks_row(lit, config.sonar.frequency_khz)),
 }
 
 

@@ -109,6 +109,8 @@ class Cache:
 # Which frames are chosen changes none of them.
 _NOT_PIXELS = {
     *("root", "file", "path", "locations", "first_location", "frames_per_location", "scenes"),
+    # What moves is put into a frame after it was rendered.
+    "moving_objects",
 }
 # All code between the files of a recording and the rendered pixels.
 _CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "scenes")
@@ -195,6 +197,7 @@ class CachedViews(Views):
         version = GENERATOR if config.scenes.kind == "seabed" else None
         common = pixels, *others, _code_version(config.render.kind), version
         self._common = json.dumps(common, sort_keys=True)
+        self._scenes = config.scenes
         self._expected: Mapping[str, str] = {}
 
     def key(self, ref: FrameRef) -> str:
@@ -202,6 +205,7 @@ class CachedViews(Views):
 
         The content of its files counts and not where they lie, so a recording may be moved.
         """
+        ref = self._scenes.rendered_ref(ref)
         states = [(path, os.stat(path)) for path in ref.paths]
         contents = [_digest(path, one.st_size, one.st_mtime_ns) for path, one in states]
         text = json.dumps([self._common, ref.location, ref.scene, ref.frame, contents])
@@ -255,5 +259,6 @@ class ViewMaker:
 
             compile_needed(scenes=self.config.scenes.kind)
             self._renderer = open_renderer(self.config.render)
-        frame, mount = self.reader.load(ref), self.config.sonar.mount
+        mount = self.config.sonar.mount
+        frame = self.reader.load(self.config.scenes.rendered_ref(ref))
         return view_of(frame, self._renderer.render(frame, mount), mount)

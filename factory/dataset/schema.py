@@ -114,6 +114,7 @@ _CORE_LAYERS = (
 CORE = tuple(layer.name for layer in _CORE_LAYERS)
 # Written where `dataset.layers` asks for them.
 OPTIONAL_LAYERS = (
+    _grey("static", "the clean image of the scene without moving objects"),
     Layer("range", "float32", "slant range of the strongest echo; NaN where there is none", "m"),
     _angle("elevation", "elevation of the strongest echo; NaN where there is none"),
     _angle("elevation_min", "lowest elevation of the echoes in the bin; NaN where there is none"),

@@ -12,7 +12,7 @@ from ..settings import STRICT
 from ..storage.copies import folder_of, is_url
 from .schema import DATASET_NAME, OPTIONAL_LAYERS
 
-ColumnName = Literal["pose", "intrinsics", "calibration", "boxes"]
+ColumnName = Literal["pose", "intrinsics", "calibration", "boxes", "tracks"]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -25,14 +25,16 @@ class DatasetSettings:
     compression: none reads five times as fast as gzip, and takes more room.
     compression_level: of gzip.
     layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
-        for each), and what lies behind a pixel: range, azimuth, elevation, elevation_min,
-        elevation_max, valid_azimuth, segmentation (of procedural scenes; brings instance); of
-        acoustics.formation=field also what was received: intensity_db and field (complex); and
-        what the camera saw: rgb and depth, in the frame's own size.
+        for each), `static` (the clean picture without moving objects), and what lies behind a
+        pixel: range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
+        segmentation (of procedural scenes; brings instance); of acoustics.formation=field also
+        what was received: intensity_db and field (complex); and what the camera saw: rgb and
+        depth, in the frame's own size.
     columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), intrinsics
         (of the camera), calibration (source level, absorption, time-varying gain; of
         acoustics.formation=field), boxes (JSON: of each object its box in 3-D and in range and
-        bearing, and how much of it the sound reaches).
+        bearing, and how much of it the sound reaches), tracks (JSON: of each moving object its
+        number, place, velocity, box and target strength).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +24,25 @@ from .expected import Expected, display, expected
 from .signal import Ping, Signal, averaged, beamform, beamform_power, sounds
 
 
+@dataclass(frozen=True, eq=False)
 class FieldScene(Ping):
-    """A frame as the device receives it: what all its samples share; no randomness."""
+    """A frame as the device receives it: what all its samples share; no randomness.
+
+    static: the same of the scene without moving objects, which decides the scale of the picture;
+        None where nothing moves.
+    """
+
+    static: FieldScene | None = None
+
+    @cached_property
+    def strongest(self) -> float:
+        """See `Ping`."""
+        return super().strongest if self.static is None else self.static.strongest
+
+    @cached_property
+    def full_scale(self) -> float:
+        """See `Ping`."""
+        return super().full_scale if self.static is None else self.static.full_scale
 
     @property
     def filled(self) -> npt.NDArray[np.bool_]:

@@ -23,11 +23,16 @@ from .settings import ResampleSettings
 
 @dataclass(frozen=True, eq=False)
 class PointScene:
-    """A frame as echoes at full density, and the seed of the random streams of its samples."""
+    """A frame as echoes at full density, and the seed of the random streams of its samples.
+
+    static: the same of the scene without moving objects, which decides the scale of the picture;
+        None where nothing moves.
+    """
 
     surface: LitSurface
     seed: int
     resample: ResampleSettings
+    static: PointScene | None = None
 
     @property
     def echoes(self) -> Echoes:
@@ -47,6 +52,8 @@ class PointScene:
         kept = random_subset(self.echoes, rate, seeds.stream(self.seed, *names))
         level = self.level([kept])
         full_scale = transfer.full_scale(level, self.surface.sonar.transfer, "intensity")
+        if self.static is not None:
+            full_scale = self.static.sample(variant, ()).full_scale
         clouds = effect_clouds(effects, kept, self.surface.window)
         return PointSample(effects, clouds, rate, len(kept), full_scale, self, kept, level)
 

@@ -26,6 +26,7 @@ from ..sonar.array import WaterSettings
 from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface, mount_weight
 from ..sonar.window import Window
+from .moving import MovingScatterers, moving_scatterers
 from .settings import AcousticsSettings
 
 Floats = npt.NDArray[np.float32]
@@ -79,9 +80,16 @@ class Scatterers:
             names, places = np.empty((2, len(self.pixels)), np.uint32)
             where = (self.pixels, self.parts), self.row_ends, camera_of(self.frame), pose
             kernels.cells(*where, edge_m, names, places)
+            for own in self.moving:
+                names[own.index], places[own.index] = own.cells(edge_m)
             self._cells.clear()
             self._cells[edge_m] = names, shares(names, places)
         return self._cells[edge_m]
+
+    @cached_property
+    def moving(self) -> tuple[MovingScatterers, ...]:
+        """The scatterers of each moving object."""
+        return moving_scatterers(self.frame, self.pixels, self.parts)
 
     @cached_property
     def surface(self) -> tuple[npt.NDArray[np.int32], Floats]:

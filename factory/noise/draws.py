@@ -63,15 +63,22 @@ class Draws:
         return row
 
 
-def draw(settings: NoiseSettings, seed: int, names: StreamNames) -> Draws:
-    """The parameters of every enabled effect for one sample."""
+def draw(
+    settings: NoiseSettings, seed: int, names: StreamNames, *, continuous: bool = False
+) -> Draws:
+    """The parameters of every enabled effect for one sample.
+
+    continuous: whether the samples of a recording share their parameters; random streams they do
+        not share, but as the scope of each effect says.
+    """
     drawn = []
     for name, block in blocks(settings).items():
         if block.enabled:
             effect = EFFECTS[name]
             own: Names = getattr(names, effect.scope)
+            shared = names.recording if continuous else own
             values = {
-                one.name: _value(getattr(block, one.name), seed, name, one.name, *own)
+                one.name: _value(getattr(block, one.name), seed, name, one.name, *shared)
                 for one in effect.parameters
             }
             drawn.append(DrawnEffect(name, effect, values, seed, own))

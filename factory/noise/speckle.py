@@ -5,12 +5,14 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from ..distribution import AnyNumber, NonNegative, Positive
 from ..errors import FrameError
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected, between
+from ..imaging.moving import static_index
 from ..imaging.scatterers import camera_of, grid_of
 from ..imaging.signal import (
     Floats,
@@ -23,6 +25,9 @@ from ..imaging.signal import (
 )
 from ..settings import STRICT
 from ..sonar import array
+
+Words = npt.NDArray[np.uint32]
+Doubles = npt.NDArray[np.float64]
 
 # Edge of a world cell over what the device tells apart; power is then within 0.15 dB.
 _CELL = 0.3
@@ -113,11 +118,42 @@ def path_speckle(
     turns or moves along keeps it for longer (Goodman, ch. 5).  Needs frames with poses, of a range
     window that stays the same (sonar.range.auto=false).  Raises FrameError when cells are too many.
     """
+    cell_m = scatterer_m or edge_m(ping)
+    names, powers, sonar_m = _static_points(ping, cell_m)
+    for own in ping.scatterers.moving:
+        moving = own.points(ping.scatterers.powers[own.index], cell_m)
+        names = np.concatenate([names, moving.names])
+        powers = np.concatenate([powers, moving.powers])
+        sonar_m = np.concatenate([sonar_m, _in_sonar_axes(ping, moving.camera_m)], axis=1)
+    ahead, left, up = sonar_m
+    ground = ahead * ahead + left * left
+    range_m = np.sqrt(ground + up * up)
+    on_ground, near_m, bins_per_m, rows, edges, *_ = grid_of(ping.window, ping.sonar)
+    away_m = np.sqrt(ground) if on_ground else range_m
+    row = np.floor((away_m - near_m) * bins_per_m)
+    beam = np.searchsorted(edges, -left / range_m, side="right") - 1
+    beams = ping.sonar.beams
+    seen = (ahead > 0) & (row >= 0) & (row < rows) & (beam >= 0) & (beam < beams)
+    bins = (row[seen].astype(np.int32) * beams + beam[seen]).astype(np.int32)
+    # Wavelengths of the two-way path.
+    turns = range_m[seen] * (2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s())
+    phases = ((turns - np.floor(turns)) * 65536.0).astype(np.uint16)
+    points = bins, np.sqrt(powers[seen]), names[seen], np.empty(0, np.float32), phases
+    return scattered(ping, rng, looks, points)
+
+
+def _static_points(ping: Ping, cell_m: float) -> tuple[Words, Floats, Doubles]:
+    """The cells of the static scene as one point each: names, powers, (3, N) in sonar axes.
+
+    Raises FrameError when cells are too many.
+    """
     from ..imaging import kernels  # loads numba
 
-    scene, cell_m = ping.scatterers, scatterer_m or edge_m(ping)
+    scene = ping.scatterers
     pose = np.ascontiguousarray(scene.world_from_camera[:3])
-    given = ((scene.pixels, scene.parts), scene.powers, camera_of(scene.frame), pose, cell_m)
+    kept = static_index(scene.moving, len(scene.pixels))
+    where, power = (scene.pixels[kept], scene.parts[kept]), scene.powers[kept]
+    given = (where, power, camera_of(scene.frame), pose, cell_m)
     nothing = np.empty(0, np.uint32), np.empty(0, np.float32), np.empty((0, 3), np.int32)
     points = kernels.gather(*given, nothing)
     if points > _MOST_POINTS:
@@ -140,21 +176,16 @@ def path_speckle(
     turn = ping.sonar.mount.rotation_sonar_from_camera()
     seen_from = turn @ np.linalg.inv(scene.world_from_camera)[:3]
     seen_from[:, 3] -= turn @ ping.sonar.mount.position_camera_m()
-    ahead, left, up = (m[0] * x + m[1] * y + m[2] * z + m[3] for m in seen_from)
-    ground = ahead * ahead + left * left
-    range_m = np.sqrt(ground + up * up)
-    on_ground, near_m, bins_per_m, rows, edges, *_ = grid_of(ping.window, ping.sonar)
-    away_m = np.sqrt(ground) if on_ground else range_m
-    row = np.floor((away_m - near_m) * bins_per_m)
-    beam = np.searchsorted(edges, -left / range_m, side="right") - 1
-    beams = ping.sonar.beams
-    seen = (ahead > 0) & (row >= 0) & (row < rows) & (beam >= 0) & (beam < beams)
-    bins = (row[seen].astype(np.int32) * beams + beam[seen]).astype(np.int32)
-    # Wavelengths of the two-way path.
-    turns = range_m[seen] * (2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s())
-    phases = ((turns - np.floor(turns)) * 65536.0).astype(np.uint16)
-    points = bins, np.sqrt(powers[seen]), names[seen], np.empty(0, np.float32), phases
-    return scattered(ping, rng, looks, points)
+    rows = [m[0] * x + m[1] * y + m[2] * z + m[3] for m in seen_from]
+    return names, powers, np.stack(rows)
+
+
+def _in_sonar_axes(ping: Ping, camera_m: Doubles) -> Doubles:
+    """(3, N) places in sonar axes of (N, 3) places in camera axes."""
+    mount = ping.sonar.mount
+    turn = mount.rotation_sonar_from_camera()
+    x, y, z = (camera_m - mount.position_camera_m()).T
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in turn])
 
 
 def edge_m(ping: Ping) -> float:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..frame import BOX_FIELDS, Frame, FrameRef, Intrinsics
+from ..frame import BOX_FIELDS, Frame, FrameRef, Intrinsics, Surroundings
 from ..small_files import parse_json
 from .base import Mount, Rendered
 
@@ -80,7 +80,12 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
     depth_m = np.where(rendered.surface, frame.depth_m, np.float32(0))
     _, depth_m = rounded(depth_m, DEPTH)
     boxes = None if frame.boxes is None else np.round(frame.boxes, 5)
-    seen = replace(frame, rgb=_black(depth_m.shape), depth_m=depth_m, boxes=boxes)
+    around = frame.surroundings
+    if around is not None:
+        around = replace(around, ground_m=np.round(around.ground_m, 2))
+    seen = replace(
+        frame, rgb=_black(depth_m.shape), depth_m=depth_m, boxes=boxes, surroundings=around
+    )
     return View(seen, rounded(rendered.radiance, RADIANCE)[1], mount)
 
 
@@ -109,6 +114,7 @@ def encode(view: View) -> bytes:
         "precision": _PRECISION,
         "labelled": len(planes) > 2,
         **({} if seen.boxes is None else {"boxes": seen.boxes.tolist()}),
+        **({} if seen.surroundings is None else _head_of(seen.surroundings)),
         "parts": [len(part) for part in parts],
     }
     text = json.dumps(head).encode()
@@ -147,6 +153,8 @@ def decode(content: bytes) -> View:
             more["instance"] = np.frombuffer(parts[3], "<u2").astype(np.uint16).reshape(shape)
         if "boxes" in head:
             more["boxes"] = np.array(head["boxes"], float).reshape(-1, BOX_FIELDS)
+        if "surroundings" in head:
+            more["surroundings"] = _surroundings(head["surroundings"])
         depth_m = unfold(parts[0], shape, DEPTH)
         *lens, distortion = (head["intrinsics"][one.name] for one in fields(Intrinsics))
         fx, fy, cx, cy = map(_finite, lens)
@@ -157,6 +165,24 @@ def decode(content: bytes) -> View:
         return View(seen, unfold(parts[1], shape, RADIANCE), mount_of(head["mount"]))
     except (KeyError, TypeError, zstd.ZstdError, struct.error) as error:
         raise ValueError(f"damaged ({error})") from error
+
+
+def _head_of(surroundings: Surroundings) -> dict[str, Any]:
+    return {
+        "surroundings": {
+            "world_from_start": surroundings.world_from_start.tolist(),
+            "ground_cm": np.rint(surroundings.ground_m * 100).astype(int).tolist(),
+            "step_m": surroundings.step_m,
+        }
+    }
+
+
+def _surroundings(values: dict[str, Any]) -> Surroundings:
+    ground_m = np.array(values["ground_cm"], np.float32) / np.float32(100)
+    if ground_m.ndim != 2 or ground_m.shape[0] != ground_m.shape[1]:
+        raise ValueError("no square of the ground")
+    start = np.array(values["world_from_start"], float).reshape(4, 4)
+    return Surroundings(start, ground_m, float(_finite(values["step_m"])))
 
 
 def _decompressed(content: bytes, size: int) -> bytes:

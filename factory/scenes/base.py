@@ -53,6 +53,19 @@ class SceneSettings:
         """What the user's own objects are and how they echo."""
         return ()
 
+    def rendered_ref(self, ref: FrameRef) -> FrameRef:
+        """The frame whose render a frame shares: itself, or the first one of a sonar at rest."""
+        return ref
+
+    def time_s(self, ref: FrameRef) -> float | None:
+        """When a frame was taken, where the settings decide it."""
+        return None
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether the frames of a scene are pings of one device, one after another."""
+        return False
+
     def own_classes(self) -> tuple[str, ...]:
         """Their classes, beside `labels.CLASSES` or among them."""
         return tuple(one.label for one in self.own())

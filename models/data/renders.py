@@ -17,6 +17,7 @@ from ...factory.dataset.pair_dataset import in_unit_range
 from ...factory.distribution import Distribution
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
+from ...factory.moving.recordings import Moment
 from ...factory.noise.draws import StreamNames, draw
 from ...factory.noise.registry import NoiseSettings
 from ...factory.pairs import PairMaker, observe_by
@@ -137,9 +138,8 @@ class DeviceSource(RenderedSource):
         assert self.config.devices is not None
         device = devices.draw(self.config.devices, self.seed, ref.name, *names)
         view = self._views.view(ref)
-        observed, config = observe_by(
-            device, view.frame(ref), view.rendered(), self.config, any_size=True
-        )
+        moment = Moment(view.frame(ref), view.rendered())
+        observed, config = observe_by(device, moment, self.config, any_size=True)
         is_small = min(config.sonar.shape()) < self.data.least_side
         if is_small or observed.scene.filled.mean() < _LEAST_ECHOES:
             return None

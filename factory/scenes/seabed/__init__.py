@@ -6,6 +6,7 @@ are drawn by one z-buffer, so depth, labels and pictures agree to the pixel.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,6 +19,7 @@ from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
 from ..base import Discovery, OwnClass, Root, SceneSettings
+from ..moving import Moving, MovingObject, check_moving, waypoints
 from .camera import camera as optics_of
 from .camera import movements
 from .terrain import PLACE_NAMES, PlaceName
@@ -43,6 +45,7 @@ class OwnObject(OwnClass):
     per_place: least and most of them in a place.  scale: metres per unit of the file.
     burial: least and most of its height in the ground.  tilt_deg: likewise, from upright.
     colour: albedo (red, green, blue; 0 to 1) instead of the mesh's own colours and textures.
+    moving: how it moves, see `Moving`; null: it lies on the ground.
     """
 
     file: Root
@@ -51,6 +54,7 @@ class OwnObject(OwnClass):
     burial: tuple[_Share, _Share] = (0.02, 0.18)
     tilt_deg: tuple[float, float] = (0.0, 10.0)
     colour: tuple[_Share, _Share, _Share] | None = None
+    moving: Moving | None = None
 
     def __post_init__(self) -> None:
         for name in ("per_place", "burial", "tilt_deg"):
@@ -90,6 +94,9 @@ class SeabedSettings(SceneSettings):
     objects: factor on how many objects lie around.  kinds: only these (null: all).
     places: only these kinds of place, taken in turn (null: all).
     own_objects: the user's meshes; see `OwnObject`.
+    frame_rate_hz: makes a recording of each location: its frames are pings from the first pose (or
+        along `path`), so many a second.  Moving objects need it, or a path with times.
+    moving_objects: what moves through the recordings; see `moving.MovingObject`.
     boxes: of each frame's objects; `dataset.columns=[boxes]` sets it.
     """
 
@@ -106,14 +113,56 @@ class SeabedSettings(SceneSettings):
     kinds: tuple[ObjectName, ...] | None = None
     places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
     own_objects: tuple[OwnObject, ...] = ()
+    frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
+    moving_objects: tuple[MovingObject, ...] = ()
     boxes: bool = False
 
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
-        return self.own_objects
+        return (*self.own_objects, *self.moving_objects)
+
+    @property
+    def moving(self) -> dict[str, Moving]:
+        """How each of the moving objects moves, by its configuration key."""
+        found = {
+            f"scenes.moving_objects.{number}": item.moving
+            for number, item in enumerate(self.moving_objects)
+        }
+        for number, own in enumerate(self.own_objects):
+            if own.moving is not None:
+                found[f"scenes.own_objects.{number}"] = own.moving
+        return found
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether the frames of a location are one recording."""
+        return self.frame_rate_hz is not None or self.path is not None
+
+    @property
+    def is_continuous(self) -> bool:
+        """See `SceneSettings`."""
+        return self.frame_rate_hz is not None or bool(self.moving)
+
+    def rendered_ref(self, ref: FrameRef) -> FrameRef:
+        """See `SceneSettings`: a sonar at rest sees the same static scene in all frames."""
+        if self.frame_rate_hz is None or self.path is not None:
+            return ref
+        return replace(ref, frame="0000")
+
+    def time_s(self, ref: FrameRef) -> float | None:
+        """See `SceneSettings`."""
+        number = int(ref.frame)
+        if self.path is not None:
+            line = movements(Path(self.path).expanduser())[number]
+            if "time_s" in line:
+                return line["time_s"]
+        return None if self.frame_rate_hz is None else number / self.frame_rate_hz
 
     def __post_init__(self) -> None:
         """Refuse locations whose number has more than four digits, and half a sector."""
+        check_moving(self.moving)
+        if self.moving and not self.is_recording:
+            raise ValueError("moving objects need recordings; set frame_rate_hz, such as 10")
         if (self.hfov_deg is None) != (self.vfov_deg is None):
             raise ValueError("give hfov_deg and vfov_deg, or neither")
         if self.first_location + self.locations > _LAST:
@@ -134,8 +183,9 @@ class SeabedReader:
         lines, first = self._movements(), settings.first_location
         frames = settings.frames_per_location if lines is None else len(lines)
         paths: tuple[str, ...] = () if settings.path is None else (settings.path,)
-        # What is wrong with a mesh shows before a worker starts.
+        # What is wrong with a mesh or a path shows before a worker starts.
         paths += tuple(path for _, _, files, _ in self._own for path in files)
+        self._check_moving(lines)
         refs = [
             FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", paths)
             for location in range(first, first + settings.locations)
@@ -144,18 +194,36 @@ class SeabedReader:
         notes = (note for *_, some in self._own for note in some)
         return Discovery(tuple(refs), notes=tuple(notes))
 
+    def _check_moving(self, lines: tuple[dict[str, float], ...] | None) -> None:
+        settings = self._settings
+        for key, moving in settings.moving.items():
+            if moving.path is not None:
+                waypoints(Path(moving.path).expanduser(), f"{key}.moving.path")
+        is_timed = settings.frame_rate_hz is not None
+        is_timed = is_timed or all("time_s" in line for line in lines or ())
+        if settings.moving and not is_timed:
+            raise FactoryError(
+                f"scenes.path={settings.path}: moving objects need the time of each line; give it "
+                "a column time_s, or set scenes.frame_rate_hz"
+            )
+
     def load(self, ref: FrameRef) -> Frame:
         """Build the location, if it is not at hand, and take the frame."""
         # Reading a configuration imports this module, but needs nothing that makes pictures.
-        from .view import take
+        from .view import surroundings, take
 
         settings = self._settings
         optics = optics_of(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
         number, movement = int(ref.frame), None
         if (lines := self._movements()) is not None:
             number, movement = 0, lines[number]
+        elif settings.frame_rate_hz is not None:
+            number = 0
         world = self._world(int(ref.scene.removeprefix("seabed-")))
-        return checked(take(world, number, ref, optics, movement, settings.boxes))
+        frame = take(world, number, ref, optics, movement, settings.boxes)
+        if settings.is_recording:
+            frame = replace(frame, surroundings=surroundings(world), time_s=settings.time_s(ref))
+        return checked(frame)
 
     def _movements(self) -> tuple[dict[str, float], ...] | None:
         path = self._settings.path
@@ -174,5 +242,6 @@ class SeabedReader:
         own = [
             (one.label, one.per_place, one.tilt_deg, one.burial, solid)
             for one, solid, *_ in self._own
+            if one.moving is None
         ]
         return World(location, places, settings.objects, settings.kinds, own)

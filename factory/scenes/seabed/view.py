@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from ...frame import Frame, FrameRef, Intrinsics
+from ...frame import Frame, FrameRef, Intrinsics, Surroundings
 from ...seeds import stream
 from .camera import Optics, Pose, ZBuffer, camera, centred, moved, pose
 from .meshes import grid_triangles
@@ -60,6 +60,17 @@ def take(
         altitude_m=float(where.eye[2] - height_m),
         boxes=seen.boxes(instance) if boxes else None,
     )
+
+
+_AROUND_M, _AROUND_STEP_M = 24, 1.0  # half the side of the known ground, and its steps
+
+
+def surroundings(world: World) -> Surroundings:
+    """Where the recording of a location begins, and the ground around."""
+    start = choose_pose(world, 0)
+    steps_m = np.arange(-_AROUND_M, _AROUND_M + 1) * _AROUND_STEP_M
+    x, y = np.meshgrid(start.eye[0] + steps_m, start.eye[1] + steps_m)
+    return Surroundings(start.matrix, world.terrain.height_m(x, y), _AROUND_STEP_M)
 
 
 def field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -1,0 +1,62 @@
+"""The moments of recordings: a rendered frame, and the objects that move in it at its time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from ..errors import FrameError
+from ..frame import Frame
+from ..render.base import Rendered
+from ..scenes import SceneSettings
+from ..scenes.seabed import SeabedSettings
+from .cast import Actor, draw_cast
+from .compose import PosedBody, bodies_at
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A frame of a scene, rendered without its moving objects.
+
+    bodies: those that are there.  is_continuous: whether the frames of its scene are pings of one
+    device, one after another.
+    """
+
+    frame: Frame
+    rendered: Rendered
+    bodies: Sequence[PosedBody] = ()
+    is_continuous: bool = False
+
+
+class Recordings:
+    """Gives the moments of a configuration's recordings; holds the cast of the last one."""
+
+    def __init__(self, settings: SceneSettings, seed: int) -> None:
+        """Draws nothing before the first moment."""
+        self._settings, self._seed = settings, seed
+        self._cast: tuple[tuple[str, str], tuple[Actor, ...]] = (("", ""), ())
+
+    def moment(self, frame: Frame, rendered: Rendered) -> Moment:
+        """The moment of a rendered frame.
+
+        Raises FrameError for a frame without a time or a pose where objects move.
+        """
+        settings = self._settings
+        if not settings.is_continuous:
+            return Moment(frame, rendered)
+        time_s = settings.time_s(frame.ref)
+        frame = replace(frame, time_s=time_s)
+        if not isinstance(settings, SeabedSettings) or not settings.moving:
+            return Moment(frame, rendered, is_continuous=True)
+        if time_s is None or frame.surroundings is None or frame.world_from_camera is None:
+            raise FrameError(f"{frame.ref.name}: moving objects need its time and its pose")
+        bodies = bodies_at(self._cast_of(frame, settings), frame, time_s)
+        return Moment(frame, rendered, bodies, is_continuous=True)
+
+    def _cast_of(self, frame: Frame, settings: SeabedSettings) -> tuple[Actor, ...]:
+        name = frame.ref.location, frame.ref.scene
+        if self._cast[0] != name:
+            assert frame.surroundings is not None
+            cast = draw_cast(settings, self._seed, frame.ref, frame.surroundings)
+            self._cast = name, cast
+        return self._cast[1]
