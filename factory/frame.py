@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from .errors import FrameError
 
-# No imaging sonar sees farther, and no camera nearer.
-_LIKELY_M = (0.005, 300.0)
+LIKELY_M = (0.005, 300.0)
+"""Limits of a likely median depth: no imaging sonar sees farther, and no camera nearer."""
+
 # Fewer measured pixels make a frame useless.
 _LEAST_VALID = 16
 BOX_FIELDS = 11
@@ -174,8 +175,8 @@ def checked(frame: Frame, *, bad_depth: str = "reject") -> Frame:
     measured = depth_m[::4, ::4] if min(depth_m.shape) > 64 else depth_m
     measured = measured[measured > 0]
     median = float(np.median(measured)) if len(measured) else 1.0
-    if not _LIKELY_M[0] <= median <= _LIKELY_M[1]:  # said here, not as a lack of echoes
-        unit = "millimetres?" if median > _LIKELY_M[1] else "divided twice?"
+    if not LIKELY_M[0] <= median <= LIKELY_M[1]:  # said here, not as a lack of echoes
+        unit = "millimetres?" if median > LIKELY_M[1] else "divided twice?"
         raise FrameError(
             f"{name}: median depth {median:,.4g} m: {unit} set scenes.depth_scale to what the "
             "stored depth is divided by to give metres"

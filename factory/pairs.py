@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +27,19 @@ from .imaging.pointwise import PointScene
 from .moving.compose import Echo, compose
 from .moving.recordings import Moment, Recordings
 from .noise.draws import StreamNames, draw
-from .sample_table import Camera, columns, image_axes, record, requested, requested_row
+from .sample_table import (
+    Camera,
+    CameraLayers,
+    columns,
+    image_axes,
+    record,
+    requested,
+    requested_row,
+)
 from .selection import choose_frames
 from .sonar import polar, surface, transfer
 from .sonar.fan import lay_out, lay_out_nearest, rasterised
+from .sonar.geometry import FanGeometry
 from .sonar.window import Window, conical, fit_window, set_window
 from .sonar_randomization import draw as devices
 from .views import CachedViews, Views, open_views
@@ -41,6 +50,11 @@ if TYPE_CHECKING:
     from .render.base import Rendered
 
 Scene = PointScene | FieldScene
+
+_FORMATIONS: dict[str, Literal["pointwise", "coherent"]] = {
+    "points": "pointwise",
+    "field": "coherent",
+}
 _DRAWS = 40
 """Devices that may be drawn for a picture until one sees some of the frame."""
 
@@ -68,10 +82,13 @@ class ObservedFrame:
 class PairMaker:
     """Makes pairs of renders; a `sample.PairSource`.  Needs no renderer."""
 
-    def __init__(self, config: FactoryConfig, views: Views) -> None:
+    def __init__(
+        self, config: FactoryConfig, views: Views, camera: CameraLayers | None = None
+    ) -> None:
+        """camera: gives the layers rgb and depth; by default the recordings do."""
         self.config, self.views = config, views
         self._recordings = Recordings(config.scenes, config.seed)
-        self._camera = Camera(config, choose_frames)
+        self._camera = camera or Camera(config, choose_frames)
 
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the pictures."""
@@ -264,5 +281,18 @@ def make_pair(
     row = record(observed.ref, variant, window, sonar, sample, draws, formation)
     row |= {} if device is None else device.row()
     row |= observed.columns
-    noisy, clean = picture(sample.noisy(draws.names)), picture(sample.clean, noisy=False)
-    return Pair(noisy=noisy, clean=clean, shadow=observed.shadow, record=row, layers=layers)
+    return Pair(
+        noisy=picture(sample.noisy(draws.names)),
+        clean=picture(sample.clean, noisy=False),
+        shadow=observed.shadow,
+        record=row,
+        layers=layers,
+        formation="" if device else _FORMATIONS[config.acoustics.formation],
+        geometry=FanGeometry.from_sonar(
+            sonar,
+            window.range_min_m,
+            window.range_max_m,
+            window.azimuth_min_rad,
+            window.azimuth_max_rad,
+        ),
+    )

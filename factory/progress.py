@@ -9,10 +9,11 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -40,10 +41,50 @@ def stage(text: str) -> None:
     sys.stderr.flush()
 
 
+class RunProgress(NamedTuple):
+    """How far a run is.
+
+    share: part of the whole work that is done, 0 to 1.  seconds: since the run began.
+    """
+
+    pairs_done: int
+    pairs_total: int
+    frames_rendered: int
+    frames_total: int
+    frames_failed: int
+    share: float
+    seconds: float
+
+
+def print_fact(text: str) -> None:
+    """A line on stdout."""
+    print(text, flush=True)
+
+
+def print_warning(text: str) -> None:
+    """A line on stderr."""
+    print(f"warning: {text}", file=sys.stderr, flush=True)
+
+
+@dataclass(frozen=True)
+class RunReporter:
+    """Where a run reports what it finds and does; by default on stdout and stderr.
+
+    progress: called several times a second in place of the bar.
+    """
+
+    fact: Callable[[str], None] = print_fact
+    warning: Callable[[str], None] = print_warning
+    stage: Callable[[str], None] = stage
+    progress: Callable[[RunProgress], None] | None = None
+
+
 @contextmanager
-def stage_if_slow(text: str, after_s: float = 1.0) -> Iterator[None]:
+def stage_if_slow(
+    text: str, after_s: float = 1.0, *, tell: Callable[[str], None] = stage
+) -> Iterator[None]:
     """Say what goes on in the block once it has lasted `after_s` seconds; mostly it does not."""
-    timer = threading.Timer(after_s, stage, [text])
+    timer = threading.Timer(after_s, tell, [text])
     timer.daemon = True
     timer.start()
     try:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -328,6 +328,32 @@ _REQUESTED: dict[str, tuple[tuple[Column, ...], Callable[[LitSurface, FactoryCon
 }
 
 
+class CameraLayers(Protocol):
+    """Gives the images of the camera that `dataset.layers` asks for."""
+
+    def layers(self, ref: FrameRef) -> Mapping[str, npt.NDArray[np.generic]]:
+        """The requested of rgb (H, W, 3) uint8 and depth (H, W) float32, m, NaN where unknown."""
+
+
+def camera_images(frame: Frame, names: Collection[str]) -> Mapping[str, npt.NDArray[np.generic]]:
+    """Those of rgb and depth that are among `names`; see `CameraLayers`."""
+    depth_m = np.where(frame.valid, frame.depth_m, np.float32(np.nan))
+    images = {"rgb": frame.rgb, "depth": depth_m}
+    return {name: image for name, image in images.items() if name in names}
+
+
+class FrameCamera:
+    """The camera's images of one frame in memory."""
+
+    def __init__(self, frame: Frame, names: Collection[str]) -> None:
+        self._frame = frame
+        self._names = names
+
+    def layers(self, ref: FrameRef) -> Mapping[str, npt.NDArray[np.generic]]:
+        """See `CameraLayers`."""
+        return camera_images(self._frame, self._names)
+
+
 class Camera:
     """The layers rgb and depth of frames.
 
@@ -359,9 +385,7 @@ class Camera:
                 "make one dataset of each size (scenes, frames.only), or leave "
                 f"{', '.join(sorted(self._requested))} out of dataset.layers"
             )
-        depth_m = np.where(frame.valid, frame.depth_m, np.float32(np.nan))
-        pictures = {"rgb": frame.rgb, "depth": depth_m}
-        return {name: picture for name, picture in pictures.items() if name in self._requested}
+        return camera_images(frame, self._requested)
 
     @cached_property
     def _reader(self) -> Reader:

@@ -1,10 +1,10 @@
 """SimNFND: pairs (noisy, clean) of forward-looking sonar pictures, and denoisers made of them.
 
-    from simnfnd import PairDataset, denoise, make_pair, open_recording
+    from simnfnd import PairDataset, denoise, make_dataset, make_pair, open_recording
 
-PairDataset reads a dataset (numpy and h5py are enough), `denoise` takes a picture in memory,
-`make_pair` makes a pair of an RGBD frame in memory, `open_recording` reads the frames of a sonar's
-recording (docs/python.md).  What a caller can mend is a FactoryError, one
+PairDataset reads a dataset (numpy and h5py are enough), `make_dataset` makes one, `make_pair` makes
+a pair of an RGBD frame in memory, `denoise` takes an image in memory, `open_recording` reads the
+frames of a sonar's recording (docs/python.md).  What a caller can correct is a FactoryError, one
 line; a frame that cannot be used is a FrameError.
 
 Each name is imported when it is first used, so `import simnfnd` costs nothing.
@@ -16,36 +16,52 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .api import OpenRecording, RecordedFrame, denoise, make_pair, open_recording
+    from .api import OpenRecording, RecordedFrame, denoise, open_recording
     from .factory import __version__
     from .factory.dataset import PairDataset
     from .factory.dataset.schema import Pair
     from .factory.errors import FactoryError, FrameError
+    from .factory.progress import RunProgress
+    from .making import DatasetResult, make_dataset, make_pair
 
 __all__ = [
+    "DatasetResult",
     "FactoryError",
     "FrameError",
     "OpenRecording",
     "Pair",
     "PairDataset",
     "RecordedFrame",
+    "RunProgress",
     "__version__",
     "denoise",
+    "make_dataset",
     "make_pair",
     "open_recording",
 ]
 
-# From the lightest on.
-_MODULES = ("factory", "factory.errors", "factory.dataset", "factory.dataset.schema", "api")
+_MODULES = {
+    "DatasetResult": "making",
+    "FactoryError": "factory.errors",
+    "FrameError": "factory.errors",
+    "OpenRecording": "api",
+    "Pair": "factory.dataset.schema",
+    "PairDataset": "factory.dataset",
+    "RecordedFrame": "api",
+    "RunProgress": "factory.progress",
+    "__version__": "factory",
+    "denoise": "api",
+    "make_dataset": "making",
+    "make_pair": "making",
+    "open_recording": "api",
+}
 
 
 def __getattr__(name: str) -> object:
-    for module in _MODULES if name in __all__ else ():
-        found = import_module(f".{module}", __name__)
-        if hasattr(found, name):
-            return getattr(found, name)
-    raise AttributeError(f"module 'simnfnd' has no attribute {name!r}")
+    if name not in _MODULES:
+        raise AttributeError(f"module 'simnfnd' has no attribute {name!r}")
+    return getattr(import_module(f".{_MODULES[name]}", __name__), name)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(_MODULES)

@@ -1,8 +1,8 @@
-"""What `import simnfnd` offers: `denoise`, `make_pair` and `open_recording`."""
+"""What `import simnfnd` offers for real sonars: `denoise` and `open_recording`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,16 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from .factory.config import FactoryConfig
     from .factory.dataset.schema import Pair
-    from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
     from .models.denoise.denoiser import Denoiser
     from .models.recordings import Frame
 
 
 def denoise(
-    picture: npt.ArrayLike,
+    picture: npt.ArrayLike | Pair,
     *,
     weights: str | Path | None = None,
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
@@ -33,10 +31,11 @@ def denoise(
     """Denoise one sonar picture, or a stack of them.
 
     picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
-        Colours of a colour map are denoised as the levels that they stand for.
-    weights: a weights.safetensors of a training or the name of weights that ship: `simnfnd` (None)
-        for real sonars, `simnfnd-paper` for the points that the paper simulates.  They stay loaded
-        for the next call.
+        Colours of a colour map are denoised as the levels that they stand for.  Of a `Pair` the
+        noisy image is denoised, with the geometry of the pair.
+    weights: a weights.safetensors of a training or the name of weights that ship: `simnfnd` for
+        real sonars, `simnfnd-paper` for the points that the paper simulates.  They stay loaded for
+        the next call.  None: `simnfnd`, and for a pointwise `Pair` `simnfnd-paper`.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
         in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
         the columns span 30 degrees.  None: not known.
@@ -54,11 +53,18 @@ def denoise(
 
     needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
+    from .factory.dataset.schema import Pair
     from .factory.sonar.geometry import FanGeometry
     from .models.denoise.pictures import Denoising
-    from .models.pretrained import find_weights
+    from .models.pretrained import POINTS, find_weights
     from .models.recordings.fan_finder import find_geometry
 
+    if isinstance(picture, Pair):
+        if weights is None and picture.formation == "pointwise":
+            weights = POINTS
+        if geometry == "find" and picture.geometry is not None:
+            geometry = picture.geometry
+        picture = picture.noisy
     given = np.asarray(picture)
     if given.ndim not in (2, 3):
         raise ValueError(
@@ -85,70 +91,6 @@ def denoise(
     for number, denoised in denoising.sequence(shots, alone=len(given) < 2):
         result[number] = denoised
     return result
-
-
-def make_pair(
-    rgb: npt.NDArray[np.uint8],
-    depth_m: npt.ArrayLike,
-    *,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    config: Sequence[str] = ("experiment=simnfnd", "render=analytic"),
-    seed: int | None = None,
-    variant: int = 0,
-    name: str = "frame",
-    scene: str = "",
-) -> Pair:
-    """One (noisy, clean) pair of sonar pictures from an RGBD frame.
-
-    rgb: (H, W, 3) uint8, in the order red, green, blue.
-    depth_m: (H, W) distance along the optical axis in metres; 0, negative, infinite and NaN mean
-        that nothing was measured.
-    fx, fy, cx, cy: focal lengths and principal point of this very image size, in pixels.
-    config: words of `simnfnd make`, for example ("experiment=physical", "sonar=didson_hf");
-        those of scenes, frames, scheduler and cache change nothing here.
-    seed: the same as "seed=..." among `config`.
-    variant: other numbers thin the echoes and draw the noise anew.
-    name, scene: of the frame; with seed and variant they decide what is drawn.
-
-    Returns a `Pair`: noisy and clean (H', W') uint8 in 0..255 (float32 in 0..1 with
-    "dataset.dtype=float32"), shadow (H', W') bool, layers, and record, with every drawn parameter.
-    Raises FrameError when the frame has no usable depth or the sonar would see nothing of it, and
-    FactoryError for wrong words and modules that are not installed.
-    """
-    from .factory.cli.extras import needs_of, require
-    from .factory.frame import Frame, FrameRef, Intrinsics, checked
-    from .factory.pairs import PairMaker
-    from .factory.render.view import view_of
-    from .factory.views import Views
-
-    settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))
-    require(needs_of(settings))
-    ref = FrameRef("", scene, name)
-    depth = np.asarray(depth_m, dtype=np.float32)
-    frame = checked(Frame(ref, rgb, depth, Intrinsics(fx, fy, cx, cy)), bad_depth="mask")
-    mount = settings.sonar.mount
-    rendered = _renderer(settings.render).render(frame, mount)
-    maker = PairMaker(settings, Views({ref: view_of(frame, rendered, mount)}))
-    (pair,) = maker.pairs(ref, (variant,))
-    return pair
-
-
-@lru_cache(maxsize=8)
-def _config(words: tuple[str, ...]) -> FactoryConfig:
-    from .factory.cli.compose import compose_config
-
-    # The frame is at hand, so where recordings are does not matter.
-    return compose_config(words, {"kind": "csv_list", "file": ".", "intrinsics": [1, 1, 0, 0]})
-
-
-@lru_cache(maxsize=1)
-def _renderer(settings: RenderSettings) -> Renderer:
-    from .factory.render import open_renderer
-
-    return open_renderer(settings)
 
 
 @lru_cache(maxsize=2)

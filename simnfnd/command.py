@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from .factory import __version__
 from .factory.cli import guard
 from .factory.cli.extras import EXTRAS, Need, install_command, require
+from .factory.cli.hydra_loader import config_folders, take_config_folders
 from .factory.errors import FactoryError
 from .verbs import VERBS, Verb
 
@@ -38,7 +39,8 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     from .factory.scheduler.workers.signals import stop_signals
 
     def run() -> int | None:
-        name, verb, rest = find(given)
+        others, folders = take_config_folders(given)
+        name, verb, rest = find(others)
         if any(word in _HELP for word in rest):
             print(f"{head(name, verb)}\n", flush=True)
             if not verb.hydra and not all(map(find_spec, verb.needs)):
@@ -53,7 +55,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         finally:
             gc.enable()
         # One way to stop for all: SIGTERM unwinds as Ctrl-C does, so that every `finally` runs.
-        with stop_signals():
+        with stop_signals(), config_folders(folders):
             code: int | None = action(rest)
         return code
 

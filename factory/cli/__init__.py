@@ -70,7 +70,9 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str, words: Sequence
     from omegaconf.errors import OmegaConfBaseException
 
     from .compose import config_line, readable
+    from .hydra_loader import register_search_path
 
+    register_search_path()
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     debug = any(word.replace(" ", "") in ("debug=true", "debug=True") for word in words)

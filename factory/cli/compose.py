@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import FactoryError
 from ..small_files import load_yaml
+from .hydra_loader import config_folders, load, searched_folders, take_config_folders
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
@@ -26,6 +27,7 @@ _READS = re.compile(r"[A-Za-z0-9_./:@%+|*,-]*|[\[{'\"].*|.*\$\{.*|\w+\(.*", re.A
 def compose_config(words: Sequence[str], scenes: Mapping[str, Any] | None = None) -> FactoryConfig:
     """The configuration of `simnfnd make WORDS`.  Raises FactoryError for a bad word.
 
+    Works inside another Hydra application and in threads.
     scenes: values of the group `scenes`, instead of those that the words mean.
     """
     (config,) = compose_points([word for word in words if word not in _SWEEP], scenes)
@@ -37,35 +39,37 @@ def compose_points(
 ) -> list[FactoryConfig]:
     """The configurations of a sweep's points (one without `-m`); see `compose_config`."""
     # Hydra brings antlr and plugins; those who only look at a folder must not pay for it.
-    from hydra import compose, initialize_config_module
-    from hydra.core.plugins import Plugins
     from hydra.errors import HydraException
-    from omegaconf import OmegaConf
+    from omegaconf import OmegaConf, open_dict
     from omegaconf.errors import OmegaConfBaseException
 
     from ..config import composed_values, from_mapping
     from ..distribution import as_override
 
-    overrides = [as_override(word) for word in map(readable, words) if not word.startswith("-")]
-    points, configs = [overrides], []
-    try:
-        with initialize_config_module("simnfnd.conf", version_base="1.3"):
+    settings, folders = take_config_folders(words)
+    settings = [readable(word) for word in settings if not word.startswith("-")]
+    overrides = [as_override(word) for word in settings]
+    points = [overrides]
+    configs = []
+    with config_folders(folders):
+        try:
             if any(word in _SWEEP for word in words):
-                Plugins.instance()
                 # Those that choose groups: enough to know what an experiment sweeps over.
                 recipes = [word for word in overrides if word.startswith("experiment=")]
-                root = compose("factory", overrides=recipes, return_hydra_config=True)
+                root = load("factory", recipes)
                 # None in a plain sweep, a mapping where an experiment brings its own.
                 points = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
             for chosen in points:
-                composed = compose("factory", overrides=chosen)
+                composed = load("factory", chosen)
+                with open_dict(composed):
+                    del composed["hydra"]
                 if scenes is not None:
                     OmegaConf.set_struct(composed, False)
                     composed.scenes = dict(scenes)
                 configs.append(from_mapping(composed_values(composed)))
-            return configs
-    except (HydraException, OmegaConfBaseException) as error:
-        raise FactoryError(config_line(error, "factory")) from error
+        except (HydraException, OmegaConfBaseException) as error:
+            raise FactoryError(config_line(error, "factory")) from error
+    return configs
 
 
 def sweep_points(overrides: Sequence[str], params: Mapping[str, Any]) -> list[list[str]]:
@@ -118,12 +122,14 @@ def config_line(error: Exception, name: str) -> str:
 
 def _keys(name: str) -> set[str]:
     """Dotted keys of a root configuration and of all choices of groups, and the groups."""
-    folder = Path(str(files("simnfnd.conf")))
-    found = set(_flat(load_yaml(folder / f"{name}.yaml"), ""))
-    for path in folder.glob("*/*.yaml"):
-        if path.parent.name != "experiment":  # which sets keys of others
-            found |= {path.parent.name, *_flat(load_yaml(path) or {}, f"{path.parent.name}.")}
-    return found
+    own = Path(str(files("simnfnd.conf")))
+    keys = set(_flat(load_yaml(own / f"{name}.yaml"), ""))
+    for folder in (own, *searched_folders()):
+        for path in folder.glob("*/*.yaml"):
+            group = path.parent.name
+            if group != "experiment":  # which sets keys of others
+                keys |= {group, *_flat(load_yaml(path) or {}, f"{group}.")}
+    return keys
 
 
 def _flat(values: Mapping[str, Any], prefix: str) -> Iterator[str]:

@@ -18,7 +18,7 @@ from ..errors import FactoryError
 from ..files import check_writable
 from ..frame import FrameRef
 from ..pairs import pair_maker
-from ..progress import stage_if_slow
+from ..progress import RunReporter, stage_if_slow
 from ..scenes import open_reader
 from ..scheduler.plan import Job, plan_shards, work_folder
 from ..scheduler.workers import template
@@ -27,12 +27,14 @@ from ..storage.copies import shown
 from ..views import Cache, ViewMaker
 from . import EXIT_BAD_INPUT, PRELOADED
 from .extras import needs_of, require
+from .hydra_loader import config_folder_words
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from ..scheduler.results import RunReport
 
+PRINTING = RunReporter()
 # Pictures of which less is lit are hardly meant.
 _LEAST_LIT = 0.01
 _LIKELIEST = (
@@ -52,7 +54,7 @@ def generate(composed: DictConfig) -> int:
     try:
         each_its_folder(composed)
         config = from_mapping(composed_values(composed))
-        report, directory = run(config, arguments=sys.argv[1:])
+        report, directory = run(config, arguments=[*config_folder_words(), *sys.argv[1:]])
         code = 1 if report.failures else 0
     except FactoryError as error:
         note(state="failed", reason=" ".join(str(error).split()), exit_code=EXIT_BAD_INPUT)
@@ -86,7 +88,9 @@ def _commonest(report: RunReport) -> tuple[int, str]:
     return len(found), found[0]
 
 
-def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
+def run(
+    config: FactoryConfig, arguments: Sequence[str], reporter: RunReporter = PRINTING
+) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
     from ..scheduler.run import make_dataset
 
@@ -98,10 +102,10 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
         # what that does not find.
         field = config.acoustics.formation == "field" or config.devices is not None
         compile_needed(scenes=config.scenes.kind, field=field)
-    job = job_of(config, arguments)
+    job = job_of(config, arguments, reporter)
     report = make_dataset(job)
     if job.shard.part:
-        print(
+        reporter.fact(
             f"slice {job.shard.index} of {job.shard.count} is done; when all are, "
             "the same command without shard.index and shard.count completes the dataset"
         )
@@ -114,28 +118,32 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
         )
     narrowest, widest = seen_sector_deg(job.directory)
     if narrowest < 0.98 * config.sonar.hfov_deg:
-        print(
+        reporter.fact(
             f"sonar: the camera saw {narrowest:.0f} to {widest:.0f} of {config.sonar.hfov_deg:g} "
             "degrees; the rest is masked (azimuth_min_deg and azimuth_max_deg in /meta)"
         )
     # Again at the end: what was said first has scrolled away.
-    say_warnings(job.warnings)
+    for warning in job.warnings:
+        reporter.warning(warning)
     if (share := lit_share(job.directory)) < _LEAST_LIT:
-        say_warnings([f"{100 * share:.2g} % of the pictures is lit; {_LIKELIEST}"])
+        reporter.warning(f"{100 * share:.2g} % of the pictures is lit; {_LIKELIEST}")
     return report, job.directory
 
 
-def job_of(config: FactoryConfig, arguments: Sequence[str]) -> Job:
+def job_of(
+    config: FactoryConfig, arguments: Sequence[str], reporter: RunReporter = PRINTING
+) -> Job:
     """The frames that there are, planned as shards, and how they are made.
 
-    Prints what there is and what the recordings lack.  Raises FactoryError when no frame is left.
+    Reports what there is and what the recordings lack.  Raises FactoryError when no frame is left.
     """
-    with stage_if_slow(f"looking for the frames of scenes={config.scenes.kind}"):
+    looking = f"looking for the frames of scenes={config.scenes.kind}"
+    with stage_if_slow(looking, tell=reporter.stage):
         discovery = open_reader(config.scenes).discover()
     for note in discovery.notes:
-        print(f"scenes: {note}")
+        reporter.fact(f"scenes: {note}")
     for reason, count in sorted(discovery.skipped.items()):
-        print(f"scenes: {count} skipped: {reason}")
+        reporter.fact(f"scenes: {count} skipped: {reason}")
     frames = choose_frames(discovery.frames, config)
     splits = split_frames(frames, config)
     how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
@@ -143,9 +151,10 @@ def job_of(config: FactoryConfig, arguments: Sequence[str]) -> Job:
     counts = [(split, sum(t.samples for t in tasks if t.split == split)) for split in splits]
     pairs = " and ".join(f"{count} {split}" for split, count in counts)
     scenes = len({(ref.location, ref.scene) for ref in frames})
-    print(f"frames: {len(frames)} of {scenes} scenes; pairs: {pairs}", flush=True)
+    reporter.fact(f"frames: {len(frames)} of {scenes} scenes; pairs: {pairs}")
     warnings = split_warnings(splits, config)
-    say_warnings(warnings)
+    for warning in warnings:
+        reporter.warning(warning)
     values = {**identity(config), "frames_found": frames_digest(frames)}
     directory = config.dataset.directory(config_hash(values), config.shard.part)
     working = with_cache(config, work_folder(directory, config.shard))
@@ -165,13 +174,8 @@ def job_of(config: FactoryConfig, arguments: Sequence[str]) -> Job:
         on_prepared=Cache(working.cache).grown,
         warnings=warnings,
         preload=PRELOADED,
+        reporter=reporter,
     )
-
-
-def say_warnings(warnings: Sequence[str]) -> None:
-    """One line each on stderr."""
-    for line in warnings:
-        print(f"warning: {line}", file=sys.stderr, flush=True)
 
 
 def _rerun_command(ref: FrameRef, arguments: Sequence[str], directory: Path) -> str:

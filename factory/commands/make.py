@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..cli import PRELOADED, run_app
+from ..cli.hydra_loader import config_folder_words
 from ..scheduler.workers import template
 
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
@@ -51,7 +52,8 @@ def demo(words: Sequence[str]) -> int:
     physical = f"{points.rstrip('/')}-physical"
     shared = [word for word in words if not word.startswith(_FOLDER)]
     # Hydra composes once a process.
-    again = ["make", "experiment=demo_physical", *shared, f"{_FOLDER}{physical}"]
+    again = ["make", *config_folder_words(), "experiment=demo_physical", *shared]
+    again.append(f"{_FOLDER}{physical}")
     if code := subprocess.run([sys.executable, "-m", "simnfnd", *again], check=False).returncode:
         return code
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, SupportsIndex
+from typing import TYPE_CHECKING, Any, SupportsIndex, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +22,21 @@ from ..storage.copies import local_folder
 from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
 from .reader import Image, OpenShards, Split, check_in_isolation, listed_shards, reading
-from .schema import CORE, EFFECT_FOLDER, REQUIRED_COLUMNS, VALUE_RANGES, Axis, Column
+from .schema import (
+    CORE,
+    EFFECT_FOLDER,
+    REQUIRED_COLUMNS,
+    VALUE_RANGES,
+    Axis,
+    Column,
+    Pair,
+    formation_of,
+)
 from .schema import layers as known_layers
+from .shares import Share, loader_share
+
+if TYPE_CHECKING:
+    from ..sonar.geometry import FanGeometry
 
 WINDOW = 16
 THREADS = 4
@@ -63,9 +76,11 @@ class SampleName:
 class PairDataset:
     """Random access to the samples of one split, without a copy of the dataset in memory.
 
-    `pairs[i]` is a dict of the asked layers, each (H, W); `pairs[a:b]` and `pairs[[i, j, ...]]`
-    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8 and (0.0, 1.0) for
-    float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are float32 in 0..1.
+    `pairs[i]` is a dict of the asked layers, each (H, W).  `pairs[a:b]`, `pairs[[i, j, ...]]` and
+    `pairs[mask]`, a mask being (len(pairs),) bool, have (N, H, W); N may be 0.  `pairs.pair(i)` is
+    a `Pair` with its record.  Values are as stored: `value_range` is (0, 255) for uint8 and
+    (0.0, 1.0) for float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are
+    float32 in 0..1.
 
     Nothing is open until the first read, and then in each process by itself, so the object can go
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
@@ -96,7 +111,7 @@ class PairDataset:
         if layers is not None and not 0 < len(set(layers)) == len(layers):
             raise FactoryError(f"layers={list(layers)}: name at least one, and none twice")
         manifest = load_manifest(self.folder)
-        found = listed_shards(self.folder, split, manifest)
+        found = listed_shards(self.folder, split, manifest, follow_links=trusted)
         self.paths = tuple(found)
         if not trusted:
             check_in_isolation(self.paths)
@@ -111,34 +126,73 @@ class PairDataset:
         """Number of samples."""
         return self._ends[-1]
 
-    def __getitem__(
-        self, item: SupportsIndex | slice | Sequence[int] | npt.NDArray[np.integer]
-    ) -> Sample:
+    def __getitem__(self, item: SupportsIndex | slice | Sequence[int] | npt.ArrayLike) -> Sample:
         """One sample, or several stacked.  Raises IndexError beyond the end."""
         if isinstance(item, slice):
-            item = range(len(self))[item]
-        if isinstance(item, Sequence | np.ndarray):
-            samples = [self[number] for number in item]
-            return {name: np.stack([one[name] for one in samples]) for name in self.layers}
-        path, row = self.place(item)
+            return self._stacked(range(len(self))[item])
+        if isinstance(item, Sequence) or getattr(item, "ndim", 0) > 0:
+            return self._stacked(sample_numbers(item, len(self)))
+        path, row = self.place(cast(SupportsIndex, item))
         images = dict(zip(self.layers, self._shards.read(path, self.layers, row), strict=True))
         for name in images if self.scaled else ():
-            if name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER):
+            if _is_scaled(name):
                 images[name] = in_unit_range(images[name])
         return images
+
+    def _stacked(self, numbers: Sequence[int]) -> Sample:
+        samples = [self[number] for number in numbers]
+        if samples:
+            return {name: np.stack([sample[name] for sample in samples]) for name in self.layers}
+        empty: Sample = {}
+        for name in self.layers:
+            dtype = self.form.layers.get(name)
+            if dtype is None:
+                raise FactoryError(f"{self.paths[0]}: has no layer {name}")
+            dtype = np.dtype(np.float32) if self.scaled and _is_scaled(name) else dtype
+            empty[name] = np.empty((0, *self.form.sizes[name]), dtype)
+        return empty
+
+    def pair(self, index: SupportsIndex) -> Pair:
+        """One sample with its record, all as stored; `denoise` takes it as it is."""
+        path, row = self.place(index)
+        names = tuple(dict.fromkeys((*CORE, *self.layers)))
+        images = dict(zip(names, self._shards.read(path, names, row), strict=True))
+        with reading(path) as file:
+            meta = file["meta"][row]
+            config = config_of(file)
+        record = {name: _plain(meta[name]) for name in meta.dtype.names}
+        return Pair(
+            **{name: images.pop(name) for name in CORE},
+            record=record,
+            layers=images,
+            formation=formation_of(config),
+            geometry=_geometry(config, record),
+        )
 
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order."""
         return (self[index] for index in range(len(self)))
 
-    def shuffled(self, seed: int = 0, epoch: int = 0, *, window: int = WINDOW) -> Iterator[Sample]:
+    def shuffled(
+        self,
+        seed: int = 0,
+        epoch: int = 0,
+        *,
+        window: int = WINDOW,
+        share: Share | None = None,
+    ) -> Iterator[Sample]:
         """All samples once, in a random order that `seed` and `epoch` give, for training.
 
         Shards come in random order, `window` of them at a time, and the samples of a window in
         random order, so that one at a URL is fetched once.
+        share: (number, processes): every `processes`-th sample from that number on.  None: inside a
+            worker of a torch DataLoader the share of that worker, so that no sample comes twice;
+            elsewhere all.
         """
         places = [self.place(index)[0] for index in range(len(self))]
-        for index in mixed_order(places, stream(seed, "shuffled", epoch), window):
+        number, processes = loader_share() if share is None else share
+        order = mixed_order(places, stream(seed, "shuffled", epoch), window)
+        for index in order[number::processes]:
             yield self[index]
 
     def place(self, index: SupportsIndex) -> tuple[Path, int]:
@@ -245,6 +299,45 @@ def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
     if grey.dtype == np.uint8:
         return grey.astype(np.float32) * np.float32(1 / 255)
     return grey.astype(np.float32, copy=False)
+
+
+def sample_numbers(item: Any, count: int) -> list[int]:
+    """The sample numbers that a list, array or mask means, as numpy's indices do.
+
+    Raises IndexError for another shape or type, and for a mask of another length.
+    """
+    index = np.asarray(item)
+    if index.ndim != 1:
+        raise IndexError(f"an index of samples has one dimension, not {index.ndim}")
+    if index.dtype == np.bool_:
+        if len(index) != count:
+            raise IndexError(f"a mask of {len(index)} for {count} samples")
+        return [int(number) for number in np.flatnonzero(index)]
+    if index.size and index.dtype.kind not in "iu":
+        raise IndexError(f"samples are indexed by integers or booleans, not {index.dtype}")
+    return [int(number) for number in index]
+
+
+def _is_scaled(layer: str) -> bool:
+    return layer in ("noisy", "clean") or layer.startswith(EFFECT_FOLDER)
+
+
+def _plain(value: Any) -> float | int | str:
+    plain = value.item() if isinstance(value, np.generic) else value
+    return plain.decode() if isinstance(plain, bytes) else plain
+
+
+def _geometry(config: Mapping[str, Any], record: Mapping[str, Any]) -> FanGeometry | None:
+    """Of one image; None where its device was drawn, or no pydantic reads the configuration."""
+    if config.get("devices") is not None:
+        return None
+    try:
+        from ..sonar.geometry import FanGeometry, recorded_sonar
+
+        sonar = recorded_sonar(config)
+        return None if sonar is None else FanGeometry.from_record(sonar, record)
+    except (ImportError, KeyError, ValueError):
+        return None
 
 
 def _count(path: Path) -> int:

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,9 @@ import numpy.typing as npt
 from ..errors import FactoryError, FrameError
 from ..frame import FrameRef
 from ..labels import CLASSES
+
+if TYPE_CHECKING:
+    from ..sonar.geometry import FanGeometry
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
@@ -207,6 +210,9 @@ class Pair:
     shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
     record: column name -> value, everything needed to make this very sample again.
     layers: name -> (H, W) optional picture (rgb: (H, W, 3)), as `OPTIONAL_LAYERS` describes them.
+    formation: how the device formed the image, by which `denoise` chooses its weights; "" where
+        that is not known or was drawn.
+    geometry: where range and bearing are in noisy and clean, or None where that is not known.
     """
 
     noisy: npt.NDArray[np.generic]
@@ -214,6 +220,8 @@ class Pair:
     shadow: npt.NDArray[np.bool_]
     record: Mapping[str, float | int | str] = field(default_factory=dict)
     layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+    formation: Literal["pointwise", "coherent", ""] = ""
+    geometry: FanGeometry | None = None
 
     def image(self, layer: str) -> npt.NDArray[np.generic]:
         """The picture that goes to a layer: (H, W), of rgb (H, W, 3)."""
@@ -270,6 +278,14 @@ class Provenance:
     config: Mapping[str, Any] = field(hash=False)
     config_hash: str
     generator: str
+
+
+def formation_of(config: Mapping[str, Any]) -> Literal["pointwise", "coherent", ""]:
+    """`Pair.formation` of a dataset with this configuration, as its shards state it."""
+    if config.get("devices") is not None or "noise" not in config:
+        return ""
+    # What never reaches the paper's images is not stated.
+    return "coherent" if "acoustics" in config else "pointwise"
 
 
 def plain_values(value: Any) -> Any:

@@ -8,6 +8,7 @@ from here no longer than it lives.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import secrets
@@ -31,6 +32,8 @@ LOCK_NAME = ".lock"
 # Who only asks whether somebody is at work holds it for a moment.
 _ASKING_S = 1.0
 _MOST_BYTES = 1 << 12
+# What `flock` says where locks do not work.
+_NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF}
 _BEAT_S = 20.0
 _SILENT_S = 600.0
 
@@ -49,6 +52,14 @@ def locked(folder: Path, part: str = "") -> Iterator[None]:
             lock.acquire(timeout=_ASKING_S, poll_interval=0.05)
         except Timeout:
             raise _refused(folder, _owner(path)) from None
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+            raise FactoryError(
+                f"{folder}: its file system has no locks ({error.strerror}), which keep two runs "
+                "apart; mount it with locks (NFS: start lockd, or mount with nfsvers=4), or give a "
+                "folder elsewhere with dataset.dir= (docs/cluster.md)"
+            ) from error
     try:
         with explain_os_errors(folder):
             path.write_text(json.dumps(_me()), encoding="ascii")

@@ -18,6 +18,7 @@ from ..dataset.folder import WORK_NAME
 from ..dataset.schema import SPLITS, PairSource, Preparer, Provenance
 from ..dataset.settings import DatasetSettings
 from ..frame import FrameRef
+from ..progress import RunReporter
 from .settings import SchedulerSettings, ShardSlice
 
 if TYPE_CHECKING:
@@ -88,6 +89,7 @@ class Job(Recipe):
     on_prepared: called with the bytes added to the cache whenever a frame was prepared.
     warnings: what the user is told when planning, and once more at the end.
     preload: modules that every worker needs, loaded once for all.
+    reporter: told what the run does.
     """
 
     tasks: tuple[ShardTask, ...]
@@ -99,6 +101,7 @@ class Job(Recipe):
     on_prepared: Callable[[int], None] = lambda added_bytes: None
     warnings: tuple[str, ...] = ()
     preload: tuple[str, ...] = ("simnfnd.factory.scheduler.worker",)
+    reporter: RunReporter = field(default_factory=RunReporter)
 
     @property
     def own_tasks(self) -> tuple[ShardTask, ...]:

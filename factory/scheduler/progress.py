@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..dataset.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..files import write_atomically
-from ..progress import Lines, clock, stage, terminal_bars
+from ..progress import Lines, RunProgress, clock, terminal_bars
 from .plan import Job
 
 if TYPE_CHECKING:
@@ -41,8 +41,9 @@ class ProgressBar:
         self._total, self._first, self._pairs, self._failed = total, settled, settled, 0
         self._begun, self._written = time.monotonic(), 0.0
         self._lines, self._shown = Lines(), ""
+        self._reporter = job.reporter
         self._bar: tqdm[Any] | None = None
-        if sys.stderr.isatty():
+        if self._reporter.progress is None and sys.stderr.isatty():
             # A terminal that does not tell its size would get an empty line.
             columns, rows = shutil.get_terminal_size()
             form = "{percentage:3.0f}%|{bar:20}| {desc}"
@@ -73,6 +74,9 @@ class ProgressBar:
 
     def _draw(self, *, last: bool = False) -> None:
         gone_s, share = self._rate()
+        if self._reporter.progress is not None:
+            self._reporter.progress(self._snapshot(gone_s, share))
+            return
         # Such as `frames 3/40 (1 from cache), pairs 2/40, 1 failed`.
         counts = f"pairs {self._pairs - self.lost}/{self._total}"
         if total := self.frames["total"]:
@@ -90,7 +94,18 @@ class ProgressBar:
         begun = self._prepared() or self._pairs > self._first or self._failed
         if begun and counts != self._shown and (last or self._lines.due()):
             self._shown = counts
-            stage(text)
+            self._reporter.stage(text)
+
+    def _snapshot(self, gone_s: float, share: float) -> RunProgress:
+        return RunProgress(
+            pairs_done=self._pairs - self.lost,
+            pairs_total=self._total,
+            frames_rendered=self._prepared() - self.frames["failed"],
+            frames_total=self.frames["total"],
+            frames_failed=self._failed,
+            share=share,
+            seconds=gone_s,
+        )
 
     def _rate(self) -> tuple[float, float]:
         """Seconds since the begin, and the part of this run's work that is done: 0 to 1."""

@@ -23,7 +23,6 @@ from ..dataset.manifest import (
     save_outcome,
 )
 from ..files import explain_os_errors, remove_file
-from ..progress import stage
 from .plan import Job, ShardTask
 from .worker import ShardResult
 
@@ -59,7 +58,8 @@ class Results:
         self._shards: dict[str, ShardInfo] = {}
         for info, problem in zip(there, problems, strict=True):
             if problem:
-                stage(f"{job.directory / info.path}: {problem}; it is made again")
+                path = job.directory / info.path
+                job.reporter.stage(f"{path}: {problem}; it is made again")
             else:
                 self._shards[info.path] = info
         good = self._shards

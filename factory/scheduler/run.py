@@ -14,7 +14,6 @@ from ..dataset.schema import SPLITS
 from ..dataset.writer import write_index
 from ..errors import FactoryError
 from ..files import remove_stale_temporaries
-from ..progress import stage
 from .lock import locked, publishing
 from .loop import Loop
 from .plan import Job, work_folder
@@ -67,7 +66,7 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
         if todo:
             count = f"{crew.total} worker{'s' if crew.total > 1 else ''}"
             renders = f" ({crew.render} of them for renders)" if crew.render else ""
-            stage(f"starting {count}{renders} for {left} pairs")
+            job.reporter.stage(f"starting {count}{renders} for {left} pairs")
             try:
                 with closing(_backend(job, crew, max(len(task.items) for task in todo))) as backend:
                     Loop(job, results, progress, backend).run()
@@ -108,7 +107,8 @@ def _tidy(job: Job) -> None:
 def _describe(job: Job, report: RunReport) -> None:
     """Write all that stands beside the shards."""
     if (finished := load_manifest(job.directory)) is not None and report.samples:
-        stage(f"writing index, card{' and preview' if job.dataset.preview_pairs else ''}")
+        with_preview = " and preview" if job.dataset.preview_pairs else ""
+        job.reporter.stage(f"writing index, card{with_preview}")
         write_index(job.directory, finished)
         if job.dataset.preview_pairs:
             preview(job.directory, pairs=job.dataset.preview_pairs, trusted=True)

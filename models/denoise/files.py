@@ -237,9 +237,9 @@ def opened_shard(path: Path) -> h5py.File:
 def made_of_points(shard: h5py.File) -> bool:
     """Whether the pictures of a shard have the paper's noise: acoustics.formation=points."""
     from ...factory.dataset.layout import config_of
+    from ...factory.dataset.schema import formation_of
 
-    config = config_of(shard)
-    return config.get("devices") is None and "acoustics" not in config
+    return formation_of(config_of(shard)) == "pointwise"
 
 
 def _opened(item: Item, topics: Sequence[str]) -> Recording:

@@ -134,7 +134,7 @@ def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypat
 
 def test_frames_and_words_that_will_not_do(monkeypatch) -> None:
     rgb, depth_m = frame()
-    with pytest.raises(simnfnd.FrameError, match="depth is 76x96 but colour is 152x96"):
+    with pytest.raises(ValueError, match="depth_m is 76x96 and rgb is 152x96"):
         simnfnd.make_pair(rgb, depth_m[:, ::2], **PLACE)
     with pytest.raises(simnfnd.FactoryError, match="nois"):
         simnfnd.make_pair(rgb, depth_m, **PLACE, config=("nois=none",))
@@ -150,6 +150,7 @@ def test_the_examples_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     cv2.imwrite(
         "frame_depth.png", np.rint(np.nan_to_num(depth_m, posinf=0) * 1000).astype(np.uint16)
     )
+    Path("frames.csv").write_text("frame.png,frame_depth.png\n")
     write_aris(tmp_path / "dive.aris", pings(2, 40, 48))
     write_dataset(tmp_path / "dataset", train=4, test=2, size=32)
     page = ROOT / "docs/python.md"

@@ -14,10 +14,12 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.process import BaseProcess
+from types import ModuleType
 from typing import Any
 
 THREAD_VARIABLES = (
@@ -31,7 +33,7 @@ _owner = 0
 
 def start(modules: tuple[str, ...]) -> None:
     """Start it, unless it runs or has no modules; returns at once, while it imports them."""
-    if not modules or runs() or sys.platform != "linux":
+    if not modules or runs() or sys.platform != "linux" or _is_anothers():
         return
     global _owner
     held = hold_interrupts()
@@ -49,20 +51,47 @@ def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]
     Where none runs, or it dies or is killed meanwhile because it stands still, it is spawned.
     """
     process: BaseProcess
-    if forks and runs():
-        process = multiprocessing.get_context("forkserver").Process(target=target, args=arguments)
-        # It may die meanwhile, or there is no room for a process at all.
-        with suppress(EOFError, OSError):
-            process.start()
-            return process
-    process = multiprocessing.get_context("spawn").Process(target=target, args=arguments)
-    process.start()
-    return process
+    with _main_module_hidden():
+        if forks and runs():
+            context = multiprocessing.get_context("forkserver")
+            process = context.Process(target=target, args=arguments)
+            # It may die meanwhile, or there is no room for a process at all.
+            with suppress(EOFError, OSError):
+                process.start()
+                return process
+        process = multiprocessing.get_context("spawn").Process(target=target, args=arguments)
+        process.start()
+        return process
+
+
+_hiding = threading.Lock()
+
+
+@contextmanager
+def _main_module_hidden() -> Iterator[None]:
+    """Keep `multiprocessing` from importing the user's script in the new process.
+
+    A script that makes a dataset would begin again in each worker.
+    """
+    with _hiding:
+        main = sys.modules.get("__main__")
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            yield
+        finally:
+            if main is not None:
+                sys.modules["__main__"] = main
 
 
 def runs() -> bool:
     """Whether one was started, by this process."""
     return _owner == os.getpid()
+
+
+def _is_anothers() -> bool:
+    """Whether the program that uses this one as a library has a fork server of its own."""
+    server: Any = vars(forkserver)["_forkserver"]
+    return server._forkserver_pid is not None
 
 
 @atexit.register

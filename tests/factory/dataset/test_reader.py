@@ -7,7 +7,7 @@ import multiprocessing
 import pickle
 import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +17,10 @@ import h5py
 import numpy as np
 import psutil
 import pytest
+import torch
 
 from simnfnd.factory.dataset import PairDataset, reader
+from simnfnd.factory.dataset.shares import Share
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
 from tests.factory.dataset.some_shards import SOURCE, some_pairs, write
@@ -44,19 +46,28 @@ def test_every_sample_is_what_was_written(sound: Path) -> None:
                 assert sample[name].dtype == pair.layers[name].dtype
 
 
+def np_index(item: Any) -> Any:
+    """What numpy takes for the same."""
+    return item if isinstance(item, slice) else np.asarray(item, None if len(item) else np.intp)
+
+
 @pytest.mark.parametrize(
     "item",
-    [slice(None), slice(2, 7), slice(7, 1, -2), [5, 0, 5, -1], np.array([3, 4, 5])],
+    [
+        *(slice(None), slice(2, 7), slice(7, 1, -2), slice(3, 3)),
+        *([5, 0, 5, -1], np.array([3, 4, 5]), [], np.array([], np.int64)),
+        *(np.arange(8) % 3 == 0, np.zeros(8, bool), [True] * 8, torch.tensor([2, 6])),
+    ],
 )
 def test_several_samples_at_once_are_stacked(sound: Path, item: Any) -> None:
     noisy = np.stack([pair.noisy for pair in PAIRS])
     with opened(sound) as pairs:
-        np.testing.assert_array_equal(pairs[item]["noisy"], noisy[item])
+        np.testing.assert_array_equal(pairs[item]["noisy"], noisy[np_index(item)])
         assert pairs[item]["clean"].dtype == np.uint8
         np.testing.assert_array_equal(pairs[-8]["noisy"], pairs[np.int64(0)]["noisy"])
-        for number in (8, -9):
+        for wrong in (8, -9, [8], True, np.zeros(7, bool), [0.5], np.zeros((2, 2), np.int64)):
             with pytest.raises(IndexError):
-                pairs[number]
+                pairs[wrong]
 
 
 @pytest.mark.parametrize("scaled", [False, True])
@@ -156,6 +167,40 @@ def test_a_torch_loader_with_workers_reads_every_sample_once(sound: Path) -> Non
     assert {image.dtype for image in seen} == {np.dtype(np.float32)}
     stored = {(pair.noisy.astype(np.float32) * np.float32(1 / 255)).tobytes() for pair in PAIRS}
     assert {image.tobytes() for image in seen} == stored
+
+
+def test_shuffled_samples_come_once_from_several_workers(sound: Path) -> None:
+    from torch.utils.data import DataLoader, IterableDataset
+
+    class Shuffled(IterableDataset[Any]):
+        def __iter__(self) -> Iterator[Any]:
+            return opened(sound).shuffled(3)
+
+    alone = [sample["noisy"].tobytes() for sample in opened(sound).shuffled(3)]
+    assert len(set(alone)) == 8
+    for workers in (0, 3):
+        loader = DataLoader(
+            Shuffled(),
+            None,
+            num_workers=workers,
+            multiprocessing_context="fork" if workers else None,
+        )
+        assert sorted(np.asarray(one["noisy"]).tobytes() for one in loader) == sorted(alone)
+    shares = [opened(sound).shuffled(3, share=Share(rank, 2)) for rank in range(2)]
+    parts = [[sample["noisy"].tobytes() for sample in share] for share in shares]
+    assert parts == [alone[::2], alone[1::2]]
+
+
+def test_links_into_a_store_are_read_where_they_are_trusted(sound: Path, tmp_path: Path) -> None:
+    linked = tmp_path / "linked"
+    for path in sound.rglob("*.*"):
+        place = linked / path.relative_to(sound)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.symlink_to(path)
+    with pytest.raises(FactoryError, match=r"leads out of the dataset's folder.*trusted=True"):
+        PairDataset(linked)
+    with opened(linked) as pairs, opened(sound) as originals:
+        np.testing.assert_array_equal(pairs[:]["noisy"], originals[:]["noisy"])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,149 @@
+"""Pairs and datasets from Python: `make_pair` and `make_dataset`."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from .factory.config import FactoryConfig
+    from .factory.dataset.manifest import Failure
+    from .factory.dataset.schema import Pair
+    from .factory.progress import RunProgress
+    from .factory.render.base import Renderer, RenderSettings
+
+Words = str | Sequence[str]
+"""Words of `simnfnd make`: several, or one text as a shell takes it."""
+
+
+@dataclass(frozen=True)
+class DatasetResult:
+    """What `make_dataset` made.
+
+    path: the dataset's folder, or its URL.  pairs: that it holds now, earlier runs included.
+    failures: frames without a pair, each with `ref.name`, `kind` and `reason`.
+    notes: what the command would have printed, warnings included.
+    """
+
+    path: str
+    pairs: int
+    failures: tuple[Failure, ...]
+    notes: tuple[str, ...]
+
+
+def make_dataset(
+    *overrides: str,
+    out: str | Path | None = None,
+    progress: Callable[[RunProgress], None] | None = None,
+) -> DatasetResult:
+    """Make a dataset, or finish one that was begun, as `simnfnd make OVERRIDES` does.
+
+    overrides: words of the command, for example "experiment=simnfnd", "frames.limit=10" and
+        "--config-dir=presets".
+    out: folder or URL of the dataset; the same as "dataset.dir=...".
+    progress: called several times a second with a `RunProgress`.
+
+    Prints nothing.  Worker processes import no `__main__`, so that a script needs no guard.
+    Raises FactoryError for what the command ends with exit code 2 for; KeyboardInterrupt at Ctrl-C,
+    and calling again goes on where it stopped.
+    """
+    from .factory.cli.compose import compose_config
+    from .factory.cli.generate import run
+    from .factory.progress import RunReporter
+    from .factory.scheduler.workers import template
+    from .factory.storage.copies import shown
+
+    config = compose_config(overrides)
+    if out is not None:
+        config = replace(config, dataset=replace(config.dataset, dir=str(out)))
+    notes: list[str] = []
+    reporter = RunReporter(
+        fact=notes.append,
+        warning=notes.append,
+        stage=lambda _: None,
+        progress=progress or (lambda _: None),
+    )
+    had_template = template.runs()
+    try:
+        report, directory = run(config, overrides, reporter)
+    finally:
+        if not had_template:
+            template.kill()
+    # Warnings of the plan come again at the end of a run.
+    told = tuple(dict.fromkeys(notes))
+    return DatasetResult(str(shown(directory)), report.samples, report.failures, told)
+
+
+def make_pair(
+    rgb: npt.ArrayLike,
+    depth_m: npt.ArrayLike,
+    *,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    config: Words = ("experiment=simnfnd", "render=analytic"),
+    seed: int | None = None,
+    variant: int = 0,
+    name: str = "frame",
+    scene: str = "",
+) -> Pair:
+    """One (noisy, clean) pair of sonar images from an RGBD frame.
+
+    rgb: (H, W, 3) integers 0..255, in the order red, green, blue.
+    depth_m: (H, W) or (H, W, 1) distance along the optical axis in metres, floating-point; masked,
+        0, negative, infinite and NaN mean that nothing was measured.
+    fx, fy, cx, cy: focal lengths and principal point of this very image size, in pixels.
+    config: words of `simnfnd make`, for example ("experiment=physical", "sonar=didson_hf");
+        those of scenes, frames, scheduler and cache change nothing here.
+    seed: the same as "seed=..." among `config`.
+    variant: other numbers thin the echoes and draw the noise anew.
+    name, scene: of the frame; with seed and variant they decide what is drawn.
+
+    Returns a `Pair`: noisy and clean (H', W') uint8 in 0..255 (float32 in 0..1 with
+    "dataset.dtype=float32"), shadow (H', W') bool, layers, and record, with every drawn parameter.
+    `denoise` takes the pair as it is.
+    Raises ValueError for arrays of another shape, type or unit, FrameError when the frame has no
+    usable depth or the sonar would see nothing of it, and FactoryError for wrong words and modules
+    that are not installed.
+    """
+    from .factory.cli.extras import needs_of, require
+    from .factory.frame import FrameRef, Intrinsics
+    from .factory.memory_frame import frame_from_arrays
+    from .factory.pairs import PairMaker
+    from .factory.render.view import view_of
+    from .factory.sample_table import FrameCamera
+    from .factory.views import Views
+
+    words = shlex.split(config) if isinstance(config, str) else [*config]
+    settings = _config((*words, *(() if seed is None else (f"seed={seed}",))))
+    require(needs_of(settings))
+    ref = FrameRef("", scene, name)
+    frame = frame_from_arrays(ref, rgb, depth_m, Intrinsics(fx, fy, cx, cy))
+    mount = settings.sonar.mount
+    rendered = _renderer(settings.render).render(frame, mount)
+    views = Views({ref: view_of(frame, rendered, mount)})
+    maker = PairMaker(settings, views, FrameCamera(frame, settings.dataset.layers))
+    (pair,) = maker.pairs(ref, (variant,))
+    return pair
+
+
+@lru_cache(maxsize=8)
+def _config(words: tuple[str, ...]) -> FactoryConfig:
+    from .factory.cli.compose import compose_config
+
+    # The frame is at hand, so where recordings are does not matter.
+    return compose_config(words, {"kind": "csv_list", "file": ".", "intrinsics": [1, 1, 0, 0]})
+
+
+@lru_cache(maxsize=1)
+def _renderer(settings: RenderSettings) -> Renderer:
+    from .factory.render import open_renderer
+
+    return open_renderer(settings)
