@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry
 from ..methods import baselines_of, networks_at, reason, shown
 from ..metrics.fidelity import Mask
-from ..metrics.measure import Gray
+from ..metrics.measure import Figures, Gray, ratio_figures
 from ..metrics.statistics import evenly
 from ..recorded import Stretch
 from ..settings import DetectSettings
@@ -49,6 +49,9 @@ class Sequences:
         return range(REACH + 1, len(self.with_targets) - REACH - 1)
 
 
+_RATIO_FRAMES = 5  # of a sequence, whose ratio images are measured
+
+
 class Images(NamedTuple):
     """A frame, (H, W) float32 in 0..1, with targets and without."""
 
@@ -71,10 +74,14 @@ class Example:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """figures: label of a row -> its figures.  lost: label -> why there are none."""
+    """figures: label of a row -> its figures.  lost: label -> why there are none.
+
+    ratios: label -> figures of its ratio images, means over the sequences.
+    """
 
     sequences: list[Sequences]
     figures: dict[str, MethodFigures]
+    ratios: dict[str, Figures]
     lost: dict[str, str]
     examples: list[Example]
     notes: list[str]
@@ -93,10 +100,14 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """responses: or None and why.  images: number of a frame -> its images, and its twin's."""
+    """responses: or None and why.  images: number of a frame -> its images, and its twin's.
+
+    ratio: mean figures of the ratio images of some frames.
+    """
 
     responses: Responses | None
     images: dict[int, Images]
+    ratio: Figures = field(default_factory=dict)
     lost: str = ""
 
 
@@ -133,7 +144,11 @@ def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
         for label in figures:
             images = results[example.sequence, label].images
             example.images[label] = images[example.sighting.frame]
-    return Outcome(sequences, figures, lost, examples, notes)
+    ratios = {
+        label: _mean_figures([results[number, label].ratio for number in range(len(sequences))])
+        for label in figures
+    }
+    return Outcome(sequences, figures, ratios, lost, examples, notes)
 
 
 def run_row(task: Task) -> Result:
@@ -145,12 +160,21 @@ def run_row(task: Task) -> Result:
             for stored in (both.with_targets, both.without)
         )
     except Exception as error:  # a method that crashes loses its row, not the report
-        return Result(None, {}, reason(error))
+        return Result(None, {}, lost=reason(error))
     responses = responses_of(
         with_targets, without, both.tracks, both.insonified, both.motion, both.judged
     )
     images = {number: Images(with_targets[number], without[number]) for number in task.shown}
-    return Result(responses, images)
+    full = np.float32(both.full_scale)
+    ratios = [
+        ratio_figures(both.with_targets[number] / full, with_targets[number], both.insonified)
+        for number in evenly(both.judged, _RATIO_FRAMES)
+    ]
+    return Result(responses, images, _mean_figures(ratios))
+
+
+def _mean_figures(figures: Sequence[Figures]) -> Figures:
+    return {name: float(np.mean([one[name] for one in figures])) for name in figures[0]}
 
 
 def _static_recordings(

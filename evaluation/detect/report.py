@@ -34,6 +34,8 @@ HOW = (
     "the targets found at one false alarm per frame by a common detector (scene mean subtracted, "
     "2 px smoothing, divided by the usual change of each place); real motion is not counted. "
     "False alarms: per frame without targets, at the threshold that gives one in recorded frames.",
+    "Ratio correlation: of pixels 4 apart in the image recorded / denoised; structure that was "
+    "removed raises it.",
     "Means over classes. 95 % bootstrap intervals that draw tracks, not frames (false alarms: "
     "blocks of frames). Filters called tuned have the best PSNR on these recordings without "
     "targets.",
@@ -95,15 +97,19 @@ def write(settings: DetectSettings, outcome: Outcome) -> str:
 
 def overall_table(outcome: Outcome) -> pd.DataFrame:
     """A line a method, with intervals."""
-    head = ["method", "AUC", "contrast", "detection", "against recorded", "false alarms a frame"]
+    head = [
+        "method", "AUC", "contrast", "detection", "against recorded", "false alarms a frame",
+        "ratio correlation",
+    ]  # fmt: skip
     lines = []
     for label, figures in outcome.figures.items():
         own = figures.overall
         cells = [_with_interval(estimate) for estimate in (own.auc, own.contrast, own.detection)]
         cells.append(_with_interval(own.detection_gain, sign=True))
-        lines.append([label, *cells, _with_interval(figures.false_alarms)])
+        ratio = written(outcome.ratios[label]["ratio_correlation"], 3)
+        lines.append([label, *cells, _with_interval(figures.false_alarms), ratio])
     for label, why in outcome.lost.items():
-        lines.append([label, f"lost: {why}", "", "", "", ""])
+        lines.append([label, f"lost: {why}", "", "", "", "", ""])
     return as_table(head, lines)
 
 
@@ -163,6 +169,7 @@ def _facts(settings: DetectSettings, outcome: Outcome) -> dict[str, Any]:
                 "label": label,
                 **{name: _plain(one) for name, one in figures.overall._asdict().items()},
                 "false_alarms": _plain(figures.false_alarms),
+                **{name: plain(value) for name, value in outcome.ratios[label].items()},
                 "classes": {
                     target.label: {name: _plain(one) for name, one in own._asdict().items()}
                     for target, own in zip(classes, figures.by_class, strict=True)

@@ -27,6 +27,9 @@ SHADOW = 0.02
 SIDE = 16
 """Of an even zone, pixels."""
 _DARK = 0.01  # of full scale: below, a ratio says nothing
+_BEYOND_GRAIN = 4
+"""Pixels over which a ratio image is compared with itself: grain of sonars is narrower."""
+_NO_POWER = 1e-20  # of a ratio image: less is rounding
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ class Scene:
             "cnr": contrast_to_noise(
                 values, pair.sector & ~pair.shadow & (pair.clean > 0), pair.shadow
             ),
-            "ratio_mean": mean_ratio(pair.noisy, values),
+            **ratio_figures(pair.noisy, values),
         }
 
     @cached_property
@@ -186,11 +189,37 @@ def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
     return difference / noise
 
 
-def mean_ratio(noisy: Image, denoised: Image) -> float:
-    """Mean of noisy / denoised, images in 0..1, where denoised is at least 1 % of full scale.
+def ratio_figures(noisy: Image, denoised: Image, region: Mask | None = None) -> Figures:
+    """Mean, variance and spatial correlation of the ratio image, noisy / denoised.
 
-    1 = the mean is kept; NaN where nothing is bright enough.
+    noisy, denoised: in 0..1.  region: what counts; None: all.  Pixels where denoised is below 1 %
+    of full scale are left out.  What was removed should be noise alone: the mean is 1, the variance
+    that of the noise (1 / looks for speckle), and the ratio shows no structure (Gomez, Ospina and
+    Frery 2017).  Structure is measured as the correlation of pixels `_BEYOND_GRAIN` apart along
+    rows and columns, the mean of both, because the grain of real sonars is some pixels wide.
+    NaN where nothing is bright enough.
     """
     below = denoised.astype(np.float64)
     lit = below >= _DARK
-    return float((noisy[lit].astype(np.float64) / below[lit]).mean()) if lit.any() else math.nan
+    if region is not None:
+        lit = lit & region
+    if not lit.any():
+        return dict.fromkeys(("ratio_mean", "ratio_variance", "ratio_correlation"), math.nan)
+    ratio = np.divide(noisy, below, out=np.ones_like(below), where=lit)
+    along_rows = _correlation(ratio[:, _BEYOND_GRAIN:], ratio[:, :-_BEYOND_GRAIN],
+                              lit[:, _BEYOND_GRAIN:] & lit[:, :-_BEYOND_GRAIN])  # fmt: skip
+    along_columns = _correlation(ratio[_BEYOND_GRAIN:], ratio[:-_BEYOND_GRAIN],
+                                 lit[_BEYOND_GRAIN:] & lit[:-_BEYOND_GRAIN])  # fmt: skip
+    return {
+        "ratio_mean": float(ratio[lit].mean()),
+        "ratio_variance": float(ratio[lit].var()),
+        "ratio_correlation": (along_rows + along_columns) / 2,
+    }
+
+
+def _correlation(values: Values, others: Values, where: Mask) -> float:
+    """Pearson's; NaN where nothing varies."""
+    first = values[where] - values[where].mean() if where.any() else np.zeros(0)
+    second = others[where] - others[where].mean() if where.any() else np.zeros(0)
+    power = float((first @ first) * (second @ second))
+    return float(first @ second) / math.sqrt(power) if power > _NO_POWER else math.nan

@@ -25,9 +25,11 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
 from ...models.denoise.temporal.stream import InTime, Network, Shot
 from ..filters import REGISTRY
+from ..filters.windows import mean_around, registered_mean
 from ..methods import Method, network
 from ..metrics.fidelity import Mask, psnr, ssim_map
 from ..metrics.measure import Gray, Levels, fit_levels
+from ..metrics.statistics import estimate
 from ..settings import RealSettings
 from .groups import Group, nearest
 
@@ -98,15 +100,20 @@ def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callab
     tv = REGISTRY["tv"]
 
     def mean(number: int) -> Gray:
-        window = judged.frames[max(0, number - AWAY) : number + AWAY + 1]
-        return np.asarray(window.mean(axis=0), np.float32)
+        return mean_around(judged.frames, number, AWAY)
+
+    def registered(number: int) -> Gray:
+        return registered_mean(judged.frames, number, AWAY)
 
     return {
         "one frame": lambda number: network(judged.frames[number], None),
         "fused": lambda number: fused[number],
         "fused and denoised": lambda number: denoised[number],
         "mean of 7": mean,
-        "mean of 7, tuned TV": lambda number: tv(mean(number), {"weight": weight}),
+        "mean of 7 + tuned TV": lambda number: tv(mean(number), {"weight": weight}),
+        "registered mean of 7 + tuned TV": lambda number: tv(
+            registered(number), {"weight": weight}
+        ),
     }
 
 
@@ -114,7 +121,7 @@ def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
     """The weight of total variation that is best for means of 7 of other recordings."""
     tv = REGISTRY["tv"]
     means = [
-        (one, number, one.frames[number - AWAY : number + AWAY + 1].mean(axis=0))
+        (one, number, mean_around(one.frames, number, AWAY))
         for one in others
         for number in one.numbers(step)
     ]
@@ -222,10 +229,23 @@ def judged_in_time(
     return table.drop(columns="number"), list(dict.fromkeys(notes))
 
 
-def wide(table: pd.DataFrame) -> pd.DataFrame:
-    """A line a row, and of each kind of input the mean PSNR and SSIM over recordings."""
-    means = table.groupby(["row", "kind"], sort=False)[["psnr_db", "ssim"]].mean()
-    text = means["psnr_db"].map("{:.2f}".format) + " / " + means["ssim"].map("{:.3f}".format)
+def wide(table: pd.DataFrame, *, resamples: int, seed: int) -> pd.DataFrame:
+    """A line a row, and of each kind of input the mean PSNR and SSIM over recordings.
+
+    Intervals of the PSNR draw recordings; one alone has none.
+    """
+
+    def cell(scores: pd.DataFrame) -> str:
+        psnr_db = estimate(
+            scores["psnr_db"].to_numpy(float),
+            list(scores["recording"]),
+            resamples=resamples,
+            seed=seed,
+        )
+        between = f" ({psnr_db.low:.2f} .. {psnr_db.high:.2f})" if psnr_db.count > 1 else ""
+        return f"{psnr_db.mean:.2f}{between} / {scores['ssim'].mean():.3f}"
+
+    text = table.groupby(["row", "kind"], sort=False)[["recording", "psnr_db", "ssim"]].apply(cell)
     found = text.unstack("kind").loc[table["row"].unique(), table["kind"].unique()]
     found.columns = [f"{kind}, dB / SSIM" for kind in found.columns]
     return found.rename_axis("row").reset_index()

@@ -28,6 +28,7 @@ from ..metrics.measure import (
     enl,
     fit_levels,
     homogeneous_zones,
+    ratio_figures,
 )
 from ..metrics.statistics import estimate, evenly
 from ..recorded import Shot, Stretch
@@ -345,6 +346,7 @@ def figures_of(image: Gray, shared: Scene) -> Figures:
         "enl": enl(image, shared.zones),
         "cnr": contrast_to_noise(image, shared.bright, shared.dark),
         "edges_kept": edge_preservation(shared.noisy, image, data_range=1.0, mask=shared.sector),
+        **ratio_figures(shared.noisy, image, shared.sector),
     }
 
 

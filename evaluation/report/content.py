@@ -162,9 +162,10 @@ def _facts(settings: EvaluationSettings, items: Sequence[Item], identical: int) 
     rules = [
         "Intervals: 95 % bootstrap that draws whole frames. p: Wilcoxon signed ranks of the mean "
         f"differences of frames, Holm's correction over the rows. Identical pairs ({identical} "
-        f"here) count as {PSNR_CAP_DB:g} dB. ENL and ratio mean rank no methods. `+ levels`: one "
-        "gain and offset for all images; they and the parameters of `tuned` come from validation "
-        "pairs. ms: median CPU time of an image (of networks on a GPU: elapsed time).",
+        f"here) count as {PSNR_CAP_DB:g} dB. ENL and the ratio image rank no methods alone. "
+        "`+ levels`: one gain and offset for all images; they and the parameters of `tuned` come "
+        "from validation pairs. ms: median CPU time of an image (of networks on a GPU: elapsed "
+        "time).",
     ]
     return {
         "dataset": settings.name,

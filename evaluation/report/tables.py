@@ -47,9 +47,11 @@ METRIC_NAMES = {
     "enl": Metric("ENL", 2, 0),
     "cnr": Metric("CNR", 2, 1),
     "ratio_mean": Metric("ratio mean", 3, 0),
+    "ratio_variance": Metric("ratio variance", 3, 0),
+    "ratio_correlation": Metric("ratio correlation", 3, 0),
 }
-"""In the order of the tables.  ENL rewards blur and a ratio mean of 1 is best: neither ranks
-methods alone."""
+"""In the order of the tables.  ENL rewards blur, and doing nothing leaves a perfect ratio image:
+neither ranks methods alone."""
 
 
 def plain(value: float | None) -> float | None:

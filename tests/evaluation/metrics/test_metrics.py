@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -23,7 +24,7 @@ from simnfnd.evaluation.metrics.measure import (
     enl,
     fit_levels,
     homogeneous_zones,
-    mean_ratio,
+    ratio_figures,
     sector_of,
 )
 
@@ -267,8 +268,30 @@ def test_contrast_to_noise_is_the_formula() -> None:
 
 def test_ratio_mean_is_that_of_the_lit_pixels() -> None:
     noisy, denoised = np.array([[0.2, 0.6, 0.5]]), np.array([[0.4, 0.3, 0.0]])
-    assert mean_ratio(noisy, denoised) == pytest.approx(1.25)
-    assert math.isnan(mean_ratio(noisy, np.zeros_like(noisy)))
+    assert ratio_figures(noisy, denoised)["ratio_mean"] == pytest.approx(1.25)
+    nothing = ratio_figures(noisy, np.zeros_like(noisy))
+    assert all(math.isnan(value) for value in nothing.values())
+
+
+def test_structure_in_a_ratio_image_is_what_a_filter_took_along() -> None:
+    """Noise of four looks removed exactly, and with edges of the scene in it."""
+    rng = np.random.default_rng(0)
+    clean = np.where(np.arange(96)[:, None] // 12 % 2, 0.3, 0.5) * np.ones((96, 96))
+    noisy = np.asarray(clean * rng.gamma(4, 1 / 4, clean.shape), np.float32)
+    exact = ratio_figures(noisy, clean)
+    assert exact["ratio_mean"] == pytest.approx(1, abs=0.03)
+    assert exact["ratio_variance"] == pytest.approx(1 / 4, abs=0.03)
+    assert exact["ratio_correlation"] == pytest.approx(0, abs=0.03)
+    blurred = ratio_figures(noisy, cv2.GaussianBlur(clean, (0, 0), 9))
+    assert blurred["ratio_correlation"] > 0.1
+    same = ratio_figures(noisy, noisy)
+    assert same["ratio_variance"] == 0
+    assert math.isnan(same["ratio_correlation"])
+    left = np.zeros(clean.shape, bool)
+    left[:, :48] = True
+    changed = clean.copy()
+    changed[:, 48:] *= 3
+    assert ratio_figures(noisy, changed, left) == ratio_figures(noisy, clean, left)
 
 
 def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
@@ -290,9 +313,9 @@ def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
             "edge_preservation": edge_preservation(clean, image, data_range=1, mask=sector),
             "enl": enl(image, zones),
             "cnr": contrast_to_noise(image, sector & ~shadow & (clean > 0), shadow),
-            "ratio_mean": mean_ratio(noisy, image),
+            **ratio_figures(noisy, image),
         }
-        assert {name: found[name] for name in alone} == pytest.approx(alone, abs=1e-9)
+        assert {name: found[name] for name in alone} == pytest.approx(alone, abs=1e-9, nan_ok=True)
 
 
 @settings(max_examples=10, deadline=None)

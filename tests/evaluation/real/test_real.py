@@ -275,16 +275,21 @@ def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.Monk
         "fused",
         "one: fused and denoised",
         "mean of 7",
-        "mean of 7, tuned TV",
+        "mean of 7 + tuned TV",
+        "registered mean of 7 + tuned TV",
     ]
     assert list(found["row"].unique()) == rows
     assert list(found["kind"].unique()) == ["static", "moving", "ghost"]
     assert len(found) == 2 * 3 * len(rows)
     psnr = found.groupby(["kind", "row"])["psnr_db"].last()
-    assert psnr["static", "mean of 7, tuned TV"] > psnr["static", "mean of 7"]
+    assert psnr["static", "mean of 7 + tuned TV"] > psnr["static", "mean of 7"]
     assert psnr["moving", "mean of 7"] < psnr["moving", "fused"]
+    assert psnr["moving", "registered mean of 7 + tuned TV"] > psnr["moving", "mean of 7"] + 2
     assert any("0.avi: tuned TV has weight" in n and "tuned on 1.avi" in n for n in notes)
-    table = in_time.wide(found)
+    table = in_time.wide(found, resamples=100, seed=0)
+    assert all(" .. " in cell for cell in table["static, dB / SSIM"]), "two recordings"
+    single = in_time.wide(found[found["recording"] == "0.avi"], resamples=100, seed=0)
+    assert not any(" .. " in cell for cell in single["static, dB / SSIM"])
     assert list(table) == ["row", *(f"{k}, dB / SSIM" for k in ("static", "moving", "ghost"))]
     assert list(table["row"]) == rows
     _, alone = timed(groups[:1], [one])
