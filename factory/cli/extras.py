@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 EXTRAS = {
     "cv2": "sonar",
+    "av": "sonar",
     "scipy": "sonar",
     "bpy": "blender",
     "open3d": "open3d",

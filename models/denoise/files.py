@@ -24,6 +24,7 @@ from .denoiser import Denoiser
 from .inputs import Finished, Geometries, Item
 from .pictures import Denoising, Picture
 from .temporal.stream import Shot
+from .video_writer import TimedImage
 from .writers import COMPARED, write_compared, write_frames, write_image
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
         try:
             if item.source.suffix.lower() == ARRAY_SUFFIX:
                 with ArrayFile(item.source) as array:
-                    write_frames(path, [denoised], None, array)
+                    write_frames(path, [TimedImage(denoised)], array)
             else:
                 write_image(path, denoised)
             if job.compare:
@@ -133,13 +134,16 @@ def _denoise_recording(item: Item, job: Job) -> None:
         raise FrameError(f"{path}: is there already; remove it, or give another --out")
     shown: list[tuple[Picture, Picture]] = []
     with _opened(item, job.topics) as recording:
-        job.bar.total += len(recording)
+        before = job.bar.n
+        job.bar.total += recording.count
         topics: tuple[str, ...] = getattr(recording, "topics", ())
         frames = _frames(item, recording, job, shown)
         rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
         if item.kind in SEQUENCES:
-            rate_hz = getattr(recording, "rate_hz", None)  # of videos
-            write_frames(path, (picture for _, picture in frames), rate_hz, recording)
+            images = (TimedImage(image, frame.time_s, frame.duration_s) for frame, image in frames)
+            note = write_frames(path, images, recording)
+            if note:
+                job.warnings.append(note)
         elif rewrite is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             rewrite((samples for _, samples in frames), path)
@@ -149,8 +153,9 @@ def _denoise_recording(item: Item, job: Job) -> None:
                 fan = np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
                 write_image(path / f"{frame.number:06d}.png", fan)
                 write_image(path / f"{frame.number:06d}_polar.png", samples)
-        # How many frames a video says to have is often wrong.
-        if recording.warning and item.kind != "video":
+        # How many frames a file says to have is often wrong.
+        job.bar.total += job.bar.n - before - recording.count
+        if recording.warning:
             job.warnings.append(recording.warning)
         elif len(topics) > 1 and job.denoising.frames > 1:
             job.warnings.append(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import glob
-import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,13 @@ from PIL import Image, TiffImagePlugin
 
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
-from ...factory.quiet import quiet_stderr
-from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording, swapped
+from ..recordings.base import FULL_SCALE, Recording, swapped
 from ..recordings.pictures import ArrayFile, write_array
+from ..recordings.videos import VideoFile
+from .video_writer import TimedImage, target_of, write_video
 
 Picture = npt.NDArray[Any]
-Frames = Iterator[Picture]
 
-CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
-"""Suffix of a container -> the codec without loss that it holds."""
 COMPARED = 4  # pictures of one file that `--compare` shows
 CAPTION_PX = 20  # height of the line with the names
 _NAMES = ("noisy", "denoised", "clean")
@@ -38,73 +36,54 @@ _QUALITY = {
 }
 
 
-def write_frames(
-    path: Path,
-    pictures: Iterable[Picture],
-    rate_hz: float | None,
-    source: Recording | None = None,
-) -> None:
-    """Write frames in order, (H, W) or (H, W, 3) uint8; of TIFF and arrays also uint16 or float32.
+def write_frames(path: Path, images: Iterable[TimedImage], source: Recording) -> str:
+    """Write the images of a recording in order, as a file of the same kind as `source`.
 
-    They become a video at `path` when its container has a codec without loss (any other would add
-    artefacts of its own), the frame rate is known and both sides are even, as the writer cuts odd
-    ones; pages of a TIFF file where `path` is one; a .npy file where `source` is an array;
-    NNNNNN.png in a folder of that name otherwise.  Files appear when they are whole.
-    rate_hz: frames a second; None: unknown.  source: whose frames they are.
+    images: (H, W) or (H, W, 3) BGR uint8 or uint16; of TIFF files and arrays also float32.
+    A stack becomes pages of a TIFF file, an array a .npy file, a video what `target_of` says.  The
+    file appears when it is whole.
+
+    Returns a line that says where the images are and why, if that is not `path`; mostly empty.
+    Raises FactoryError when the file cannot be written.
     """
-    frames = iter(pictures)
-    first = next(frames, None)
-    if first is None:
-        return
-    frames = itertools.chain([first], frames)
-    is_video = path.suffix.lower() in CODECS and not path.is_dir()
-    is_video = is_video and first.shape[0] % 2 == first.shape[1] % 2 == 0
+    if isinstance(source, VideoFile):
+        target, note = target_of(path, source.properties)
+        with whole_file(target) as partial:
+            write_video(partial, target.suffix.lower(), images, source.properties)
+        return note
+    with whole_file(path) as partial:
+        if isinstance(source, ArrayFile):
+            with partial.open("wb") as file:
+                write_array(file, (timed.image for timed in images), source.stored)
+        else:
+            _write_pages(partial, images)
+    return ""
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A temporary file beside `path`, which takes its place when the block ends without an error.
+
+    Raises FactoryError when it cannot be written.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     for stale in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
         stale.unlink(missing_ok=True)  # of a run that was killed
     partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     with explain_os_errors(path, "--out"):
         try:
-            if path.suffix.lower() in TIFF_SUFFIXES:
-                with TiffImagePlugin.AppendingTiffWriter(str(partial), new=True) as pages:
-                    for picture in frames:
-                        page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
-                        page.save(pages, format="TIFF", compression="tiff_adobe_deflate")
-                        pages.newFrame()
-            elif isinstance(source, ArrayFile):
-                with partial.open("wb") as file:
-                    write_array(file, frames, source.stored)
-            elif is_video and rate_hz:
-                _write_video(partial, frames, path, first.shape, rate_hz)
-            else:
-                for number, picture in enumerate(frames):
-                    write_image(path / f"{number:06d}.png", picture)
-                return
+            yield partial
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
 
 
-def _write_video(
-    partial: Path, frames: Frames, path: Path, shape: tuple[int, ...], rate_hz: float
-) -> None:
-    count, code = 0, cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
-    # OpenCV tells everybody that MP4 has another name for PNG.
-    with quiet_stderr():
-        writer = cv2.VideoWriter(str(partial), code, rate_hz, (shape[1], shape[0]))
-    try:
-        for picture in frames:
-            grey = picture.ndim == 2
-            writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if grey else picture)
-            count += 1
-    finally:
-        writer.release()
-    # The writer does not say when the disk is full.
-    capture = cv2.VideoCapture(str(partial))
-    held = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    capture.release()
-    if held != count:
-        raise FrameError(f"{path}: holds {max(held, 0)} of {count} frames; is the disk full?")
+def _write_pages(partial: Path, images: Iterable[TimedImage]) -> None:
+    with TiffImagePlugin.AppendingTiffWriter(str(partial), new=True) as pages:
+        for timed in images:
+            page = Image.fromarray(np.ascontiguousarray(swapped(timed.image)))
+            page.save(pages, format="TIFF", compression="tiff_adobe_deflate")
+            pages.newFrame()
 
 
 def write_image(path: Path, image: Picture) -> None:

@@ -20,7 +20,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "ddf": ("sonar_files:DdfFile", (".ddf",)),
     "oculus": ("sonar_files:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
-    "video": ("pictures:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
+    "video": ("videos:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "stack": ("pictures:StackFile", (".gif",)),
     "array": ("pictures:ArrayFile", (".npz", ".mat")),
     "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),
@@ -76,7 +76,7 @@ def open_recording(path: str | Path) -> Recording:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
     module, name = READERS[kind][0].split(":")
-    if module in ("pictures", "rosbag"):
+    if module in ("pictures", "rosbag", "videos"):
         require([Need(f"{path}", "cv2")])
     recording: Recording = getattr(import_module(f".{module}", __name__), name)(where)
     return recording

@@ -34,6 +34,8 @@ Samples = npt.NDArray[Any]
 RATIO, ALWAYS_BYTES, MOST_BYTES = 200, 1 << 28, 1 << 31
 MOST_PIXELS = 1 << 26  # of a picture, whatever it is packed into
 TOO_LARGE = f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
+MOST_TINT = 6
+"""Of 255: codecs tint grey images by a few levels, and by others in each frame."""
 MOST_RANGES, MOST_BEAMS = 8192, 4096
 MOST_RANGE_M = 2000.0
 
@@ -86,12 +88,14 @@ class Frame:
         from left to right; without, a picture, (H, W) or (H, W, colours) of such a dtype.
     beams: None for a picture, of which only the pixels are known.
     time_s: seconds since 1970 (UTC), or since the start where the file has no clock; None: unknown.
+    duration_s: how long a video or an animation shows it; None: unknown.
     """
 
     number: int
     samples: Samples
     beams: Beams | None = None
     time_s: float | None = None
+    duration_s: float | None = None
     pose: Pose = field(default_factory=Pose)
     device: Device = field(default_factory=Device)
 
@@ -243,6 +247,17 @@ def swapped(picture: Samples) -> Samples:
     if picture.ndim == 3 and picture.shape[2] >= 3:
         picture = np.concatenate([picture[..., 2::-1], picture[..., 3:]], axis=2)
     return picture.astype(picture.dtype.newbyteorder("="), copy=False)
+
+
+def untinted(image: Samples) -> Samples:
+    """(H, W) of a grey image, (H, W, 3) uint8 or uint16, of nearly equal channels; others as is."""
+    middle = image[..., 1:2].astype(np.int32)
+    tint = np.abs(image - middle).max()
+    if tint > MOST_TINT * (1 if image.dtype == np.uint8 else 257):
+        return image
+    import cv2  # sonars' own recordings do without
+
+    return np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
 def known(value: float, most: float = 1e6) -> float | None:

@@ -1,13 +1,8 @@
-"""Picture files, one or a folder of them by name; arrays, pages (TIFF, animated GIF) and videos.
-
-A video is opened only where its first bytes are those of a container for films: FFmpeg goes by the
-content, and would take a playlist named `a.avi` for a list of other files and addresses to open.
-"""
+"""Image files, one or a folder of them by name; arrays; pages of TIFF and animated GIF files."""
 
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache
@@ -29,7 +24,6 @@ from .base import (
     FULL_SCALE,
     PICTURE_SUFFIXES,
     TOO_LARGE,
-    Ended,
     Frame,
     Recording,
     Samples,
@@ -37,7 +31,10 @@ from .base import (
     ask_pixels,
     explained,
     swapped,
+    untinted,
 )
+from .orientation import EXIF_ORIENTATION, UPRIGHT, Orientation, orientation_of_exif
+from .tiff import TIFF_HEADS, directories_of, with_upright_tags
 
 _FORMAT: Any = np.lib.format  # whose functions are not typed
 LEAST_SIDE_PX = 16  # smaller arrays are tables: poses, matrices, bearings
@@ -93,12 +90,26 @@ def decoded(content: bytes, what: str) -> Samples:
     # Its size first: a small file can decode to gigabytes.
     with _opened(BytesIO(content), what) as header:
         ask_pixels(what, *header.size)
+        orientation = _orientation_of(header)
+    if content[:4] in TIFF_HEADS and orientation != UPRIGHT:
+        # OpenCV turns some of these itself and fails at the others; here all are turned below.
+        directories, _ = directories_of(BytesIO(content), len(content))
+        content = with_upright_tags(content, directories[0])
     # libjpeg and libtiff write to the terminal about damage that they pass over.
     with explained(f"{what}: not a readable picture"), quiet_stderr():
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise FrameError(f"{what}: not a readable picture")
-    return as_samples(np.asarray(picture), what)
+    return as_samples(orientation.upright(np.asarray(picture)), what)
+
+
+def _orientation_of(header: Image.Image) -> Orientation:
+    """As the tag in an image file says; upright where it is damaged."""
+    try:
+        with explained("no Exif"):
+            return orientation_of_exif(header.getexif().get(EXIF_ORIENTATION))
+    except FrameError:
+        return UPRIGHT
 
 
 def _opened(file: IO[bytes], what: str, formats: tuple[str, ...] | None = None) -> Image.Image:
@@ -320,61 +331,4 @@ class StackFile(Recording):
             raise FrameError(f"{what} has {own} pixels, the first {first}")
         # ImageJ writes 16 bits with the most significant byte first.
         page = np.ascontiguousarray(swapped(page))
-        return Frame(number, as_samples(_untinted(page) if colours else page, what))
-
-
-_MOST_TINT = 6  # of 255: codecs tint grey pictures by a few levels, and by others in each frame
-_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
-_MATROSKA = b"\x1a\x45\xdf\xa3"
-# Read by OpenCV when it opens a file; only whole files, by the readers of these containers.
-_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-_ONLY = "protocol_whitelist;file|format_whitelist;avi,mov,matroska"
-
-
-class VideoFile(Recording):
-    """A video; a `Recording` of pictures.  Grey ones come as (H, W), others as (H, W, 3) BGR.
-
-    rate_hz: frames a second; None where the file does not say.
-    """
-
-    def _open(self) -> None:
-        head = self.bytes_at(0, min(16, self.size), "its first bytes")
-        riff = head[:4] == b"RIFF" and head[8:12] == b"AVI "
-        if not (riff or head[4:8] in _BOXES or head[:4] == _MATROSKA):
-            raise FrameError(f"{self.path}: not a readable video (no AVI, MP4, MOV or Matroska)")
-        os.environ[_OPTIONS] = _ONLY
-        # An absolute path is never an address, as tcp:127.0.0.1:80.avi is.
-        with quiet_stderr():
-            self._capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
-        del os.environ[_OPTIONS]
-        width = self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)
-        height = self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
-        count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        rate = self._capture.get(cv2.CAP_PROP_FPS)
-        if not (width >= 1 and height >= 1 and count >= 1):
-            raise FrameError(f"{self.path}: not a readable video")
-        ask_pixels(str(self.path), width, height)
-        # A frame takes a byte at least, whatever the file says.
-        self.count = int(min(count, self.size))
-        self.rate_hz = rate if 0 < rate < 1e4 else None
-        self._next = 0
-
-    def _read(self, number: int) -> Frame:
-        what = f"{self.path}: frame {number} cannot be read"
-        with explained(what, reason=True), quiet_stderr():
-            if number != self._next:
-                self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
-            there, picture = self._capture.read()
-        self._next = number + 1 if there else -1
-        if not there:
-            raise Ended(what)
-        time_s = number / self.rate_hz if self.rate_hz else None
-        return Frame(number, _untinted(np.asarray(picture, np.uint8)), time_s=time_s)
-
-
-def _untinted(picture: Samples) -> Samples:
-    """Grey pictures without their three nearly equal channels."""
-    middle = picture[..., 1:2].astype(np.int16)
-    if np.abs(picture - middle).max() > _MOST_TINT:
-        return picture
-    return np.ascontiguousarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+        return Frame(number, as_samples(untinted(page) if colours else page, what))

@@ -10,10 +10,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import is_recording, kind_of, open_recording
 from simnfnd.models.recordings.base import Beams
+from simnfnd.models.recordings.pictures import read_picture
 from simnfnd.models.recordings.sonar_files import ArisFile, beam_centres_deg
 from simnfnd.models.recordings.views import fan_of, grey_of, polar_geometry
 from tests.models.recordings.recording_files import (
@@ -332,3 +334,28 @@ def test_real_oculus() -> None:
     # Neighbouring samples are alike only if rows and columns are where they should be.
     samples = frames[0].samples.astype(float)
     assert np.corrcoef(samples[:, 1:].ravel(), samples[:, :-1].ravel())[0, 1] > 0.6
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".tif"])
+@pytest.mark.parametrize("value", range(1, 9))
+def test_the_orientation_of_exif_is_applied(tmp_path: Path, suffix: str, value: int) -> None:
+    """Row 0 and column 0 of what is stored lie where TIFF 6.0 says for each value."""
+    stored = np.zeros((24, 40), np.uint8)
+    stored[2:9, 4:16] = 200
+    upright = {
+        1: stored,
+        2: stored[:, ::-1],
+        3: stored[::-1, ::-1],
+        4: stored[::-1],
+        5: stored.T,
+        6: np.rot90(stored, -1),
+        7: stored[::-1, ::-1].T,
+        8: np.rot90(stored),
+    }[value]
+    tag = Image.Exif()
+    tag[274] = value
+    path = tmp_path / f"a{suffix}"
+    Image.fromarray(stored).save(path, exif=tag, quality=100, lossless=True)
+    found = read_picture(path)
+    grey = found if found.ndim == 2 else found[..., 0]
+    assert np.abs(grey.astype(int) - upright).max() <= 2

@@ -1,0 +1,196 @@
+"""Directories of TIFF files: what they say of each page, and which pages are whole.
+
+Reads classic TIFF (TIFF 6.0) and BigTIFF, and nothing but their directories.  Everything is
+checked against the size of the file before it is used.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import IO, NamedTuple
+
+WIDTH, HEIGHT, BITS, COMPRESSION = 256, 257, 258, 259
+DESCRIPTION, STRIP_OFFSETS, ORIENTATION, SAMPLES = 270, 273, 274, 277
+STRIP_BYTES, TILE_OFFSETS, TILE_BYTES, SAMPLE_FORMAT = 279, 324, 325, 339
+UNCOMPRESSED = 1
+TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+_TYPES = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
+_TEXT = 2
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
+_SIZES |= {16: 8, 17: 8, 18: 8}
+_MOST_ENTRIES, _MOST_VALUES, _MOST_PAGES = 4096, 1 << 22, 1 << 20
+_FORMATS = {1: "u", 2: "i", 3: "f"}
+
+
+class _Form(NamedTuple):
+    """How the numbers of a file are stored.  order: `<` or `>`, as `struct` takes it."""
+
+    order: str
+    is_big: bool
+
+
+@dataclass(frozen=True)
+class Directory:
+    """What a file says of one page.
+
+    numbers: tag -> its whole numbers.  text: the description.  places: tag -> where its value
+    stands in the file.  order: `<` or `>`, of the file's numbers.
+    """
+
+    numbers: dict[int, tuple[int, ...]]
+    text: str
+    places: dict[int, int]
+    order: str
+
+    def number(self, tag: int, default: int = 0) -> int:
+        """The first number of a tag."""
+        return self.numbers.get(tag, (default,))[0]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        return self.number(WIDTH), self.number(HEIGHT)
+
+    @property
+    def dtype(self) -> str:
+        """NumPy's name of the samples' type, in the order of the file; empty where it has none."""
+        kind = _FORMATS.get(self.number(SAMPLE_FORMAT, 1), "")
+        bits = self.number(BITS, 1)
+        return f"{self.order}{kind}{bits // 8}" if kind and bits in (8, 16, 32, 64) else ""
+
+    @property
+    def page_bytes(self) -> int:
+        """Of the page's pixels without compression."""
+        width, height = self.size
+        return width * height * self.number(SAMPLES, 1) * self.number(BITS, 1) // 8
+
+    @property
+    def end(self) -> int:
+        """Where the last strip or tile of the page ends."""
+        offsets = self.numbers.get(STRIP_OFFSETS) or self.numbers.get(TILE_OFFSETS) or ()
+        counts = self.numbers.get(STRIP_BYTES) or self.numbers.get(TILE_BYTES) or ()
+        return max(
+            (offset + count for offset, count in zip(offsets, counts, strict=False)), default=0
+        )
+
+    @property
+    def images_behind(self) -> int:
+        """How many images lie one behind the other from the first strip on, as the text says.
+
+        ImageJ writes a single directory for more than 4 GB (`images=N`), tifffile one before all
+        pixels (`{"shape": [N, ...]}`); 1 where neither says so.
+        """
+        if self.number(COMPRESSION, 1) != UNCOMPRESSED or STRIP_OFFSETS not in self.numbers:
+            return 1
+        found = re.search(r"^images=(\d{1,9})$", self.text, re.MULTILINE)
+        if self.text.startswith("ImageJ=") and found is not None:
+            return max(1, int(found[1]))
+        return _count_of_shape(self.text, self.size)
+
+
+def _count_of_shape(text: str, size: tuple[int, int]) -> int:
+    """How many pages tifffile says that it has written; 1 where it does not say."""
+    if not text.startswith('{"shape"'):
+        return 1
+    try:
+        shape = json.loads(text).get("shape")
+    except (ValueError, RecursionError, AttributeError):
+        return 1
+    width, height = size
+    is_stack = isinstance(shape, list) and len(shape) >= 3 and shape[1:3] == [height, width]
+    if not is_stack or not isinstance(shape[0], int) or not 0 < shape[0] < 1 << 30:
+        return 1
+    return int(shape[0])
+
+
+def directories_of(file: IO[bytes], size: int) -> tuple[list[Directory], bool]:
+    """The directories of a file in order, and whether there should be more than it holds."""
+    form = _form_of(file)
+    if form is None:
+        return [], False
+    found: list[Directory] = []
+    seen: set[int] = set()
+    offset = _first_offset(file, form)
+    while offset and len(found) < _MOST_PAGES:
+        if offset in seen:  # a ring
+            return found, False
+        seen.add(offset)
+        directory = _directory_at(file, size, offset, form)
+        if directory is None:
+            return found, True
+        found.append(directory[0])
+        offset = directory[1]
+    return found, False
+
+
+def _form_of(file: IO[bytes]) -> _Form | None:
+    """None for a file that is no TIFF."""
+    file.seek(0)
+    head = file.read(4)
+    order = {b"II": "<", b"MM": ">"}.get(head[:2])
+    if order is None or len(head) < 4:
+        return None
+    (version,) = struct.unpack(f"{order}H", head[2:])
+    return _Form(order, version == 43) if version in (42, 43) else None
+
+
+def _first_offset(file: IO[bytes], form: _Form) -> int:
+    place, kind = (8, "Q") if form.is_big else (4, "I")
+    return next(_numbers_at(file, place, 1, f"{form.order}{kind}"), 0)
+
+
+def _directory_at(
+    file: IO[bytes], size: int, offset: int, form: _Form
+) -> tuple[Directory, int] | None:
+    """A directory and where the next one lies; None where the file ends before it does."""
+    head, entry, link = (8, 20, "Q") if form.is_big else (2, 12, "I")
+    count = next(_numbers_at(file, offset, 1, form.order + ("Q" if form.is_big else "H")), -1)
+    link_place = offset + head + count * entry
+    if not 0 < count <= _MOST_ENTRIES or link_place > size:
+        return None
+    numbers: dict[int, tuple[int, ...]] = {}
+    places: dict[int, int] = {}
+    text = ""
+    for number in range(count):
+        at = offset + head + number * entry
+        tag, kind = _numbers_at(file, at, 2, f"{form.order}H")
+        length = next(_numbers_at(file, at + 4, 1, f"{form.order}{link}"), 0)
+        inline = at + (12 if form.is_big else 8)
+        place = inline
+        if length * _SIZES.get(kind, 1) > (8 if form.is_big else 4):
+            place = next(_numbers_at(file, inline, 1, f"{form.order}{link}"), 0)
+        if length > _MOST_VALUES or place + length * _SIZES.get(kind, 1) > size:
+            continue
+        places[tag] = place
+        if kind in _TYPES:
+            numbers[tag] = tuple(_numbers_at(file, place, length, form.order + _TYPES[kind]))
+        elif kind == _TEXT and tag == DESCRIPTION:
+            file.seek(place)
+            text = file.read(length).rstrip(b"\0").decode("latin-1")
+    following = next(_numbers_at(file, link_place, 1, f"{form.order}{link}"), 0)
+    values = {tag: found for tag, found in numbers.items() if found}
+    return Directory(values, text, places, form.order), following
+
+
+def _numbers_at(file: IO[bytes], place: int, count: int, kind: str) -> Iterator[int]:
+    """So many numbers of a type of `struct`, with its byte order; fewer at the end of the file."""
+    file.seek(place)
+    width = struct.calcsize(kind)
+    content = file.read(count * width)
+    content = content[: len(content) // width * width]
+    return (value for (value,) in struct.iter_unpack(kind, content))
+
+
+def with_upright_tags(content: bytes, directory: Directory) -> bytes:
+    """The bytes of a file whose first page says that it is upright."""
+    place = directory.places.get(ORIENTATION)
+    if place is None:
+        return content
+    changed = bytearray(content)
+    struct.pack_into(f"{directory.order}H", changed, place, 1)
+    return bytes(changed)

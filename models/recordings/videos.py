@@ -1,0 +1,375 @@
+"""Videos, decoded by FFmpeg through PyAV: every frame that decodes, with its own time.
+
+A video is opened only where its first bytes are those of a known container, and only by the reader
+of that container: FFmpeg goes by the content, and would take a playlist named `a.avi` for a list of
+other files and addresses to open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from ...factory.cli.extras import Need, require
+from ...factory.errors import FrameError
+from .base import (
+    MOST_PIXELS,
+    Ended,
+    Frame,
+    Recording,
+    Samples,
+    ask_pixels,
+    explained,
+    untinted,
+)
+from .containers import container_of, has_index, is_cut_short
+from .orientation import UPRIGHT, Orientation, orientation_of_matrix
+
+_NEUTRAL = 128  # chroma of grey
+_SEEK_BEYOND = 32  # frames ahead up to which decoding them is quicker than seeking
+_MOST_RATE_HZ = 10_000
+_USUAL_RATE = Fraction(25)  # FFmpeg's, where a file says nothing of its rate
+
+
+@dataclass(frozen=True)
+class VideoProperties:
+    """What a copy of a video keeps.
+
+    bits: of a sample as stored.  is_grey: whether its pixels can hold grey alone.
+    time_base_s: unit of its time stamps.  rate: mean frames a second.
+    start_s: stamp of its first frame.
+    """
+
+    bits: int
+    is_grey: bool
+    time_base_s: Fraction
+    rate: Fraction
+    start_s: float = 0.0
+
+
+@dataclass
+class _Reading:
+    """What one pass through the file met.
+
+    frames: decoded.  damaged: packets that did not decode.  ended_early: whether the container
+    broke off.  end_s: when the last frame ends, in the file's own time.
+    """
+
+    frames: int = 0
+    damaged: int = 0
+    ended_early: bool = False
+    end_s: float = 0.0
+    stamps: list[int | None] = field(default_factory=list)
+
+
+class VideoFile(Recording):
+    """A video; a `Recording` of images.  Grey ones come as (H, W), others as (H, W, 3) BGR.
+
+    Samples of more than 8 bits come as uint16 whose full scale is 65535, whatever their depth.
+
+    rate_hz: mean frames a second; None where the file does not say.
+    """
+
+    def _open(self) -> None:
+        head = self.bytes_at(0, min(16, self.size), "its first bytes")
+        container = container_of(head)
+        if container is None:
+            raise FrameError(
+                f"{self.path}: not a readable video (no AVI, MP4, MOV, Matroska or WebM)"
+            )
+        require([Need(f"{self.path}", "av")])
+        self._av: Any = import_module("av")
+        self._container = container
+        self._cut_short = self._file is not None and is_cut_short(self._file, self.size, container)
+        with self._opened() as (_, stream):
+            codec = stream.codec_context
+            ask_pixels(str(self.path), codec.width, codec.height)
+            rate = stream.average_rate or stream.guessed_rate
+            is_rate = bool(rate) and 0 < rate < _MOST_RATE_HZ
+            self.rate_hz = float(rate) if is_rate else None
+            self._stated_s = self._duration_s(stream)
+            stated = stream.frames or round((self._stated_s or 0) * (self.rate_hz or 0))
+            first = self._first_frame(stream)
+            self.properties = VideoProperties(
+                bits=max(8, *(component.bits for component in first.format.components)),
+                is_grey=_is_grey_format(first.format),
+                time_base_s=stream.time_base,
+                rate=Fraction(rate) if is_rate else _USUAL_RATE,
+                start_s=float((first.pts or 0) * stream.time_base),
+            )
+        # A frame takes a byte at least, whatever the file says.
+        self.count = min(stated, self.size)
+        self._cursor: Iterator[tuple[int, Any]] | None = None
+        self._next = 0
+
+    def _duration_s(self, stream: Any) -> float | None:
+        """How long the file says that its frames last; None where it does not, or counts sound."""
+        if stream.duration:
+            seconds: Fraction = stream.duration * stream.time_base
+            return float(seconds)
+        container = stream.container
+        if not container.duration or len(container.streams) > 1:
+            return None
+        units_a_second: int = self._av.time_base
+        return float(container.duration) / units_a_second
+
+    def _first_frame(self, stream: Any) -> Any:
+        """Raises FrameError when no frame decodes at all."""
+        for frame in self._decoded(stream, _Reading()):
+            return frame
+        hint = "; it is cut short or damaged" if self._cut_short else ""
+        name = stream.codec_context.name
+        raise FrameError(
+            f"{self.path}: not a readable video: no frame decodes (codec {name}){hint}"
+        )
+
+    def unreadable(self) -> str:
+        """What to say of a file whose container cannot be opened."""
+        assert self._file is not None
+        if self._container == "mov" and not has_index(self._file, self.size):
+            return (
+                "not a readable video: its index (moov) is missing, the recording was not ended; "
+                "repair it by the recorder's own program, or by untrunc"
+            )
+        return "not a readable video; it is damaged or cut short"
+
+    def _opened(self) -> _Opened:
+        return _Opened(self)
+
+    def _decoded(self, stream: Any, reading: _Reading) -> Iterator[Any]:
+        """Every frame that decodes from where the stream stands; damaged packets are passed over.
+
+        Keeps in `reading` what it meets.
+        """
+        errors: Any = self._av.error.FFmpegError
+        packets = stream.container.demux(stream)
+        while True:
+            try:
+                packet = next(packets, None)
+            except errors:
+                reading.ended_early = True
+                packet = None
+            try:
+                frames = stream.codec_context.decode(packet)
+            except EOFError:
+                frames = []
+            except errors:
+                reading.damaged += 1
+                frames = []
+            for frame in frames:
+                self._note(frame, reading)
+                yield frame
+            if packet is None:
+                return
+
+    def _note(self, frame: Any, reading: _Reading) -> None:
+        reading.frames += 1
+        reading.stamps.append(frame.pts)
+        if frame.pts is not None:
+            end = (frame.pts + (frame.duration or 0)) * frame.time_base
+            reading.end_s = max(reading.end_s, float(end))
+
+    def __len__(self) -> int:
+        """How many frames decode: all of them are decoded to know it, once."""
+        return len(self._stamps)
+
+    @cached_property
+    def _stamps(self) -> list[int | None]:
+        """The time stamp of each frame that decodes."""
+        reading = _Reading()
+        with explained(f"{self.path}: not a readable video", reason=True), self._opened() as opened:
+            for _ in self._decoded(opened[1], reading):
+                pass
+        self.warning = self._warning(reading)
+        return reading.stamps
+
+    def __iter__(self) -> Iterator[Frame]:
+        """All frames that decode, in order; `warning` says afterwards whether some are missing."""
+        reading, last = _Reading(), None
+        with self._opened() as (_, stream):
+            for number, decoded in enumerate(self._decoded(stream, reading)):
+                last = self._frame(number, decoded, last)
+                yield last
+        self.warning = self._warning(reading)
+
+    def __getitem__(self, number: int) -> Frame:
+        """One frame.  Raises IndexError, and FrameError when it cannot be used."""
+        if not 0 <= number < len(self):
+            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
+        return self._read(number)
+
+    def _read(self, number: int) -> Frame:
+        is_near = self._next <= number <= self._next + _SEEK_BEYOND
+        if self._cursor is None or not is_near:
+            self._cursor = self._decoded_from(number)
+        for place, decoded in self._cursor:
+            self._next = place + 1
+            if place == number:
+                return self._frame(number, decoded, None)
+        self._cursor = None
+        raise Ended(f"{self.path}: frame {number} cannot be read")
+
+    def _decoded_from(self, number: int) -> Iterator[tuple[int, Any]]:
+        """Frames with their numbers from one at or before `number`."""
+        stamps = self._stamps
+        numbers = {stamp: place for place, stamp in enumerate(stamps) if stamp is not None}
+        if number > _SEEK_BEYOND and len(numbers) == len(stamps):
+            with self._opened() as (container, stream):
+                container.seek(stamps[number], stream=stream, backward=True)
+                decoded = self._decoded(stream, _Reading())
+                first = next(decoded, None)
+                place = None if first is None else numbers.get(first.pts)
+                if place is not None and place <= number:
+                    yield place, first
+                    yield from enumerate(decoded, start=place + 1)
+                    return
+        with self._opened() as (_, stream):
+            yield from enumerate(self._decoded(stream, _Reading()))
+
+    def _frame(self, number: int, decoded: Any, before: Frame | None) -> Frame:
+        """before: the frame before, which says when this one is shown if the file does not."""
+        ask_pixels(str(self.path), decoded.width, decoded.height)
+        with explained(f"{self.path}: frame {number} cannot be read", reason=True):
+            samples = _orientation_of(decoded).upright(samples_of(decoded))
+        time_s: float | None = None
+        if decoded.pts is not None:
+            time_s = float(decoded.pts * self.properties.time_base_s) - self.properties.start_s
+        elif before is not None and before.time_s is not None and before.duration_s:
+            time_s = before.time_s + before.duration_s
+        elif self.rate_hz:
+            time_s = number / self.rate_hz
+        duration = float((decoded.duration or 0) * self.properties.time_base_s)
+        if not duration and self.rate_hz:
+            duration = 1 / self.rate_hz
+        return Frame(number, samples, time_s=time_s, duration_s=duration or None)
+
+    def _warning(self, reading: _Reading) -> str:
+        """What is wrong with the file, in one line; empty where nothing is."""
+        whole = f"its {reading.frames} whole frames are read"
+        if self._cut_short or reading.ended_early:
+            return f"{self.path}: is cut short; {whole}"
+        if reading.damaged:
+            return f"{self.path}: {reading.damaged} damaged frames are left out; {whole}"
+        lasts_s = reading.end_s - self.properties.start_s
+        frame_s = 1 / self.rate_hz if self.rate_hz else 0.1
+        if self._stated_s is not None and self._stated_s > lasts_s + 2 * frame_s + 0.01:
+            return (
+                f"{self.path}: says that it lasts {self._stated_s:.2f} s and ends after "
+                f"{lasts_s:.2f} s; {whole}"
+            )
+        return ""
+
+
+class _Opened:
+    """A context in which a video is open: gives its container and its stream of images."""
+
+    def __init__(self, video: VideoFile) -> None:
+        self._video = video
+
+    def __enter__(self) -> tuple[Any, Any]:
+        video = self._video
+        av: Any = video._av
+        with explained(f"{video.path}: {video.unreadable()}"):
+            # As a file: no name is an address then, as tcp:127.0.0.1:80.avi would be.
+            self._container = av.open(
+                f"file:{video.path.absolute()}",
+                format=video._container,
+                options={"protocol_whitelist": "file", "format_whitelist": video._container},
+                metadata_errors="replace",
+            )
+        streams = [
+            stream
+            for stream in self._container.streams.video
+            if not _is_cover(stream) and stream.codec_context is not None
+        ]
+        if not streams:
+            self._container.close()
+            raise FrameError(f"{video.path}: not a readable video: it holds no images")
+        streams[0].codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+        return self._container, streams[0]
+
+    def __exit__(self, *_: object) -> None:
+        self._container.close()
+
+
+def _is_cover(stream: Any) -> bool:
+    """Whether a stream is one still image that belongs to the file, not its video."""
+    return "attached_pic" in str(getattr(stream, "disposition", "")).lower()
+
+
+def _is_grey_format(pixel_format: Any) -> bool:
+    return len(pixel_format.components) == 1 and pixel_format.name.startswith(("gray", "mono"))
+
+
+def _orientation_of(decoded: Any) -> Orientation:
+    for data in decoded.side_data:
+        if "DISPLAYMATRIX" in str(data.type):
+            return orientation_of_matrix(bytes(data))
+    return UPRIGHT
+
+
+def samples_of(decoded: Any) -> Samples:
+    """(H, W) or (H, W, 3) BGR of a decoded frame; uint16 for more than 8 bits a sample."""
+    bits = max(component.bits for component in decoded.format.components)
+    if _is_grey_format(decoded.format):
+        return _grey_samples(decoded, bits)
+    if bits > 8:
+        red_first = np.asarray(decoded.to_ndarray(format="rgb48le"), np.uint16)
+        return untinted(np.ascontiguousarray(red_first[..., ::-1]))
+    luma = _neutral_luma(decoded)
+    if luma is not None:
+        return luma
+    image = decoded.to_ndarray(format="bgr24")
+    return untinted(np.asarray(image, np.uint8))
+
+
+def _grey_samples(decoded: Any, bits: int) -> Samples:
+    if bits <= 8:
+        return np.array(decoded.to_ndarray(format="gray"), np.uint8)
+    # As this machine orders bytes.
+    name = f"gray{bits}le"
+    values = np.array(decoded.to_ndarray(format=name), np.uint16)
+    return widened(values, bits)
+
+
+def _neutral_luma(decoded: Any) -> Samples | None:
+    """The grey values of a frame whose colour planes say grey throughout; None for others.
+
+    Of full range alone, where they are what is stored.
+    """
+    is_full = decoded.format.name.startswith("yuvj") or int(decoded.color_range) == 2
+    planes = decoded.planes
+    if not is_full or len(planes) != 3 or not decoded.format.name.startswith("yuv"):
+        return None
+    for plane in planes[1:]:
+        if (_pixels_of(plane) != _NEUTRAL).any():
+            return None
+    return _pixels_of(planes[0]).copy()
+
+
+def _pixels_of(plane: Any) -> Samples:
+    """(height, width) uint8 of a plane with one byte a pixel."""
+    rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+    return rows[: plane.height, : plane.width]
+
+
+def widened(values: Samples, bits: int) -> Samples:
+    """Samples of so many bits as uint16 of full scale 65535; `narrowed` takes them back exactly."""
+    if bits == 16:
+        return values
+    most = (1 << bits) - 1
+    return ((values.astype(np.uint32) * 65535 + most // 2) // most).astype(np.uint16)
+
+
+def narrowed(samples: Samples, bits: int) -> Samples:
+    """uint16 samples of full scale 65535 as whole numbers of so many bits."""
+    if bits == 16:
+        return samples
+    most = (1 << bits) - 1
+    return ((samples.astype(np.uint32) * most + 32767) // 65535).astype(np.uint16)
