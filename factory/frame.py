@@ -13,6 +13,10 @@ from .errors import FrameError
 LIKELY_M = (0.005, 300.0)
 """Limits of a likely median depth: no imaging sonar sees farther, and no camera nearer."""
 
+# Twice the principal point in widths (heights) of the image is 1 in its middle.
+_LIKELY_CENTRE = (0.6, 1.6)
+# Across and down the intrinsics are off by one factor when the two agree so well.
+_SAME_FACTOR = 0.05
 # Fewer measured pixels make a frame useless.
 _LEAST_VALID = 16
 BOX_FIELDS = 11
@@ -36,6 +40,53 @@ class Intrinsics:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """(W,) x / z of the columns and (H,) y / z of the rows: P = z K^-1 (u, v, 1)^T."""
         return (np.arange(width) - self.cx) / self.fx, (np.arange(height) - self.cy) / self.fy
+
+    def misfit(self, width: int, height: int) -> str | None:
+        """Why they cannot be those of an image of this size, with a remedy; None when they can.
+
+        The principal point of a camera lies near the middle of its image: outside of it, or off by
+        one factor in both directions, the intrinsics are of an image of another size.
+        """
+        values = np.array([self.fx, self.fy, self.cx, self.cy])
+        shown = ", ".join(f"{value:.6g}" for value in values)
+        if not np.isfinite(values).all() or min(self.fx, self.fy) <= 0:
+            return f"intrinsics fx, fy, cx, cy are {shown}; focal lengths are positive, in pixels"
+
+        problem = (
+            f"principal point {self.cx:g}, {self.cy:g} is not that of a {width}x{height} image"
+        )
+        if max(self.cx, self.cy) <= 1 and max(self.fx, self.fy) < 10:
+            in_pixels = _listed(values * (width, height, width, height))
+            return f"{problem}; given in widths and heights? In pixels they are {in_pixels}"
+
+        # 1 in the middle of the image.
+        across = 2 * (self.cx + 0.5) / width
+        down = 2 * (self.cy + 0.5) / height
+        factor = (across + down) / 2
+        is_inside = 0 <= across < 2 and 0 <= down < 2
+        is_scaled = min(across, down) > 0 and abs(across / down - 1) < _SAME_FACTOR
+        if is_inside and (not is_scaled or _LIKELY_CENTRE[0] < factor < _LIKELY_CENTRE[1]):
+            return None
+        if not is_scaled:
+            return f"{problem}; give fx, fy, cx, cy of the images as they are"
+
+        scale = _simple_ratio(1 / factor)
+        centre = [(self.cx + 0.5) * scale - 0.5, (self.cy + 0.5) * scale - 0.5]
+        scaled = _listed([self.fx * scale, self.fy * scale, *centre])
+        size = f"{round(width / scale)}x{round(height / scale)}"
+        return f"{problem}; of {size} images? Scaled to these they are {scaled}"
+
+
+def _listed(values: npt.ArrayLike) -> str:
+    """Numbers as a list of the command line."""
+    return f"[{','.join(f'{value:.6g}' for value in np.asarray(values))}]"
+
+
+def _simple_ratio(ratio: float) -> float:
+    """The nearest quotient of small integers, where one is within 2 %; else the ratio."""
+    quotients = [a / b for a in range(1, 9) for b in range(1, 9)]
+    nearest = min(quotients, key=lambda quotient: abs(quotient - ratio))
+    return nearest if abs(nearest / ratio - 1) < 0.02 else ratio
 
 
 @dataclass(frozen=True)
@@ -156,6 +207,9 @@ def checked(frame: Frame, *, bad_depth: str = "reject") -> Frame:
             f"{name}: depth is {w}x{h} but colour is {rgb_w}x{rgb_h}; "
             "give a depth map registered to the colour image"
         )
+    misfit = frame.intrinsics.misfit(depth_m.shape[1], depth_m.shape[0])
+    if misfit is not None:
+        raise FrameError(f"{name}: {misfit}")
     # Two looks tell that nothing is wrong, as nearly always; NaN compares false.
     if not (depth_m.size > 0 and depth_m.min() >= 0 and depth_m.max() < np.inf):
         nan, infinite = np.isnan(depth_m), np.isinf(depth_m)

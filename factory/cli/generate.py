@@ -112,9 +112,11 @@ def run(
         return report, job.directory
     if not report.samples:
         count, reason = _commonest(report)
+        # Of no use to whoever has to repair a file.
+        hint = f"; {_LIKELIEST}" if "no echo" in reason else ""
         raise FactoryError(
             f"no frame could be used: {len(report.failures)} of {len(report.failures)} failed, "
-            f"{count} of them because: {reason}; {_LIKELIEST}"
+            f"{count} of them because: {reason}{hint}"
         )
     narrowest, widest = seen_sector_deg(job.directory)
     if narrowest < 0.98 * config.sonar.hfov_deg:

@@ -3,9 +3,9 @@
     rgb,depth,scene                          a header is optional, and so is the third column
     dive1/0001.png,dive1/0001_depth.tif,dive1
 
-Paths are relative to the CSV file.  Depth is a TIFF, PNG or .npy: floating-point metres or integer
-millimetres where `depth_scale` says nothing else.  `scene` is what train and test are split by;
-without it the whole list is one scene, named as the file.
+Paths are relative to the CSV file.  Depth is a TIFF, PNG, PFM or .npy: floating-point metres or
+integer millimetres where `depth_scale` says nothing else.  `scene` is what train and test are split
+by; without it the whole list is one scene, named as the file.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ..errors import FactoryError
+from ..errors import FactoryError, FrameError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
 from .base import BadDepth, Discovery, Root, SceneSettings, discovery, numbered_lines
-from .frame_files import read_depth, read_frame, read_rgb
+from .frame_files import image_size, in_metres, read_frame, read_rgb, refuse_mark, stored_depth
 
 _EXPECTED = "a CSV file of rgb,depth lines"
 
@@ -41,7 +41,8 @@ class CsvListSettings(SceneSettings):
     depth_scale: what the numbers in the depth files are divided by to give metres; None: integers
         by 1000 (millimetres), and floating-point numbers are metres already.
     invalid_below_m: depths at or below this are pixels without a measurement; None: only 0 is.
-    invalid_above_m: depths at or above this are, too (a rendered sky, for example).
+    invalid_above_m: depths at or above this are, too (a rendered sky, for example); None: a map in
+        which many pixels hold the largest number of its type is refused.
     bad_depth: see `BadDepth`.
     """
 
@@ -59,36 +60,78 @@ class CsvListReader:
 
     def __init__(self, settings: CsvListSettings) -> None:
         self.settings = settings
+        self._lens = Intrinsics(*settings.intrinsics)
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        path, given = Path(self.settings.file).expanduser(), f"scenes.file={self.settings.file}"
+        path = Path(self.settings.file).expanduser()
+        key = f"scenes.file={self.settings.file}"
         if not path.is_file():
             fault = "is a folder" if path.is_dir() else "no such file"
-            raise FactoryError(f"{given}: {fault}; give {_EXPECTED}")
+            raise FactoryError(f"{key}: {fault}; give {_EXPECTED}")
+
         rows = _rows(path)
         frames = _named(path.parent, rows)
         # Unlike Path.is_file, os.path.isfile raises nothing.
-        if frames and not any(os.path.isfile(one) for ref in frames for one in ref.paths):
+        if frames and not any(os.path.isfile(file) for ref in frames for file in ref.paths):
             raise FactoryError(
-                f"{given}: none of the {len(frames)} frames listed exists, the first is "
+                f"{key}: none of the {len(frames)} frames listed exists, the first is "
                 f"{frames[0].paths[0]}; paths are relative to the CSV file"
             )
+        self._check_sizes(key, frames)
         skipped = {"listed twice": len(rows) - len(frames)}
-        return discovery(frames, f"{given}: no line lists a frame; give {_EXPECTED}", skipped)
+        return discovery(frames, f"{key}: no line lists a frame; give {_EXPECTED}", skipped)
+
+    def _check_sizes(self, key: str, frames: list[FrameRef]) -> None:
+        """Raise FactoryError unless all images have one size, which the intrinsics can be of.
+
+        Images that cannot be read are left to `load`.
+        """
+        first_of_size: dict[tuple[int, int], FrameRef] = {}
+        for ref in frames:
+            size = image_size(Path(ref.paths[0]))
+            if size is not None:
+                first_of_size.setdefault(size, ref)
+        misfits = {size: self._lens.misfit(*size) for size in first_of_size}
+        if len(misfits) == 1:
+            (misfit,) = misfits.values()
+            if misfit:
+                raise FactoryError(f"scenes.intrinsics: {misfit}")
+        if len(misfits) < 2:
+            return
+
+        examples = [
+            f"{width}x{height} ({ref.paths[0]})" for (width, height), ref in first_of_size.items()
+        ]
+        fitting = [f" and fit {w}x{h}" for (w, h), misfit in misfits.items() if misfit is None]
+        raise FactoryError(
+            f"{key}: images of {len(misfits)} sizes, {', '.join(examples[:3])}; scenes.intrinsics "
+            f"are of one{fitting[0] if len(fitting) == 1 else ''}; list the frames of each size "
+            "apart"
+        )
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        settings, (image, depth) = self.settings, map(Path, ref.paths)
-        rgb, depth_m = read_rgb(image), read_depth(depth, settings.depth_scale)
+        settings = self.settings
+        image_path, depth_path = map(Path, ref.paths)
+        rgb = read_rgb(image_path)
+        stored = stored_depth(depth_path)
+        if settings.invalid_above_m is None:
+            refuse_mark(depth_path, stored, settings.depth_scale)
+        depth_m = in_metres(stored, settings.depth_scale)
+
+        negative_count = np.count_nonzero(depth_m < 0)
+        if negative_count and not (depth_m > 0).any():
+            raise FrameError(
+                f"{depth_path}: {negative_count} depths are negative and none is positive; store "
+                "distances along the optical axis as positive numbers"
+            )
+        low = -np.inf if settings.invalid_below_m is None else settings.invalid_below_m
+        high = np.inf if settings.invalid_above_m is None else settings.invalid_above_m
         # NaN and infinities stay to be refused.
-        low, high = settings.invalid_below_m, settings.invalid_above_m
-        invalid = np.isfinite(depth_m) & (
-            (depth_m <= (-np.inf if low is None else low))
-            | (depth_m >= (np.inf if high is None else high))
-        )
-        depth_m = np.where(invalid, np.float32(0), depth_m)
-        return read_frame(ref, rgb, depth_m, Intrinsics(*settings.intrinsics), settings.bad_depth)
+        is_invalid = np.isfinite(depth_m) & ((depth_m <= low) | (depth_m >= high))
+        depth_m = np.where(is_invalid, np.float32(0), depth_m)
+        return read_frame(ref, rgb, depth_m, self._lens, settings.bad_depth)
 
 
 def _rows(path: Path) -> list[tuple[str, str, str]]:
@@ -111,14 +154,36 @@ def _rows(path: Path) -> list[tuple[str, str, str]]:
 
 
 def _named(folder: Path, rows: list[tuple[str, str, str]]) -> list[FrameRef]:
-    """A frame a row, named by the image's stem, or by its whole path where a stem comes again."""
-    stems = Counter((scene, Path(rgb).stem) for rgb, _, scene in rows)
-    frames: dict[tuple[str, str], FrameRef] = {}
+    """A frame for each pair of files and scene, the first time that it is listed.
+
+    It is named by the image's stem; where that comes again in the scene, by the image's path
+    without suffix; where that does, too, by both paths and a number.
+    """
+    distinct: dict[tuple[str, str, str], tuple[str, str]] = {}
     for rgb, depth, scene in rows:
+        image_file = os.path.normpath(folder / rgb)
+        depth_file = os.path.normpath(folder / depth)
+        distinct.setdefault((image_file, depth_file, scene), (rgb, depth))
+
+    stems = Counter((scene, Path(rgb).stem) for rgb, _, scene in rows)
+    paths = Counter((scene, _dashed(rgb)) for (*_, scene), (rgb, _) in distinct.items())
+    frames: dict[tuple[str, str], FrameRef] = {}
+    for (*_, scene), (rgb, depth) in distinct.items():
         name = Path(rgb).stem
         if stems[scene, name] > 1:
-            parts = Path(rgb).with_suffix("").parts
-            name = "-".join(part for part in parts if part not in (Path(rgb).anchor, "..", "."))
-        paths = (str(folder / rgb), str(folder / depth))
-        frames.setdefault((scene, name), FrameRef("", scene, name, paths))
+            name = _dashed(rgb)
+        if paths[scene, name] > 1 and stems[scene, Path(rgb).stem] > 1:
+            name = f"{_dashed(rgb, keep_suffix=True)}-{_dashed(depth)}"
+        unique, number = name, 2
+        while (scene, unique) in frames:
+            unique = f"{name}-{number}"
+            number += 1
+        files = (str(folder / rgb), str(folder / depth))
+        frames[scene, unique] = FrameRef("", scene, unique, files)
     return list(frames.values())
+
+
+def _dashed(file: str, keep_suffix: bool = False) -> str:
+    """A relative path as one word, its folders joined by dashes."""
+    path = Path(file) if keep_suffix else Path(file).with_suffix("")
+    return "-".join(part for part in path.parts if part not in (path.anchor, "..", "."))

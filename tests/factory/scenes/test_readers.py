@@ -6,6 +6,7 @@ import functools
 import io
 import os
 import pickle
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,11 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics, checked
 from simnfnd.factory.scenes import Scenes, open_reader
 from simnfnd.factory.scenes.base import Reader
 from simnfnd.factory.scenes.flsea import BUILT_IN, SCENES
-from simnfnd.factory.scenes.frame_files import read_depth, read_rgb
+from simnfnd.factory.scenes.frame_files import image_size, read_depth, read_rgb
 from simnfnd.factory.scenes.mesh import trajectory
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
@@ -358,6 +360,201 @@ def test_colour_is_rgb_whatever_the_file(tmp_path: Path) -> None:
         read_rgb(tmp_path / "deep.png")
     with pytest.raises(FrameError, match="no such file"):
         read_rgb(tmp_path / "absent.png")
+
+
+# --- formats of depth, marks for no measurement, orientation and size of images
+
+
+def listed_frame(folder: Path, depth_file: Path, rgb: Array = RGB, **keys: object) -> Any:
+    """The frame of a list of one image and one depth file."""
+    write(folder / "colour.png", rgb)
+    (folder / "list.csv").write_text(f"colour.png,{depth_file.name},s\n")
+    listed = reader("csv_list", folder / "list.csv", **{"intrinsics": PINHOLE, **keys})
+    return listed.load(listed.discover().frames[0])
+
+
+def write_tiff(path: Path, array: Array, endian: str = "<") -> Path:
+    """An uncompressed TIFF of one strip, of whatever numbers the array has."""
+    data = array.astype(array.dtype.newbyteorder(endian)).tobytes()
+    height, width = array.shape[:2]
+    channels = array.shape[2] if array.ndim == 3 else 1
+    bits, kind = 8 * array.dtype.itemsize, {"u": 1, "i": 2, "f": 3, "c": 6}[array.dtype.kind]
+    tags = [(256, width), (257, height), (258, bits), (259, 1), (262, 1), (273, 8),
+            (277, channels), (278, height), (279, len(data)), (339, kind)]  # fmt: skip
+    directory = struct.pack(f"{endian}H", len(tags))
+    directory += b"".join(struct.pack(f"{endian}HHII", tag, 4, 1, value) for tag, value in tags)
+    head = (b"II*\0" if endian == "<" else b"MM\0*") + struct.pack(f"{endian}I", 8 + len(data))
+    path.write_bytes(head + data + directory + bytes(4))
+    return path
+
+
+@pytest.mark.parametrize("endian", ["<", ">"])
+def test_tiff_of_64_bit_floats_is_read(tmp_path: Path, endian: str) -> None:
+    path = write_tiff(tmp_path / "depth.tif", DEPTH.astype(np.float64), endian)
+    np.testing.assert_allclose(read_depth(path), DEPTH, rtol=1e-6)
+
+
+def test_npy_of_one_channel_is_read(tmp_path: Path) -> None:
+    np.save(tmp_path / "depth.npy", DEPTH[..., None].astype(np.float16))
+    np.testing.assert_allclose(read_depth(tmp_path / "depth.npy"), DEPTH, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "format_name"),
+    [
+        ("d.exr", b"\x76\x2f\x31\x01\x02\0\0\0" + bytes(90), "OpenEXR"),
+        ("d.h5", b"\x89HDF\r\n\x1a\n" + bytes(90), "HDF5"),
+        ("d.npz", b"PK\x03\x04" + bytes(90), ".npz"),
+        ("d.bin", b"24&16&1&" + bytes(90), "COLMAP"),
+        ("d.xyz", b"1.0 2.0 3.0\n" * 9, r"no format that is read \(\.xyz\)"),
+    ],
+)
+def test_a_foreign_format_is_named_with_those_that_are_read(
+    tmp_path: Path, name: str, content: bytes, format_name: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FrameError, match=rf"{format_name}.*PNG or TIFF.*\.npy"):
+        read_depth(tmp_path / name)
+
+
+@pytest.mark.parametrize("numbers", ["f2", "c8"])
+def test_a_tiff_of_other_numbers_is_named(tmp_path: Path, numbers: str) -> None:
+    path = write_tiff(tmp_path / "depth.tif", DEPTH.astype(numbers))
+    with pytest.raises(FrameError, match=r"TIFF of (16-bit floats|64-bit complex)"):
+        read_depth(path)
+
+
+def test_a_stack_of_depth_maps_is_refused(tmp_path: Path) -> None:
+    page = Image.fromarray(DEPTH)
+    page.save(tmp_path / "depth.tif", save_all=True, append_images=[page, page])
+    with pytest.raises(FrameError, match="holds 3 images"):
+        read_depth(tmp_path / "depth.tif")
+
+
+MARKS = {
+    "uint16": (np.rint(DEPTH * 1000).astype(np.uint16), 65535, None),
+    "uint16 of another scale": (np.rint(DEPTH * 5000).astype(np.uint16), 65535, 5000.0),
+    "int32": (np.rint(DEPTH * 1000).astype(np.int32), 2**31 - 1, None),
+    "scaled to metres": (DEPTH, 65.535, None),
+    "half floats": (DEPTH.astype(np.float16), 65504, None),
+    "a sky": (DEPTH, 1e10, None),
+}
+
+
+@pytest.mark.parametrize("kind", MARKS)
+def test_a_mark_for_no_measurement_is_no_wall(tmp_path: Path, kind: str) -> None:
+    depth, mark, scale = MARKS[kind]
+    depth = depth.copy()
+    depth[:3] = mark
+    np.save(tmp_path / "depth.npy", depth)
+    keys: dict[str, object] = {"depth_scale": scale}
+    with pytest.raises(FrameError, match=r"19 % .*scenes\.invalid_above_m=") as caught:
+        listed_frame(tmp_path, tmp_path / "depth.npy", **keys)
+    limit_m = float(str(caught.value).partition("invalid_above_m=")[2].split()[0])
+    frame = listed_frame(tmp_path, tmp_path / "depth.npy", **keys, invalid_above_m=limit_m)
+    assert np.array_equal(frame.valid, np.arange(16)[:, None] >= 3 + 0 * DEPTH)
+
+
+def test_single_far_pixels_and_flat_walls_are_read(tmp_path: Path) -> None:
+    depth = np.full((16, 24), 3000, np.uint16)
+    depth[2, 3] = 65535
+    np.save(tmp_path / "depth.npy", depth)
+    assert listed_frame(tmp_path, tmp_path / "depth.npy").depth_m[2, 3] == np.float32(65.535)
+    np.save(tmp_path / "depth.npy", np.full((16, 24), 3, np.float32))
+    assert (listed_frame(tmp_path, tmp_path / "depth.npy").depth_m == 3).all()
+
+
+def test_a_map_of_negative_depths_is_told(tmp_path: Path) -> None:
+    np.save(tmp_path / "depth.npy", -DEPTH)
+    with pytest.raises(FrameError, match=r"384 depths are negative"):
+        listed_frame(tmp_path, tmp_path / "depth.npy")
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_images_are_turned_upright(tmp_path: Path, orientation: int, suffix: str) -> None:
+    upright = np.repeat(np.repeat(RGB[::8, ::8] // 2 + 60, 8, axis=0), 8, axis=1)
+    undone = {1: lambda a: a, 2: np.fliplr, 3: lambda a: np.rot90(a, 2), 4: np.flipud,
+              5: lambda a: a.transpose(1, 0, 2), 6: np.rot90,
+              7: lambda a: np.rot90(a, 2).transpose(1, 0, 2),
+              8: lambda a: np.rot90(a, -1)}[orientation](upright)  # fmt: skip
+    exif = Image.Exif()
+    exif[274] = orientation
+    path = tmp_path / f"image.{suffix}"
+    options = {"jpg": {"quality": 100, "subsampling": 0}, "webp": {"lossless": True}}
+    image = Image.fromarray(np.ascontiguousarray(undone))
+    image.save(path, exif=exif, **options.get(suffix, {}))
+    assert np.abs(read_rgb(path).astype(int) - upright).max() <= 4
+    assert image_size(path) == (24, 16)
+
+
+def test_a_mismatch_after_turning_names_the_orientation(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[274] = 6
+    Image.fromarray(RGB).save(tmp_path / "turned.jpg", exif=exif)
+    np.save(tmp_path / "depth.npy", DEPTH)
+    (tmp_path / "list.csv").write_text("turned.jpg,depth.npy\n")
+    listed = reader("csv_list", tmp_path / "list.csv", intrinsics=[20, 20, 7.5, 11.5])
+    with pytest.raises(FrameError, match="EXIF orientation 6"):
+        listed.load(listed.discover().frames[0])
+
+
+@pytest.mark.parametrize(
+    ("intrinsics", "suggested"),
+    [
+        ([40, 40, 23.5, 15.5], "20,20,11.5,7.5"),
+        ([80, 80, 48, 32], "20,20,11.625,7.625"),
+        ([10, 10, 5.5, 3.5], "20,20,11.5,7.5"),
+        ([20 / 24, 20 / 16, 0.5, 0.5], "20,20,12,8"),
+        ([20, 20, 11.5, 16], None),
+        ([20, 20, -3, 7.5], None),
+    ],
+)
+def test_intrinsics_of_another_size_are_refused(
+    tmp_path: Path, intrinsics: list[float], suggested: str | None
+) -> None:
+    np.save(tmp_path / "depth.npy", DEPTH)
+    with pytest.raises(FactoryError, match=r"^scenes\.intrinsics: ") as caught:
+        listed_frame(tmp_path, tmp_path / "depth.npy", intrinsics=intrinsics)
+    assert ("[" in str(caught.value)) == (suggested is not None)
+    if suggested:
+        assert f"[{suggested}]" in str(caught.value)
+        values = [float(number) for number in suggested.split(",")]
+        listed_frame(tmp_path, tmp_path / "depth.npy", intrinsics=values)
+
+
+@settings(max_examples=50)
+@given(st.floats(0.31, 0.79), st.floats(0.31, 0.79))
+def test_intrinsics_near_the_middle_are_taken(across: float, down: float) -> None:
+    assert Intrinsics(500, 480, across * 640, down * 480).misfit(640, 480) is None
+
+
+@pytest.mark.parametrize("focal", [0.0, -140.0, float("nan"), float("inf")])
+def test_a_focal_length_is_a_positive_number(focal: float) -> None:
+    frame = Frame(FrameRef("", "", "one"), RGB, DEPTH, Intrinsics(focal, 20, 11.5, 7.5))
+    with pytest.raises(FrameError, match="focal lengths are positive"):
+        checked(frame)
+
+
+def test_images_of_two_sizes_need_two_lists(tmp_path: Path) -> None:
+    write(tmp_path / "1.png", RGB)
+    write(tmp_path / "2.png", RGB[::2, ::2])
+    np.save(tmp_path / "1.npy", DEPTH)
+    np.save(tmp_path / "2.npy", DEPTH[::2, ::2])
+    (tmp_path / "list.csv").write_text("1.png,1.npy\n2.png,2.npy\n")
+    with pytest.raises(FactoryError, match=r"24x16 .*1\.png.*12x8 .*2\.png.* fit 24x16"):
+        reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE).discover()
+
+
+def test_two_frames_are_equal_only_if_their_files_are(tmp_path: Path) -> None:
+    rows = ["a/b-1.png,1.npy", "a-b/1.png,2.npy", "a-b/1.jpg,3.npy", "a-b/1.png,4.npy",
+            "./a-b/1.png,2.npy", "b/1.png,1.npy"]  # fmt: skip
+    (tmp_path / "list.csv").write_text("\n".join(rows))
+    write(tmp_path / "b/1.png", RGB)
+    found = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE).discover()
+    assert len({ref.name for ref in found.frames}) == 5
+    assert len({ref.paths for ref in found.frames}) == 5
+    assert found.skipped == {"listed twice": 1}
 
 
 def test_tum_poses_against_scipy(tmp_path: Path) -> None:
