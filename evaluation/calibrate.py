@@ -79,7 +79,9 @@ def fit(settings: FitSettings) -> dict[str, Any]:
     )
     path = _write(settings, plain(simulation.configured(values)), said)
     print(said, f"written: {path}", sep="\n")
-    print(f"use it: simnfnd make --config-dir {settings.folder} {usage(settings)}")
+    print(
+        f"use it: simnfnd make --config-dir {shlex.quote(str(settings.folder))} {usage(settings)}"
+    )
     return values
 
 
@@ -208,7 +210,7 @@ class Simulation:
         if len(there) < min(8, len(found)):
             raise FactoryError(
                 f"recipe: only {len(there)} of its {len(found)} frames are rendered in "
-                f"{self.config.cache.folder}; run `simnfnd make {' '.join(recipe)}` first"
+                f"{self.config.cache.folder}; run `simnfnd make {shlex.join(recipe)}` first"
             )
         spread = evenly(there, frames)
         self._kept = Views({ref: views.view(ref) for ref in spread})

@@ -19,6 +19,7 @@ from ..factory.cli.extras import Need, require
 from ..factory.errors import FactoryError
 from ..factory.settings import build
 from ..factory.storage.copies import local_folder
+from ..factory.words import quote
 from ..models import WEIGHTS_NAME
 
 if TYPE_CHECKING:
@@ -30,28 +31,40 @@ S = TypeVar("S")
 
 def report(words: Sequence[str]) -> int:
     """`simnfnd evaluate dataset=DIR ...`."""
-    return run_app(_report, "evaluation", words)
+    from .settings import EvaluationSettings
+
+    return run_app(_report, "evaluation", words, EvaluationSettings)
 
 
 def tune(words: Sequence[str]) -> int:
     """`simnfnd evaluate tune dataset=DIR ...`: all baselines, when none is named."""
     chosen = any(word.startswith("baselines=") for word in words)
-    return run_app(_tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])])
+    from .settings import EvaluationSettings
+
+    return run_app(
+        _tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])], EvaluationSettings
+    )
 
 
 def real(words: Sequence[str]) -> int:
     """`simnfnd evaluate real IN [KEY=VALUE ...]`."""
-    return run_app(_real, "real", _named(words, "real"))
+    from .settings import RealSettings
+
+    return run_app(_real, "real", _named(words, "real"), RealSettings)
 
 
 def detect(words: Sequence[str]) -> int:
     """`simnfnd evaluate detect RECORDING... [KEY=VALUE ...]`."""
-    return run_app(_detect, "detect", _named(_as_keys(words), None, "recordings"))
+    from .settings import DetectSettings
+
+    return run_app(_detect, "detect", _named(_as_keys(words), None, "recordings"), DetectSettings)
 
 
 def realism(words: Sequence[str]) -> int:
     """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
-    return run_app(_realism, "realism", _named(words, "real", "sim"))
+    from .settings import RealismSettings
+
+    return run_app(_realism, "realism", _named(words, "real", "sim"), RealismSettings)
 
 
 def fit(words: Sequence[str]) -> int:
@@ -59,16 +72,26 @@ def fit(words: Sequence[str]) -> int:
     own, recipe = list(words), []
     if "--" in own:
         place = own.index("--")
-        own, recipe = own[:place], [f"recipe={_listed(own[place + 1 :])}"]
-    return run_app(_fit, "fit", [*_named(own, "real"), *recipe])
+        recipe = [f"recipe={_listed(own[place + 1 :])}"]
+        own = own[:place]
+    from .settings import FitSettings
+
+    return run_app(_fit, "fit", [*_named(own, "real"), *recipe], FitSettings)
 
 
 def _named(words: Sequence[str], first: str | None, rest: str | None = None) -> list[str]:
-    """Words without `=` as overrides: the first one of `first`, the others a list of `rest`."""
-    plain = [word for word in words if "=" not in word and not word.startswith("-")]
+    """Paths as overrides: the first one of `first`, the others a list of `rest`.
+
+    A word with `=` is one when a file or folder has that name.
+    """
+    plain = [
+        word
+        for word in words
+        if not word.startswith("-") and ("=" not in word or Path(word).exists())
+    ]
     overrides = [word for word in words if word not in plain]
     if plain and first is not None:
-        overrides.append(f"{first}={quoted(plain.pop(0))}")
+        overrides.append(f"{first}={quote(plain.pop(0))}")
     if plain:
         if rest is None:
             raise FactoryError(f"{plain[0]}: unexpected; only one folder is taken here")
@@ -97,12 +120,7 @@ def _as_keys(words: Sequence[str]) -> list[str]:
 
 def _listed(words: Sequence[str]) -> str:
     """Words as a list in Hydra's grammar."""
-    return f"[{','.join(quoted(word) for word in words)}]"
-
-
-def quoted(word: str) -> str:
-    """A path as Hydra's grammar takes it, whatever characters it has."""
-    return "'" + word.replace("\\", "\\\\").replace("'", "\\'") + "'"
+    return f"[{','.join(map(quote, words))}]"
 
 
 def settings_of(config: DictConfig) -> EvaluationSettings:

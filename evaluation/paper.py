@@ -16,7 +16,7 @@ from pathlib import Path
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
 from ..factory.files import check_writable
-from .commands import quoted
+from ..factory.words import quote
 from .report.build import REPORT_NAME
 from .report.document import write_files
 from .report.tables import as_markdown, beside_paper
@@ -89,7 +89,7 @@ def run(words: Sequence[str]) -> int:
 
 def steps_of(plan: Plan) -> Iterator[list[str]]:
     """The commands, in their order."""
-    dataset = f"dataset.dir={quoted(str(plan.out / 'dataset'))}"
+    dataset = f"dataset.dir={quote(str(plan.out / 'dataset'))}"
     make = ["make", "experiment=simnfnd", f"frames.variants={1 + plan.quick}", dataset]
     if plan.scenes is None:
         # Four frames of each place; a quarter of the places tests.
@@ -97,7 +97,7 @@ def steps_of(plan: Plan) -> Iterator[list[str]]:
         make += ["scenes=seabed", "split.test=[]", f"scenes.locations={places}"]
         make.append(f"scenes.frames_per_location={-(-plan.frames // places)}")
     else:
-        make.append(f"scenes.root={quoted(str(plan.scenes))}")
+        make.append(f"scenes.root={quote(str(plan.scenes))}")
     yield [*make, f"frames.total={plan.frames}", *(["render=analytic"] if plan.quick else [])]
     trainings = {"simnfnd_l1": [dataset, "loss=l1"], "simnfnd_newloss": [dataset, *_NEWLOSS]}
     if plan.real is not None:
@@ -105,11 +105,11 @@ def steps_of(plan: Plan) -> Iterator[list[str]]:
     for name, words in trainings.items():
         check, patch = min(plan.steps, 200), 64 if plan.quick else 128
         yield [
-            "train", *words, f"name={name}", f"out={quoted(str(plan.out / name))}",
+            "train", *words, f"name={name}", f"out={quote(str(plan.out / name))}",
             f"train.steps={plan.steps}", f"train.check_every={check}", f"data.patch={patch}",
         ]  # fmt: skip
-    weights = [f"ablation.{name}={quoted(str(plan.out / name))}" for name in trainings]
-    report = f"out={quoted(str(plan.out / 'report'))}"
+    weights = [f"ablation.{name}={quote(str(plan.out / name))}" for name in trainings]
+    report = f"out={quote(str(plan.out / 'report'))}"
     judge = ["evaluate", dataset, report, "baselines=[paper]", "models=[]", "tuning.auto=false"]
     yield [*judge, *weights]
 
@@ -130,6 +130,6 @@ def written(plan: Plan) -> str:
 def _olddata(folder: Path) -> list[str]:
     """Real images taken as clean; where their fans are says a table beside them."""
     images = folder / "Images" if (folder / "Images").is_dir() else folder
-    words = ["data=olddata", f"data.folder={quoted(str(images))}"]
+    words = ["data=olddata", f"data.folder={quote(str(images))}"]
     table = folder / "fan_geometry.csv"
-    return [*words, f"data.geometry={quoted(str(table))}"] if table.is_file() else words
+    return [*words, f"data.geometry={quote(str(table))}"] if table.is_file() else words

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import fnmatch
 import hashlib
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 
 from .config import FactoryConfig
 from .errors import FactoryError
 from .frame import FrameRef
+from .words import list_word
 
 _Scene = tuple[str, str]
 
@@ -25,10 +27,12 @@ def choose_frames(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[F
     thinned = [refs[:: settings.stride][: settings.limit] for refs in by_scene.values()]
     chosen = _spread(thinned, settings.total)
     if settings.only is not None:
-        unknown = set(settings.only) - {ref.name for ref in found}
+        wanted = {unicodedata.normalize("NFC", name): name for name in settings.only}
+        by_name = {unicodedata.normalize("NFC", ref.name): ref for ref in found}
+        unknown = sorted(wanted.keys() - by_name.keys())
         if unknown:
-            raise FactoryError(f"frames.only: no frame named {sorted(unknown)[0]}")
-        chosen = [ref for ref in found if ref.name in settings.only]
+            raise FactoryError(f"frames.only: no frame named {wanted[unknown[0]]}")
+        chosen = [ref for name, ref in by_name.items() if name in wanted]
     if not chosen:
         raise FactoryError(
             "frames: no frame is left; check frames.stride, frames.limit, frames.only"
@@ -69,10 +73,10 @@ def split_warnings(
     wanted = bool(settings.test) or settings.test_fraction > 0
     for split in ("train", "test"):
         if not splits[split] and limits.get(split) != 0 and (wanted or split == "train"):
-            testing = ",".join(sorted(scene for _, scene in _by_fraction(scenes, 0.25)))
+            testing = sorted(scene for _, scene in _by_fraction(scenes, 0.25))
             said.append(
-                f"the {split} split is empty; split.test=[{testing}] would test on a quarter of "
-                f"the {len(scenes)} scenes"
+                f"the {split} split is empty; {list_word('split.test', testing)} would test on a "
+                f"quarter of the {len(scenes)} scenes"
                 if len(scenes) > 1
                 else f"the {split} split is empty, for there is one scene, {scenes[0][1]}; bring "
                 "another, or train and evaluate on the one split (evaluate split=train)"
@@ -85,7 +89,13 @@ def _scenes(frames: Iterable[FrameRef]) -> list[_Scene]:
 
 
 def _matches(scene: _Scene, pattern: str) -> bool:
-    return any(fnmatch.fnmatch(name, pattern) for name in (scene[1], "/".join(scene)))
+    """Whether a pattern is a scene's name, with or without its location, or matches it.
+
+    Letters with accents may be composed or not, as file systems differ.
+    """
+    wanted = unicodedata.normalize("NFC", pattern)
+    names = [unicodedata.normalize("NFC", name) for name in (scene[1], "/".join(scene))]
+    return wanted in names or any(fnmatch.fnmatch(name, wanted) for name in names)
 
 
 def _by_fraction(scenes: Sequence[_Scene], fraction: float) -> list[_Scene]:

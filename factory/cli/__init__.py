@@ -56,30 +56,34 @@ class Parser(argparse.ArgumentParser):
         return super()._get_value(action, word)
 
 
-def run_app(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:
+def run_app(
+    task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str], settings: type
+) -> int:
     """Run `task` as a Hydra application (`words` or a sweep, `-m`) and return the exit code.
 
-    `task` gets the composed config and returns None or an int exit code.  FactoryError and every
-    mistake in the configuration become one line on stderr and exit code 2; a traceback is shown
-    only with `debug=true`.  In a sweep a point that fails does not stop the others, Ctrl-C does;
-    the largest exit code is returned.
+    `task` gets the composed config and returns None or an int exit code.
+    settings: the class of the whole configuration, whose types say which keys hold names and paths.
+
+    FactoryError and every mistake in the configuration become one line on stderr and exit code 2; a
+    traceback is shown only with `debug=true`.  In a sweep a point that fails does not stop the
+    others, Ctrl-C does; the largest exit code is returned.
     """
     # Hydra imports antlr and plugins; `factory` as a library must not pay for it.
     import hydra
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    from .compose import config_line, readable
+    from .compose import config_line, hydra_words
     from .hydra_loader import register_search_path
 
     register_search_path()
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     debug = any(word.replace(" ", "") in ("debug=true", "debug=True") for word in words)
-    words = list(map(readable, words))
     if config_name != "factory":
         # Hydra takes `dataset=DIR` for a choice of the group of that name, which `make` has.
         words = [re.sub("^dataset=", "dataset.dir=", word) for word in words]
+    words = hydra_words(words, config_name, settings)
     # Hydra reads the command line, and refuses a flag between overrides.
     sys.argv[1:] = sorted(words, key=lambda word: word not in ("-m", "--multirun"))
     codes: list[int] = []

@@ -11,15 +11,20 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..distribution import as_override
 from ..errors import FactoryError
 from ..small_files import load_yaml
+from ..words import quote
 from .hydra_loader import config_folders, load, searched_folders, take_config_folders
+from .text_values import Form, form_of, hydra_value
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
 
 _SWEEP = ("-m", "--multirun")
 _KEY = re.compile(r"[+]{0,2}[A-Za-z_][\w./@:-]*", re.ASCII)
+# Folders of Hydra itself.
+_HYDRA_FOLDER = re.compile(r"hydra\.(run|sweep)\.(dir|subdir)")
 # What Hydra's grammar reads as one value or several, and its own forms, which it explains itself.
 _READS = re.compile(r"[A-Za-z0-9_./:@%+|*,-]*|[\[{'\"].*|.*\$\{.*|\w+\(.*", re.ASCII | re.DOTALL)
 
@@ -43,12 +48,11 @@ def compose_points(
     from omegaconf import OmegaConf, open_dict
     from omegaconf.errors import OmegaConfBaseException
 
-    from ..config import composed_values, from_mapping
-    from ..distribution import as_override
+    from ..config import FactoryConfig, composed_values, from_mapping
 
     settings, folders = take_config_folders(words)
-    settings = [readable(word) for word in settings if not word.startswith("-")]
-    overrides = [as_override(word) for word in settings]
+    readable = hydra_words(settings, "factory", FactoryConfig)
+    overrides = [word for word in readable if not word.startswith("-")]
     points = [overrides]
     configs = []
     with config_folders(folders):
@@ -139,16 +143,32 @@ def _flat(values: Mapping[str, Any], prefix: str) -> Iterator[str]:
             yield from _flat(value, f"{prefix}{key}.")
 
 
-def readable(word: str) -> str:
-    """A word with `~` of its value expanded, and quoted where its text is no value of Hydra."""
+def hydra_words(words: Sequence[str], name: str, settings: Any) -> list[str]:
+    """Words of the command line in Hydra's grammar.
+
+    Values of keys that hold text are names and paths as they stand; `~` at their start is the home
+    folder.  name: of the root configuration, conf/<name>.yaml.  settings: its class.
+    """
+    form = form_of(settings)
+    in_sweep = any(word in _SWEEP for word in words)
+    return [_hydra_word(word, name, form, in_sweep=in_sweep) for word in words]
+
+
+def _hydra_word(word: str, name: str, form: Form, *, in_sweep: bool) -> str:
     key, equals, value = word.partition("=")
     if not equals or not _KEY.fullmatch(key):
         return word
     if value.startswith("~"):
         value = os.path.expanduser(value)
-    if _READS.fullmatch(value):
-        return f"{key}={value}"
-    # Backslashes count only before a quote; one at the end would hide the closing one.
-    text = re.sub(r"(\\*)'", lambda found: 2 * found[1] + "\\'", value)
-    ends = "\\" * (len(text) - len(text.rstrip("\\")))
-    return f"{key}='{text}{ends}'"
+
+    path = key.lstrip("+")
+    own_form = Form(is_text=True) if _HYDRA_FOLDER.fullmatch(path) else form.at(path)
+    if own_form.holds_text:
+        roots = frozenset[str]()
+        if "${" in value:
+            roots = frozenset(known.partition(".")[0] for known in _keys(name)) | {"hydra"}
+        stated = hydra_value(value, own_form, in_sweep=in_sweep, roots=roots)
+        return f"{key}={stated}"
+    if not _READS.fullmatch(value):
+        return f"{key}={quote(value)}"
+    return as_override(f"{key}={value}") if name == "factory" else f"{key}={value}"

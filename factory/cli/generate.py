@@ -25,6 +25,7 @@ from ..scheduler.workers import template
 from ..selection import choose_frames, frames_digest, split_frames, split_warnings
 from ..storage.copies import shown
 from ..views import Cache, ViewMaker
+from ..words import list_word, shell_line
 from . import EXIT_BAD_INPUT, PRELOADED
 from .extras import needs_of, require
 from .hydra_loader import config_folder_words
@@ -73,7 +74,7 @@ def generate(composed: DictConfig) -> int:
         share = "all" if count == len(report.failures) else str(count)
         print(
             f"failed: {len(report.failures)} of {report.frames} frames, {share} because: {reason}; "
-            f"`simnfnd status {folder} --failed` lists them"
+            f"`simnfnd status {shlex.quote(folder)} --failed` lists them"
         )
     return code
 
@@ -187,5 +188,7 @@ def _rerun_command(ref: FrameRef, arguments: Sequence[str], directory: Path) -> 
         if not word.startswith(("dataset.dir=", "frames.only="))
         and word not in ("-m", "--multirun")
     ]
-    again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={shown(directory)}-retry"]
-    return " ".join(["simnfnd make", *map(shlex.quote, again)])
+    one_frame = list_word("frames.only", [ref.name])
+    # Commands for two frames make two datasets.
+    folder = f"{shown(directory)}-retry/{ref.name.replace('/', '-')}"
+    return shell_line(["simnfnd", "make", *words, one_frame, f"dataset.dir={folder}"])

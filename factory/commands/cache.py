@@ -9,6 +9,7 @@ from ..cli.compose import compose_config
 from ..errors import FactoryError
 from ..files import explain_os_errors
 from ..views import Cache, CachedViews
+from ..words import shell_line
 
 
 def main(words: list[str]) -> None:
@@ -55,7 +56,7 @@ def _pack(overrides: list[str], out: Path | None) -> None:
     if not there:
         raise FactoryError(
             f"cache pack: none of the {len(refs)} frames is rendered in {config.cache.folder}; "
-            f"run `simnfnd make {' '.join(overrides)}` first"
+            f"run `simnfnd make {shell_line(overrides)}` first"
         )
     classes = config.scenes.own_classes()
     size = write_pack(out, there, views.view, config.sonar.mount, config.render.kind, classes)

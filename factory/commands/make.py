@@ -29,9 +29,9 @@ def main(words: Sequence[str]) -> int:
         template.start(PRELOADED)
 
     from ..cli.generate import generate
-    from ..distribution import as_override
+    from ..config import FactoryConfig
 
-    return run_app(generate, "factory", list(map(as_override, words)))
+    return run_app(generate, "factory", words, FactoryConfig)
 
 
 def _makes_here(words: Sequence[str]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -65,7 +66,8 @@ def _state(directory: Path, manifest: Manifest, failed: int) -> None:
         size = sum(shard.bytes for shard in own) / 1e6
         print(f"  {split}: {manifest.samples(split)} pairs in {len(own)} shards, {size:.1f} MB")
     if failed:
-        print(f"  {failed} frames failed (`simnfnd status {directory} --failed` lists them)")
+        quoted = shlex.quote(str(directory))
+        print(f"  {failed} frames failed (`simnfnd status {quoted} --failed` lists them)")
 
 
 def _last_run(told: dict[str, Any], at_work: bool) -> str:

@@ -58,7 +58,7 @@ _LEAST_MARKED_SHARE = 0.01
 # No imaging sonar sees farther.
 _FARTHEST_M = 300.0
 # What uint16 depth is commonly divided by, also before it is stored as floating-point metres.
-_COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 6553.5, 10000.0)
+_COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 10000.0)
 
 
 def read_rgb(path: Path) -> npt.NDArray[np.uint8]:

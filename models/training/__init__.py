@@ -19,7 +19,9 @@ def main(words: Sequence[str]) -> int:
     """Train as the configuration says; returns the exit code."""
     if {"--help", "-h"} & set(words):
         words = [*words, f"hydra.help.template='{_help()}'"]
-    return run_app(run, "models", words)
+    from ..settings import ModelsSettings
+
+    return run_app(run, "models", words, ModelsSettings)
 
 
 def _help() -> str:

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import shlex
 import signal
 import sys
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import h5py
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import settings as settings_of_hypothesis
+from hypothesis import strategies as st
 
 from simnfnd.command import main
-from simnfnd.factory.cli.compose import readable
-from simnfnd.factory.config import from_mapping
+from simnfnd.factory.cli.compose import compose_config, compose_points, hydra_words
+from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.selection import choose_frames, split_frames, split_warnings
+from simnfnd.factory.words import list_word, shell_line
 from tests.factory.cli_frames import FAST, ground, write_frame
-from tests.project_files import ROOT
 
 
 @pytest.fixture(autouse=True)
@@ -253,16 +259,147 @@ def test_a_typo_is_answered_with_what_is_nearest(capfd, words, answer):
     assert answer in said(capfd, *words.split())
 
 
-@pytest.mark.parametrize(
-    "path", ["~/dives", "größe/müll", "my dives (2)", "a=b", "it's", "a#b", "q\\'s"]
-)
-def test_paths_need_no_quotes(path, monkeypatch):
-    from hydra.core.override_parser.overrides_parser import OverridesParser
+NAMES = [
+    *("dives", "größe/müll", "my dives (2)", "a=b", "it's", "a#b", "q\\'s", "back\\", "深海/潜水"),
+    *("2023_05_01", "20230501", "07", "1e3", "0x1F", "1.0", ".5", "-3", "true", "None", "inf"),
+    *("dive(2)", "choice(1)", "range(1,5)/x", "[raw] dive", "{x}", "{choice: [1]}", "a]b", "(a"),
+    *("dive 1, 2", "a,b", "$HOME", "${x}", "$\\{x}", "\\${x}", "'tis", '"so"', "a: b", "*.csv"),
+    *("café", "caf\u00e9 \u2603", "a|b", "a&b;c", "%d", "@home", "a+b", "x" * 80),
+]
 
-    monkeypatch.setenv("HOME", str(ROOT))
-    read = OverridesParser.create().parse_override
-    wanted = path.replace("~", str(ROOT))
-    assert read(readable(f"scenes.root={path}")).value() == wanted
+
+def read(word: str) -> Any:
+    """What a word for a key of `simnfnd make` sets it to."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from omegaconf import OmegaConf
+
+    (stated,) = hydra_words([word], "factory", FactoryConfig)
+    value = OverridesParser.create().parse_override(stated).value()
+    holder: Any = OmegaConf.create({"key": value})
+    container: Any = OmegaConf.to_container(holder, resolve=True)
+    return container["key"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_path_is_taken_as_it_is_typed(name):
+    # Quotes around all of a value are Hydra's.
+    assert read(f"dataset.dir={name}") == (name if name != '"so"' else "so")
+    assert read(f"scenes.root={name}/frames") == f"{name}/frames"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_in_a_list_is_taken_as_it_is_typed(name):
+    if "," in name and name != "range(1,5)/x":
+        assert read(f"split.test=['{name}']") == [name]
+        return
+    wanted = name if name != '"so"' else "so"
+    assert read(f"split.test=[{name}]") == [wanted]
+    assert read(f"split.test=[first, {name} ,last]") == ["first", wanted, "last"]
+    assert read(f"split.test={name}") == [wanted]
+
+
+def test_null_is_none_only_where_none_may_be():
+    assert read("dataset.dir=null") is None
+    assert read("split.test=[null]") == ["null"]
+    assert read("frames.only=null") is None
+    assert read("split.test=[]") == []
+
+
+@settings_of_hypothesis(max_examples=60, deadline=None)
+@given(st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=12))
+def test_any_text_of_letters_and_marks_is_a_name(text):
+    assert read(list_word("split.test", [text])) == [text]
+    quoted = text[0] in "'\"" and text[-1] == text[0]
+    if not (quoted or "${" in text or text == "null" or text.startswith("~")):
+        assert read(f"dataset.dir={text}") == text
+
+
+@pytest.mark.parametrize("name", [*NAMES, "both ' and \"", " led by a space"])
+def test_a_suggested_list_means_the_same_before_and_after_the_shell(name):
+    word = list_word("frames.only", ["reef/1", name])
+    assert read(word) == ["reef/1", name]
+    assert shlex.split(shell_line([word])) == [word]
+    if not set(name) & set(',"$`\\![]{}') and name == name.strip():
+        (pasted,) = shlex.split(word)
+        assert read(pasted) == ["reef/1", name]
+
+
+def test_interpolations_that_can_be_resolved_are(monkeypatch):
+    monkeypatch.setenv("DIVES", "/data")
+    config = compose_config(
+        [
+            "seed=7",
+            "scenes=flsea",
+            "scenes.root=${oc.env:DIVES}/${x}",
+            "dataset.dir=out/${seed} (a)",
+        ]
+    )
+    assert getattr(config.scenes, "root", None) == "/data/${x}"
+    assert config.dataset.dir == "out/7 (a)"
+
+
+def test_names_in_mappings_are_taken_as_typed():
+    valve = "{class: Valve, parts: dive (2)*, reflectivity_db: -12}"
+    assert read(f"scenes.classes=[{valve}, {{class: 07, parts: 1e3}}]") == [
+        {"class": "Valve", "parts": "dive (2)*", "reflectivity_db": -12},
+        {"class": "07", "parts": "1e3"},
+    ]
+
+
+def test_a_sweep_over_names_separates_them_by_commas():
+    points = compose_points(["-m", "dataset.name=2023_05_01,plain", "dataset.dir=a, b"])
+    assert [point.dataset.name for point in points] == ["2023_05_01", "plain"]
+    assert {point.dataset.dir for point in points} == {"a, b"}
+    points = compose_points(["-m", "split.test=[07],[u_*, Dive (2)]"])
+    assert [point.split.test for point in points] == [("07",), ("u_*", "Dive (2)")]
+    points = compose_points(["-m", "dataset.name=choice(a,b)"])
+    assert [point.dataset.name for point in points] == ["a", "b"]
+
+
+def test_home_is_expanded(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/me (2)")
+    assert read("dataset.dir=~/out") == "/home/me (2)/out"
+
+
+def test_scenes_of_any_name_test_and_train():
+    odd = found(**{"Dive [2]": 1, "caf\u00e9": 1, "2023_05_01": 1, "d'Orsay": 1})
+    for name in ("Dive [2]", "cafe\u0301", "2023_05_01", "d'Orsay"):
+        assert len(split_frames(odd, settings(split={"test": [name]}))["test"]) == 1
+    _, warning = warnings(odd, split={"test": ["nowhere"]})
+    offered = "split.test=" + warning.partition("split.test=")[2].partition(" would")[0]
+    assert warnings(odd, split={"test": read(offered)}) == ()
+
+
+def test_the_printed_commands_can_be_pasted(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    for scene in ("café (2)", "it's, [07]"):
+        Path(scene).mkdir()
+    rows = [
+        f'"{scene}/{n}.png","{scene}/{n}.npy","{scene}"'
+        for scene in ("café (2)", "it's, [07]")
+        for n in (1, 2)
+    ]
+    for row in rows[::2]:
+        image, depth, _ = next(csv.reader([row]))
+        cv2.imwrite(image, np.full((48, 64, 3), 128, np.uint8))
+        np.save(depth, ground(48, 64))
+    Path("my list.csv").write_text("\n".join(rows))
+    words = [
+        "scenes=csv_list",
+        "scenes.file=my list.csv",
+        "scenes.intrinsics=[70,70,31.5,23.5]",
+        *FAST,
+    ]
+    assert run(*words, "scheduler=serial", "dataset.dir=out 1") == 1
+    capfd.readouterr()
+    assert main(["status", "out 1", "--failed"]) == 1
+    lines = [line.strip() for line in capfd.readouterr().out.splitlines() if "simnfnd make" in line]
+    assert len(lines) == 2
+    for line in lines:
+        name, verb, *pasted = shlex.split(line)
+        assert (name, verb) == ("simnfnd", "make")
+        assert run(*pasted) == 2, "the file is still missing"
+        assert "no such file" in capfd.readouterr().err
 
 
 def test_a_dataset_is_made_in_a_folder_of_any_name(monkeypatch, tmp_path, capfd):

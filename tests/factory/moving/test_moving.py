@@ -58,9 +58,7 @@ def test_target_strength_gives_the_level_of_the_sonar_equation(actor, range_m, e
 
 def test_tracks_match_the_brightest_cell():
     moving = {"kind": "seabed", "frame_rate_hz": 10, "moving_objects": [{}]}
-    config = settings(
-        acoustics=SILENT_GROUND, scenes=moving, dataset={"columns": ["tracks"]}
-    )
+    config = settings(acoustics=SILENT_GROUND, scenes=moving, dataset={"columns": ["tracks"]})
     course = Line((3.0, 0.5, 0.05), (0.4, -0.2, 0.0))
     for time_s in (0.0, 1.0, 2.0, 3.5):
         observed = observe_moment(moment([ball(course, 0.03)], time_s), config)

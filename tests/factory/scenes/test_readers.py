@@ -373,7 +373,7 @@ def listed_frame(folder: Path, depth_file: Path, rgb: Array = RGB, **keys: objec
     return listed.load(listed.discover().frames[0])
 
 
-def write_tiff(path: Path, array: Array, endian: str = "<") -> Path:
+def write_tiff(path: Path, array: Array, endian: Any = "<") -> Path:
     """An uncompressed TIFF of one strip, of whatever numbers the array has."""
     data = array.astype(array.dtype.newbyteorder(endian)).tobytes()
     height, width = array.shape[:2]
@@ -447,7 +447,7 @@ def test_a_mark_for_no_measurement_is_no_wall(tmp_path: Path, kind: str) -> None
     depth = depth.copy()
     depth[:3] = mark
     np.save(tmp_path / "depth.npy", depth)
-    keys: dict[str, object] = {"depth_scale": scale}
+    keys: dict[str, Any] = {"depth_scale": scale}
     with pytest.raises(FrameError, match=r"19 % .*scenes\.invalid_above_m=") as caught:
         listed_frame(tmp_path, tmp_path / "depth.npy", **keys)
     limit_m = float(str(caught.value).partition("invalid_above_m=")[2].split()[0])
@@ -474,14 +474,19 @@ def test_a_map_of_negative_depths_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_images_are_turned_upright(tmp_path: Path, orientation: int, suffix: str) -> None:
     upright = np.repeat(np.repeat(RGB[::8, ::8] // 2 + 60, 8, axis=0), 8, axis=1)
-    undone = {1: lambda a: a, 2: np.fliplr, 3: lambda a: np.rot90(a, 2), 4: np.flipud,
+    turns: dict[int, Any] = {
+              1: lambda a: a, 2: np.fliplr, 3: lambda a: np.rot90(a, 2), 4: np.flipud,
               5: lambda a: a.transpose(1, 0, 2), 6: np.rot90,
               7: lambda a: np.rot90(a, 2).transpose(1, 0, 2),
-              8: lambda a: np.rot90(a, -1)}[orientation](upright)  # fmt: skip
+              8: lambda a: np.rot90(a, -1)}  # fmt: skip
+    undone = turns[orientation](upright)
     exif = Image.Exif()
     exif[274] = orientation
     path = tmp_path / f"image.{suffix}"
-    options = {"jpg": {"quality": 100, "subsampling": 0}, "webp": {"lossless": True}}
+    options: dict[str, Any] = {
+        "jpg": {"quality": 100, "subsampling": 0},
+        "webp": {"lossless": True},
+    }
     image = Image.fromarray(np.ascontiguousarray(undone))
     image.save(path, exif=exif, **options.get(suffix, {}))
     assert np.abs(read_rgb(path).astype(int) - upright).max() <= 4
