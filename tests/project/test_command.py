@@ -229,7 +229,8 @@ said("export made --to png --out x", 2, 'needs cv2: pip install "simnfnd[sonar]"
 said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export,sonar]"')
 for words in ("train dataset=made", "denoise made --out x",
               "adapt made --out x", "export-weights simnfnd --out x", "evaluate dataset=made",
-              "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a", "evaluate detect a",
+              "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a",
+              "evaluate detect a",
               "evaluate realism a b", "evaluate fit a"):
     said(words, 2, "pip install")
 said("make dataset.dir=x", 2, "needs bpy")
