@@ -27,6 +27,11 @@ from .classical import (
     total_variation,
     wavelet,
 )
+from .rivals.dual_tree import dual_tree
+from .rivals.lpmsde import lpmsde
+from .rivals.ridgelet import ridgelet
+from .rivals.sar2sar import sar2sar
+from .rivals.structural import structural
 
 Number = int | float
 Parameters = dict[str, Number]
@@ -108,17 +113,43 @@ _FILTERS = (
              "Yu and Acton 2002"),
 )  # fmt: skip
 
-REGISTRY: dict[str, Baseline] = {one.name: one for one in _FILTERS}
-"""All filters by name, those that users know first."""
+_RIVALS = (
+    Baseline("lpmsde", lpmsde, {"strength": 1.0, "levels": 3},
+             {"strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1000.0), "levels": (1, 2, 3, 4, 5)},
+             "IEEE Access 2023, 3335372, after the abstract"),
+    Baseline("dual_tree", dual_tree, {"strength": 1.0, "levels": 5},
+             {"strength": (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 1000.0), "levels": (1, 2, 3, 5, 8)},
+             "Isar, Moga and Isar 2009, from the paper"),
+    Baseline("ridgelet", ridgelet, {"strength": 1.0, "block_px": 11},
+             {"strength": (0.5, 1.0, 1.4, 2.0, 4.0, 1000.0), "block_px": (7, 11, 17, 31)},
+             "Shang et al. 2008, after the abstract"),
+    Baseline("structural", structural, {"strength": 1.0, "patches": 64},
+             {"strength": (0.35, 0.7, 1.0, 1.4, 2.0, 4.0, 1000.0), "patches": (16, 64, 256)},
+             "Jin et al. 2019, non-local, after the abstract"),
+    Baseline("sar2sar", sar2sar, {"amplitude": 300.0},
+             {"amplitude": (30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0)},
+             "Dalsasso et al. 2021 (deepdespeckling), for radar"),
+)  # fmt: skip
+
+REGISTRY: dict[str, Baseline] = {filter_.name: filter_ for filter_ in (*_FILTERS, *_RIVALS)}
+"""All filters by name: those that users know, then those of other authors."""
+GROUPS = {
+    "all": tuple(filter_.name for filter_ in _FILTERS),
+    "rivals": tuple(filter_.name for filter_ in _RIVALS),
+}
+"""Names that stand for several filters.  Rivals are slow and need what few users have installed."""
 
 
 def chosen(names: Sequence[str]) -> list[Baseline]:
-    """The baselines of these names, each once, in this order; `all` means every one.
+    """The baselines of these names and groups, each once, in this order.
 
     Raises FactoryError that names an unknown one.
     """
-    wanted = list(REGISTRY) if "all" in names else list(dict.fromkeys(names))
+    wanted: list[str] = []
+    for name in names:
+        wanted += GROUPS.get(name, (name,))
     for name in wanted:
         if name not in REGISTRY:
-            raise FactoryError(f"baselines: no {name!r}; choose of {', '.join(REGISTRY)} or all")
-    return [REGISTRY[name] for name in wanted]
+            known = ", ".join((*REGISTRY, *GROUPS))
+            raise FactoryError(f"baselines: no {name!r}; choose of {known}")
+    return [REGISTRY[name] for name in dict.fromkeys(wanted)]
