@@ -452,7 +452,7 @@ def test_one_command_gives_both_tables_and_goes_on(
         ran.append(words[0])
         small = {
             "make": ["sonar.image.width_px=72", "sonar.image.height_px=72", "scheduler=serial"],
-            "train": ["model.width=4", "device=cpu"],
+            "train": ["model=nafnet", "model.width=4", "device=cpu"],
             "evaluate": ["workers=1", "bootstrap=100", "baselines=[median]"],
         }
         monkeypatch.setattr(sys, "argv", ["simnfnd"])
