@@ -41,7 +41,7 @@ class Worker:
             if shape not in self.fans:
                 self.fans[shape] = find_geometry(frame.samples)
             geometry = self.fans[shape]
-        denoised = self.denoising.one(frame.samples, lambda picture: geometry)
+        denoised = self.denoising.one(frame.samples, lambda picture: geometry).image
         return with_samples(message, self.kind, denoised, what)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,19 @@ if TYPE_CHECKING:
     from .models.recordings import Frame
 
 
+class DenoisedImage(NamedTuple):
+    """What `denoise(..., return_removed=True)` returns.
+
+    image: of the same shape and dtype as the noisy one.
+    removed: (H, W) or (N, H, W) float32, noisy minus denoised in standard deviations of the local
+        grain; 0 where nothing was insonified.
+    """
+
+    image: npt.NDArray[Any]
+    removed: npt.NDArray[np.float32]
+
+
+@overload
 def denoise(
     picture: npt.ArrayLike | Pair,
     *,
@@ -27,7 +40,35 @@ def denoise(
     frames: int = 7,
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
-) -> npt.NDArray[Any]:
+    return_removed: Literal[False] = False,
+) -> npt.NDArray[Any]: ...
+
+
+@overload
+def denoise(
+    picture: npt.ArrayLike | Pair,
+    *,
+    weights: str | Path | None = None,
+    geometry: Literal["find", "polar"] | FanGeometry | None = "find",
+    strength: float = 1.0,
+    frames: int = 7,
+    causal: bool = False,
+    device: Literal["auto", "cpu", "gpu"] = "auto",
+    return_removed: Literal[True],
+) -> DenoisedImage: ...
+
+
+def denoise(
+    picture: npt.ArrayLike | Pair,
+    *,
+    weights: str | Path | None = None,
+    geometry: Literal["find", "polar"] | FanGeometry | None = "find",
+    strength: float = 1.0,
+    frames: int = 7,
+    causal: bool = False,
+    device: Literal["auto", "cpu", "gpu"] = "auto",
+    return_removed: bool = False,
+) -> npt.NDArray[Any] | DenoisedImage:
     """Denoise one sonar picture, or a stack of them.
 
     picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
@@ -44,8 +85,9 @@ def denoise(
         each other and fused where they show the same; 1: each by itself.
     causal: fuse with pictures before alone.
     device: gpu means CUDA; auto takes it where it is usable.
+    return_removed: whether the removed signal is returned, too.
 
-    Returns an array of the same shape and dtype.
+    Returns an array of the same shape and dtype, or a `DenoisedImage`.
     Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
     weights that are not there, a missing GPU, and where the extra `denoise` is not installed.
     """
@@ -85,12 +127,17 @@ def denoise(
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
     denoising = Denoising(network, frames=frames, causal=causal, calibrated=strength == 1)
     if given.ndim == 2 or given.shape[2] in (3, 4):
-        return denoising.one(known, place).astype(given.dtype)
+        single = denoising.one(known, place)
+        image = single.image.astype(given.dtype)
+        return DenoisedImage(image, single.removed.signal) if return_removed else image
     result = np.empty(given.shape, given.dtype)
+    removed = np.empty(given.shape if return_removed else 0, np.float32)
     shots = (denoising.shot(number, image, place) for number, image in enumerate(known))
-    for number, denoised in denoising.sequence(shots, alone=len(given) < 2):
-        result[number] = denoised
-    return result
+    for denoised in denoising.sequence(shots, alone=len(given) < 2):
+        result[denoised.key] = denoised.image
+        if return_removed:
+            removed[denoised.key] = denoised.removed.signal
+    return DenoisedImage(result, removed) if return_removed else result
 
 
 @lru_cache(maxsize=2)

@@ -124,4 +124,4 @@ def _by_network(row: Row, stored: Stored, geometry: FanGeometry | None, device: 
         for number, frame in enumerate(stored):
             yield denoising.shot(number, frame, lambda _: geometry)
 
-    return np.stack([frame for _, frame in denoising.sequence(shots())])
+    return np.stack([denoised.image for denoised in denoising.sequence(shots())])

@@ -27,6 +27,7 @@ weights that ship:
   {POINTS:16}  the paper's points: datasets say so, other files need --noise points
 your own sonar: `simnfnd adapt RECORDING --out own.safetensors`, then --weights own.safetensors
 """
+_COMPARE = "also write sheets: noisy, denoised, and removed in standard deviations of the grain"
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     add("--frames", type=int, default=FRAMES, metavar="N", help=fused)
     add("--causal", action="store_true", help="fuse with frames before alone, for live use")
-    add("--compare", action="store_true", help="also write pictures side by side")
+    add("--compare", action="store_true", help=_COMPARE)
     where = (
         "of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV table "
         "of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
@@ -77,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     finished = Finished(out, denoise.digest, list(arguments))
     job = Job(out, denoise, points, denoising, geometries, finished, chosen.compare, chosen.topic)
     _all(items, job)
-    for line in (*geometries.summary(), *denoising.summary()):
+    for line in (*geometries.summary(), *denoising.summary(), *job.removed.summary()):
         print(line)
     names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
     print(f"weights: {names or denoise.name}")

@@ -22,10 +22,11 @@ from ..recordings.pictures import ArrayFile, read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .denoiser import Denoiser
 from .inputs import Finished, Geometries, Item
-from .pictures import Denoising, Picture
+from .pictures import Denoised, Denoising, Picture
+from .removed import RemovedReport
 from .temporal.stream import Shot
 from .video_writer import TimedImage
-from .writers import COMPARED, write_compared, write_frames, write_image
+from .writers import COMPARED, Compared, write_compared, write_frames, write_image
 
 if TYPE_CHECKING:
     import h5py
@@ -39,7 +40,7 @@ class Job:
 
     points: gives what denoises shards of the paper's points.  topics: of bags, whose pictures;
     none: as `RosBag` says.  bar: of progress, in pictures.
-    used: names of weights, with how many files they denoised.
+    used: names of weights, with how many files they denoised.  removed: from all of their images.
     """
 
     out: Path
@@ -52,6 +53,7 @@ class Job:
     topics: Sequence[str] = ()
     bar: Any = None
     used: Counter[str] = field(default_factory=Counter)
+    removed: RemovedReport = field(default_factory=RemovedReport)
     failures: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -104,18 +106,21 @@ def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
                 named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
                 job.failures.append(named)
 
-    for (item, picture), denoised in job.denoising.sequence(read(), alone=len(items) < 2):
+    for denoised in job.denoising.sequence(read(), alone=len(items) < 2):
+        item, picture = denoised.key
         if item in before:
             continue
+        job.removed.add(str(item.relative), denoised.removed)
         path = job.out / item.relative
         try:
             if item.source.suffix.lower() == ARRAY_SUFFIX:
                 with ArrayFile(item.source) as array:
-                    write_frames(path, [TimedImage(denoised)], array)
+                    write_frames(path, [TimedImage(denoised.image)], array)
             else:
-                write_image(path, denoised)
+                write_image(path, denoised.image)
             if job.compare:
-                write_compared(job.out / item.compared, [(picture, denoised)])
+                row = Compared(picture, denoised.image, denoised.removed.shown())
+                write_compared(job.out / item.compared, [row])
             job.done(item, job.denoise.name)
         except FrameError as error:
             job.failures.append(str(error))
@@ -132,7 +137,7 @@ def _denoise_recording(item: Item, job: Job) -> None:
     path = job.out / item.relative
     if item.kind == "rosbag" and path.is_dir():
         raise FrameError(f"{path}: is there already; remove it, or give another --out")
-    shown: list[tuple[Picture, Picture]] = []
+    shown: list[Compared] = []
     with _opened(item, job.topics) as recording:
         before = job.bar.n
         job.bar.total += recording.count
@@ -200,7 +205,7 @@ def _denoise_shard(item: Item, job: Job) -> None:
             fletcher32=True,
             track_times=False,
         )
-        shown = []
+        shown: list[Compared] = []
         denoising, sonar = Denoising(denoise), recorded_sonar(config_of(source))
 
         def place(row: int, _: Picture) -> FanGeometry | None:
@@ -209,9 +214,12 @@ def _denoise_shard(item: Item, job: Job) -> None:
         for row in range(len(noisy)):
             try:
                 image = noisy[row]
-                denoised[row] = denoising.one(image, partial(place, row))
+                result = denoising.one(image, partial(place, row))
+                denoised[row] = result.image
+                job.removed.add(f"{item.relative}, pair {row}", result.removed)
                 if row < COMPARED:
-                    shown.append([one / full for one in (image, denoised[row], clean[row])])
+                    panels = image / full, denoised[row] / full, result.removed.shown()
+                    shown.append(Compared(*panels, clean=clean[row] / full))
             except (FactoryError, LookupError, ValueError) as error:
                 raise FrameError(f"{item.source}: {error}") from error
             job.bar.update()
@@ -259,7 +267,7 @@ def _opened(item: Item, topics: Sequence[str]) -> Recording:
 
 
 def _frames(
-    item: Item, recording: Recording, job: Job, shown: list[tuple[Picture, Picture]]
+    item: Item, recording: Recording, job: Job, shown: list[Compared]
 ) -> Iterator[tuple[Frame, Picture]]:
     """Each frame and what became of it; the first are shown to compare."""
 
@@ -278,10 +286,14 @@ def _frames(
                 raise FrameError(f"{item.source}: frame {frame.number}: {error}") from error
 
     alone = len(getattr(recording, "topics", ())) > 1
-    for frame, samples in job.denoising.sequence(read(), alone=alone):
+    denoised: Denoised
+    for denoised in job.denoising.sequence(read(), alone=alone):
+        frame = denoised.key
+        job.removed.add(f"{item.relative}, frame {frame.number}", denoised.removed)
         if job.compare and frame.number < COMPARED:
-            shown.append((_view(frame, frame.samples), _view(frame, samples)))
-        yield frame, samples
+            panels = frame.samples, denoised.image, denoised.removed.shown()
+            shown.append(Compared(*(_view(frame, panel) for panel in panels)))
+        yield frame, denoised.image
         job.bar.update()
 
 

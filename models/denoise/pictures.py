@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -17,13 +18,36 @@ from ...factory.errors import FactoryError
 from ...factory.scheduler.workers.machine import usable_cores
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.base import FULL_SCALE
-from ..recordings.palettes import SUM, Palette, find_painted
+from ..recordings.palettes import SUM, Painted, Palette, find_painted
+from .removed import Removed
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
 
 Gray = npt.NDArray[np.float32]
 Picture = npt.NDArray[Any]
 Place = Callable[[Picture], FanGeometry | None]
 """Where range and bearing are in a picture; None where that is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Denoised:
+    """What became of an image.
+
+    key: of the image, as the caller named it.  image: of the same shape and dtype.
+    """
+
+    key: Any
+    image: Picture
+    removed: Removed
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """An image on its way.  levels: float32 in 0..1.  painted: of a colour map; None: of none."""
+
+    key: Any
+    image: Picture
+    levels: Gray
+    painted: Painted | None
 
 
 class Denoising:
@@ -68,26 +92,31 @@ class Denoising:
         if painted is not None:
             plain, self._last_map = painted.levels, painted.palette
             self.maps[painted.palette.name] += 1
-        return Shot((key, picture, painted), levels_of(plain), partial(place, plain), shift_px)
+        levels = levels_of(plain)
+        source = _Source(key, picture, levels, painted)
+        return Shot(source, levels, partial(place, plain), shift_px)
 
-    def sequence(
-        self, shots: Iterable[Shot], *, alone: bool = False
-    ) -> Iterator[tuple[Any, Picture]]:
-        """The key of each picture of a sequence and what became of it, in order.
+    def sequence(self, shots: Iterable[Shot], *, alone: bool = False) -> Iterator[Denoised]:
+        """What became of each picture of a sequence, in order.
 
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
         alone: whether each is denoised by itself.
         """
         frames, at_once = (1, 1) if alone else (self.frames, usable_cores())
         stream = self._in_time(frames=frames, at_once=at_once)
-        for (key, picture, painted), levels in stream(shots):
-            yield key, restored(levels, picture) if painted is None else painted.repainted(levels)
+        source: _Source
+        for source, levels in stream(shots):
+            if source.painted is None:
+                image = restored(levels, source.image)
+            else:
+                image = source.painted.repainted(levels)
+            yield Denoised(source.key, image, Removed(source.levels, levels))
         if stream.strength.measured:
             self._strengths.append(str(stream.strength))
 
-    def one(self, picture: Picture, place: Place) -> Picture:
-        """A picture by itself, the same shape and dtype out.  Raises ValueError as `shot` does."""
-        ((_, denoised),) = self.sequence([self.shot(None, picture, place)], alone=True)
+    def one(self, picture: Picture, place: Place) -> Denoised:
+        """A picture by itself.  Raises ValueError as `shot` does."""
+        (denoised,) = self.sequence([self.shot(None, picture, place)], alone=True)
         return denoised
 
     def summary(self) -> Iterator[str]:

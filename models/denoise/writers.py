@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,13 +19,13 @@ from ...factory.files import explain_os_errors, write_atomically
 from ..recordings.base import FULL_SCALE, Recording, swapped
 from ..recordings.pictures import ArrayFile, write_array
 from ..recordings.videos import VideoFile
+from .removed import SHOWN
 from .video_writer import TimedImage, target_of, write_video
 
 Picture = npt.NDArray[Any]
 
 COMPARED = 4  # pictures of one file that `--compare` shows
 CAPTION_PX = 20  # height of the line with the names
-_NAMES = ("noisy", "denoised", "clean")
 _GAP_PX = 4
 
 # JPEG is lossy at any quality; at 100 the least.  WebP is without loss above 100.
@@ -34,6 +34,28 @@ _QUALITY = {
     ".jpeg": (cv2.IMWRITE_JPEG_QUALITY, 100),
     ".webp": (cv2.IMWRITE_WEBP_QUALITY, 101),
 }
+
+
+class Compared(NamedTuple):
+    """Panels of one image, (H, W) or (H, W, C) of one size; uint8, uint16 or float in 0..1.
+
+    removed: see `Removed.shown`.  clean: None where nobody knows it.
+    """
+
+    noisy: Picture
+    denoised: Picture
+    removed: Picture
+    clean: Picture | None = None
+
+    def panels(self) -> dict[str, Picture]:
+        """By their captions, from left to right."""
+        captions = {
+            "noisy": self.noisy,
+            "denoised": self.denoised,
+            f"removed (+-{SHOWN:g} sd of the grain)": self.removed,
+            "clean": self.clean,
+        }
+        return {caption: panel for caption, panel in captions.items() if panel is not None}
 
 
 def write_frames(path: Path, images: Iterable[TimedImage], source: Recording) -> str:
@@ -98,24 +120,28 @@ def write_image(path: Path, image: Picture) -> None:
     write_atomically(path, content.tobytes(), key="--out")
 
 
-def write_compared(path: Path, rows: Sequence[Sequence[Picture]]) -> None:
-    """Noisy, denoised (and clean) side by side, one row a sample, named on top.
+def write_compared(path: Path, rows: Sequence[Compared]) -> None:
+    """A sheet of panels side by side, one row an image, with captions on top."""
+    gap = np.full((len(rows[0].noisy), _GAP_PX, 3), 128, np.uint8)
+    lines = []
+    for row in rows:
+        panels = [_shown(panel) for panel in row.panels().values()]
+        lines.append(np.hstack([part for panel in panels for part in (gap, panel)][1:]))
+    width = rows[0].noisy.shape[1]
+    header = np.full((CAPTION_PX, lines[0].shape[1], 3), 24, np.uint8)
+    for number, caption in enumerate(rows[0].panels()):
+        _write_caption(header, caption, number * (width + _GAP_PX), width)
+    write_image(path, np.vstack([header, *lines]))
 
-    rows: pictures (H, W) or (H, W, C) of one size; uint8, uint16 or float in 0..1.
-    """
-    gap = np.full((len(rows[0][0]), _GAP_PX, 3), 128, np.uint8)
-    lines = [
-        np.hstack([part for image in images for part in (gap, _shown(image))][1:])
-        for images in rows
-    ]
-    names = np.full((CAPTION_PX, lines[0].shape[1], 3), 24, np.uint8)
-    width = rows[0][0].shape[1]
-    for number, name in enumerate(_NAMES[: len(rows[0])]):
-        left, font = 3 + number * (width + _GAP_PX), cv2.FONT_HERSHEY_SIMPLEX
-        (long, _), _ = cv2.getTextSize(name, font, 1.0, 1)
-        size = max(0.01, min(0.45, (width - 6) / long))  # no wider than its picture
-        cv2.putText(names, name, (left, CAPTION_PX - 6), font, size, (235,) * 3, 1, cv2.LINE_AA)
-    write_image(path, np.vstack([names, *lines]))
+
+def _write_caption(header: Picture, caption: str, left: int, width: int) -> None:
+    """Draw a caption into the header, no wider than its panel."""
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    (full_width, _), _ = cv2.getTextSize(caption, font, 1.0, 1)
+    scale = max(0.01, min(0.45, (width - 6) / full_width))
+    white = (235, 235, 235)
+    position = (left + 3, CAPTION_PX - 6)
+    cv2.putText(header, caption, position, font, scale, white, 1, cv2.LINE_AA)
 
 
 def _shown(image: Picture) -> Picture:

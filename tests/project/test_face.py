@@ -217,7 +217,7 @@ def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
     with pytest.raises(simnfnd.FactoryError, match="nowhere"):
         simnfnd.denoise(np.zeros((8, 8)), weights="nowhere")
     with pytest.raises(ValueError, match="'fan': expected 'find', 'polar'"):
-        simnfnd.denoise(np.zeros((8, 8)), geometry="fan")  # type: ignore[arg-type]
+        simnfnd.denoise(np.zeros((8, 8)), geometry="fan")  # type: ignore[call-overload]
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(simnfnd.FactoryError, match=r"denoise needs onnxruntime.*\[denoise\]"):
         simnfnd.denoise(np.zeros((8, 8)))

@@ -107,8 +107,8 @@ def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
 
     denoising = Denoising(halving)
     shuffled = (denoising.shot(n, frame, lambda picture: None) for n, frame in enumerate(frames))
-    for number, picture in denoising.sequence(shuffled):
-        np.testing.assert_allclose(picture, frames[number] / 2, atol=1e-6)
+    for denoised in denoising.sequence(shuffled):
+        np.testing.assert_allclose(denoised.image, frames[denoised.key] / 2, atol=1e-6)
     assert next(denoising.summary()).endswith("9 of 9 frames matched no neighbour")
 
 
