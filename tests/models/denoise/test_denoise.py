@@ -131,7 +131,7 @@ def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
             assert np.abs(done["denoised"][row] - expected).max() <= 0.51
     sheet = cv2.imread(str(out / "compare/train/shard-00000.h5.png"))
     assert sheet is not None
-    assert sheet.shape[:2] == (CAPTION_PX + 4 * 32, 3 * 32 + 2 * 4)
+    assert sheet.shape[:2] == (CAPTION_PX + 4 * 32, 4 * 32 + 3 * 4)
 
 
 def test_a_bad_file_among_good_ones_is_skipped(
