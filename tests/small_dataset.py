@@ -21,7 +21,7 @@ COLUMNS = (
     Column("frame", "S16"),
     Column("variant", "i4"),
 )
-PROVENANCE = Provenance({"made": "by a test"}, "0123abcd", "tests")
+PROVENANCE = Provenance({"made": "by a test", "noise": {}}, "0123abcd", "tests")
 
 
 def fan_mask(size: int) -> npt.NDArray[np.bool_]:
