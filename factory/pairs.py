@@ -160,6 +160,8 @@ def observe_moment(
     lit = surface.LitSurface(moment.frame, moment.rendered, window, sonar, cones)
     scene = _scene_of(lit, config)
     if moment.bodies:
+        made_by = (window, sonar, config.water, config.acoustics, config.resample)
+        scene = moment.static.equal(scene, made_by) if moment.static else scene
         composed = compose(
             moment.frame,
             moment.rendered,

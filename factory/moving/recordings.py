@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from ..errors import FrameError
 from ..frame import Frame
@@ -13,19 +14,41 @@ from ..scenes.seabed import SeabedSettings
 from .cast import Actor, draw_cast
 from .compose import PosedBody, bodies_at
 
+SceneType = TypeVar("SceneType")
+
 
 @dataclass(frozen=True, eq=False)
 class Moment:
     """A frame of a scene, rendered without its moving objects.
 
     bodies: those that are there.  is_continuous: whether the frames of its scene are pings of one
-    device, one after another.
+    device, one after another.  static: what knows the static scene of an earlier
+    frame.
     """
 
     frame: Frame
     rendered: Rendered
     bodies: Sequence[PosedBody] = ()
     is_continuous: bool = False
+    static: StaticScene | None = None
+
+
+class StaticScene:
+    """Holds the static scene that the frames of a sonar at rest share, with all that it knows.
+
+    name: of the render that it was made of.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._held: tuple[object, Any] = (None, None)
+
+    def equal(self, scene: SceneType, made_by: object) -> SceneType:
+        """The held scene, if it was made by equal settings; else `scene`, which is then held."""
+        if self._held[0] != made_by:
+            self._held = made_by, scene
+        found: SceneType = self._held[1]
+        return found
 
 
 class Recordings:
@@ -34,6 +57,7 @@ class Recordings:
     def __init__(self, settings: SceneSettings, seed: int) -> None:
         """Draws nothing before the first moment."""
         self._settings, self._seed = settings, seed
+        self._static = StaticScene("")
         self._cast: tuple[tuple[str, str], tuple[Actor, ...]] = (("", ""), ())
 
     def moment(self, frame: Frame, rendered: Rendered) -> Moment:
@@ -51,7 +75,10 @@ class Recordings:
         if time_s is None or frame.surroundings is None or frame.world_from_camera is None:
             raise FrameError(f"{frame.ref.name}: moving objects need its time and its pose")
         bodies = bodies_at(self._cast_of(frame, settings), frame, time_s)
-        return Moment(frame, rendered, bodies, is_continuous=True)
+        name = settings.rendered_ref(frame.ref).name
+        if self._static.name != name:
+            self._static = StaticScene(name)
+        return Moment(frame, rendered, bodies, is_continuous=True, static=self._static)
 
     def _cast_of(self, frame: Frame, settings: SeabedSettings) -> tuple[Actor, ...]:
         name = frame.ref.location, frame.ref.scene

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ..dataset.schema import Column
 from ..errors import FrameError
+from ..frame import MovingPixels
+from ..imaging.scatterers import camera_of, vertical_table
 from ..sonar import polar
 from ..sonar.fan import lay_out_nearest
 from ..sonar.surface import LitSurface
@@ -18,6 +21,8 @@ from .compose import PosedBody
 from .course import velocity_m_s
 
 _MOST_BYTES = 24_576
+_FAINTEST = 0.01
+"""Two-way level of the vertical beam, on intensity, below which nothing is heard."""
 TRACKS = (
     Column(
         "tracks",
@@ -41,24 +46,17 @@ def tracks_row(lit: LitSurface, frequency_khz: float) -> dict[str, float | str]:
     moving = lit.frame.moving
     if moving is None:
         return {"tracks": "[]"}
-    echoes, pixel, _ = lit.insonified
-    place = np.searchsorted(moving.pixel, pixel).clip(max=max(len(moving.pixel) - 1, 0))
-    is_moving = np.zeros(len(pixel), np.bool_)
-    if len(moving.pixel):
-        is_moving = (moving.pixel[place] == pixel) & (echoes.strength > 0)
-    body_of = np.full(len(pixel), -1)
-    body_of[is_moving] = moving.body[place[is_moving]]
-    bins = polar.bin_index(echoes, lit.window, lit.sonar)
+    heard = _heard(lit, moving)
     tracks = []
     for number, body in enumerate(moving.bodies):
         assert isinstance(body, PosedBody)
-        own = np.flatnonzero(body_of == number)
+        own = np.flatnonzero(heard.body == number)
         alone_px = max(int(moving.alone_px[number]), 1)
         entry: dict[str, Any] = {
             "id": body.actor.number,
             "class": body.actor.class_name,
             **_motion(body, lit),
-            **_echo(lit, own, bins[own]),
+            **_echo(lit, heard, own),
             "target_strength_db": _rounded(body.actor.target_strength_db(frequency_khz), 2),
             "insonified": round(min(len(own) / alone_px, 1.0), 3),
             "occluded": round(min(int(moving.hidden_px[number]) / alone_px, 1.0), 3),
@@ -73,6 +71,49 @@ def tracks_row(lit: LitSurface, frequency_khz: float) -> dict[str, float | str]:
             f"{_MOST_BYTES // 250}"
         )
     return {"tracks": text}
+
+
+class _Heard(NamedTuple):
+    """Pixels of moving objects that echo into the image, (K,) each.
+
+    body: index of its object.  echoes: with strengths as the vertical beam weights them.
+    bins: flat polar bin.
+    """
+
+    body: npt.NDArray[np.int32]
+    echoes: polar.Echoes
+    bins: npt.NDArray[np.int32]
+
+
+def _heard(lit: LitSurface, moving: MovingPixels) -> _Heard:
+    frame, sonar = lit.frame, lit.sonar
+    depth_m, across, down = camera_of(frame)
+    row, column = np.divmod(moving.pixel, depth_m.shape[1])
+    z = depth_m.reshape(-1)[moving.pixel].astype(np.float64)
+    camera_m = np.stack([across[column] * z, down[row] * z, z], axis=-1)
+    turn = sonar.mount.rotation_sonar_from_camera()
+    sonar_m = (camera_m - sonar.mount.position_camera_m()) @ turn.T
+    strength = lit.rendered.radiance.reshape(-1)[moving.pixel].astype(np.float64)
+    echoes = polar.from_xyz(sonar_m, strength)
+    pattern = (np.abs(echoes.elevation_rad) <= np.deg2rad(sonar.vfov_deg) / 2).astype(np.float64)
+    if lit.conical:
+        table = vertical_table(sonar)
+        step = np.rint((np.sin(echoes.elevation_rad) + 1) / 2 * (len(table) - 1))
+        pattern = table[step.astype(np.intp)].astype(np.float64)
+        bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
+        echoes = replace(echoes, azimuth_rad=bearing.astype(np.float32))
+    weighted = (strength * pattern).astype(np.float32)
+    echoes = replace(echoes, strength=weighted)
+    bins = polar.bin_index(echoes, lit.window, sonar)
+    is_heard = (pattern > _FAINTEST) & (bins < sonar.range_bins * sonar.beams) & (strength > 0)
+    kept = np.flatnonzero(is_heard)
+    chosen = polar.Echoes(
+        echoes.range_m[kept],
+        echoes.azimuth_rad[kept],
+        echoes.elevation_rad[kept],
+        echoes.strength[kept],
+    )
+    return _Heard(moving.body[kept], chosen, bins[kept])
 
 
 def _motion(body: PosedBody, lit: LitSurface) -> dict[str, Any]:
@@ -90,17 +131,17 @@ def _motion(body: PosedBody, lit: LitSurface) -> dict[str, Any]:
     }
 
 
-def _echo(
-    lit: LitSurface, own: npt.NDArray[np.int64], bins: npt.NDArray[np.int32]
-) -> dict[str, Any]:
+def _echo(lit: LitSurface, heard: _Heard, own: npt.NDArray[np.int64]) -> dict[str, Any]:
     """Range and bearing of the echo, weighted by its strength, and the box around it."""
-    echoes, sonar = lit.insonified.echoes, lit.sonar
-    mask = np.zeros(sonar.range_bins * sonar.beams + 1, np.bool_)
-    mask[bins] = True
+    echoes, sonar = heard.echoes, lit.sonar
+    if not len(own):
+        return {"range_m": None, "bearing_deg": None, "box": None}
+    mask = np.zeros(sonar.range_bins * sonar.beams, np.bool_)
+    mask[heard.bins[own]] = True
     shape = sonar.range_bins, sonar.beams
-    image = lay_out_nearest(mask[:-1].reshape(shape), lit.window, sonar)
+    image = lay_out_nearest(mask.reshape(shape), lit.window, sonar)
     rows, columns = np.nonzero(image)
-    if not len(own) or not len(rows):
+    if not len(rows):
         return {"range_m": None, "bearing_deg": None, "box": None}
     weight = echoes.strength[own].astype(np.float64)
     weight /= weight.sum()

@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 
 from ..imaging.effect import Effect, EffectSettings
 from ..settings import STRICT
-from . import paths, points
+from . import drift, paths, points
 from . import receiver as device
 from . import speckle as grain
 
@@ -38,6 +38,7 @@ class NoiseSettings:
     speckle: Annotated[grain.SpeckleSettings | None, grain.SPECKLE] = None
     path_speckle: Annotated[grain.PathSpeckleSettings | None, grain.PATH_SPECKLE] = None
     volume: Annotated[grain.VolumeSettings | None, grain.VOLUME] = None
+    drifting_volume: Annotated[drift.DriftingVolumeSettings | None, drift.DRIFTING_VOLUME] = None
     surface_multipath: Annotated[paths.SurfaceMultipathSettings | None, paths.SURFACE_MULTIPATH] = (
         None
     )

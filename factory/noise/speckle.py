@@ -215,12 +215,12 @@ def volume(signal: Signal, ping: Ping, rng: Rng, *, strength_db: float) -> Signa
 
     They drift, so every frame has a haze of its own.
     """
-    along, across = _haze(ping, strength_db)
+    along, across = haze_intensity(ping, strength_db)
     add_white_noise(signal.field, rng, np.sqrt(along), np.sqrt(across))
     return signal
 
 
-def _haze(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
+def haze_intensity(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
     """Expected intensity of the haze in each bin: (range_bins,) times (beams,) float32.
 
     s_v V / r^4 of the volume V = r^2 theta phi dr: theta the bin's bearings, phi the integral of
@@ -236,7 +236,7 @@ def _haze(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
 
 def expect_volume(state: Expected, ping: Ping, rng: Rng, *, strength_db: float) -> None:
     """The haze's intensity, which the point-spread leaves as it is."""
-    along, across = _haze(ping, strength_db)
+    along, across = haze_intensity(ping, strength_db)
     state.echo += along[:, None] * across
 
 

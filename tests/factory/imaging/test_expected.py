@@ -47,6 +47,7 @@ def averaged(settings: Any) -> tuple[np.ndarray, np.ndarray]:
 NOISE: dict[str, dict[str, Any]] = {
     "speckle": {},
     "volume": {"strength_db": -35},
+    "drifting_volume": {"strength_db": -35},
     "surface_multipath": {"loss_db": 2, "tilt_deg": 10},
     "texture": {"shape": 4, "patch_m": 0.02},
     "sidelobe_arcs": {"level_db": -20},

@@ -41,19 +41,22 @@ def settings(**keys: Any) -> FactoryConfig:
     return from_mapping(values | keys)
 
 
-def plane(time_s: float = 0.0, height_m: float = 1.5) -> tuple[Frame, Rendered]:
-    """A level ground under a camera that looks level along the world's x, and its render."""
+def plane(
+    time_s: float = 0.0, height_m: float = 1.5, pitch_deg: float = 0.0
+) -> tuple[Frame, Rendered]:
+    """A level ground under a camera that looks along the world's x and down, and its render."""
     width, height, focal = 480, 400, 480.0
     camera = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
-    down = ((np.arange(height) - camera.cy) / focal)[:, None] + np.zeros(width)
+    below = ((np.arange(height) - camera.cy) / focal)[:, None] + np.zeros(width)
+    down = below * np.cos(np.deg2rad(pitch_deg)) + np.sin(np.deg2rad(pitch_deg))
     across = ((np.arange(width) - camera.cx) / focal)[None]
     with np.errstate(divide="ignore"):
         depth_m = np.where(down > 0, height_m / down, 0)
     depth_m[depth_m > 30] = 0
-    ray = np.sqrt(1 + across**2 + down**2)
+    ray = np.sqrt(1 + across**2 + below**2)
     range_m = np.maximum(depth_m * ray, 1e-6)
     radiance = np.where(depth_m > 0, 0.5 * (height_m / range_m) / range_m**2, 0)
-    matrix = pose(np.zeros(3), 0, 0, 0).matrix
+    matrix = pose(np.zeros(3), 0, pitch_deg, 0).matrix
     ground = np.full((9, 9), -height_m, np.float32)
     frame = Frame(
         ref=FrameRef("made", "plane", f"{round(10 * time_s):04d}"),

@@ -145,6 +145,19 @@ def test_the_grain_of_an_object_moves_with_it():
     assert kept[3] < 0.3
 
 
+def test_the_grain_of_a_swimming_fish_changes_within_three_frames():
+    fish = fish_mesh(0.8, 0.3)
+    swimming = ball(
+        Line((4.0, 0.0, 0.0), (0.3, 0.0, 0.0)),
+        mesh=fish,
+        wave=SwimmingWave(0.8, 1.5, 0.0),
+        strength="love",
+        length_m=0.8,
+    )
+    kept = grains("path_speckle", [swimming], [0.0, 0.1, 0.2, 0.3], 0.6)
+    assert min(kept[1:]) < 0.3
+
+
 def test_a_fish_has_its_length_bends_and_keeps_its_spine():
     fish = fish_mesh(0.4, 0.25)
     assert np.ptp(fish.vertices, axis=0) == pytest.approx([0.4, 0.055, 0.1], rel=0.1)
