@@ -70,8 +70,8 @@ def intensity(field: np.ndarray) -> np.ndarray:
 def test_the_registry_and_the_settings_name_the_same_effects() -> None:
     assert [item.name for item in fields(NoiseSettings)] == list(EFFECTS)
     given = compose_config(["experiment=physical"]).noise
-    # Three are asked for by name (noise=moving, any_sonar, aris_mdd).
-    others = ("path_speckle", "scintillation", "sector_edges")
+    # Four are asked for by name (noise=moving, recording, any_sonar, aris_mdd).
+    others = ("path_speckle", "drifting_volume", "scintillation", "sector_edges")
     assert list(blocks(given)) == [name for name in EFFECTS if name not in others]
     for name, block in blocks(given).items():
         assert type(block) is EFFECTS[name].settings
@@ -241,6 +241,7 @@ def test_each_layer_is_its_effect_alone():
     noise = {
         **EVERY,
         "receiver": {"level_db": 40}, "volume": {"strength_db": -30},
+        "drifting_volume": {"strength_db": -30},
         "surface_multipath": {"loss_db": 0}, "bottom_multipath": {"loss_db": 0, "altitude_m": 0.5},
         "tvg_error": {"db_per_decade": 6}, "crosstalk": {"level_db": -10},
         "sidelobe_arcs": {"level_db": -10}, "beam_gain": {"sigma_db": 2},
