@@ -51,7 +51,7 @@ DATASETS: dict[str, tuple[str, ...]] = {
 REAL: dict[str, tuple[str, ...]] = {
     "flsea_points": ("noise=simnfnd", "frames.variants=2"),
     "flsea_field": (
-        "acoustics=field",
+        "acoustics=coherent",
         "noise=physical",
         "water=sea",
         "sonar=oculus_m750d_hf",

@@ -3,15 +3,15 @@
     frame -> render (light at the sonar) -> observed scene -+-> clean picture T
                                                    + noise -+-> noisy picture X
 
-Clean and noisy come from the same scene, through the same image formation (`acoustics.formation`:
-the paper's points, or the complex field) and the same transfer curve.  Only the noise differs.
+Clean and noisy come from the same scene, through the same image formation (`acoustics`: pointwise
+as in the paper, or coherent) and the same transfer curve.  Only the noise differs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +21,11 @@ from .dataset.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging import layers as truth
-from .imaging.coherent import FieldScene
+from .imaging.coherent import CoherentScene
 from .imaging.contract import Floats
-from .imaging.pointwise import PointScene
+from .imaging.pointwise import PointwiseScene
+from .imaging.settings import CoherentSettings, with_materials
+from .labels import class_names
 from .moving.compose import Echo, compose
 from .moving.recordings import Moment, Recordings
 from .noise.draws import StreamNames, draw
@@ -49,14 +51,10 @@ if TYPE_CHECKING:
     from .noise.registry import NoiseSettings
     from .render.base import Rendered
 
-Scene = PointScene | FieldScene
+Scene = PointwiseScene | CoherentScene
 
-_FORMATIONS: dict[str, Literal["pointwise", "coherent"]] = {
-    "points": "pointwise",
-    "field": "coherent",
-}
 _DRAWS = 40
-"""Devices that may be drawn for a picture until one sees some of the frame."""
+"""Maximum attempts to draw a device that sees part of the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +70,7 @@ class ObservedFrame:
     ref: FrameRef
     has_pose: bool
     window: Window
-    scene: PointScene | FieldScene
+    scene: PointwiseScene | CoherentScene
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float | str]
@@ -98,7 +96,7 @@ class PairMaker:
         """Columns of the sample table."""
         config = self.config
         if config.devices is not None:
-            return columns(config.noise, "field") + devices.columns(config.devices)
+            return columns(config.noise, "coherent") + devices.columns(config.devices)
         return columns(config.noise, config.acoustics.formation) + requested(config.dataset.columns)
 
     def pairs(
@@ -130,8 +128,7 @@ class PairMaker:
 def pair_maker(config: FactoryConfig) -> PairMaker:
     """The pair maker of a configuration, with the renders that it means."""
     moves = "seabed" if config.scenes.is_continuous else ""
-    field = config.acoustics.formation == "field" or config.devices is not None
-    compile_needed(scenes=moves, field=field)
+    compile_needed(scenes=moves, field=config.acoustics.formation == "coherent")
     return PairMaker(config, open_views(config))
 
 
@@ -154,7 +151,8 @@ def observe_moment(
     The static scene alone decides the range window and the scale of the pictures, so that they
     stay as they are while objects come and go.
     """
-    sonar, cones = config.sonar, config.acoustics.formation == "field"
+    sonar = config.sonar
+    cones = config.acoustics.formation == "coherent"
     window = window or fitted_window(moment.frame, moment.rendered, config)
     window = conical(window, sonar) if cones else window
     lit = surface.LitSurface(moment.frame, moment.rendered, window, sonar, cones)
@@ -167,15 +165,15 @@ def observe_moment(
             moment.rendered,
             moment.bodies,
             sonar.mount,
-            [Echo(*one) for one in config.acoustics.of_classes()],
+            _class_echoes(config),
             sonar.frequency_khz,
         )
         lit = surface.LitSurface(composed.frame, composed.rendered, window, sonar, cones)
         scene = _scene_of(lit, config, scene)
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
     layers = {
-        name: lay_out_nearest(picture, window, sonar)
-        for name, picture in truth.pictures(config.dataset.layers, lit).items()
+        name: lay_out_nearest(image, window, sonar)
+        for name, image in truth.pictures(config.dataset.layers, lit).items()
     }
     return ObservedFrame(
         ref=moment.frame.ref,
@@ -189,13 +187,23 @@ def observe_moment(
     )
 
 
+def _class_echoes(config: FactoryConfig) -> list[Echo]:
+    """How surfaces of each class echo; pointwise images know the user's own materials alone."""
+    acoustics = config.acoustics
+    if not isinstance(acoustics, CoherentSettings):
+        classes = class_names(config.scenes.own_classes())
+        acoustics = with_materials(CoherentSettings(), classes, config.scenes.own())
+    return [Echo(coefficient, exponent) for coefficient, exponent in acoustics.of_classes()]
+
+
 def _scene_of(lit: surface.LitSurface, config: FactoryConfig, static: Scene | None = None) -> Scene:
     """static: the same scene without moving objects; None where nothing moves."""
-    if config.acoustics.formation == "field":
-        assert static is None or isinstance(static, FieldScene)
-        return FieldScene(lit, config.water, config.acoustics, static)
-    assert static is None or isinstance(static, PointScene)
-    return PointScene(lit, config.seed, config.resample, static)
+    acoustics = config.acoustics
+    if isinstance(acoustics, CoherentSettings):
+        assert static is None or isinstance(static, CoherentScene)
+        return CoherentScene(lit, config.water, acoustics, static)
+    assert static is None or isinstance(static, PointwiseScene)
+    return PointwiseScene(lit, config.seed, config.resample, static)
 
 
 def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Window:
@@ -259,42 +267,63 @@ def make_pair(
 
     device: the drawn one that observed the frame, None for that of the configuration.
     """
-    window, sonar, wanted = observed.window, config.sonar, config.dataset
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names, continuous=observed.continuous)
     sample = observed.scene.sample(variant, draws.effects)
-
-    def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:
-        if device is None and sonar.image.plain:
-            laid_out = lay_out(grey, window, sonar)
-        else:
-            laid_out = rasterised(grey, window, sonar, noisy=noisy)
-        return transfer.quantise(laid_out, wanted.dtype)
+    lay = _Layout(observed.window, config, is_drawn=device is not None)
 
     layers = dict(observed.layers)
-    for name, measured in sample.measured(draws.names, wanted.layers).items():
-        layers[name] = lay_out_nearest(measured, window, sonar)
-    if "effects" in wanted.layers:
-        layers |= {f"layers/{name}": picture(sample.noisy({name})) for name in draws.names}
-    if "static" in wanted.layers:
-        still = observed.scene.static or observed.scene
-        layers["static"] = picture(still.sample(variant, draws.effects).clean, noisy=False)
-    formation = config.acoustics.formation if device is None else "field"
-    row = record(observed.ref, variant, window, sonar, sample, draws, formation)
-    row |= {} if device is None else device.row()
+    measured = sample.measured(draws.names, config.dataset.layers)
+    for name, values in measured.items():
+        layers[name] = lay_out_nearest(values, observed.window, config.sonar)
+    if "effects" in config.dataset.layers:
+        for name in draws.names:
+            layers[f"layers/{name}"] = lay.image(sample.noisy({name}), is_noisy=True)
+
+    if "static" in config.dataset.layers:
+        static = observed.scene.static or observed.scene
+        clean = static.sample(variant, draws.effects).clean
+        layers["static"] = lay.image(clean, is_noisy=False)
+
+    # Images of drawn devices have the columns of the coherent ones, whatever formed them.
+    formation = config.acoustics.formation if device is None else "coherent"
+    row = record(observed.ref, variant, observed.window, config.sonar, sample, draws, formation)
+    if device is not None:
+        row |= device.row()
     row |= observed.columns
     return Pair(
-        noisy=picture(sample.noisy(draws.names)),
-        clean=picture(sample.clean, noisy=False),
+        noisy=lay.image(sample.noisy(draws.names), is_noisy=True),
+        clean=lay.image(sample.clean, is_noisy=False),
         shadow=observed.shadow,
         record=row,
         layers=layers,
-        formation="" if device else _FORMATIONS[config.acoustics.formation],
+        formation=config.acoustics.formation if device is None else "",
         geometry=FanGeometry.from_sonar(
-            sonar,
-            window.range_min_m,
-            window.range_max_m,
-            window.azimuth_min_rad,
-            window.azimuth_max_rad,
+            config.sonar,
+            observed.window.range_min_m,
+            observed.window.range_max_m,
+            observed.window.azimuth_min_rad,
+            observed.window.azimuth_max_rad,
         ),
     )
+
+
+class _Layout:
+    """Lays polar images out as a dataset stores them.
+
+    is_drawn: whether the device was drawn; its programs then rasterise every image.
+    """
+
+    def __init__(self, window: Window, config: FactoryConfig, *, is_drawn: bool) -> None:
+        self._window = window
+        self._sonar = config.sonar
+        self._dtype = config.dataset.dtype
+        self._is_plain = config.sonar.image.plain and not is_drawn
+
+    def image(self, grey: Floats, *, is_noisy: bool) -> npt.NDArray[np.generic]:
+        """(range_bins, beams) grey values -> (H, W) uint8 or float32."""
+        if self._is_plain:
+            laid_out = lay_out(grey, self._window, self._sonar)
+        else:
+            laid_out = rasterised(grey, self._window, self._sonar, noisy=is_noisy)
+        return transfer.quantise(laid_out, self._dtype)

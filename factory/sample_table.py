@@ -23,6 +23,7 @@ from .dataset.schema import CAMERA_LAYERS, Axis, Column
 from .errors import FactoryError, FrameError
 from .frame import Frame, FrameRef
 from .imaging.contract import Sample
+from .imaging.settings import CoherentSettings, Formation
 from .labels import class_names
 from .moving.tracks import TRACKS, tracks_row
 from .noise import draws as drawn
@@ -69,12 +70,12 @@ _TARGET = (
 )
 
 
-def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ...]:
+def columns(noise: NoiseSettings, formation: Formation = "pointwise") -> tuple[Column, ...]:
     """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty.
 
-    formation: acoustics.formation; pictures of points have one scale for clean and noisy.
+    formation: acoustics.formation; pointwise images have one scale for clean and noisy.
     """
-    target = _TARGET if formation == "field" else ()
+    target = _TARGET if formation == "coherent" else ()
     return _SAMPLE + target + tuple(map(_described, drawn.columns(noise)))
 
 
@@ -99,21 +100,32 @@ def record(
     sonar: SonarSettings,
     sample: Sample,
     draws: Draws,
-    formation: str = "points",
+    formation: Formation = "pointwise",
 ) -> Row:
     """The row of one sample."""
     names = (ref.location, ref.scene, ref.frame, variant)
+    seed_key = "".join(f"{word:08x}" for word in seeds.spawn_key(*names))
     pixel_m = window.range_span_m / sonar.range_bins
     if sonar.image.layout != "polar":
         pixel_m = window.range_max_m * pixel_size(sonar, window.near_fraction)
-    values: tuple[float | str, ...] = (
-        *(*names, "".join(f"{word:08x}" for word in seeds.spawn_key(*names))),
-        *(window.range_min_m, window.range_max_m),
-        *(float(np.rad2deg(rad)) for rad in (window.azimuth_min_rad, window.azimuth_max_rad)),
-        *(pixel_m, sample.rate, sample.points, sample.full_scale),
-    )
-    target = _row(_TARGET, sample.full_scale) if formation == "field" else {}
-    return _row(_SAMPLE, *values) | target | draws.row(sample.added)
+    row: Row = {
+        "location": ref.location,
+        "scene": ref.scene,
+        "frame": ref.frame,
+        "variant": variant,
+        "seed_key": seed_key,
+        "range_min_m": window.range_min_m,
+        "range_max_m": window.range_max_m,
+        "azimuth_min_deg": float(np.rad2deg(window.azimuth_min_rad)),
+        "azimuth_max_deg": float(np.rad2deg(window.azimuth_max_rad)),
+        "metres_per_pixel": pixel_m,
+        "resample.rate": sample.rate,
+        "points.scene": sample.points,
+        "full_scale": sample.full_scale,
+    }
+    if formation == "coherent":
+        row["clean_full_scale"] = sample.full_scale
+    return row | draws.row(sample.added)
 
 
 def _row(columns: Sequence[Column], *values: float | str) -> Row:
@@ -257,6 +269,7 @@ def _lens_row(frame: Frame) -> Row:
 
 def _calibration_row(config: FactoryConfig) -> Row:
     sonar, water, acoustics = config.sonar, config.water, config.acoustics
+    assert isinstance(acoustics, CoherentSettings)  # the configuration refuses others
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
     return _row(
         _CALIBRATION,

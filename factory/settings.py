@@ -53,7 +53,8 @@ def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) ->
             message = item["msg"].removeprefix("Value error, ").rstrip(".")
             given = item.get("input")
             shown = f" (given: {given!r})" if isinstance(given, str | int | float | bool) else ""
-            parts.append(f"{name}: {message}{shown}")
+            # What contradicts each other names its keys itself.
+            parts.append(f"{name}: {message}{shown}" if item["loc"] else message)
     return "; ".join(dict.fromkeys(parts))
 
 

@@ -29,6 +29,7 @@ from .frame import FrameRef
 from .render.base import CacheSettings, Mount, Renderer, RenderSettings
 from .render.pack import read_contents, read_view
 from .render.view import View, decode, encode, view_of
+from .renderer_choice import renderer_of
 from .scenes import Scenes, open_reader
 from .scenes.seabed import GENERATOR
 from .small_files import read_regular
@@ -191,11 +192,12 @@ class CachedViews(Views):
     def __init__(self, config: FactoryConfig) -> None:
         self.cache = Cache(config.cache)
         kinds: TypeAdapter[object] = TypeAdapter(tuple[Scenes, RenderSettings, Mount])
-        given = config.scenes, config.render, config.sonar.mount
+        render = renderer_of(config).settings
+        given = config.scenes, render, config.sonar.mount
         scenes, *others = kinds.dump_python(given, mode="json")
         pixels = {key: value for key, value in scenes.items() if key not in _NOT_PIXELS}
         version = GENERATOR if config.scenes.kind == "seabed" else None
-        common = pixels, *others, _code_version(config.render.kind), version
+        common = pixels, *others, _code_version(render.kind), version
         self._common = json.dumps(common, sort_keys=True)
         self._scenes = config.scenes
         self._expected: Mapping[str, str] = {}
@@ -258,7 +260,7 @@ class ViewMaker:
             from .render import open_renderer
 
             compile_needed(scenes=self.config.scenes.kind)
-            self._renderer = open_renderer(self.config.render)
+            self._renderer = open_renderer(renderer_of(self.config).settings)
         mount = self.config.sonar.mount
         frame = self.reader.load(self.config.scenes.rendered_ref(ref))
         return view_of(frame, self._renderer.render(frame, mount), mount)

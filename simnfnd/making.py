@@ -118,6 +118,7 @@ def make_pair(
     from .factory.memory_frame import frame_from_arrays
     from .factory.pairs import PairMaker
     from .factory.render.view import view_of
+    from .factory.renderer_choice import renderer_of
     from .factory.sample_table import FrameCamera
     from .factory.views import Views
 
@@ -127,7 +128,7 @@ def make_pair(
     ref = FrameRef("", scene, name)
     frame = frame_from_arrays(ref, rgb, depth_m, Intrinsics(fx, fy, cx, cy))
     mount = settings.sonar.mount
-    rendered = _renderer(settings.render).render(frame, mount)
+    rendered = _renderer(renderer_of(settings).settings).render(frame, mount)
     views = Views({ref: view_of(frame, rendered, mount)})
     maker = PairMaker(settings, views, FrameCamera(frame, settings.dataset.layers))
     (pair,) = maker.pairs(ref, (variant,))

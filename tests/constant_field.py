@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.imaging.coherent import FieldScene
+from simnfnd.factory.imaging.coherent import CoherentScene
+from simnfnd.factory.imaging.settings import CoherentSettings
 from simnfnd.factory.imaging.signal import Ping
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.pairs import ObservedFrame, observe
@@ -48,7 +49,7 @@ def config(**keys: Any) -> FactoryConfig:
         "transfer": {"kind": "log"},
     }  # fmt: skip
     sonar |= keys.pop("sonar", {})
-    acoustics = {"formation": "field", **keys.pop("acoustics", {})}
+    acoustics = {"formation": "coherent", **keys.pop("acoustics", {})}
     off = ("range_spreading", "multipath", "azimuth", "range_arc", "background")
     noise = {name: {"enabled": False} for name in off} | keys.pop("noise", {})
     return from_mapping(
@@ -60,6 +61,12 @@ def config(**keys: Any) -> FactoryConfig:
             **keys,
         }
     )
+
+
+def coherent(settings: FactoryConfig) -> CoherentSettings:
+    """Its image formation."""
+    assert isinstance(settings.acoustics, CoherentSettings)
+    return settings.acoustics
 
 
 def observed(settings: FactoryConfig, **frame: Any) -> ObservedFrame:
@@ -74,9 +81,9 @@ def effects_of(settings: FactoryConfig, made: ObservedFrame, variant: int = 0) -
     return draw(settings.noise, settings.seed, names).effects
 
 
-def scene_of(made: ObservedFrame) -> FieldScene:
+def scene_of(made: ObservedFrame) -> CoherentScene:
     """Its scene."""
-    assert isinstance(made.scene, FieldScene)
+    assert isinstance(made.scene, CoherentScene)
     return made.scene
 
 

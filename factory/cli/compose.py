@@ -49,6 +49,8 @@ def compose_points(
     from omegaconf.errors import OmegaConfBaseException
 
     from ..config import FactoryConfig, composed_values, from_mapping
+    from ..key_effects import refuse_keys_without_effect
+    from .named_keys import named_keys
 
     settings, folders = take_config_folders(words)
     readable = hydra_words(settings, "factory", FactoryConfig)
@@ -70,7 +72,9 @@ def compose_points(
                 if scenes is not None:
                     OmegaConf.set_struct(composed, False)
                     composed.scenes = dict(scenes)
-                configs.append(from_mapping(composed_values(composed)))
+                config = from_mapping(composed_values(composed))
+                refuse_keys_without_effect(config, named_keys(chosen))
+                configs.append(config)
         except (HydraException, OmegaConfBaseException) as error:
             raise FactoryError(config_line(error, "factory")) from error
     return configs
@@ -99,6 +103,8 @@ def config_line(error: Exception, name: str) -> str:
 
     name: of the root configuration, conf/<name>.yaml.
     """
+    from ..imaging.settings import formation_of  # not before an error: `--help` must be fast
+
     text = " ".join(f"{error} {error.__cause__ or ''}".split())
     if found := re.search(
         r"Could not find '([^'/]+)/([^']+)' Available options in '.*?': (.*)", text
@@ -111,6 +117,8 @@ def config_line(error: Exception, name: str) -> str:
     if found := re.search(r"Could not (?:override|delete from config\.) '([^']+)'", text):
         key, keys = found[1], sorted(_keys(name))
         if key in keys:
+            if formation := formation_of(key):
+                return f"{key}: set acoustics={formation}, whose setting it is, or leave it out"
             return f"{key}: the chosen `{key.split('.')[0]}` has no such key (see `--cfg job`)"
         last = [one for one in keys if one.rpartition(".")[2] == key.rpartition(".")[2]]
         near = difflib.get_close_matches(key, keys, n=1, cutoff=0.7) or last[:3]

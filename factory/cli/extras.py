@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..errors import FactoryError
+from ..renderer_choice import renderer_of
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
@@ -76,19 +77,25 @@ def require(needs: Iterable[Need]) -> None:
 def needs_of(config: FactoryConfig) -> Iterator[Need]:
     """What making the pairs of a configuration needs beyond the core install."""
     image, drawn = config.sonar.image, config.devices is not None
-    renderer = "" if config.scenes.kind == "pack" else config.render.kind
-    field = config.acoustics.formation == "field" and not drawn
+    renderer = ""
+    choice = renderer_of(config)
+    if config.scenes.kind != "pack":
+        renderer = choice.settings.kind
+    # Without shadow rays the closed form is wrong for a sonar away from the camera.
+    colocated = config.sonar.mount.colocated
+    other_than_cycles = "render=analytic or render=embree" if colocated else "render=embree"
+    coherent = config.acoustics.formation == "coherent" and not drawn
     jpeg = f"sonar.image.jpeg_quality={image.jpeg_quality}"
     enlarged = f"sonar.image.enlarged={image.enlarged:g}"
     to_s3 = (config.dataset.dir or "").startswith("s3://")
     for asked, *need in (
-        (renderer == "cycles", "render=cycles", "bpy", "render=analytic or render=embree"),
+        (renderer == "cycles", choice.reason, "bpy", other_than_cycles),
         (renderer == "embree", "render=embree", "open3d", "render=analytic or render=cycles"),
         (image.enlarged > 1, enlarged, "cv2", "sonar.image.enlarged=1"),
         (image.jpeg_quality is not None, jpeg, "cv2", "sonar.image.jpeg_quality=null"),
         (drawn, "devices=any_sonar", "cv2"),
         (drawn, "devices=any_sonar", "scipy"),
-        (field, "acoustics.formation=field", "scipy", "acoustics=points noise=simnfnd"),
+        (coherent, "acoustics=coherent", "scipy", "acoustics=pointwise noise=simnfnd"),
         ("pose" in config.dataset.columns, "dataset.columns=[pose]", "scipy"),
         (config.scheduler.backend == "dask", "scheduler=dask", "distributed", "scheduler=local"),
         (to_s3, "dataset.dir=s3://...", "s3fs", "a folder of this machine"),

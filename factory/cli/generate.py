@@ -11,14 +11,17 @@ from typing import TYPE_CHECKING
 
 from .. import __version__
 from ..compiled import compile_needed
-from ..config import FactoryConfig, composed_values, from_mapping, identity, plain, with_cache
-from ..dataset.quality import lit_share, noisiness, seen_sector_deg
+from ..config import FactoryConfig, composed_values, from_mapping, plain, with_cache
+from ..dataset.quality import images_digest, lit_share, noisiness, seen_sector_deg
 from ..dataset.schema import Provenance, config_hash
 from ..errors import FactoryError
 from ..files import check_writable
 from ..frame import FrameRef
+from ..identity import identity
+from ..key_effects import refuse_keys_without_effect
 from ..pairs import pair_maker
 from ..progress import RunReporter, stage_if_slow
+from ..renderer_choice import renderer_of
 from ..scenes import open_reader
 from ..scheduler.plan import Job, plan_shards, work_folder
 from ..scheduler.workers import template
@@ -29,6 +32,7 @@ from ..words import list_word, shell_line
 from . import EXIT_BAD_INPUT, PRELOADED
 from .extras import needs_of, require
 from .hydra_loader import config_folder_words
+from .named_keys import named_keys
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -50,11 +54,14 @@ def generate(composed: DictConfig) -> int:
     0: every frame became pairs.  1: some frames failed (listed in failed.jsonl), the rest is there.
     Raises FactoryError when nothing can be made.
     """
+    from hydra.core.hydra_config import HydraConfig
+
     from .sweep import each_its_folder, in_sweep, note
 
     try:
         each_its_folder(composed)
         config = from_mapping(composed_values(composed))
+        refuse_keys_without_effect(config, named_keys(HydraConfig.get().overrides.task))
         report, directory = run(config, arguments=[*config_folder_words(), *sys.argv[1:]])
         code = 1 if report.failures else 0
     except FactoryError as error:
@@ -67,7 +74,8 @@ def generate(composed: DictConfig) -> int:
     if in_sweep() and config.shard.count == 1:
         figures = {name: round(value, 4) for name, value in noisiness(directory).items()}
         counts = {"pairs": report.samples, "failed": len(report.failures)}
-        note(state="made", **counts, **figures, exit_code=code, dataset=str(directory))
+        made = {"dataset": str(directory), "images": images_digest(directory)}
+        note(state="made", **counts, **figures, exit_code=code, **made)
     print(f"dataset: {folder}")
     if report.failures:
         count, reason = _commonest(report)
@@ -101,8 +109,8 @@ def run(
     if not (template.runs() and config.scheduler.backend == "local"):
         # Else the process that workers are forked from loads them, and the first worker compiles
         # what that does not find.
-        field = config.acoustics.formation == "field" or config.devices is not None
-        compile_needed(scenes=config.scenes.kind, field=field)
+        coherent = config.acoustics.formation == "coherent"
+        compile_needed(scenes=config.scenes.kind, field=coherent)
     job = job_of(config, arguments, reporter)
     report = make_dataset(job)
     if job.shard.part:
@@ -155,6 +163,8 @@ def job_of(
     pairs = " and ".join(f"{count} {split}" for split, count in counts)
     scenes = len({(ref.location, ref.scene) for ref in frames})
     reporter.fact(f"frames: {len(frames)} of {scenes} scenes; pairs: {pairs}")
+    render = renderer_of(config).text
+    reporter.fact(f"render: {render}")
     warnings = split_warnings(splits, config)
     for warning in warnings:
         reporter.warning(warning)
@@ -174,6 +184,7 @@ def job_of(
         shard=config.shard,
         rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
         skipped=discovery.skipped,
+        facts=(f"ideal echoes by {render}",),
         on_prepared=Cache(working.cache).grown,
         warnings=warnings,
         preload=PRELOADED,

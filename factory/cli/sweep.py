@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,8 @@ _RESULT = "result.json"
 # Of noisy against clean: mean and spread over the pairs.
 _FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
 _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
+# Stands for all images of a point; kept out of the table.
+_IMAGES = "images"
 # Folder and points (the words of each) of the sweep of this process, until its table is written.
 _open: list[tuple[Path, list[list[str]]]] = []
 
@@ -94,7 +96,8 @@ def write_table() -> None:
         with suppress(OSError, ValueError):
             row = json.loads((folder / str(number) / _RESULT).read_text())
         rows.append(row)
-    names = list(dict.fromkeys([*(key for row in rows for key in row if key not in _ALWAYS)]))
+    own_keys = (key for row in rows for key in row if key not in (*_ALWAYS, _IMAGES))
+    names = list(dict.fromkeys(own_keys))
     # Settings that all points have in common say nothing in a table of differences.
     names = [n for n in names if len({str(row.get(n)) for row in rows}) > 1 or len(rows) == 1]
     shown = [*names, *(name for name in _ALWAYS if any(name in row for row in rows))]
@@ -106,6 +109,8 @@ def write_table() -> None:
     table = markdown(shown, [[str(row.get(name, "")) for name in shown] for row in rows])
     (folder / "sweep.md").write_text(table)
     print(table, end="")
+    for line in equal_points(rows):
+        print(line)
     labels = [", ".join(f"{name}={row.get(name, '')}" for name in names) for row in rows]
     told = zip(labels, rows, strict=True)
     made = [(label, Path(row["dataset"])) for label, row in told if "pairs" in row]
@@ -113,3 +118,17 @@ def write_table() -> None:
         if len(made) > 1 and side_by_side(made, sheet := folder / "sweep.png"):
             print(f"sweep: {sheet}: the same frames of every point, clean and noisy")
     print(f"sweep: {folder / 'sweep.md'}")
+
+
+def equal_points(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """One line for each set of points whose datasets have equal images."""
+    numbers_of: dict[str, list[str]] = {}
+    for number, row in enumerate(rows):
+        if _IMAGES in row:
+            numbers_of.setdefault(row[_IMAGES], []).append(str(number))
+    for numbers in numbers_of.values():
+        if len(numbers) > 1:
+            yield (
+                f"sweep: points {', '.join(numbers)} have equal images: their settings differ in "
+                "nothing that acts on them"
+            )

@@ -8,6 +8,7 @@ from ..cli import Parser
 from ..cli.compose import compose_config
 from ..errors import FactoryError
 from ..files import explain_os_errors
+from ..renderer_choice import renderer_of
 from ..views import Cache, CachedViews
 from ..words import shell_line
 
@@ -59,5 +60,6 @@ def _pack(overrides: list[str], out: Path | None) -> None:
             f"run `simnfnd make {shell_line(overrides)}` first"
         )
     classes = config.scenes.own_classes()
-    size = write_pack(out, there, views.view, config.sonar.mount, config.render.kind, classes)
+    renderer = renderer_of(config).settings.kind
+    size = write_pack(out, there, views.view, config.sonar.mount, renderer, classes)
     print(f"pack: {out}: {len(there)} of {len(refs)} frames, {size / len(there) / 1e3:.0f} kB each")

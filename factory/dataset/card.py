@@ -37,79 +37,118 @@ def write_card(
     settings: DatasetSettings,
     failures: Sequence[Failure] = (),
     skipped: Mapping[str, int] | None = None,
+    config: Mapping[str, Any] | None = None,
+    facts: Sequence[str] = (),
 ) -> Path:
     """Write README.md, with front matter for the Hugging Face hub, and return its path.
 
-    skipped: reason -> images that were left out before the run.  Needs at least one finished shard.
+    skipped: reason -> images that were left out before the run.  config: the settings to list, as
+    today's version names them; None: those of `provenance`.  facts: more lines of how it was made.
+    Needs at least one finished shard.
     """
     pairs = PairDataset(directory, "all", trusted=True)
-    rows, columns = pairs.shape
-    hub = hub_fields(settings.name, settings.licence, manifest.samples())
-    splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
-    counts = Counter((one.split, one.location, one.scene) for one in pairs.names())
-    preview = (directory / PREVIEW_NAME).exists()
-    config = {key: provenance.config[key] for key in _SECTIONS if key in provenance.config}
-    facts = [
-        f"made by {provenance.generator}, format {SCHEMA}, config hash `{provenance.config_hash}`",
-        *(
-            f"merged from a dataset of {one['samples']} pairs, config hash `{one['config_hash']}`"
-            for one in manifest.config.get("merged", ())
-        ),
-        *(f"images left out: {count}, {why}" for why, count in sorted((skipped or {}).items())),
-        *([f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}"] if failures else []),
-    ]
-    text = f"""\
----
-{yaml.safe_dump(hub, sort_keys=False)}---
+    sections = (
+        _front_matter(settings, manifest),
+        f"# {settings.name}: simulated forward-looking sonar images, noisy and clean",
+        _summary(pairs, manifest),
+        _preview_link(directory),
+        "## How it was made",
+        _METHOD,
+        _fact_list(manifest, provenance, failures, skipped or {}, facts),
+        _settings_block(provenance.config if config is None else config),
+        "## What is in it",
+        _scene_table(pairs),
+        "## How to read it",
+        _reading_example(pairs, directory),
+        "## Licence",
+        f"Of this dataset: {settings.licence or 'not stated (set `dataset.licence`)'}. The terms "
+        "of the source images hold for what is derived from them.",
+    )
+    path = directory / CARD_NAME
+    text = "\n\n".join(section for section in sections if section) + "\n"
+    write_atomically(path, text.encode())
+    return path
 
-# {settings.name}: simulated forward-looking sonar images, noisy and clean
 
-{manifest.samples()} pairs of forward-looking-sonar images ({splits}): each sample is a \
-noisy image, the clean image of the same scene, and the mask of its acoustic shadows. \
-{rows} x {columns} pixels, {pairs.dtype}, {manifest.total_bytes() / 1e6:.1f} MB.
-
-{f"![noisy, clean and shadow images of some samples]({PREVIEW_NAME})" if preview else ""}
-
-## How it was made
-
+_METHOD = f"""\
 Simulated, not measured at sea: RGBD frames were turned into 3-D scenes, insonified by a renderer \
 with its light at the sonar, and projected into ideal sonar images; noise was added to the echoes \
-before projection, so both images of a pair share one scene. The method: {PAPER}.
+before projection, so both images of a pair share one scene. The method: {PAPER}."""
 
-{"".join(f"- {fact}{chr(10)}" for fact in facts)}
-```yaml
-{yaml.safe_dump(plain_values(config), sort_keys=False, default_flow_style=None).rstrip()}
-```
 
-## What is in it
+def _front_matter(settings: DatasetSettings, manifest: Manifest) -> str:
+    hub = hub_fields(settings.name, settings.licence, manifest.samples())
+    return f"---\n{yaml.safe_dump(hub, sort_keys=False)}---"
 
-| split | location | scene | pairs |
-|---|---|---|---|
-{chr(10).join(f"| {' | '.join(key)} | {count} |" for key, count in counts.items())}
 
-## How to read it
+def _summary(pairs: PairDataset, manifest: Manifest) -> str:
+    rows, columns = pairs.shape
+    splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
+    size_mb = manifest.total_bytes() / 1e6
+    return (
+        f"{manifest.samples()} pairs of forward-looking-sonar images ({splits}): each sample is a "
+        "noisy image, the clean image of the same scene, and the mask of its acoustic shadows. "
+        f"{rows} x {columns} pixels, {pairs.dtype}, {size_mb:.1f} MB."
+    )
 
+
+def _preview_link(directory: Path) -> str:
+    if not (directory / PREVIEW_NAME).exists():
+        return ""
+    return f"![noisy, clean and shadow images of some samples]({PREVIEW_NAME})"
+
+
+def _fact_list(
+    manifest: Manifest,
+    provenance: Provenance,
+    failures: Sequence[Failure],
+    skipped: Mapping[str, int],
+    more: Sequence[str],
+) -> str:
+    facts = [
+        f"made by {provenance.generator}, format {SCHEMA}, config hash `{provenance.config_hash}`",
+        *more,
+    ]
+    for part in manifest.config.get("merged", ()):
+        facts.append(
+            f"merged from a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
+        )
+    for reason, count in sorted(skipped.items()):
+        facts.append(f"images left out: {count}, {reason}")
+    if failures:
+        facts.append(f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}")
+    return "\n".join(f"- {fact}" for fact in facts)
+
+
+def _settings_block(config: Mapping[str, Any]) -> str:
+    listed = {key: config[key] for key in _SECTIONS if key in config}
+    text = yaml.safe_dump(plain_values(listed), sort_keys=False, default_flow_style=None)
+    return f"```yaml\n{text.rstrip()}\n```"
+
+
+def _scene_table(pairs: PairDataset) -> str:
+    counts = Counter((one.split, one.location, one.scene) for one in pairs.names())
+    lines = ["| split | location | scene | pairs |", "|---|---|---|---|"]
+    lines += [f"| {' | '.join(key)} | {count} |" for key, count in counts.items()]
+    return "\n".join(lines)
+
+
+def _reading_example(pairs: PairDataset, directory: Path) -> str:
+    shard = pairs.paths[0].relative_to(directory).as_posix()
+    values = "0..255" if pairs.dtype == "uint8" else "0..1"
+    return f"""\
 ```python
 import h5py
 
-with h5py.File("{pairs.paths[0].relative_to(directory).as_posix()}") as shard:
+with h5py.File("{shard}") as shard:
     noisy, clean, shadow = (shard[name][0] for name in ("noisy", "clean", "shadow"))
     made_from = dict(zip(shard["meta"].dtype.names, shard["meta"][0]))
 ```
 
-`noisy` and `clean` are {"0..255" if pairs.dtype == "uint8" else "0..1"}; `shadow` is true inside \
-the sonar's sector where no echo arrives. `meta` has, for each sample, its frame and every \
-number that was drawn for it; `axes` has range and bearing. One chunk is one image. `simnfnd \
-validate` checks a copy, `simnfnd export` writes other formats.
-
-## Licence
-
-Of this dataset: {settings.licence or "not stated (set `dataset.licence`)"}. The terms of the \
-source images hold for what is derived from them.
-"""
-    path = directory / CARD_NAME
-    write_atomically(path, text.encode())
-    return path
+`noisy` and `clean` are {values}; `shadow` is true inside the sonar's sector where no echo \
+arrives. `meta` has, for each sample, its frame and every number that was drawn for it; `axes` has \
+range and bearing. One chunk is one image. `simnfnd validate` checks a copy, `simnfnd export` \
+writes other formats."""
 
 
 def hub_fields(name: str, licence: str | None, samples: int) -> dict[str, Any]:

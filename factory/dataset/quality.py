@@ -1,15 +1,17 @@
-"""How noisy the pictures of a dataset are: PSNR, SSIM, GMSD; and how much of them is lit."""
+"""How noisy the images of a dataset are: PSNR, SSIM, GMSD; and how much of them is lit."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
+
+from .schema import CHECKSUMS
 
 Values = npt.NDArray[np.float64]
 
@@ -23,16 +25,27 @@ SIGMA_PX, RADIUS_PX = 1.5, 5
 def noisiness(directory: Path, most: int = 200) -> dict[str, float]:
     """PSNR (dB), SSIM and GMSD of noisy against clean: mean and, as `NAME_std`, spread.
 
-    Over whole pictures of (at most `most`) samples; NaN without any.
+    Over whole images of at most `most` samples, drawn evenly from all; NaN without any.
     """
-    shards = _shards(directory)
-    images = (both for shard in shards for both in zip(shard["clean"], shard["noisy"], strict=True))
-    found = [(psnr_db(*both), ssim(*both), gmsd(*both)) for both in islice(images, most)]
-    values = np.array(found or [(np.nan,) * 3])
-    made: dict[str, float] = {}
+    figures = [
+        (psnr_db(clean, noisy), ssim(clean, noisy), gmsd(clean, noisy))
+        for clean, noisy in _even_pairs(directory, most)
+    ]
+    values = np.array(figures or [(np.nan,) * 3])
+    summary: dict[str, float] = {}
     for name, column in zip(("psnr_db", "ssim", "gmsd"), values.T, strict=True):
-        made |= {name: float(column.mean()), f"{name}_std": float(column.std())}
-    return made
+        summary[name] = float(column.mean())
+        summary[f"{name}_std"] = float(column.std())
+    return summary
+
+
+def images_digest(directory: Path) -> str:
+    """16 hexadecimal digits that equal datasets of images share, by their stored checksums."""
+    digest = hashlib.blake2b(digest_size=8)
+    for shard in _shards(directory):
+        checksums = shard[CHECKSUMS][()]
+        digest.update(repr(checksums.dtype.names).encode() + checksums.tobytes())
+    return digest.hexdigest()
 
 
 def psnr_db(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
@@ -81,9 +94,28 @@ def seen_sector_deg(directory: Path) -> tuple[float, float]:
 
 
 def lit_share(directory: Path, most: int = 64) -> float:
-    """Share of the pixels of (at most `most`) clean pictures that show an echo, 0 to 1."""
-    pictures = (picture for shard in _shards(directory) for picture in shard["clean"])
-    return float(np.mean([(picture > 0).mean() for picture in islice(pictures, most)] or [0.0]))
+    """Share of the pixels of clean images that show an echo, 0 to 1.
+
+    Of at most `most` samples, drawn evenly from all; 0 without any.
+    """
+    shares = [np.mean(clean != 0) for clean, _ in _even_pairs(directory, most)]
+    return float(np.mean(shares or [0.0]))
+
+
+def _even_pairs(
+    directory: Path, most: int
+) -> Iterator[tuple[npt.NDArray[np.generic], npt.NDArray[np.generic]]]:
+    """Clean and noisy images of at most `most` samples, evenly spread over all shards."""
+    total = sum(len(shard["clean"]) for shard in _shards(directory))
+    count = min(most, total)
+    chosen = {number * total // count for number in range(count)}
+    first = 0
+    for shard in _shards(directory):
+        rows = len(shard["clean"])
+        for row in range(rows):
+            if first + row in chosen:
+                yield shard["clean"][row], shard["noisy"][row]
+        first += rows
 
 
 def _unit(image: npt.NDArray[Any]) -> Values:

@@ -27,12 +27,12 @@ class DatasetSettings:
     layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
         for each), `static` (the clean picture without moving objects), and what lies behind a
         pixel: range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
-        segmentation (of procedural scenes; brings instance); of acoustics.formation=field also
+        segmentation (of procedural scenes; brings instance); of acoustics=coherent also
         what was received: intensity_db and field (complex); and what the camera saw: rgb and
         depth, in the frame's own size.
     columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), intrinsics
         (of the camera), calibration (source level, absorption, time-varying gain; of
-        acoustics.formation=field), boxes (JSON: of each object its box in 3-D and in range and
+        acoustics=coherent), boxes (JSON: of each object its box in 3-D and in range and
         bearing, and how much of it the sound reaches), tracks (JSON: of each moving object its
         number, place, velocity, box and target strength).
     max_train, max_test: upper limits on samples; None takes what there is.

@@ -25,14 +25,14 @@ from .signal import Ping, Signal, averaged, beamform, beamform_power, sounds
 
 
 @dataclass(frozen=True, eq=False)
-class FieldScene(Ping):
+class CoherentScene(Ping):
     """A frame as the device receives it: what all its samples share; no randomness.
 
     static: the same of the scene without moving objects, which decides the scale of the picture;
         None where nothing moves.
     """
 
-    static: FieldScene | None = None
+    static: CoherentScene | None = None
 
     @cached_property
     def strongest(self) -> float:
@@ -51,21 +51,21 @@ class FieldScene(Ping):
         by_bin = self.scatterers.in_beam.reshape(rows // samples, samples, beams)
         return np.asarray(by_bin.any(axis=1))
 
-    def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> FieldSample:
+    def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> CoherentSample:
         """One sample; equal calls, equal bytes."""
         on_points = [effect for effect in effects if effect.stage == "points"]
         clouds: tuple[EffectCloud, ...] = ()
         if on_points:
             clouds = effect_clouds(on_points, self.surface.insonified.echoes, self.window)
         many = len(self.scatterers.bins)
-        return FieldSample(effects, clouds, 1.0, many, self.full_scale, self)
+        return CoherentSample(effects, clouds, 1.0, many, self.full_scale, self)
 
 
 @dataclass(frozen=True, eq=False)
-class FieldSample(Sample):
+class CoherentSample(Sample):
     """A scene with the effects of one sample, all of its scatterers kept."""
 
-    scene: FieldScene
+    scene: CoherentScene
 
     @property
     def clean(self) -> Floats:

@@ -22,7 +22,7 @@ from .settings import ResampleSettings
 
 
 @dataclass(frozen=True, eq=False)
-class PointScene:
+class PointwiseScene:
     """A frame as echoes at full density, and the seed of the random streams of its samples.
 
     static: the same of the scene without moving objects, which decides the scale of the picture;
@@ -32,7 +32,7 @@ class PointScene:
     surface: LitSurface
     seed: int
     resample: ResampleSettings
-    static: PointScene | None = None
+    static: PointwiseScene | None = None
 
     @property
     def echoes(self) -> Echoes:
@@ -44,7 +44,7 @@ class PointScene:
         """(range_bins, beams) bool: bins in which insonified surface lies."""
         return self.surface.insonified.hit
 
-    def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> PointSample:
+    def sample(self, variant: int, effects: Sequence[DrawnEffect]) -> PointwiseSample:
         """One sample; equal calls, equal bytes."""
         ref = self.surface.frame.ref
         names = ("resample", ref.location, ref.scene, ref.frame, variant)
@@ -55,7 +55,7 @@ class PointScene:
         if self.static is not None:
             full_scale = self.static.sample(variant, ()).full_scale
         clouds = effect_clouds(effects, kept, self.surface.window)
-        return PointSample(effects, clouds, rate, len(kept), full_scale, self, kept, level)
+        return PointwiseSample(effects, clouds, rate, len(kept), full_scale, self, kept, level)
 
     def level(self, echoes: Sequence[Echoes]) -> Floats:
         """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""
@@ -66,13 +66,13 @@ class PointScene:
 
 
 @dataclass(frozen=True, eq=False)
-class PointSample(Sample):
+class PointwiseSample(Sample):
     """A resampled scene and what each effect makes of it.
 
     kept: the scene's echoes before the noise; level: theirs, (range_bins, beams).
     """
 
-    scene: PointScene
+    scene: PointwiseScene
     kept: Echoes
     level: Floats
 

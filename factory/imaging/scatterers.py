@@ -27,7 +27,7 @@ from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface, mount_weight
 from ..sonar.window import Window
 from .moving import MovingScatterers, moving_scatterers
-from .settings import AcousticsSettings
+from .settings import CoherentSettings
 
 Floats = npt.NDArray[np.float32]
 
@@ -122,7 +122,7 @@ def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Flo
 
 
 def scatterers(
-    surface: LitSurface, water: WaterSettings, acoustics: AcousticsSettings
+    surface: LitSurface, water: WaterSettings, acoustics: CoherentSettings
 ) -> Scatterers:
     """All that echoes in a frame.
 

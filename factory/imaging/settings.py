@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable
-from dataclasses import field, replace
+from dataclasses import field, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,15 +22,27 @@ Decibel = Annotated[float, Field(ge=-80, le=20)]
 
 
 @dataclass(frozen=True, config=STRICT)
-class AcousticsSettings:
-    """Keys of the `acoustics` group.
+class PointwiseSettings:
+    """Keys of `acoustics=pointwise`: the paper's image formation, in which every echo is a point.
 
-    formation: points (the paper's, every echo a point) or field (sonar equation and complex field;
-        the keys below, `water` and `sonar.array` count for it alone).
-    target: what the clean picture is: mean_log (the expected displayed picture: random noise
-        averaged, systematic effects kept) or restored (the same without the systematic ones).
-    standing: part of the speckle's power that stands still from ping to ping, 0 to 1.  It does not
-        average out, so targets mean_log and restored keep it; 0 for a sonar that moves.
+    What else decides its images: `resample`, sonar.accumulate, sonar.point_spread and
+    sonar.tvg_db_per_decade.
+    """
+
+    formation: Literal["pointwise"] = "pointwise"
+
+
+@dataclass(frozen=True, config=STRICT)
+class CoherentSettings:
+    """Keys of `acoustics=coherent`: the sonar equation and a complex field.
+
+    What else decides its images: `water`, sonar.array, sonar.frequency_khz and
+    sonar.samples_per_bin.
+
+    target: what the clean image is: mean_log (the expected displayed image: random noise averaged,
+        systematic effects kept) or restored (the same without the systematic ones).
+    standing: part of the speckle's power that stays from ping to ping, 0 to 1.  It does not average
+        out, so targets mean_log and restored keep it; 0 for a sonar that moves.
     lambert_exponent: backscatter falls as cos(incidence) to this power, in intensity; 2 is Lambert.
     reflectivity_db: backscatter coefficient of each object class at normal incidence, dB, for an
         albedo of 1; classes that are not named, and frames without labels, are Background.
@@ -40,7 +52,7 @@ class AcousticsSettings:
     tvg_absorption: whether the gain knows 2 a r.
     """
 
-    formation: Literal["points", "field"] = "points"
+    formation: Literal["coherent"] = "coherent"
     target: Literal["mean_log", "restored"] = "mean_log"
     standing: Annotated[float, Field(ge=0, le=1)] = 0.0
     lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
@@ -63,6 +75,31 @@ class AcousticsSettings:
         ]
 
 
+AcousticsSettings = Annotated[
+    PointwiseSettings | CoherentSettings, Field(discriminator="formation")
+]
+"""The image formation, each with the settings that it uses."""
+
+Formation = Literal["pointwise", "coherent"]
+FORMATION_NAMES_OF_0_4: dict[str, Formation] = {"points": "pointwise", "field": "coherent"}
+"""Accepted for one version more."""
+SETTINGS_OF: dict[Formation, type[PointwiseSettings] | type[CoherentSettings]] = {
+    "pointwise": PointwiseSettings,
+    "coherent": CoherentSettings,
+}
+
+
+def formation_of(key: str) -> Formation | None:
+    """The formation that has this dotted key, such as acoustics.tvg_log, for itself."""
+    group, _, name = key.partition(".")
+    if group != "acoustics" or name == "formation":
+        return None
+    for formation, settings in SETTINGS_OF.items():
+        if name.partition(".")[0] in {item.name for item in fields(settings)}:
+            return formation
+    return None
+
+
 @dataclass(frozen=True, config=STRICT)
 class ResampleSettings:
     """Keys of `resample`: how points are chosen; rate: fraction of them that is kept, in (0, 1]."""
@@ -72,8 +109,8 @@ class ResampleSettings:
 
 
 def with_materials(
-    acoustics: AcousticsSettings, classes: tuple[str, ...], own: Iterable[OwnClass]
-) -> AcousticsSettings:
+    acoustics: CoherentSettings, classes: tuple[str, ...], own: Iterable[OwnClass]
+) -> CoherentSettings:
     """The settings with a reflectivity for each of the user's classes, in the order of `classes`.
 
     classes: those of `labels.class_names`.  own: what they say wins over the keys, and what

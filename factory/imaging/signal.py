@@ -14,7 +14,7 @@ from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface
 from ..sonar.window import Window
 from .scatterers import Scatterers, bin_centres_m, scatterers
-from .settings import AcousticsSettings
+from .settings import CoherentSettings
 
 Floats = npt.NDArray[np.float32]
 Matrix = npt.NDArray[np.float64]
@@ -51,7 +51,7 @@ class Ping:
 
     surface: LitSurface
     water: WaterSettings
-    acoustics: AcousticsSettings
+    acoustics: CoherentSettings
 
     @property
     def window(self) -> Window:
@@ -128,7 +128,7 @@ class Ping:
 
     @cached_property
     def gain(self) -> Floats:
-        """(range_bins,) time-varying gain on intensity: k log10 r + 2 a r, `AcousticsSettings`."""
+        """(range_bins,) time-varying gain on intensity: k log10 r + 2 a r, `CoherentSettings`."""
         range_m = np.maximum(self.range_m.astype(np.float64), 1e-3)
         gain_db = self.acoustics.tvg_log * np.log10(range_m)
         if self.acoustics.tvg_absorption:

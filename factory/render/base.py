@@ -64,14 +64,16 @@ class Mount:
 class RenderSettings:
     """Keys of the `render` group.
 
-    kind: cycles (Blender), embree (Open3D ray casting) or analytic (numpy alone, no shadows).
+    kind: cycles (Blender), embree (Open3D ray casting), analytic (closed form in numpy, no
+        shadows) or auto: cycles where the sonar is away from the camera or the scene is a .blend
+        file, else analytic.
     albedo: rgb (luminance of the colour image), flattened (luminance over its local mean, which
         takes out the water's haze and colour), or constant.
     edge_ratio: neighbouring pixels whose depths differ by more than this fraction are different
         surfaces and are never joined.
     """
 
-    kind: Literal["cycles", "embree", "analytic"] = "cycles"
+    kind: Literal["auto", "cycles", "embree", "analytic"] = "auto"
     albedo: Literal["rgb", "flattened", "constant"] = "flattened"
     edge_ratio: Annotated[float, Field(gt=0, le=1)] = 0.1
 

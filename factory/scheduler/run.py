@@ -113,5 +113,12 @@ def _describe(job: Job, report: RunReport) -> None:
         if job.dataset.preview_pairs:
             preview(job.directory, pairs=job.dataset.preview_pairs, trusted=True)
         write_card(
-            job.directory, finished, job.provenance, job.dataset, report.failures, job.skipped
+            job.directory,
+            finished,
+            job.provenance,
+            job.dataset,
+            report.failures,
+            job.skipped,
+            job.config_values,
+            job.facts,
         )

@@ -44,7 +44,7 @@ class Taper:
 
 @dataclass(frozen=True, config=STRICT)
 class ArraySettings:
-    """Keys of `sonar.array`: what the device resolves; for acoustics.formation=field alone.
+    """Keys of `sonar.array`: what the device resolves; for acoustics=coherent alone.
 
     bandwidth_khz: of the pulse; range resolution is c / 2B (B = 30 kHz resolves 2.5 cm).  A shaded
         spectrum is so much wider that the pulse's -3 dB width is that of the unshaded one, 0.886

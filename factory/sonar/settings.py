@@ -98,7 +98,7 @@ class TransferSettings:
     black: grey value of no echo at all, of soft_log.
     full_scale_db: what grey value 1 stands for in every picture, as a device of fixed gain has it:
         echo intensity after time-varying gain over the source level, dB; of
-        acoustics.formation=field.  null takes percentile and reference of each frame.
+        acoustics=coherent.  null takes percentile and reference of each frame.
     """
 
     kind: Literal["linear", "power", "log", "soft_log"] = "linear"
@@ -125,11 +125,11 @@ class TransferSettings:
 class SonarSettings:
     """Keys of the `sonar` group.
 
-    frequency_khz: of the device; decides absorption and noise of acoustics.formation=field, and is
+    frequency_khz: of the device; decides absorption and noise of acoustics=coherent, and is
         only kept with the data otherwise (resample.rate stands for its effect).
     hfov_deg, vfov_deg: insonified sector; echoes outside are dropped.
     samples_per_bin: raw samples whose intensities a range bin averages (multi-look); of
-        acoustics.formation=field.
+        acoustics=coherent.
     beam_azimuths_deg: directions of the beams from left to right where they are not uniform.
     projection: slant_range (what a sonar measures) or top_view (the paper's view from above).
     accumulate: how echoes in one bin become its level: mean, max or sum.

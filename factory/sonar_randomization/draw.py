@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .. import seeds
 from ..dataset.schema import Column
 from ..distribution import number
-from ..imaging.coherent import FieldScene
-from ..imaging.pointwise import PointScene
-from ..imaging.settings import ResampleSettings
+from ..imaging.coherent import CoherentScene
+from ..imaging.pointwise import PointwiseScene
+from ..imaging.settings import (
+    AcousticsSettings,
+    CoherentSettings,
+    Formation,
+    PointwiseSettings,
+    ResampleSettings,
+)
 from ..noise.registry import EFFECTS, NoiseSettings, blocks
+from ..sonar.array import WaterSettings
 from ..sonar.fan import fan_size
 from ..sonar.settings import RangeSettings, SonarSettings, TransferSettings
 from ..sonar.window import Window
@@ -47,9 +54,9 @@ class Device:
     coins: Mapping[str, bool]
 
     @property
-    def formation(self) -> Literal["points", "field"]:
-        """Which formation makes the picture."""
-        return "field" if self.values["field_share"] else "points"
+    def formation(self) -> Formation:
+        """Which formation makes the image."""
+        return "coherent" if self.values["field_share"] else "pointwise"
 
     def row(self) -> dict[str, float]:
         """The values of `columns`."""
@@ -86,7 +93,7 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
     any_size: whether pictures may differ in size and layout; else they keep `sonar.image`.
     """
     drawn, sonar, image = device.values, config.sonar, config.sonar.image
-    points = device.formation == "points"
+    points = device.formation == "pointwise"
     height = round(drawn["height_px"]) if any_size else image.height_px
     polar = any_size and drawn["polar_share"] and not points
     quality = min(max(round(drawn["jpeg_quality"]), 1), 100)
@@ -112,31 +119,46 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
         range=RangeSettings(auto=not fixed, min_m=near_m, max_m=far_m),
         transfer=_transfer(sonar.transfer, device),
     )
-    echo_db = config.acoustics.reflectivity_db | {"Background": drawn["background_db"]}
-    acoustics = replace(
-        config.acoustics,
-        formation=device.formation,
-        standing=drawn["standing"] if drawn["standing_share"] and not points else 0.0,
-        reflectivity_db=echo_db,
+    acoustics = _acoustics(config.acoustics, device)
+    noise = _of_formation(config.noise, device)
+    is_static = isinstance(acoustics, CoherentSettings) and acoustics.standing > 0
+    if not is_static and noise.scintillation is not None:
+        # Scintillation beside speckle that is new in every ping cannot be told from it.
+        noise = replace(noise, scintillation=replace(noise.scintillation, enabled=False))
+    changed: dict[str, Any] = {"acoustics": acoustics, "noise": noise, "devices": None}
+    if points:
+        sonar = _points(sonar, any_size)
+        transfer = replace(sonar.transfer, full_scale_db=None)
+        # None of these reaches pointwise images.
+        changed["sonar"] = replace(sonar, samples_per_bin=1, transfer=transfer)
+        changed["water"] = WaterSettings()
+    else:
+        changed["sonar"] = sonar
+        # A complex field has no points to thin.
+        changed["resample"] = ResampleSettings()
+    return replace(config, **changed)
+
+
+def _acoustics(acoustics: AcousticsSettings, device: Device) -> AcousticsSettings:
+    """The image formation of the device."""
+    if device.formation == "pointwise":
+        return PointwiseSettings()
+    assert isinstance(acoustics, CoherentSettings)  # the configuration refuses others
+    drawn = device.values
+    return replace(
+        acoustics,
+        standing=drawn["standing"] if drawn["standing_share"] else 0.0,
+        reflectivity_db=acoustics.reflectivity_db | {"Background": drawn["background_db"]},
         tvg_log=drawn["tvg_log"],
         lambert_exponent=drawn["lambert_exponent"],
     )
-    noise = _of_formation(config.noise, device)
-    if not acoustics.standing and noise.scintillation is not None:
-        # What trembles beside speckle that is new in every ping cannot be told from it.
-        noise = replace(noise, scintillation=replace(noise.scintillation, enabled=False))
-    config = replace(config, acoustics=acoustics, noise=noise, devices=None)
-    if points:
-        return replace(config, sonar=_points(sonar, any_size))
-    # The field has no points to thin.
-    return replace(config, sonar=sonar, resample=ResampleSettings())
 
 
 def resolved(
     config: FactoryConfig, device: Device, window: Window, *, any_size: bool
 ) -> FactoryConfig:
     """The same, with what the device resolves in its window, and a fan as wide as its sector."""
-    if device.formation == "points":
+    if device.formation == "pointwise":
         return config
     drawn, sonar, image = device.values, config.sonar, config.sonar.image
     resolution_m = window.range_span_m / sonar.range_bins * drawn["resolution_bins"]
@@ -150,10 +172,12 @@ def resolved(
     return replace(config, sonar=replace(sonar, array=array, image=image))
 
 
-def fitted(config: FactoryConfig, device: Device, scene: PointScene | FieldScene) -> FactoryConfig:
+def fitted(
+    config: FactoryConfig, device: Device, scene: PointwiseScene | CoherentScene
+) -> FactoryConfig:
     """The same once the scene is known: the receiver's noise lies so far over its median echo."""
     receiver = config.noise.receiver
-    if isinstance(scene, PointScene) or receiver is None or not receiver.enabled:
+    if isinstance(scene, PointwiseScene) or receiver is None or not receiver.enabled:
         return config
     echoes = scene.expected[scene.expected > 0]
     level_db = device.values["receiver_db"]
@@ -175,10 +199,10 @@ def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
 
 def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
     drawn = device.values
-    if device.formation == "points" and not drawn["points_log_share"]:
+    if device.formation == "pointwise" and not drawn["points_log_share"]:
         return replace(transfer, kind="linear", percentile=90.0, reference=1.0)
     range_db = drawn["dynamic_range_db"]
-    if device.formation == "points":
+    if device.formation == "pointwise":
         transfer = replace(transfer, kind="log", percentile=90.0, reference=0.9)
         # Decibels of an energy: half as many as of an amplitude.
         return replace(transfer, dynamic_range_db=range_db / 2)
@@ -193,7 +217,7 @@ def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
 
 def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
     """The effects of the device's formation that are on in this picture."""
-    points, drawn = device.formation == "points", device.values
+    points, drawn = device.formation == "pointwise", device.values
     changed: dict[str, Any] = {}
     for name, block in blocks(noise).items():
         effect = EFFECTS[name]

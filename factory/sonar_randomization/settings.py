@@ -14,7 +14,7 @@ from ..settings import STRICT
 class DeviceSettings:
     """What the device, its display and its picture are drawn from, anew for every picture.
 
-    field_share: part of the pictures that acoustics.formation=field makes; the others are points.
+    field_share: part of the pictures that acoustics=coherent makes; the others are points.
     hfov_deg, vfov_deg: sector and vertical beam, degrees.  frequency_khz: decides absorption.
     height_px: of a fan picture, pixels; its width follows from the sector.  Datasets keep
         `sonar.image`, because their pictures are all of one size.

@@ -12,7 +12,7 @@ from .. import WEIGHTS_NAME
 DEFAULT = "simnfnd"
 """Name of the weights that `simnfnd denoise` takes when none are given."""
 POINTS = "simnfnd-paper"
-"""Those for the paper's noise: shards of acoustics.formation=points, and where it is asked for."""
+"""Those for the paper's noise: shards of acoustics=pointwise, and where it is asked for."""
 
 
 def shipped() -> dict[str, Path]:

@@ -146,7 +146,7 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
         "noise.background.density=0.1,0.5",
         "resample.rate=0.1,0.3",
         "experiment=physical",  # which names one folder
-        "acoustics=points",
+        "acoustics=pointwise",
         "noise=none",
         "noise.background.enabled=true",
         "scenes=flsea",

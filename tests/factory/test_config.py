@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter
 
-from simnfnd.factory.config import from_mapping, identity, plain
+from simnfnd.factory.config import from_mapping, plain
 from simnfnd.factory.dataset.schema import config_hash as digest
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.distribution import as_override, parse
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.identity import identity
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.scheduler.settings import SchedulerSettings
 from simnfnd.factory.sonar.settings import SonarSettings
@@ -46,7 +47,7 @@ def test_every_sonar_composes(sonar):
     assert len(device.beam_centres_rad()) == device.beams
 
 
-@pytest.mark.parametrize("group", ["render", "noise", "resample", "scenes", "devices"])
+@pytest.mark.parametrize("group", ["render", "noise", "resample", "scenes", "acoustics", "devices"])
 def test_every_choice_of_a_group_composes(group):
     for name in names(group):
         missing = ["scenes.root=somewhere"] if group == "scenes" and name != "seabed" else []
@@ -56,9 +57,13 @@ def test_every_choice_of_a_group_composes(group):
             continue  # has no defaults for the intrinsics; tests of the reader cover it
         # Effects of the complex field need it; those of points do not.
         text = (CONF / group / f"{name}.yaml").read_text()
-        field = ["acoustics=field"] if group == "noise" and "speckle:" in text else []
+        field = ["acoustics=coherent"] if group == "noise" and "speckle:" in text else []
         # Effects of both formations are for drawn devices, each of which has one of them.
         drawn = ["devices=any_sonar"] if (group, name) == ("noise", "any_sonar") else []
+        if (group, name) == ("devices", "any_sonar"):
+            drawn = ["acoustics=coherent"]
+        if group == "acoustics" and name in ("coherent", "field"):
+            field = ["noise=physical"]
         config(f"{group}={name}", *missing, *field, *drawn)
 
 

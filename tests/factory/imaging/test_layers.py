@@ -87,11 +87,11 @@ def test_outside_of_the_fan_there_is_nothing_nor_where_the_camera_saw_nothing() 
 
 
 def config_of(formation: str) -> FactoryConfig:
-    words = {"points": [], "field": ["experiment=physical", "noise.background.enabled=true"]}
+    words = {"pointwise": [], "coherent": ["experiment=physical", "noise.background.enabled=true"]}
     return compose_config([*words[formation], "dataset.dtype=float32", "dataset.layers=[effects]"])
 
 
-@pytest.mark.parametrize("formation", ["points", "field"])
+@pytest.mark.parametrize("formation", ["pointwise", "coherent"])
 def test_samples_of_a_scene_repeat(formation: str) -> None:
     settings = config_of(formation)
     frame = ground_and_post()
@@ -110,7 +110,7 @@ def test_samples_of_a_scene_repeat(formation: str) -> None:
     assert 0 <= noisy.min() <= noisy.max() <= 1
 
 
-@pytest.mark.parametrize("formation", ["points", "field"])
+@pytest.mark.parametrize("formation", ["pointwise", "coherent"])
 def test_noise_of_a_call_is_that_of_another_configuration(formation: str) -> None:
     settings = config_of(formation)
     frame = ground_and_post()
@@ -148,7 +148,7 @@ def field_config(**dataset):
                 "transfer": {"kind": "log", "dynamic_range_db": 120, "percentile": 50,
                              "reference": 0.5},
             },
-            "acoustics": {"formation": "field"},
+            "acoustics": {"formation": "coherent"},
             "noise": noise,
             "dataset": dataset,
         }
@@ -269,8 +269,8 @@ def test_example_of_a_complex_field(written):
 def test_what_is_not_there_is_refused():
     points, flsea = {"kind": "seabed"}, {"kind": "flsea", "root": "x"}
     for scenes, dataset, said in (
-        (points, {"layers": ["intensity_db"]}, "physical profile alone"),
-        (points, {"columns": ["calibration"]}, "calibration is of the physical"),
+        (points, {"layers": ["intensity_db"]}, "dataset: intensity_db is of acoustics=coherent"),
+        (points, {"columns": ["calibration"]}, "dataset: calibration is of acoustics=coherent"),
         (points, {"columns": ["pose", "pose"]}, "names one twice"),
         (flsea, {"layers": ["segmentation"]}, "labelled frames.*scenes=seabed"),
     ):

@@ -12,7 +12,7 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.imaging.coherent import FieldScene, received
+from simnfnd.factory.imaging.coherent import CoherentScene, received
 from simnfnd.factory.moving.cast import draw_cast
 from simnfnd.factory.moving.compose import Echo, compose
 from simnfnd.factory.moving.fish import SwimmingWave, fish_mesh, love_target_strength_db
@@ -27,9 +27,9 @@ from tests.factory.moving.stage import Line, ball, moment, plane, settings, slab
 SILENT_GROUND = {"reflectivity_db": {"Background": -80.0}}
 
 
-def scene(config: Any, *actors: Any, **ground: Any) -> FieldScene:
+def scene(config: Any, *actors: Any, **ground: Any) -> CoherentScene:
     found = observe_moment(moment(list(actors), **ground), config).scene
-    assert isinstance(found, FieldScene)
+    assert isinstance(found, CoherentScene)
     return found
 
 
@@ -62,7 +62,7 @@ def test_tracks_match_the_brightest_cell():
     course = Line((3.0, 0.5, 0.05), (0.4, -0.2, 0.0))
     for time_s in (0.0, 1.0, 2.0, 3.5):
         observed = observe_moment(moment([ball(course, 0.03)], time_s), config)
-        assert isinstance(observed.scene, FieldScene)
+        assert isinstance(observed.scene, CoherentScene)
         expected = observed.scene.expected
         row, beam = np.unravel_index(np.argmax(expected), expected.shape)
         (track,) = json.loads(str(observed.columns["tracks"]))
@@ -118,7 +118,7 @@ def grains(effect: str, actors: list[Any], times_s: list[float], side_m: float) 
     found = []
     for time_s in times_s:
         made = observe_moment(moment(actors, time_s), config)
-        assert isinstance(made.scene, FieldScene)
+        assert isinstance(made.scene, CoherentScene)
         names = StreamNames.of(made.ref, 0, made.has_pose)
         effects = draw(config.noise, 0, names, continuous=True).effects
         field = received(made.scene, effects) ** 2

@@ -17,9 +17,11 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.config import FactoryConfig, from_mapping, identity, plain
+from simnfnd.factory.config import FactoryConfig, from_mapping, plain
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
+from simnfnd.factory.identity import identity
+from simnfnd.factory.imaging.settings import CoherentSettings
 from simnfnd.factory.pairs import observe
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.pack import write_pack
@@ -110,6 +112,7 @@ def test_own_objects_lie_in_every_place_and_leave_the_rest_as_it_was(folder: Pat
     asked = "cube.ply, class: crate, per_place: [2, 3], reflectivity_db: -7"
     words = "scenes.locations=2", "scenes.frames_per_location=4"
     config = own(folder, asked, *words, "scenes.boxes=true")
+    assert isinstance(config.acoustics, CoherentSettings)
     assert config.acoustics.reflectivity_db["crate"] == -7
     assert from_mapping(plain(config)) == config
     without = compose_config([*SMALL, *words])

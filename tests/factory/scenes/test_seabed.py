@@ -12,9 +12,10 @@ import numpy.typing as npt
 import pytest
 
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.config import from_mapping, identity
+from simnfnd.factory.config import from_mapping
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.identity import identity
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings

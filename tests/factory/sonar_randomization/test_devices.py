@@ -9,8 +9,8 @@ import pytest
 
 import simnfnd
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.config import identity
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.identity import identity
 from simnfnd.factory.noise.registry import blocks
 from simnfnd.factory.sonar.fan import rasterised
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
@@ -20,7 +20,7 @@ from simnfnd.factory.sonar_randomization import draw as devices
 H, W = 96, 152
 PLACE: dict[str, Any] = {"fx": 180.0, "fy": 180.0, "cx": 76.0, "cy": 48.0}
 WORDS = (
-    *("devices=any_sonar", "noise=any_sonar", "acoustics=field", "render=analytic"),
+    *("devices=any_sonar", "noise=any_sonar", "acoustics=coherent", "render=analytic"),
     *("sonar.image.width_px=96", "sonar.image.height_px=96"),
 )
 ALL_FIELD = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
@@ -54,7 +54,7 @@ def test_the_same_name_draws_the_same_device() -> None:
     assert first == again
     assert first.values != other.values
     drawn = [devices.draw(settings, 3, n) for n in range(400)]
-    assert np.mean([one.formation == "field" for one in drawn]) == pytest.approx(0.9, abs=0.05)
+    assert np.mean([one.formation == "coherent" for one in drawn]) == pytest.approx(0.9, abs=0.05)
     assert {round(one.values["beams"]) for one in drawn} == {48, 96, 128, 160, 256, 512}
 
 

@@ -1,0 +1,149 @@
+"""The identity of a dataset: the settings and inputs that decide the bytes of its samples.
+
+Its hash names a dataset, so equal settings must keep it from version to version: keys and names
+that are gone stay in it as they were.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+from typing import Any
+
+from .config import FactoryConfig, plain
+from .errors import FactoryError
+from .imaging.settings import PointwiseSettings
+from .renderer_choice import renderer_of
+from .scenes.base import INTEGERS_PER_M
+from .scenes.csv_list import CsvListSettings
+from .scenes.mesh import MeshSettings
+from .scenes.seabed import SeabedSettings
+
+# Keys that came later, each with the value that leaves a dataset and its hash as they were.
+_LATER: dict[str, Any] = {
+    "frames.total": None,
+    "scenes.own_objects": [],
+    "scenes.frame_rate_hz": None,
+    "scenes.moving_objects": [],
+    "scenes.boxes": False,
+    "sonar.samples_per_bin": 1,
+    "sonar.range.windows_m": [],
+    "sonar.image.sampling": "bilinear",
+    "sonar.image.enlarged": 1.0,
+    "sonar.image.jpeg_quality": None,
+    "sonar.transfer.black": 0.0,
+    "sonar.transfer.full_scale_db": None,
+    "dataset.columns": [],
+    "acoustics.standing": 0.0,
+    "acoustics.lambert_exponents": {},
+}
+# Keys that went, each with the value that all datasets have now.
+_GONE_SCENES: dict[str, dict[str, Any]] = {
+    "flsea": {"undistort": False},
+    "csv_list": {"undistort": False, "distortion": []},
+}
+_GONE_RENDER = {"geometry": "auto", "stride": "auto", "samples": 1, "bounces": 0}
+# The name of acoustics=coherent when hashes began.
+_COHERENT = "field"
+# Keys of groups that leave the samples as they are.
+_NO_BYTES = {
+    "dataset": ("dir", "name", "preview_pairs", "licence"),
+    "acoustics": ("materials",),
+}
+
+
+def identity(config: FactoryConfig) -> dict[str, Any]:
+    """The part of the configuration that decides the bytes of the samples.
+
+    Left out: where things lie (the root of the recordings, the output folder), what the dataset is
+    called, and how many workers make it.
+    """
+    values = plain(config)
+    values["render"] = _render_identity(config)
+    values["scenes"] = _scenes_identity(config, values["scenes"])
+    if own_classes := config.scenes.own_classes():
+        values["classes"] = list(own_classes)
+    _drop_keys_without_bytes(values)
+    _drop_later_keys_at_their_defaults(values)
+    if config.devices is None:
+        values.pop("devices")
+    if isinstance(config.acoustics, PointwiseSettings):
+        # None of them reaches pointwise images.
+        del values["acoustics"], values["water"], values["sonar"]["array"]
+    else:
+        values["acoustics"]["formation"] = _COHERENT
+    values["scheduler"] = {"shard_size": values["scheduler"]["shard_size"]}
+    return values
+
+
+def _render_identity(config: FactoryConfig) -> dict[str, Any]:
+    render = renderer_of(config).settings
+    return {
+        "kind": render.kind,
+        "albedo": render.albedo,
+        "edge_ratio": render.edge_ratio,
+        **_GONE_RENDER,
+    }
+
+
+def _scenes_identity(config: FactoryConfig, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The user's files count by their content, and not by where they lie."""
+    settings, scenes = config.scenes, dict(values)
+    scenes |= {"depth_kind": "z", "bad_depth": scenes.get("bad_depth", "reject")}
+    scenes |= _GONE_SCENES.get(settings.kind, {})
+    for key in ("root", "file"):
+        scenes.pop(key, None)
+    if scenes.get("hfov_deg") is None:
+        # Datasets of the time when there was one view keep their hash.
+        scenes.pop("hfov_deg", None)
+        scenes.pop("vfov_deg", None)
+    if isinstance(settings, SeabedSettings):
+        if scenes.pop("path") is not None:
+            scenes["path"] = _file_digest(str(settings.path), "scenes.path")
+        for own_object in scenes["own_objects"]:
+            own_object["file"] = _file_digest(own_object["file"], "scenes.own_objects")
+            if own_object["moving"] is None:
+                own_object.pop("moving")
+        for item in (*scenes["moving_objects"], *scenes["own_objects"]):
+            moving = item.get("moving") or {}
+            if moving.get("path") is not None:
+                moving["path"] = _file_digest(moving["path"], "moving.path")
+    if isinstance(settings, MeshSettings):
+        scenes["file"] = _file_digest(settings.file, "scenes.file")
+        poses = settings.poses
+        scenes["poses"] = None if poses is None else _file_digest(poses, "scenes.poses")
+    if isinstance(settings, CsvListSettings):
+        if settings.depth_scale is None:
+            scenes["depth_scale"] = INTEGERS_PER_M
+        else:
+            # A scale that is given divides floating-point depth, too.
+            scenes["depth_scale_of"] = "all"
+    return scenes
+
+
+def _drop_keys_without_bytes(values: dict[str, Any]) -> None:
+    for key in ("cache", "shard", "debug"):
+        values.pop(key)
+    for group, keys in _NO_BYTES.items():
+        for key in keys:
+            values[group].pop(key, None)
+
+
+def _drop_later_keys_at_their_defaults(values: dict[str, Any]) -> None:
+    for name, default in _LATER.items():
+        *groups, key = name.split(".")
+        group = reduce(getitem, groups, values)
+        if key in group and group[key] == default:
+            group.pop(key)
+
+
+def _file_digest(path: str, key: str) -> str:
+    """16 hexadecimal digits of the content of a file.  Raises FactoryError without it."""
+    try:
+        content = Path(path).expanduser().read_bytes()
+    except OSError as error:
+        raise FactoryError(f"{key}={path}: cannot be read ({error.strerror})") from error
+    return hashlib.blake2b(content, digest_size=8).hexdigest()
