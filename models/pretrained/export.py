@@ -2,41 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...factory import __version__
 from ...factory.cli import Parser
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
-from ...factory.files import check_writable, write_atomically
+from ...factory.files import check_writable, sha256_of, write_atomically
 from . import find_weights
+from .card import CardFile, write_card
 
-_CARD = """---
-license: apache-2.0
-library_name: simnfnd
-pipeline_tag: image-to-image
-tags: [sonar, denoising, forward-looking-sonar]
----
-
-# {name}
-
-A denoiser for forward-looking sonar pictures, made by `simnfnd train` of SimNFND {version}.
-`simnfnd denoise IN... --out DIR --weights {name}` uses it.
-
-| key | value |
-|---|---|
-{facts}
-
-A key `start` names weights that it began from, by their hash.  Figures under `validation` are of
-pictures that it never trained on; where they had a part in choosing the recipe they are optimistic.
-
-Trained on simulated noise: a picture whose noise, geometry or grey scale differs from what is
-described above may come out worse than it went in.  Small targets unlike anything in the training
-scenes can be smoothed away; do not measure on denoised pictures what you could measure on the
-originals.
-"""
 SUFFIXES = {"safetensors": ".safetensors", "onnx": ".onnx", "runtime": ".onnx"}
 """What `--to` may say, and how the files end."""
 
@@ -55,15 +30,19 @@ def main(arguments: Sequence[str]) -> int:
     add("--to", choices=tuple(SUFFIXES), default="safetensors", help=form)
     where = "of the pictures that an onnx file gets with their range and bearing"
     add("--geometry", choices=("none", "fan", "polar"), default="none", help=where)
+    reports = "real.json or report.json of evaluations, whose figures go into the model card"
+    add("--figures", nargs="*", default=[], metavar="REPORT", help=reports)
     chosen = parser.parse_args(list(arguments))
     out = Path(chosen.out).expanduser()
     if out.suffix != SUFFIXES[chosen.to]:
         raise FactoryError(f"--out {out}: must end in {SUFFIXES[chosen.to]} for --to {chosen.to}")
+    if chosen.figures and chosen.to != "safetensors":
+        raise FactoryError("--figures: is for --to safetensors, which has a model card")
     if chosen.geometry != "none" and chosen.to != "onnx":
         raise FactoryError(f"--geometry {chosen.geometry}: is for --to onnx")
     weights = find_weights(chosen.weights)
     if chosen.to == "safetensors":
-        size_mb = export(weights, out)
+        size_mb = export(weights, out, [Path(name).expanduser() for name in chosen.figures])
         print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
         return 0
     require(Need(f"--to {chosen.to}", module) for module in ("onnx", "onnxruntime"))
@@ -75,10 +54,13 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def export(weights: str | Path, out: Path) -> float:
+def export(weights: str | Path, out: Path, reports: Sequence[Path] = ()) -> float:
     """Write `out` and its card; returns the megabytes of the weights.
 
-    Raises FactoryError when the weights cannot be read or hold what 16 bits cannot.
+    weights: the curve and the cost of the training are taken from the same folder.  reports: of
+    evaluations, whose figures go into the card.
+    Raises FactoryError when the weights or a report cannot be read, or for weights that do not fit
+    into 16 bits.
     """
     import torch  # slow; mistakes on the command line are reported before
 
@@ -89,19 +71,17 @@ def export(weights: str | Path, out: Path) -> float:
     for name, tensor in trained.network.state_dict().items():
         if tensor.is_floating_point() and not torch.isfinite(tensor.half()).all():
             raise FactoryError(f"weights={weights}: {name} does not fit into 16 bits")
-    count = sum(parameter.numel() for parameter in trained.network.parameters())
     check_writable(out.parent, "--out")
     save_weights(out, trained.network, trained.model, trained.training, half=True)
     size_mb = out.stat().st_size / 1e6
-    facts = {
-        "parameters": f"{count:,}",
-        "GMAC for a 256x256 picture": f"{count_macs(trained.network, 256) / 1e9:.2f}",
-        "file": f"{size_mb:.2f} MB, 16-bit safetensors",
-        "model": dict(trained.model),
-        **trained.training,
-    }
-    shown = {key: one if isinstance(one, str) else json.dumps(one) for key, one in facts.items()}
-    rows = "\n".join(f"| `{key}` | {one} |" for key, one in shown.items())
-    card = _CARD.format(name=out.stem, version=__version__, facts=rows)
+    file = CardFile(
+        name=out.stem,
+        sha256=sha256_of(out),
+        source_sha256=sha256_of(Path(weights)),
+        parameters=sum(parameter.numel() for parameter in trained.network.parameters()),
+        gmac=count_macs(trained.network, 256) / 1e9,
+        size_mb=size_mb,
+    )
+    card = write_card(file, trained.model, trained.training, Path(weights).parent, reports)
     write_atomically(out.with_suffix(".md"), card.encode(), key="--out")
     return size_mb

@@ -35,6 +35,7 @@ from ..networks.network import Network, known_extras
 from ..networks.weights import load_weights, save_weights
 from ..pretrained import find_weights
 from ..settings import DataSettings, ModelsSettings, RenderedData
+from .cost import Cost, CostMeter, read_cost
 from .loop import Loop, Row, denoised, device_of, precision_of
 
 CHECKPOINT_NAME = "checkpoint.ckpt"
@@ -156,7 +157,10 @@ def _fit(
         teacher = load_weights(find_weights(settings.train.teacher)).network.requires_grad_(False)
         extras = tuple(dict.fromkeys((*extras, *teacher.extras)))
 
+    meter = CostMeter(read_cost(out) if checkpoint else Cost())
+
     def save() -> None:
+        meter.write(out)
         content = io.BytesIO()
         torch.save({**loop.state(), "recipe": dict(recipe), "format": _FORMAT}, content)
         write_atomically(out / CHECKPOINT_NAME, content.getvalue(), key="out")
@@ -197,6 +201,7 @@ def _fit(
         # The traceback of an error would keep the reading processes alive.
         stop = getattr(learning._iterator, "_shutdown_workers", lambda: None)
         stop()
+    meter.write(out)
     return loop.rows
 
 
@@ -306,7 +311,12 @@ def _checkpoint(
 
 
 def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
-    """Key -> value, as JSON would give it back."""
+    """Everything that decides the weights: the settings and the facts of the data."""
+    return {**recipe_of(settings), **data.facts}
+
+
+def recipe_of(settings: ModelsSettings) -> dict[str, Any]:
+    """The settings that decide the weights: key -> value, as JSON would give it back."""
     groups = {
         "model": settings.model,
         "loss": settings.loss,
@@ -325,7 +335,7 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     for key, weights in (("train.teacher", settings.train.teacher), ("start", settings.start)):
         if weights is not None:
             flat[key] = sha256_of(find_weights(weights))[:16]
-    return {**flat, "seed": settings.seed, **data.facts}
+    return {**flat, "seed": settings.seed}
 
 
 def _innermost(error: FactoryError) -> str:

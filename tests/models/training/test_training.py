@@ -25,9 +25,11 @@ from simnfnd.models import WEIGHTS_NAME
 from simnfnd.models.data.crops import Crops, Visit
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.pretrained.card import recipe_digest
 from simnfnd.models.training import loop as device
+from simnfnd.models.training.cost import read_cost
 from simnfnd.models.training.loop import Loop, Stopped
-from simnfnd.models.training.train import completed, read_checkpoint, train
+from simnfnd.models.training.train import completed, read_checkpoint, recipe_of, train
 from tests.models.training.small_training import SMALL, TINY, config_for, train_small
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
@@ -57,6 +59,7 @@ def test_training_learns_to_denoise(trained: Path, dataset: Path) -> None:
     assert names == {
         "checkpoint.ckpt",
         "config.yaml",
+        "cost.json",
         "metrics.csv",
         "samples.png",
         "weights.safetensors",
@@ -71,8 +74,13 @@ def test_training_learns_to_denoise(trained: Path, dataset: Path) -> None:
         assert metrics.psnr(clean, denoised, data_range=1) > before + 2
 
 
-def test_weights_describe_themselves(trained: Path) -> None:
+def test_weights_describe_themselves(trained: Path, dataset: Path) -> None:
     loaded = load_weights(trained / "weights.safetensors")
+    settings, _ = config_for(dataset, trained, *SMALL)
+    assert recipe_digest(loaded.training) == recipe_digest(recipe_of(settings))
+    cost = read_cost(trained)
+    assert cost.cpu_s > 0
+    assert cost.sittings == 1
     assert loaded.model["width"] == 8
     assert loaded.training["dataset.config_hash"] == "0123abcd"
     assert loaded.training["validation"]["step"] in (15, 30, 45)

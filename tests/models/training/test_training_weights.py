@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 import torch
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
 from simnfnd.models import pretrained
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.pretrained.card import recipe_digest
 from simnfnd.models.pretrained.export import export, main
+from simnfnd.models.training.train import recipe_of
+from tests.models.data.small_renders import composed
 
 TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
 FACTS = {
@@ -56,6 +61,59 @@ def test_exported_weights_are_half_the_size_and_denoise_the_same(
     first = out.read_bytes()
     export(weights, out)
     assert out.read_bytes() == first
+
+
+def test_a_card_holds_recipe_curve_cost_and_figures(weights: Path, tmp_path: Path) -> None:
+    head = "step,loss,learning_rate,psnr_noisy,psnr,ssim_noisy,ssim,gain_db"
+    rows = [f"{step},0.1,0.001,17.6,{20 + step / 100},0.6,0.8,2.4" for step in range(10, 460, 10)]
+    (tmp_path / "metrics.csv").write_text("\n".join([head, *rows]), encoding="utf-8")
+    cost = {"cpu_s": 5400.0, "elapsed_s": 3600.0, "sittings": 2}
+    (tmp_path / "cost.json").write_text(json.dumps(cost), encoding="utf-8")
+    report = {
+        "name": "lamprey2", "best_filter": {"psnr_db": "tv"},
+        "rows": [
+            {"label": label, "network": label == "own", "lost": None,
+             "means": {"psnr_db": psnr_db, "ssim": 0.7}}
+            for label, psnr_db in (("noisy", 29.8), ("tv", 32.8), ("median", 31.0), ("own", 33.6))
+        ],
+    }  # fmt: skip
+    (tmp_path / "real.json").write_text(json.dumps(report), encoding="utf-8")
+    out = tmp_path / "own.safetensors"
+    assert main([str(weights), "--out", str(out), "--figures", str(tmp_path / "real.json")]) == 0
+    card = out.with_suffix(".md").read_text(encoding="utf-8")
+    for words in (sha256_of(out), sha256_of(weights), recipe_digest(FACTS), "| 1.50, 1.00 h"):
+        assert words in card
+    assert "| own | 33.60 | 0.700 |" in card
+    assert "median" not in card
+    curve = card.split("## Learning curve")[1].split("## Figures")[0]
+    assert 10 < curve.count("\n| ") < 25
+    assert "| 450 | 0.1000 |" in curve
+    (tmp_path / "real.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(FactoryError, match=r"--figures .*real\.json: no report"):
+        main([str(weights), "--out", str(out), "--figures", str(tmp_path / "real.json")])
+
+
+def test_a_recipe_is_known_by_its_settings_alone() -> None:
+    digest = recipe_digest({**FACTS, "train.precision": "bf16-mixed", "dataset.pairs": 7})
+    assert digest == recipe_digest(FACTS)
+    assert recipe_digest({**FACTS, "loss.kind": "newloss"}) != digest
+    assert recipe_digest({**FACTS, "seed": 4}) != digest
+
+
+@pytest.mark.parametrize(
+    ("name", "experiment"), [("simnfnd", "ship"), ("simnfnd-paper", "ship_paper")]
+)
+def test_recipe_card_and_file_belong_together(name: str, experiment: str) -> None:
+    """The card names the file, and its recipe is the experiment of this version."""
+    weights = pretrained.shipped()[name]
+    card = weights.with_suffix(".md").read_text(encoding="utf-8")
+    if "| recipe digest |" not in card:
+        pytest.skip(f"{name} was made before cards named their recipe")
+    assert f"| SHA-256 | {sha256_of(weights)} |" in card
+    digest = recipe_digest(load_weights(weights).training)
+    assert f"| recipe digest | {digest} |" in card
+    settings, _ = composed(f"experiment={experiment}")
+    assert recipe_digest(recipe_of(settings)) == digest
 
 
 def test_weights_that_ship_are_found_by_name(
