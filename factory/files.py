@@ -6,6 +6,7 @@ What is written into a folder that has an outlet goes there, too (`simnfnd.facto
 from __future__ import annotations
 
 import errno
+import glob
 import hashlib
 import os
 import re
@@ -53,7 +54,9 @@ def write_atomically(
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames inside `folder` survive a power cut."""
+    """Make renames inside `folder` survive a power cut; Windows opens no folders."""
+    if os.name == "nt":
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -61,16 +64,24 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def remove_stale_temporaries(folder: Path) -> None:
-    """Delete temp files of writers that are dead; leaves live writers alone."""
-    for path in folder.glob(".*.tmp"):
+def remove_stale_temporaries(folder: Path, name: str = "") -> None:
+    """Delete temp files and folders of writers that are dead; leaves live writers alone.
+
+    name: of the file or folder that they were to become; empty: any.
+    """
+    for path in folder.glob(f".{glob.escape(name)}.*.tmp" if name else ".*.tmp"):
+        match = _TEMPORARY.match(path.name)
+        if match is None:
+            continue
         with suppress(FileNotFoundError):  # it was finished meanwhile
-            if match := _TEMPORARY.match(path.name):
-                # Another machine's or container's process cannot be looked up, only waited for.
-                age_s = time.time() - path.stat().st_mtime
-                here = match["space"] == space()
-                if is_dead(int(match["pid"])) if here else age_s > _FOREIGN_STALE_S:
-                    path.unlink()
+            # Another machine's or container's process cannot be looked up, only waited for.
+            age_s = time.time() - path.stat().st_mtime
+            is_ours = match["space"] == space()
+            is_stale = is_dead(int(match["pid"])) if is_ours else age_s > _FOREIGN_STALE_S
+            if is_stale and path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif is_stale:
+                path.unlink()
 
 
 def is_temporary(name: str) -> bool:
@@ -108,7 +119,7 @@ def explain_os_errors(path: Path, key: str = "dataset.dir") -> Iterator[None]:
         if error.errno in _FULL:
             raise FactoryError(
                 f"{path}: no room to write ({reason}); free some space and run the same command "
-                "again, finished shards are kept"
+                "again, what is finished is kept"
             ) from error
         raise FactoryError(
             f"{key}: cannot write {path} ({reason}); give a writable folder with {key}="
@@ -151,19 +162,49 @@ def refuse_files(folder: Path) -> None:
 
 
 @contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A temp file to write, which takes the place of `path` at the end.
+
+    When writing fails, nothing is left behind; what a killed process left goes first.
+    Raises FactoryError when it cannot be written.
+    """
+    with explain_os_errors(path, "--out"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_stale_temporaries(path.parent, path.name)
+        partial = _temporary_for(path)
+        try:
+            yield partial
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
     """An empty folder to fill, which becomes `folder` (absent or empty until then) at the end.
 
-    When filling fails, nothing is left behind.  Raises FactoryError when it cannot be written.
+    When filling fails, nothing is left behind; what a killed process left goes first.
+    Raises FactoryError when it cannot be written.
     """
-    partial = _temporary_for(folder.absolute())
-    with explain_os_errors(folder, "--out"):
+    with explain_os_errors(folder, "--out"), temporary_folder(folder.absolute()) as partial:
+        yield partial
+        sync_folder(partial)
+        os.replace(partial, folder)
+        sync_folder(folder.absolute().parent)
+
+
+@contextmanager
+def temporary_folder(path: Path) -> Iterator[Path]:
+    """An empty folder beside `path`, which is gone at the end.
+
+    What a killed process left goes first.  Raises FactoryError when it cannot be written.
+    """
+    partial = _temporary_for(path)
+    with explain_os_errors(path, "--out"):
+        remove_stale_temporaries(path.parent, path.name)
         check_writable(partial, "--out")
         try:
             yield partial
-            sync_folder(partial)
-            os.replace(partial, folder)
-            sync_folder(folder.absolute().parent)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
 

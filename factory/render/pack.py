@@ -7,7 +7,6 @@ A zip archive: `pack.json` says what is in it, and each frame is a member in the
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ from pydantic import TypeAdapter
 
 from .. import __version__
 from ..errors import FactoryError
-from ..files import explain_os_errors
+from ..files import whole_file
 from ..frame import FrameRef
 from ..settings import ClassName
 from ..small_files import open_regular, parse_json
@@ -59,30 +58,24 @@ def write_pack(
     classes: Sequence[str] = (),
 ) -> int:
     """Write the views of `refs` to `path`, whole or not at all; returns its bytes."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     frames: list[dict[str, str]] = []
-    with explain_os_errors(path, "--out"):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with zipfile.ZipFile(temporary, "w") as archive:
-                for number, ref in enumerate(refs):
-                    member = f"{number:06d}.view"
-                    archive.writestr(zipfile.ZipInfo(member, _TIME), encode(view(ref)))
-                    names = {"location": ref.location, "scene": ref.scene, "frame": ref.frame}
-                    frames.append({**names, "member": member})
-                head = {
-                    "schema": _SCHEMA,
-                    "generator": f"simnfnd {__version__}",
-                    "render": render,
-                    "mount": asdict(mount),
-                    "frames": frames,
-                    **({"classes": list(classes)} if classes else {}),
-                }
-                archive.writestr(zipfile.ZipInfo(_CONTENTS, _TIME), json.dumps(head, indent=1))
-            size = temporary.stat().st_size
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+    with whole_file(path) as partial:
+        with zipfile.ZipFile(partial, "w") as archive:
+            for number, ref in enumerate(refs):
+                member = f"{number:06d}.view"
+                archive.writestr(zipfile.ZipInfo(member, _TIME), encode(view(ref)))
+                names = {"location": ref.location, "scene": ref.scene, "frame": ref.frame}
+                frames.append({**names, "member": member})
+            head = {
+                "schema": _SCHEMA,
+                "generator": f"simnfnd {__version__}",
+                "render": render,
+                "mount": asdict(mount),
+                "frames": frames,
+                **({"classes": list(classes)} if classes else {}),
+            }
+            archive.writestr(zipfile.ZipInfo(_CONTENTS, _TIME), json.dumps(head, indent=1))
+        size = partial.stat().st_size
     return size
 
 

@@ -10,14 +10,15 @@ from pathlib import Path
 
 from ...factory.cli import Parser
 from ...factory.errors import FactoryError
-from ...factory.files import check_writable
+from ...factory.files import check_writable, remove_stale_temporaries
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
 from .denoiser import Denoiser
 from .files import Job, denoise_files
-from .inputs import FIND, Finished, Geometries, Item, find_items, sequences
+from .inputs import FIND, Geometries, Item, find_items, sequences
+from .journal import opened_journal
 from .pictures import Denoising
 from .temporal.stream import FRAMES
 
@@ -33,8 +34,48 @@ _COMPARE = "also write sheets: noisy, denoised, and removed in standard deviatio
 def main(arguments: Sequence[str]) -> int:
     """`simnfnd denoise IN... --out DIR`; 1 when some files were skipped."""
     keep_freed_memory()  # every picture needs the same planes again
-    how = argparse.RawDescriptionHelpFormatter
-    parser = Parser(prog="simnfnd denoise", epilog=_WHICH, formatter_class=how)
+    options = _options(arguments)
+    out = Path(options.out).expanduser()
+    inputs = [Path(name).expanduser() for name in options.inputs]
+    items = find_items(inputs, out, compare=options.compare)
+    geometries = Geometries(options.geometry)
+    check_writable(out, "--out")
+
+    load = cache(partial(Denoiser, device=options.device, strength=options.strength))
+    denoise = load(options.weights)
+    # A strength that was asked for is not the one that predicts other frames of a recording.
+    calibrated = options.strength == 1
+    denoising = Denoising(
+        denoise, frames=options.frames, causal=options.causal, calibrated=calibrated
+    )
+    with opened_journal(out, denoise.digest, list(arguments)) as journal:
+        job = Job(
+            out=out,
+            denoise=denoise,
+            points=partial(load, options.weights or POINTS),
+            denoising=denoising,
+            geometries=geometries,
+            journal=journal,
+            compare=options.compare,
+            topics=options.topic,
+        )
+        _denoise_all(items, job)
+
+    for line in (*geometries.summary(), *denoising.summary(), *job.removed.summary()):
+        print(line)
+    names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
+    print(f"weights: {names or denoise.name}")
+    print(f"denoised: {job.used.total()} file(s) in {out}")
+    return 1 if job.failures else 0
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    """The options of the command line, checked.  Raises FactoryError for wrong ones."""
+    parser = Parser(
+        prog="simnfnd denoise",
+        epilog=_WHICH,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     add = parser.add_argument
     add("inputs", nargs="+", metavar="IN", help="image, folder, shard, video, recording, array")
     add("--out", required=True, help="folder for the results; names are kept")
@@ -57,54 +98,38 @@ def main(arguments: Sequence[str]) -> int:
     topics = "of bags: whose pictures to denoise (may be repeated; default: those of sonars)"
     add("--topic", action="append", default=[], help=topics)
     add("--device", choices=("auto", "cpu", "gpu"), default="auto")
-    chosen = parser.parse_args(list(arguments))
-    if not 0 <= chosen.strength <= 1:
-        raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
-    out = Path(chosen.out).expanduser()
-    inputs = [Path(name).expanduser() for name in chosen.inputs]
-    items = find_items(inputs, out, compare=chosen.compare)
-    geometries = Geometries(chosen.geometry)
-    if chosen.noise == "points":
-        if chosen.weights is not None:
+
+    options = parser.parse_args(list(arguments))
+    if not 0 <= options.strength <= 1:
+        raise FactoryError(f"--strength {options.strength:g}: must lie between 0 and 1")
+    if options.noise == "points":
+        if options.weights is not None:
             raise FactoryError("--noise points: chooses weights that ship; leave out --weights")
-        chosen.weights = POINTS
-    check_writable(out, "--out")
-    load = cache(partial(Denoiser, device=chosen.device, strength=chosen.strength))
-    denoise = load(chosen.weights)
-    window = partial(Denoising, frames=chosen.frames, causal=chosen.causal)
-    # What is asked for by hand is not what predicts other frames of a recording.
-    denoising = window(denoise, calibrated=chosen.strength == 1)
-    points = partial(load, chosen.weights or POINTS)
-    finished = Finished(out, denoise.digest, list(arguments))
-    job = Job(out, denoise, points, denoising, geometries, finished, chosen.compare, chosen.topic)
-    _all(items, job)
-    for line in (*geometries.summary(), *denoising.summary(), *job.removed.summary()):
-        print(line)
-    names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
-    print(f"weights: {names or denoise.name}")
-    print(f"denoised: {job.used.total()} file(s) in {out}")
-    return 1 if job.failures else 0
+        options.weights = POINTS
+    return options
 
 
-def _all(items: Sequence[Item], job: Job) -> None:
+def _denoise_all(items: Sequence[Item], job: Job) -> None:
     """Denoise all files under a progress bar.  FactoryError when none could be."""
-    before = sum(item in job.finished for item in items)
-    if before:
-        print(f"already denoised: {before} file(s), of a run that was stopped")
-    images = sum(item.kind == "pictures" and item not in job.finished for item in items)
+    finished = sum(item in job.journal for item in items)
+    if finished:
+        print(f"already denoised: {finished} file(s), of a run that was stopped")
+    images = sum(item.kind == "pictures" and item not in job.journal for item in items)
+    job.journal.begin(items)
+    for folder in {(job.out / name).parent for item in items for name in item.results()}:
+        remove_stale_temporaries(folder)
     try:
         with progress_bar(total=images, unit="image", desc="denoising") as job.bar:
-            for some in sequences(items):
-                denoise_files(some, job)
+            for sequence in sequences(items):
+                denoise_files(sequence, job)
     except KeyboardInterrupt:
-        job.finished.save()
         print(
             f"denoised: {job.used.total()} file(s) in {job.out} before it was stopped; the same "
             "command goes on with the others",
             file=sys.stderr,
         )
         raise
-    job.finished.forget()
+    job.journal.forget()
     if job.failures and len(job.failures) == len(items):
         more = f" (and {len(job.failures) - 1} more)" if len(job.failures) > 1 else ""
         raise FactoryError(job.failures[0] + more)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...factory.errors import FactoryError, FrameError
-from ...factory.files import write_atomically
+from ...factory.files import remove_stale_temporaries, write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
 from ..pretrained import DEFAULT, POINTS
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
@@ -21,7 +22,8 @@ from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from ..recordings.pictures import ArrayFile, read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .denoiser import Denoiser
-from .inputs import Finished, Geometries, Item
+from .inputs import Geometries, Item
+from .journal import Journal
 from .pictures import Denoised, Denoising, Picture
 from .removed import RemovedReport
 from .temporal.stream import Shot
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     import h5py
 
 SCHEMA = "simnfnd-denoised/1"
+_PING = re.compile(r"\d{6}(_polar)?\.png")
 
 
 @dataclass
@@ -48,7 +51,7 @@ class Job:
     points: Callable[[], Denoiser]
     denoising: Denoising
     geometries: Geometries
-    finished: Finished
+    journal: Journal
     compare: bool = False
     topics: Sequence[str] = ()
     bar: Any = None
@@ -62,7 +65,7 @@ class Job:
 
         of_points: whether its noise is that of the paper's points; None: not known.
         """
-        self.finished.add(item)
+        self.journal.add(item)
         self.used[name] += 1
         made_for, other = ("real sonars", POINTS) if of_points else ("the paper's points", DEFAULT)
         if of_points is not None and name == (DEFAULT if of_points else POINTS):
@@ -77,7 +80,7 @@ def denoise_files(items: Sequence[Item], job: Job) -> None:
     """
     if items[0].kind == "pictures":
         _denoise_pictures(items, job)
-    elif items[0] not in job.finished:
+    elif items[0] not in job.journal:
         try:
             if items[0].kind == "shard":
                 _denoise_shard(items[0], job)
@@ -88,19 +91,18 @@ def denoise_files(items: Sequence[Item], job: Job) -> None:
 
 
 def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
-    before = {item for item in items if item in job.finished}
-    left = [number for number, item in enumerate(items) if item not in before]
-    if not left:
+    finished = {item for item in items if item in job.journal}
+    if len(finished) == len(items):
         return
-    # A sequence that was begun goes on from a few frames before.
-    first = max(0, left[0] - 2 * job.denoising.frames)
 
     def read() -> Iterator[Shot]:
-        for item in items[first:]:
+        # Finished files, too: what a stream learns from them is part of the bytes of the others.
+        for item in items:
             try:
                 picture = read_picture(item.source)
                 place = partial(job.geometries.of, item)
-                yield job.denoising.shot((item, picture), picture, place)
+                wanted = item not in finished
+                yield job.denoising.shot((item, picture), picture, place, wanted=wanted)
             except (FactoryError, ValueError) as error:
                 text = str(error)
                 named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
@@ -108,8 +110,6 @@ def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
 
     for denoised in job.denoising.sequence(read(), alone=len(items) < 2):
         item, picture = denoised.key
-        if item in before:
-            continue
         job.removed.add(str(item.relative), denoised.removed)
         path = job.out / item.relative
         try:
@@ -153,11 +153,7 @@ def _denoise_recording(item: Item, job: Job) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
             rewrite((samples for _, samples in frames), path)
         else:
-            for frame, samples in frames:
-                fan, full = _view(frame, samples), FULL_SCALE[str(samples.dtype)]
-                fan = np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
-                write_image(path / f"{frame.number:06d}.png", fan)
-                write_image(path / f"{frame.number:06d}_polar.png", samples)
+            _write_pings(path, frames)
         # How many frames a file says to have is often wrong.
         job.bar.total += job.bar.n - before - recording.count
         if recording.warning:
@@ -170,6 +166,23 @@ def _denoise_recording(item: Item, job: Job) -> None:
     if shown:
         write_compared(job.out / item.compared, shown)
     job.done(item, job.denoise.name, of_points=False)
+
+
+def _write_pings(folder: Path, frames: Iterable[tuple[Frame, Picture]]) -> None:
+    """A fan and the samples of each ping; images of a longer run of before go."""
+    remove_stale_temporaries(folder)
+    written = set()
+    for frame, samples in frames:
+        full = FULL_SCALE[str(samples.dtype)]
+        fan = _view(frame, samples)
+        if full > 1:
+            fan = np.rint(fan * full).astype(samples.dtype)
+        for name, image in ((f"{frame.number:06d}", fan), (f"{frame.number:06d}_polar", samples)):
+            write_image(folder / f"{name}.png", image)
+            written.add(f"{name}.png")
+    for path in folder.glob("*.png"):
+        if _PING.fullmatch(path.name) and path.name not in written:
+            path.unlink()
 
 
 def _denoise_shard(item: Item, job: Job) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +12,6 @@ from typing import Any
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError
-from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..data.fans import read_fans
 from ..recordings import READERS, is_bag_folder, kind_of
@@ -26,8 +23,6 @@ HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (*(suffix for _, suffixes in READERS.values() for suffix in suffixes), *HDF5_SUFFIXES)
 
 FIND, POLAR, NONE = "find", "polar", "none"
-NAME = ".denoise-stopped.json"
-"""In the output folder, of a run that was stopped."""
 _LAST_NUMBER = re.compile(r"(|.*\D)(\d+)(\D*)", re.DOTALL)
 
 
@@ -42,6 +37,10 @@ class Item:
     def compared(self) -> Path:
         """Name of the sheet to compare by, below the output folder."""
         return Path("compare") / f"{self.relative}.png"
+
+    def results(self) -> tuple[Path, Path]:
+        """Names of the result and of the sheet to compare by, below the output folder."""
+        return self.relative, self.compared
 
     @cached_property
     def kind(self) -> str:
@@ -178,36 +177,3 @@ class Geometries:
         """One line a folder, video or bag whose pictures were searched."""
         for place, fan in self._found.items():
             yield f"geometry: fan found in {sum(fan)} of {len(fan)} pictures searched ({place})"
-
-
-class Finished:
-    """Which files are denoised, kept where a run is stopped and for the same command alone.
-
-    digest: of the weights.  arguments: of the command.
-    """
-
-    def __init__(self, out: Path, digest: str, arguments: Sequence[str]) -> None:
-        self._out, whole = out, json.dumps([digest, *arguments])
-        self._command = hashlib.sha256(whole.encode()).hexdigest()
-        try:
-            kept = json.loads((out / NAME).read_bytes())
-            self._done = set(kept["done"]) if kept["command"] == self._command else set()
-        except (OSError, ValueError, TypeError, KeyError):
-            self._done = set[str]()
-
-    def __contains__(self, item: Item) -> bool:
-        """Whether a file is denoised, and its result there."""
-        return str(item.relative) in self._done and (self._out / item.relative).exists()
-
-    def add(self, item: Item) -> None:
-        """A file is denoised."""
-        self._done.add(str(item.relative))
-
-    def save(self) -> None:
-        """The run is stopped."""
-        content = json.dumps({"command": self._command, "done": sorted(self._done)})
-        write_atomically(self._out / NAME, content.encode(), key="--out")
-
-    def forget(self) -> None:
-        """The run came to its end."""
-        (self._out / NAME).unlink(missing_ok=True)

@@ -80,11 +80,18 @@ class Denoising:
         self._last_map: Palette | None = None
 
     def shot(
-        self, key: Any, picture: Picture, place: Place, shift_px: tuple[float, float] | None = None
+        self,
+        key: Any,
+        picture: Picture,
+        place: Place,
+        shift_px: tuple[float, float] | None = None,
+        *,
+        wanted: bool = True,
     ) -> Shot:
         """A picture of a sequence, its colours read.
 
-        picture: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.  shift_px: see `Shot`.
+        picture: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
+        shift_px, wanted: see `Shot`.
         Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
         """
         check(picture)
@@ -94,7 +101,7 @@ class Denoising:
             self.maps[painted.palette.name] += 1
         levels = levels_of(plain)
         source = _Source(key, picture, levels, painted)
-        return Shot(source, levels, partial(place, plain), shift_px)
+        return Shot(source, levels, partial(place, plain), shift_px, wanted)
 
     def sequence(self, shots: Iterable[Shot], *, alone: bool = False) -> Iterator[Denoised]:
         """What became of each picture of a sequence, in order.
@@ -102,6 +109,16 @@ class Denoising:
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
         alone: whether each is denoised by itself.
         """
+        # The first image is looked at anew, so that a sequence depends on none before it.
+        self._last_map = None
+        yield from self._denoised(shots, alone)
+
+    def one(self, picture: Picture, place: Place) -> Denoised:
+        """A picture by itself.  Raises ValueError as `shot` does."""
+        (denoised,) = self._denoised([self.shot(None, picture, place)], alone=True)
+        return denoised
+
+    def _denoised(self, shots: Iterable[Shot], alone: bool) -> Iterator[Denoised]:
         frames, at_once = (1, 1) if alone else (self.frames, usable_cores())
         stream = self._in_time(frames=frames, at_once=at_once)
         source: _Source
@@ -113,11 +130,6 @@ class Denoising:
             yield Denoised(source.key, image, Removed(source.levels, levels))
         if stream.strength.measured:
             self._strengths.append(str(stream.strength))
-
-    def one(self, picture: Picture, place: Place) -> Denoised:
-        """A picture by itself.  Raises ValueError as `shot` does."""
-        (denoised,) = self.sequence([self.shot(None, picture, place)], alone=True)
-        return denoised
 
     def summary(self) -> Iterator[str]:
         """A line if colours stood for levels, and lines of what was done in time."""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import glob
-import os
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +12,7 @@ import numpy.typing as npt
 from PIL import Image, TiffImagePlugin
 
 from ...factory.errors import FrameError
-from ...factory.files import explain_os_errors, write_atomically
+from ...factory.files import whole_file, write_atomically
 from ..recordings.base import FULL_SCALE, Recording, swapped
 from ..recordings.pictures import ArrayFile, write_array
 from ..recordings.videos import VideoFile
@@ -80,24 +77,6 @@ def write_frames(path: Path, images: Iterable[TimedImage], source: Recording) ->
         else:
             _write_pages(partial, images)
     return ""
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """A temporary file beside `path`, which takes its place when the block ends without an error.
-
-    Raises FactoryError when it cannot be written.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for stale in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
-        stale.unlink(missing_ok=True)  # of a run that was killed
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-    with explain_os_errors(path, "--out"):
-        try:
-            yield partial
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
 
 
 def _write_pages(partial: Path, images: Iterable[TimedImage]) -> None:

@@ -17,7 +17,6 @@ from copy import deepcopy
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -25,7 +24,7 @@ import numpy as np
 
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError, FrameError
-from ...factory.files import explain_os_errors
+from ...factory.files import temporary_folder
 from .base import (
     MOST_BEAMS,
     MOST_PIXELS,
@@ -136,17 +135,15 @@ class RosBag(Recording):
         Raises ValueError for samples of another shape, type or number, FrameError when the bag is
         damaged, FactoryError when `path` is there or cannot be written.
         """
-        with explain_os_errors(path, "--out"):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-                # The library names the file of a ROS 2 bag as its folder.
-                target = Path(folder) / (path.stem if self.path.is_file() else path.name)
-                if self.version == 1:
-                    target = target.with_suffix(".bag")
-                self._write(iter(samples), target)
-                if self.version == 2 and self.path.is_file():
-                    (target,) = (one for one in target.iterdir() if one.suffix in (".mcap", ".db3"))
-                os.replace(target, path)
+        with temporary_folder(path) as folder:
+            # The library names the file of a ROS 2 bag as its folder.
+            target = folder / (path.stem if self.path.is_file() else path.name)
+            if self.version == 1:
+                target = target.with_suffix(".bag")
+            self._write(iter(samples), target)
+            if self.version == 2 and self.path.is_file():
+                (target,) = (one for one in target.iterdir() if one.suffix in (".mcap", ".db3"))
+            os.replace(target, path)
 
     def _write(self, samples: Iterator[Samples], target: Path) -> None:
         store, damaged = typestore(self.version), f"{self.path}: cannot be copied"

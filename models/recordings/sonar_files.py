@@ -9,7 +9,6 @@ hold a message each, plain or packed by zlib.  sonar_headers.csv names the docum
 
 from __future__ import annotations
 
-import os
 import zlib
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
@@ -21,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...factory.errors import FrameError
-from ...factory.files import explain_os_errors
+from ...factory.files import whole_file
 from .base import (
     MOST_BEAMS,
     MOST_RANGE_M,
@@ -161,22 +160,16 @@ class ArisFile(_SoundMetricsFile):
         Raises ValueError for samples of another shape, type or number, FactoryError when `path`
         cannot be written.
         """
-        partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         wanted = self.ranges, self.beams
-        with explain_os_errors(path, "--out"):
-            try:
-                with partial.open("wb") as file:
-                    file.write(self.bytes_at(0, self.file_size, "its header"))
-                    for number, frame in zip(range(self.count), samples, strict=True):
-                        if frame.shape != wanted or frame.dtype != np.uint8:
-                            said = f"{frame.dtype} {frame.shape}"
-                            raise ValueError(f"samples are {said}; expected uint8 {wanted}")
-                        what = f"the header of frame {number}"
-                        file.write(self.bytes_at(self._place(number), self.frame_size, what))
-                        file.write(frame[:, ::-1].tobytes())
-                os.replace(partial, path)
-            finally:
-                partial.unlink(missing_ok=True)
+        with whole_file(path) as partial, partial.open("wb") as file:
+            file.write(self.bytes_at(0, self.file_size, "its header"))
+            for number, frame in zip(range(self.count), samples, strict=True):
+                if frame.shape != wanted or frame.dtype != np.uint8:
+                    said = f"{frame.dtype} {frame.shape}"
+                    raise ValueError(f"samples are {said}; expected uint8 {wanted}")
+                what = f"the header of frame {number}"
+                file.write(self.bytes_at(self._place(number), self.frame_size, what))
+                file.write(frame[:, ::-1].tobytes())
 
 
 class DdfFile(_SoundMetricsFile):

@@ -39,12 +39,14 @@ class Shot:
     key: comes back with the result.  levels: (H, W) or (H, W, C) float32 in 0..1.
     place: says where range and bearing are; asked where they may differ from the frame before.
     shift_px: how far right and down the scene moved since the frame before, where that is known.
+    wanted: whether its result is asked for; others only teach the stream what it learns from them.
     """
 
     key: Any
     levels: Grey
     place: Callable[[], FanGeometry | None] = lambda: None
     shift_px: tuple[float, float] | None = None
+    wanted: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,13 +128,17 @@ class InTime:
                 self._calibrate(self._before)
             elif number - (self._last_fit or 0) >= due:
                 self._calibrate(number)
-        ready = self._measured.pop(number, None) or self._ready(number)
-        if self._frames > 1:
-            self._count(ready.fused)
-        key, weights = self._held[number].key, self.strength.weights
+        shot = self._held[number]
+        # A frame by itself teaches the stream nothing.
+        if shot.wanted or self._frames > 1:
+            ready = self._measured.pop(number, None) or self._ready(number)
+            if self._frames > 1:
+                self._count(ready.fused)
+            if shot.wanted:
+                denoised = self._pool.submit(self._denoised, ready, self.strength.weights)
+                self._running.append((shot.key, denoised))
         self._next += 1
         self._held.pop(number - self._before - 1, None)
-        self._running.append((key, self._pool.submit(self._denoised, ready, weights)))
         yield from self._done(self._under_way)
 
     def _count(self, fused: Fused) -> None:

@@ -8,6 +8,8 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,7 @@ from simnfnd.factory.files import (
     check_writable,
     remove_stale_temporaries,
     space,
+    whole_file,
     whole_folder,
     write_atomically,
 )
@@ -102,6 +105,26 @@ def test_a_folder_is_whole_or_absent(tmp_path: Path) -> None:
                 raise ValueError
         assert (tmp_path / "out").exists() is not fails
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("writer", [whole_file, whole_folder])
+def test_what_a_killed_writer_left_goes_with_the_next(
+    tmp_path: Path, writer: Callable[[Path], AbstractContextManager[Path]]
+) -> None:
+    """Of the same name; what a living process writes stays."""
+    killed = subprocess.Popen([sys.executable, "-c", ""])
+    killed.wait()
+    token = 16 * "0"
+    mine = tmp_path / f".out.{space()}-{killed.pid}-{token}.tmp"
+    living = tmp_path / f".out.{space()}-{os.getpid()}-{token}.tmp"
+    others = tmp_path / f".other.{space()}-{killed.pid}-{token}.tmp"
+    for folder in (mine, living, others):
+        folder.mkdir()
+        (folder / "half").touch()
+    with writer(tmp_path / "out") as partial:
+        if not partial.is_dir():
+            partial.touch()
+    assert sorted(tmp_path.iterdir()) == sorted([living, others, tmp_path / "out"])
 
 
 def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from simnfnd.factory.files import space
 from simnfnd.models.recordings import open_recording
 from tests.models.denoise.untrained import Halving, main
 from tests.models.recordings.fan_pictures import fan, preset
@@ -154,3 +155,17 @@ def test_damaged_recordings_are_skipped(
     assert "skipped: " in said
     assert "c.aris" in said
     assert sorted(path.name for path in out.iterdir()) == ["a.aris", "b.aris", "d.aris"]
+
+
+def test_what_a_killed_run_left_of_pings_goes_with_the_next(
+    tmp_path: Path, halving: Halving
+) -> None:
+    write_ddf(tmp_path / "a.ddf", pings(2, 40, 48))
+    folder = tmp_path / "out" / "a.ddf"
+    folder.mkdir(parents=True)
+    half = f".000001.png.{space()}-99999999-0123456789abcdef.tmp"
+    for name in ("000007.png", "000007_polar.png", half, "notes.txt"):
+        (folder / name).touch()
+    assert main([str(tmp_path / "a.ddf"), "--out", str(tmp_path / "out")]) == 0
+    pictures = [f"00000{number}{kind}.png" for number in range(2) for kind in ("", "_polar")]
+    assert sorted(path.name for path in folder.iterdir()) == sorted([*pictures, "notes.txt"])

@@ -1,7 +1,8 @@
-"""A run that is stopped leaves no half file and goes on; no file that is written is an input."""
+"""A run that is stopped goes on to the same bytes, alone in its folder, and leaves no half file."""
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 from pathlib import Path
@@ -12,9 +13,11 @@ import pytest
 
 from simnfnd.command import main as simnfnd_main
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import explain_os_errors, space, write_atomically
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise import command
-from simnfnd.models.denoise.inputs import NAME, items_below
+from simnfnd.models.denoise import command, writers
+from simnfnd.models.denoise.inputs import Item, items_below
+from simnfnd.models.denoise.journal import JOURNAL_NAME, opened_journal
 from simnfnd.models.denoise.pictures import Gray
 from tests.models.adapt.scenes import noisy, scene, write
 
@@ -31,11 +34,26 @@ class Stopping:
         self.count += 1
         if self.count == self.at:
             os.kill(os.getpid(), self.number)
+        return self.denoised(gray)
+
+    def denoised(self, gray: Gray) -> Gray:
         return gray / 2
 
 
-def use(monkeypatch: pytest.MonkeyPatch, at: int | None, number: int = signal.SIGINT) -> Stopping:
-    made = Stopping(at, number)
+class Smoothing(Stopping):
+    """Smooths, so that the recording finds a strength for it."""
+
+    def denoised(self, gray: Gray) -> Gray:
+        return np.asarray(cv2.GaussianBlur(gray, (0, 0), 1.5), np.float32)
+
+
+def use(
+    monkeypatch: pytest.MonkeyPatch,
+    at: int | None,
+    number: int = signal.SIGINT,
+    kind: type[Stopping] = Stopping,
+) -> Stopping:
+    made = kind(at, number)
     monkeypatch.setattr(command, "Denoiser", lambda *given, **named: made)
     return made
 
@@ -67,11 +85,105 @@ def test_what_is_done_is_skipped_by_the_next_run(
     assert f"already denoised: {len(done)} file(s)" in capsys.readouterr().out
     assert len(list(out.glob("*.png"))) == 12
     assert all((out / name).stat().st_mtime_ns == time for name, time in done.items())
-    assert not (out / NAME).exists()
+    assert not (out / JOURNAL_NAME).exists()
     # A run that came to its end is done again.
     again = use(monkeypatch, None)
     assert command.main(words) == 0
     assert again.count >= 12
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_run_ends_with_the_bytes_of_an_undisturbed_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """Though the strength changes as the recording goes on."""
+    for one in range(30):
+        write(tmp_path / "in" / f"f{one:02d}.png", noisy(scene(0), one))
+    words = [str(tmp_path / "in"), "--geometry", "none", "--frames", "3", "--out"]
+
+    use(monkeypatch, None, kind=Smoothing)
+    assert simnfnd_main(["denoise", *words, str(tmp_path / "whole")]) == 0
+    whole = images_in(tmp_path / "whole")
+    assert len(whole) == 30
+
+    use(monkeypatch, 25, number, Smoothing)
+    assert simnfnd_main(["denoise", *words, str(tmp_path / "out")]) == 128 + number
+    done = images_in(tmp_path / "out")
+    assert 0 < len(done) < 30
+    resumed = use(monkeypatch, None, kind=Smoothing)
+    assert simnfnd_main(["denoise", *words, str(tmp_path / "out")]) == 0
+    assert images_in(tmp_path / "out") == whole
+    assert resumed.count < 60, "finished frames cost no network but where the strength is measured"
+
+
+def images_in(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.glob("*.png")}
+
+
+def test_after_a_full_disk_the_same_command_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for one in range(9):
+        write(tmp_path / "in" / f"f{one}.png", noisy(scene(0), one))
+    out = tmp_path / "out"
+    words = ["denoise", str(tmp_path / "in"), "--out", str(out), "--geometry", "none"]
+    use(monkeypatch, None)
+
+    def full(path: Path, content: bytes, **options: str) -> None:
+        if path.name == "f5.png":
+            with explain_os_errors(path, "--out"):
+                raise OSError(errno.ENOSPC, "No space left on device")
+        write_atomically(path, content, key="--out")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(writers, "write_atomically", full)
+        assert simnfnd_main(words) == 2
+    assert "no room to write" in capsys.readouterr().err
+    done = images_in(out)
+    assert sorted(done) == [f"f{one}.png" for one in range(5)]
+    assert simnfnd_main(words) == 0
+    assert "already denoised: 5 file(s)" in capsys.readouterr().out
+    assert len(images_in(out)) == 9
+    assert done.items() <= images_in(out).items()
+
+
+def test_a_second_run_into_the_same_folder_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "a.png", scene(0))
+    out = tmp_path / "out"
+    out.mkdir()
+    words = [str(tmp_path / "a.png"), "--out", str(out), "--geometry", "none"]
+    use(monkeypatch, None)
+    with opened_journal(out, "0", ["others"]) as others:
+        others.begin([Item(tmp_path / "b.png", Path("b.png"))])
+        before = sorted(path.name for path in out.iterdir())
+        with pytest.raises(FactoryError, match=rf"--out .*: process {os.getpid()} is denoising"):
+            command.main(words)
+        assert sorted(path.name for path in out.iterdir()) == before
+    assert command.main(words) == 0
+    assert [path.name for path in out.iterdir()] == ["a.png"]
+
+
+def test_a_killed_run_keeps_what_its_journal_names(tmp_path: Path) -> None:
+    """A line that was cut off names nothing; another command's journal neither."""
+    items = [Item(tmp_path / name, Path(name)) for name in ("a.png", "b.png", "c.png")]
+    for item in items:
+        (tmp_path / item.relative).touch()
+    with opened_journal(tmp_path, "0", ["words"]) as journal:
+        journal.begin(items)
+        size = (tmp_path / JOURNAL_NAME).stat().st_size
+        for item in items[:2]:
+            journal.add(item)
+        assert (tmp_path / JOURNAL_NAME).stat().st_size == size, "a full disk takes the names"
+    content = (tmp_path / JOURNAL_NAME).read_bytes()
+    cut = content.replace(b'"b.png"', b'"b.p   ')
+    for kept, expected in ((content, items[:2]), (cut, items[:1]), (b"", []), (b"\xff{", [])):
+        (tmp_path / JOURNAL_NAME).write_bytes(kept)
+        with opened_journal(tmp_path, "0", ["words"]) as journal:
+            assert [item for item in items if item in journal] == expected
+        with opened_journal(tmp_path, "0", ["others"]) as journal:
+            assert not [item for item in items if item in journal]
 
 
 def test_another_command_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,9 +214,10 @@ def test_a_video_that_is_stopped_leaves_nothing(
     use(monkeypatch, 5)
     with pytest.raises(KeyboardInterrupt):
         command.main(words)
-    assert [path.name for path in out.iterdir()] == [NAME]
+    assert [path.name for path in out.iterdir()] == [JOURNAL_NAME]
     # What a killed run left is no input, and goes with the next one.
-    (out / ".a.99999999.tmp.avi").write_bytes(b"half")
+    left = out / f".a.avi.{space()}-99999999-0123456789abcdef.tmp"
+    left.write_bytes(b"half")
     assert items_below(out, tmp_path / "elsewhere") == []
     use(monkeypatch, None)
     assert command.main(words) == 0
