@@ -22,6 +22,7 @@ from ..storage.copies import local_folder
 from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
 from .reader import Image, OpenShards, Split, check_in_isolation, listed_shards, reading
+from .recordings import STATIC, WINDOW_FRAMES, FrameSequence, Recordings
 from .schema import (
     CORE,
     EFFECT_FOLDER,
@@ -283,6 +284,23 @@ class PairDataset:
                 texts = location.decode(), scene.decode(), frame.decode()
                 yield SampleName(path, row, path.parent.name, *texts, int(variant))
 
+    @cached_property
+    def recordings(self) -> Recordings:
+        """Its recordings: the frames of each scene in the order of time."""
+        return Recordings(self)
+
+    def sequence(self, recording: str) -> FrameSequence:
+        """All frames of one recording, `location/scene`: (T, H, W) noisy, clean, static and more.
+
+        Of the layers that this object was opened with, which must have noisy and clean.
+        Raises FactoryError for a recording that is not there.
+        """
+        return self.recordings.sequence(recording)
+
+    def windows(self, frames: int = WINDOW_FRAMES, step: int = 1) -> Iterator[FrameSequence]:
+        """Every `step`-th window of so many frames of all recordings, none over a gap."""
+        return self.recordings.windows(frames, step)
+
     def close(self) -> None:
         """Close the files that this process has open; reading again opens them again."""
         self._shards.close()
@@ -319,7 +337,7 @@ def sample_numbers(item: Any, count: int) -> list[int]:
 
 
 def _is_scaled(layer: str) -> bool:
-    return layer in ("noisy", "clean") or layer.startswith(EFFECT_FOLDER)
+    return layer in ("noisy", "clean", STATIC) or layer.startswith(EFFECT_FOLDER)
 
 
 def _plain(value: Any) -> float | int | str:

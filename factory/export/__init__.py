@@ -11,15 +11,18 @@ from ..dataset.reader import Split
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
-# Format -> the libraries that it needs; `write_FORMAT(pairs, folder)` of formats.py fills an empty
-# folder and returns one line that says what it wrote.
+# Format -> the libraries that it needs; `write_FORMAT(pairs, folder)` of formats.py or tracks.py
+# fills an empty folder and returns one line that says what it wrote.
 FORMATS = {
     "webdataset": ("webdataset", "cv2"),
     "huggingface": ("pyarrow", "cv2"),
     "png": ("cv2",),
     "coco": ("cv2",),
     "yolo": ("cv2",),
+    "mot": ("cv2",),
+    "coco_video": ("cv2",),
 }
+_OF_TRACKS = ("mot", "coco_video")
 
 
 def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") -> str:
@@ -32,7 +35,8 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
     require(Need(f"--to {to}", library) for library in FORMATS[to])
-    write = getattr(import_module(f"{__name__}.formats"), f"write_{to}")
+    module = "tracks" if to in _OF_TRACKS else "formats"
+    write = getattr(import_module(f"{__name__}.{module}"), f"write_{to}")
     folder = Path(out)
     refuse_files(folder)
     with PairDataset(dataset, split, layers=None) as pairs, whole_folder(folder) as unfinished:

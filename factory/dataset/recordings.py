@@ -1,0 +1,159 @@
+"""Recordings of a dataset: the frames of a scene in the order of time, whole or in windows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import FactoryError
+from ..small_files import parse_json
+from .schema import CORE
+
+if TYPE_CHECKING:
+    from .pair_dataset import PairDataset
+
+Images = npt.NDArray[Any]
+Track = dict[str, Any]
+
+WINDOW_FRAMES = 7
+STATIC = "static"
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSequence:
+    """T frames of one recording, one after another.
+
+    recording: `location/scene`.  frames: (T,) their names.
+    time_s: (T,) float64, NaN where the dataset has no times (`dataset.columns=[pose]` stores them).
+    noisy, clean: (T, H, W).  static: (T, H, W) the clean scene without moving objects, None where
+        the dataset has no such layer.
+    truth: (T, H, W) of each other layer of the dataset, such as shadow and instance.
+    tracks: T lists of what moves, see the column `tracks`; empty lists without that column.
+    """
+
+    recording: str
+    frames: tuple[str, ...]
+    time_s: npt.NDArray[np.float64]
+    noisy: Images
+    clean: Images
+    static: Images | None
+    truth: Mapping[str, Images]
+    tracks: tuple[tuple[Track, ...], ...]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+class _Row(NamedTuple):
+    """A sample: its number in the dataset, the name and number of its frame, and its time."""
+
+    sample: int
+    frame: str
+    number: int | None
+    time_s: float
+    tracks: tuple[Track, ...]
+
+
+class Recordings:
+    """The recordings of an open dataset, of one variant of the noise.
+
+    Reads the tables of all shards once, and images when they are asked for.
+    """
+
+    def __init__(self, pairs: PairDataset, variant: int = 0) -> None:
+        self._pairs = pairs
+        self._rows: dict[str, list[_Row]] = {}
+        for sample, record in enumerate(pairs.meta()):
+            if int(record["variant"]) == variant:
+                name = f"{record['location'].decode()}/{record['scene'].decode()}".lstrip("/")
+                self._rows.setdefault(name, []).append(_row(sample, record))
+        for rows in self._rows.values():
+            rows.sort(key=lambda row: (row.time_s if np.isfinite(row.time_s) else 0.0, row.frame))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """`location/scene` of each recording, in the order of the dataset."""
+        return tuple(self._rows)
+
+    def sequence(self, name: str) -> FrameSequence:
+        """All frames of a recording.  Raises FactoryError for a name that the dataset lacks."""
+        if name not in self._rows:
+            known = ", ".join(self.names[:3])
+            raise FactoryError(
+                f"{self._pairs.folder}: no recording {name!r} in the split {self._pairs.split}; "
+                f"there are {len(self.names)}, such as {known}"
+            )
+        return self._read(name, self._rows[name])
+
+    def windows(self, frames: int = WINDOW_FRAMES, step: int = 1) -> Iterator[FrameSequence]:
+        """Windows of `frames` frames without a gap, every `step`-th of each recording."""
+        for name, rows in self._rows.items():
+            for start in self.starts(name, frames)[::step]:
+                yield self._read(name, rows[start : start + frames])
+
+    def starts(self, name: str, frames: int) -> list[int]:
+        """Where windows without a gap begin, places in the recording."""
+        rows = self._rows[name]
+        numbers = [row.number for row in rows]
+        if any(number is None for number in numbers):
+            return list(range(len(rows) - frames + 1))
+        steps = np.diff(np.array(numbers, np.int64))
+        if not len(steps):
+            return [0] if frames == 1 else []
+        is_gap = np.append(0, np.cumsum(steps != steps.min()))
+        last = len(rows) - frames + 1
+        return [start for start in range(last) if is_gap[start] == is_gap[start + frames - 1]]
+
+    def window(self, name: str, start: int, frames: int) -> FrameSequence:
+        """The window that begins at a place of `starts`."""
+        return self._read(name, self._rows[name][start : start + frames])
+
+    def _read(self, name: str, rows: list[_Row]) -> FrameSequence:
+        images = self._pairs[[row.sample for row in rows]]
+        others = {key: stack for key, stack in images.items() if key not in (*CORE[:2], STATIC)}
+        return FrameSequence(
+            recording=name,
+            frames=tuple(row.frame for row in rows),
+            time_s=np.array([row.time_s for row in rows]),
+            noisy=images["noisy"],
+            clean=images["clean"],
+            static=images.get(STATIC),
+            truth=others,
+            tracks=tuple(row.tracks for row in rows),
+        )
+
+
+def _row(sample: int, record: np.void) -> _Row:
+    names = record.dtype.names or ()
+    frame = record["frame"].decode()
+    time_s = float(record["time_s"]) if "time_s" in names else float("nan")
+    tracks = parse_tracks(record["tracks"], f"sample {sample}") if "tracks" in names else ()
+    return _Row(sample, frame, int(frame) if frame.isdigit() else None, time_s, tracks)
+
+
+def parse_tracks(text: bytes, where: str) -> tuple[Track, ...]:
+    """The entries of the column `tracks`.
+
+    Raises FactoryError, which names `where`, when they are not of the form that it describes.
+    """
+    try:
+        entries = parse_json(text)
+    except ValueError as error:
+        raise FactoryError(f"{where}: its tracks are damaged ({error})") from error
+    if not isinstance(entries, list) or not all(map(_is_track, entries)):
+        raise FactoryError(f"{where}: its tracks are damaged (no list of objects)")
+    return tuple(entries)
+
+
+def _is_track(entry: object) -> bool:
+    if not isinstance(entry, dict) or not isinstance(entry.get("class"), str):
+        return False
+    box, occluded = entry.get("box"), entry.get("occluded")
+    is_box = box is None or (
+        isinstance(box, list) and len(box) == 4 and all(isinstance(n, int) for n in box)
+    )
+    return is_box and isinstance(entry.get("id"), int) and isinstance(occluded, int | float)
