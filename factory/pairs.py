@@ -9,6 +9,7 @@ as in the paper, or coherent) and the same transfer curve.  Only the noise diffe
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -55,6 +56,8 @@ Scene = PointwiseScene | CoherentScene
 
 _DRAWS = 40
 """Maximum attempts to draw a device that sees part of the frame."""
+_MOST_KEPT_FRAMES = 24
+"""Observed frames that may stay in memory: each takes 30 bytes a pixel of its camera image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +84,20 @@ class PairMaker:
     """Makes pairs of renders; a `sample.PairSource`.  Needs no renderer."""
 
     def __init__(
-        self, config: FactoryConfig, views: Views, camera: CameraLayers | None = None
+        self,
+        config: FactoryConfig,
+        views: Views,
+        camera: CameraLayers | None = None,
+        *,
+        kept_frames: int = 0,
     ) -> None:
-        """camera: gives the layers rgb and depth; by default the recordings do."""
+        """camera: gives the layers rgb and depth; by default the recordings do.
+
+        kept_frames: how many observed frames stay in memory, where frames come again and again.
+        """
         self.config, self.views = config, views
+        self._kept_frames = kept_frames
+        self._observed: OrderedDict[FrameRef, ObservedFrame] = OrderedDict()
         self._recordings = Recordings(config.scenes, config.seed)
         self._camera = camera or Camera(config, choose_frames)
 
@@ -107,17 +120,31 @@ class PairMaker:
         noise: used instead of the configuration's; it must have the same effects.
         Raises FrameError when the frame is bad, NotRendered when its render is not at hand.
         """
-        view = self.views.view(ref)
         config = self.config if noise is None else replace(self.config, noise=noise)
-        frame, rendered = view.frame(ref), view.rendered()
-        moment = self._recordings.moment(frame, rendered)
         if config.devices is None:
-            observed = observe_moment(moment, config)
+            observed = self._observed_frame(ref)
             made = [make_pair(observed, variant, config) for variant in variants]
         else:
+            moment = self._moment(ref)
             made = [pair_by_drawn_device(moment, one, config) for one in variants]
         seen = self._camera.layers(ref)
         return [replace(pair, layers={**pair.layers, **seen}) if seen else pair for pair in made]
+
+    def _moment(self, ref: FrameRef) -> Moment:
+        view = self.views.view(ref)
+        return self._recordings.moment(view.frame(ref), view.rendered())
+
+    def _observed_frame(self, ref: FrameRef) -> ObservedFrame:
+        """The frame as the configured device observes it; the noise changes nothing of that."""
+        if ref in self._observed:
+            self._observed.move_to_end(ref)
+            return self._observed[ref]
+        observed = observe_moment(self._moment(ref), self.config)
+        if self._kept_frames:
+            self._observed[ref] = observed
+            if len(self._observed) > self._kept_frames:
+                self._observed.popitem(last=False)
+        return observed
 
     def expect(self, keys: Mapping[str, str]) -> None:
         """Keys of renders that are in the cache; see `sample.PairSource`."""
@@ -125,11 +152,16 @@ class PairMaker:
             self.views.expect(keys)
 
 
-def pair_maker(config: FactoryConfig) -> PairMaker:
-    """The pair maker of a configuration, with the renders that it means."""
+def frames_worth_keeping(frames: int) -> int:
+    """`kept_frames` where so many frames come in random order: all of few, none of many."""
+    return frames if frames <= _MOST_KEPT_FRAMES else 0
+
+
+def pair_maker(config: FactoryConfig, *, kept_frames: int = 0) -> PairMaker:
+    """The pair maker of a configuration, with the renders that it means.  See `PairMaker`."""
     moves = "seabed" if config.scenes.is_continuous else ""
     compile_needed(scenes=moves, field=config.acoustics.formation == "coherent")
-    return PairMaker(config, open_views(config))
+    return PairMaker(config, open_views(config), kept_frames=kept_frames)
 
 
 def observe(

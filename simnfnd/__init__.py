@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .factory.errors import FactoryError, FrameError
     from .factory.progress import RunProgress
     from .making import DatasetResult, make_dataset, make_pair
+    from .models.data.pair_stream import PairStream
 
 __all__ = [
     "DatasetResult",
@@ -31,6 +32,7 @@ __all__ = [
     "OpenRecording",
     "Pair",
     "PairDataset",
+    "PairStream",
     "RecordedFrame",
     "RunProgress",
     "__version__",
@@ -47,6 +49,7 @@ _MODULES = {
     "OpenRecording": "api",
     "Pair": "factory.dataset.schema",
     "PairDataset": "factory.dataset",
+    "PairStream": "models.data.pair_stream",
     "RecordedFrame": "api",
     "RunProgress": "factory.progress",
     "__version__": "factory",

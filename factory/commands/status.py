@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from ..cli import Parser
 from ..dataset.folder import STATUS_NAME
-from ..dataset.manifest import CONFIG_NAME, Manifest, load_failures, load_manifest
+from ..dataset.manifest import Manifest, load_failures, load_manifest
 from ..dataset.schema import SPLITS
 from ..errors import FactoryError
 from ..scheduler.lock import owner_of
-from ..small_files import load_yaml, one_line, parse_json, read_regular
+from ..small_files import parse_json, read_regular
 
 if TYPE_CHECKING:
-    from ..config import FactoryConfig
+    pass
 
 
 def main(words: list[str]) -> int:
@@ -85,10 +85,12 @@ def _last_run(told: dict[str, Any], at_work: bool) -> str:
 
 def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
     """Make the failed frames once more.  Nothing that the dataset's files say is executed."""
+    from ..cli.compose import compose_config
     from ..cli.generate import run
+    from ..cli.stored import stored_config
 
     frames = tuple(dict.fromkeys(failed))
-    config = _stored(directory, settings)
+    config = stored_config(directory, compose_config(settings))
     # What it renders goes to the cache.
     with TemporaryDirectory(prefix="simnfnd-") as retry:
         limits: dict[str, Any] = {"preview_pairs": 0, "max_train": None, "max_test": None}
@@ -110,28 +112,6 @@ def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
     print(f"{cured} of {len(frames)} frames work now", end="")
     print("; run the dataset's command again to take them in" if cured else "")
     return 0 if cured == len(frames) else 1
-
-
-def _stored(directory: Path, settings: list[str]) -> FactoryConfig:
-    """What config.yaml says of the samples; scheduler and cache are those of `settings`.
-
-    A dataset may come from a stranger, so it does not choose where renders are written or which
-    cluster is connected to.
-    """
-    from ..cli.compose import compose_config
-    from ..config import from_mapping
-
-    path = directory / CONFIG_NAME
-    here = compose_config(settings)
-    own = {name: getattr(here, name) for name in ("scheduler", "cache", "shard", "debug")}
-    try:
-        return from_mapping({**load_yaml(path), **own})
-    except (OSError, ValueError, TypeError) as error:
-        raise FactoryError(
-            f"{path}: cannot be read ({one_line(error)}); restore it to rerun"
-        ) from error
-    except FactoryError as error:
-        raise FactoryError(f"{path}: {error}") from error
 
 
 def _printable(text: str) -> str:

@@ -20,7 +20,7 @@ from ...factory.frame import FrameRef
 from ...factory.moving.recordings import Moment
 from ...factory.noise.draws import StreamNames, draw
 from ...factory.noise.registry import NoiseSettings
-from ...factory.pairs import PairMaker, observe_by
+from ...factory.pairs import PairMaker, frames_worth_keeping, observe_by
 from ...factory.seeds import stream
 from ...factory.sonar.fan import rasterised
 from ...factory.sonar.geometry import FanGeometry
@@ -59,7 +59,11 @@ class RenderSource(RenderedSource):
         """By scale."""
         sonars = {scale: resized(self.config.sonar, scale) for scale in (1.0, *self.data.scales)}
         configs = {scale: replace(self.config, sonar=sonar) for scale, sonar in sonars.items()}
-        return {scale: PairMaker(one, open_views(one)) for scale, one in configs.items()}
+        kept_frames = frames_worth_keeping(len(configs) * len(self.images)) // len(configs)
+        return {
+            scale: PairMaker(config, open_views(config), kept_frames=kept_frames)
+            for scale, config in configs.items()
+        }
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""

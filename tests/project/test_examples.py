@@ -15,7 +15,7 @@ import pytest
 import torch
 from PIL import Image as Picture
 
-from simnfnd import denoise
+from simnfnd import denoise, make_dataset
 from simnfnd.command import main
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
@@ -51,6 +51,18 @@ def test_examples_read_a_dataset_and_learn_from_it(dataset: Path, tmp_path: Path
     assert float(after) < 0.5 * float(before)
     said = printed("load_with_workers.py", str(dataset), cwd=tmp_path)
     assert said.startswith("24 of 24 pairs, ")
+
+
+def test_a_u_net_trains_on_the_stream(tmp_path: Path) -> None:
+    make_dataset(
+        "experiment=demo", "render=analytic", "scenes.locations=2", "scenes.frames_per_location=1",
+        "scenes.width=160", "scenes.height=100", "dataset.preview_pairs=0", "scheduler=serial",
+        out=tmp_path / "data",
+    )  # fmt: skip
+    said = printed("train_unet_on_stream.py", "data", "2", cwd=tmp_path).splitlines()
+    assert said[0].startswith("noisy: ")
+    assert said[1].startswith("step 2: loss 0.")
+    assert said[1].endswith(" dB")
 
 
 class Message(SimpleNamespace):

@@ -1,0 +1,172 @@
+"""`PairStream`: an endless stream of fresh pairs for a training loop of the user's own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.utils.data import IterableDataset
+
+from ...factory.cli.compose import compose_config
+from ...factory.cli.extras import needs_of, require
+from ...factory.cli.stored import stored_config
+from ...factory.config import FactoryConfig
+from ...factory.dataset.pair_dataset import in_unit_range
+from ...factory.dataset.schema import Pair
+from ...factory.dataset.shares import loader_share
+from ...factory.errors import FactoryError, FrameError
+from ...factory.frame import FrameRef
+from ...factory.pairs import PairMaker, frames_worth_keeping, pair_maker
+from ...factory.scenes import open_reader
+from ...factory.seeds import stream
+from ...factory.selection import choose_frames, split_frames
+from ...factory.views import open_views
+
+# Variants of datasets count from 0: the noise of a stream is none of theirs.
+_FIRST_VARIANT = 1_000_000
+_ROUNDS_IN_MEMORY = 4
+
+
+class PairStream(IterableDataset[dict[str, Tensor]]):
+    """An endless stream of batches of pairs: rendered frames under noise that is new at each visit.
+
+        stream = PairStream(dataset="outputs/demo", batch_size=16)
+        for batch in DataLoader(stream, batch_size=None, num_workers=2):
+            loss = criterion(network(batch["noisy"]), batch["clean"])
+
+    A batch has noisy and clean, (N, 1, H, W) float32 in 0..1, and shadow, (N, 1, H, W) float32, 1
+    in acoustic shadow.  All frames come once, in random order, before any comes again.
+
+    Batch number k is a pure function of words and seed: `stream.batch(k)`.  Workers of a DataLoader
+    and ranks share the numbers without a duplicate, and a loader gives the same batches in the same
+    order for any number of workers.  `start=k` resumes after the first k batches (of a rank).
+
+    words: of `simnfnd make`, which choose renders, device and noise.  The renders must be at hand:
+        in the cache, where `simnfnd make` with the same words leaves them, or in a pack
+        ("scenes=pack", "scenes.root=views.pack").
+    dataset: folder whose config.yaml is taken; words may then only set the cache.
+    split: of the frames, as the configuration splits them by scene.
+    rank, ranks: of this process among those that train together; None: as torch.distributed or
+        torchrun say, else 0 of 1.
+    Raises FactoryError for wrong words, and where no render is at hand.
+    """
+
+    def __init__(
+        self,
+        *words: str,
+        dataset: str | Path | None = None,
+        split: str = "train",
+        batch_size: int = 16,
+        seed: int = 0,
+        start: int = 0,
+        rank: int | None = None,
+        ranks: int | None = None,
+    ) -> None:
+        if batch_size < 1 or start < 0:
+            raise ValueError(f"batch_size={batch_size}, start={start}: expected at least 1 and 0")
+        config = compose_config(words)
+        if dataset is not None:
+            config = stored_config(Path(dataset).expanduser(), config)
+        # The noise of a stream is that of its seed.
+        self.config = replace(config, seed=seed, dataset=replace(config.dataset, layers=()))
+        require(needs_of(self.config))
+        self.frames = rendered_frames(config, split)
+        self.batch_size = batch_size
+        self.seed = seed
+        self.start = start
+        self.rank, self.ranks = _place_among_ranks(rank, ranks)
+        self._maker: PairMaker | None = None
+
+    def __iter__(self) -> Iterator[dict[str, Tensor]]:
+        """The batches of this worker and rank, without an end."""
+        share = loader_share()
+        for step in count(self.start + share.number, share.processes):
+            yield self.batch(step * self.ranks + self.rank)
+
+    def batch(self, number: int) -> dict[str, Tensor]:
+        """Batch `number` of all ranks together."""
+        first = number * self.batch_size
+        pairs = [self.pair(position) for position in range(first, first + self.batch_size)]
+        return {
+            "noisy": _stacked([in_unit_range(pair.noisy) for pair in pairs]),
+            "clean": _stacked([in_unit_range(pair.clean) for pair in pairs]),
+            "shadow": _stacked([pair.shadow.astype(np.float32) for pair in pairs]),
+        }
+
+    def pair(self, position: int) -> Pair:
+        """The pair at a position of the stream, with its record.
+
+        A frame that shows nothing to the sonar gives way to the next one.
+        """
+        maker = self._pair_maker()
+        round_, place = divmod(position, len(self.frames))
+        index = int(_order(self.seed, round_, len(self.frames))[place])
+        for attempt in range(len(self.frames)):
+            frame = self.frames[(index + attempt) % len(self.frames)]
+            try:
+                (pair,) = maker.pairs(frame, (_FIRST_VARIANT + position,))
+            except FrameError as error:
+                problem = error
+            else:
+                return pair
+        raise FactoryError(f"no frame of the stream gives a pair: {problem}")
+
+    def _pair_maker(self) -> PairMaker:
+        if self._maker is None:
+            kept_frames = frames_worth_keeping(len(self.frames))
+            self._maker = pair_maker(self.config, kept_frames=kept_frames)
+        return self._maker
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A worker builds its own maker."""
+        return {**self.__dict__, "_maker": None}
+
+
+def rendered_frames(config: FactoryConfig, split: str) -> tuple[FrameRef, ...]:
+    """The frames of a split whose renders are at hand.
+
+    Raises FactoryError where there are none.
+    """
+    frames = choose_frames(open_reader(config.scenes).discover().frames, config)
+    of_split = split_frames(frames, config).get(split, ())
+    if not of_split:
+        raise FactoryError(f"split={split}: none of the {len(frames)} frames is in it")
+    views = open_views(config)
+    ready = tuple(ref for ref in of_split if views.holds(ref))
+    if not ready:
+        raise FactoryError(
+            f"none of the {len(of_split)} {split} frames is rendered in {config.cache.folder}; run "
+            "`simnfnd make` with the same words first, which leaves its renders there, or take a "
+            "pack with scenes=pack scenes.root=FILE"
+        )
+    return ready
+
+
+@lru_cache(maxsize=_ROUNDS_IN_MEMORY)
+def _order(seed: int, round_: int, frames: int) -> npt.NDArray[np.int64]:
+    return stream(seed, "order", round_).permutation(frames)
+
+
+def _place_among_ranks(rank: int | None, ranks: int | None) -> tuple[int, int]:
+    distributed = torch.distributed
+    if rank is None and distributed.is_available() and distributed.is_initialized():
+        rank, ranks = distributed.get_rank(), distributed.get_world_size()
+    elif rank is None:
+        rank = int(os.environ.get("RANK", "0"))
+        ranks = int(os.environ.get("WORLD_SIZE", "1"))
+    if ranks is None or not 0 <= rank < ranks:
+        raise ValueError(f"rank={rank}, ranks={ranks}: expected a rank below the number of ranks")
+    return rank, ranks
+
+
+def _stacked(images: Sequence[npt.NDArray[Any]]) -> Tensor:
+    return torch.from_numpy(np.stack(images)[:, None])
