@@ -13,6 +13,7 @@ import yaml
 from ..files import write_atomically
 from .folder import CARD_NAME, PREVIEW_NAME
 from .manifest import FAILURES_NAME, Failure, Manifest
+from .meaning import grey_meaning, pixel_meaning
 from .pair_dataset import PairDataset
 from .schema import SCHEMA, SPLITS, Provenance, plain_values
 from .settings import DatasetSettings
@@ -47,8 +48,9 @@ def write_card(
     Needs at least one finished shard.
     """
     pairs = PairDataset(directory, "all", trusted=True)
+    licence = stated_licence(settings.licence, provenance.config)
     sections = (
-        _front_matter(settings, manifest),
+        _front_matter(settings, licence, manifest),
         f"# {settings.name}: simulated forward-looking sonar images, noisy and clean",
         _summary(pairs, manifest),
         _preview_link(directory),
@@ -60,9 +62,11 @@ def write_card(
         _scene_table(pairs),
         "## How to read it",
         _reading_example(pairs, directory),
+        "## What the numbers mean",
+        _meanings(pairs, provenance.config),
         "## Licence",
-        f"Of this dataset: {settings.licence or 'not stated (set `dataset.licence`)'}. The terms "
-        "of the source images hold for what is derived from them.",
+        f"Of this dataset: {licence or 'not stated (set `dataset.licence`)'}. "
+        f"{source_terms(provenance.config)}",
     )
     path = directory / CARD_NAME
     text = "\n\n".join(section for section in sections if section) + "\n"
@@ -76,8 +80,8 @@ with its light at the sonar, and projected into ideal sonar images; noise was ad
 before projection, so both images of a pair share one scene. The method: {PAPER}."""
 
 
-def _front_matter(settings: DatasetSettings, manifest: Manifest) -> str:
-    hub = hub_fields(settings.name, settings.licence, manifest.samples())
+def _front_matter(settings: DatasetSettings, licence: str | None, manifest: Manifest) -> str:
+    hub = hub_fields(settings.name, licence, manifest.samples())
     return f"---\n{yaml.safe_dump(hub, sort_keys=False)}---"
 
 
@@ -135,7 +139,6 @@ def _scene_table(pairs: PairDataset) -> str:
 
 def _reading_example(pairs: PairDataset, directory: Path) -> str:
     shard = pairs.paths[0].relative_to(directory).as_posix()
-    values = "0..255" if pairs.dtype == "uint8" else "0..1"
     return f"""\
 ```python
 import h5py
@@ -145,10 +148,51 @@ with h5py.File("{shard}") as shard:
     made_from = dict(zip(shard["meta"].dtype.names, shard["meta"][0]))
 ```
 
-`noisy` and `clean` are {values}; `shadow` is true inside the sonar's sector where no echo \
-arrives. `meta` has, for each sample, its frame and every number that was drawn for it; `axes` has \
-range and bearing. One chunk is one image. `simnfnd validate` checks a copy, `simnfnd export` \
+`shadow` is true inside the sonar's sector where no echo arrives. `meta` has, for each sample, \
+its frame and every number that was drawn for it; `axes` has range and bearing. One chunk is one \
+image. `index.h5` shows the shards of this folder as one file (`index["train/noisy"][0]`), without \
+a copy: open it by its own path, with all shards beside it. `manifest.json` lists the shards with \
+their SHA-256, `config.yaml` every setting. `simnfnd validate` checks a copy, `simnfnd export` \
 writes other formats."""
+
+
+def _meanings(pairs: PairDataset, config: Mapping[str, Any]) -> str:
+    grey = grey_meaning(config, str(pairs.dtype))
+    pixels = pixel_meaning(pairs.layout, pairs.shape[1])
+    return (
+        f"- **Grey values.** Of `noisy` and `clean`: {grey}\n"
+        f"- **Pixels.** {pixels} These names are columns of `meta`."
+    )
+
+
+def stated_licence(licence: str | None, config: Mapping[str, Any]) -> str | None:
+    """The user's licence; without one that of the procedural scenes, else None.
+
+    config: as shards state it.
+    """
+    if licence is None and _is_procedural(config):
+        return "apache-2.0"
+    return licence
+
+
+def source_terms(config: Mapping[str, Any]) -> str:
+    """One sentence on the terms of what the images were made of.  config: as shards state it."""
+    if _is_procedural(config):
+        return (
+            "Its scenes are procedural, made by SimNFND itself (Apache-2.0): no terms of others "
+            "apply."
+        )
+    return "The terms of the source images hold for what is derived from them."
+
+
+def _is_procedural(config: Mapping[str, Any]) -> bool:
+    scenes = config.get("scenes")
+    return (
+        isinstance(scenes, Mapping)
+        and scenes.get("kind") == "seabed"
+        and not scenes.get("own_objects")
+        and not scenes.get("path")
+    )
 
 
 def hub_fields(name: str, licence: str | None, samples: int) -> dict[str, Any]:

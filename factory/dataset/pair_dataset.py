@@ -21,6 +21,7 @@ from ..seeds import stream
 from ..storage.copies import local_folder
 from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
+from .meaning import formation_of
 from .reader import Image, OpenShards, Split, check_in_isolation, listed_shards, reading
 from .recordings import STATIC, WINDOW_FRAMES, FrameSequence, Recordings
 from .schema import (
@@ -31,7 +32,6 @@ from .schema import (
     Axis,
     Column,
     Pair,
-    formation_of,
 )
 from .schema import layers as known_layers
 from .shares import Share, loader_share

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ import numpy.typing as npt
 from ..errors import FactoryError, FrameError
 from ..frame import FrameRef
 from ..labels import CLASSES
+from .meaning import Formation, grey_meaning
 
 if TYPE_CHECKING:
     from ..sonar.geometry import FanGeometry
@@ -220,7 +221,7 @@ class Pair:
     shadow: npt.NDArray[np.bool_]
     record: Mapping[str, float | int | str] = field(default_factory=dict)
     layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
-    formation: Literal["pointwise", "coherent", ""] = ""
+    formation: Formation = ""
     geometry: FanGeometry | None = None
 
     def image(self, layer: str) -> npt.NDArray[np.generic]:
@@ -280,14 +281,6 @@ class Provenance:
     generator: str
 
 
-def formation_of(config: Mapping[str, Any]) -> Literal["pointwise", "coherent", ""]:
-    """`Pair.formation` of a dataset with this configuration, as its shards state it."""
-    if config.get("devices") is not None or "noise" not in config:
-        return ""
-    # What never reaches the paper's images is not stated.
-    return "coherent" if "acoustics" in config else "pointwise"
-
-
 def plain_values(value: Any) -> Any:
     """`value` as JSON and YAML give it back: mappings are dicts with text keys, sequences lists."""
     if isinstance(value, Mapping):
@@ -320,8 +313,7 @@ def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str,
         "config_hash": provenance.config_hash,
         "split": split,
         "value_range": np.asarray(VALUE_RANGES[dtype], dtype=dtype),
-        "value_meaning": "echo strength after the transfer curve in `config`, the same for noisy "
-        "and clean",
+        "value_meaning": grey_meaning(provenance.config, dtype),
     }
 
 

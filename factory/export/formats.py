@@ -18,14 +18,19 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from ..dataset.card import hub_fields
+from ..cli import markdown
+from ..dataset.card import hub_fields, source_terms, stated_licence
 from ..dataset.folder import dataset_settings
+from ..dataset.meaning import grey_meaning, pixel_meaning
 from ..dataset.pair_dataset import PairDataset
-from ..dataset.schema import stored_image
+from ..dataset.schema import CORE, Layer, stored_image
+from ..dataset.schema import layers as known_layers
 from ..errors import FactoryError
 from ..labels import classes_of
 
 SAMPLES_PER_FILE = 1000
+# A loader of WebDataset gives each worker tars of its own.
+_TARS_PER_SPLIT = 8
 # The hub reads whole row groups to show one row.
 _SAMPLES_PER_GROUP = 100
 LEAST_PX = 8
@@ -84,12 +89,19 @@ def samples(pairs: PairDataset, split: str) -> Iterator[Sample]:
         start += len(rows)
 
 
-def _files(pairs: PairDataset, name: str) -> Iterator[tuple[str, Iterator[Sample]]]:
-    """Files of at most SAMPLES_PER_FILE samples each, by a name of split, number and files."""
+def _files(
+    pairs: PairDataset, name: str, *, least_files: int = 1
+) -> Iterator[tuple[str, Iterator[Sample]]]:
+    """Files of at most SAMPLES_PER_FILE samples each, by a name of split, number and files.
+
+    least_files: so many of each split, where it has as many samples.
+    """
     for split, count in pairs.splits.items():
-        found, files = samples(pairs, split), -(-count // SAMPLES_PER_FILE)
+        samples_per_file = min(SAMPLES_PER_FILE, max(1, count // least_files))
+        files = -(-count // samples_per_file)
+        of_split = samples(pairs, split)
         for number in range(files):
-            yield name.format(split, number, files), islice(found, SAMPLES_PER_FILE)
+            yield name.format(split, number, files), islice(of_split, samples_per_file)
 
 
 def is_picture(dtype: np.dtype[np.generic]) -> bool:
@@ -125,12 +137,32 @@ Pairs of simulated forward-looking-sonar images, exported from a SimNFND dataset
 ## What the files are
 
 {reading}
+## What the numbers mean
+
+- **Grey values.** Of noisy and clean as the dataset stores them: \
+{grey_meaning(pairs.form.config, str(pairs.dtype))}
+- **Pixels.** {pixel_meaning(pairs.layout, columns)} These names are in the record of each sample.
+
+{_described(pairs)}
 ## Licence
 
-{settings.get("licence") or "not stated"}. The terms of the source images hold for what is derived \
-from them.
+{stated_licence(settings.get("licence"), pairs.form.config) or "not stated"}. \
+{source_terms(pairs.form.config)}
 """
     (folder / "README.md").write_text(text, encoding="utf-8")
+
+
+def _described(pairs: PairDataset) -> str:
+    """A Markdown table of the units and descriptions of all layers and columns."""
+    rows = [(named(layer.name), layer.units, layer.description) for layer in _layers(pairs)]
+    rows += [(column.name, column.units, column.description) for column in pairs.form.columns]
+    table = [[name, units, text.replace("|", "\\|")] for name, units, text in rows]
+    return markdown(["name", "unit", "what it is"], table)
+
+
+def _layers(pairs: PairDataset) -> tuple[Layer, ...]:
+    dtype = str(pairs.form.layers["noisy"])
+    return known_layers(dtype, set(pairs.form.layers) - set(CORE))
 
 
 def write_png(pairs: PairDataset, folder: Path) -> str:
@@ -167,7 +199,7 @@ def write_webdataset(pairs: PairDataset, folder: Path) -> str:
     from webdataset import TarWriter  # an extra
 
     tars = 0
-    for name, found in _files(pairs, "{}-{:06d}.tar"):
+    for name, found in _files(pairs, "{}-{:06d}.tar", least_files=_TARS_PER_SPLIT):
         tars += 1
         # A time stamp and a user name would make every export another file.
         with TarWriter(str(folder / name), encoder=False, mtime=0.0, user="", group="") as tar:
@@ -211,7 +243,8 @@ def write_huggingface(pairs: PairDataset, folder: Path) -> str:
             while rows := [_row(pairs, one) for one in islice(found, _SAMPLES_PER_GROUP)]:
                 writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
     settings = dataset_settings(pairs.folder)
-    fields = hub_fields(settings.get("name") or "dataset", settings.get("licence"), len(pairs))
+    licence = stated_licence(settings.get("licence"), pairs.form.config)
+    fields = hub_fields(settings.get("name") or "dataset", licence, len(pairs))
     places = [{"path": f"data/{split}-*.parquet", "split": split} for split in pairs.splits]
     fields["configs"] = [{"config_name": "default", "data_files": places}]
     front = f"---\n{yaml.safe_dump(fields, sort_keys=False)}---\n\n"
@@ -263,7 +296,14 @@ def _schema(pairs: PairDataset) -> Any:
         feature = {"_type": "Value", "dtype": "string" if text else str(dtype)}
         columns[column.name] = kind, feature
     features = {name: feature for name, (_, feature) in columns.items()}
-    schema = pyarrow.schema([(name, kind) for name, (kind, _) in columns.items()])
+    told = {named(layer.name): (layer.units, layer.description) for layer in _layers(pairs)}
+    told |= {column.name: (column.units, column.description) for column in pairs.form.columns}
+    fields = []
+    for name, (kind, _) in columns.items():
+        units, description = told.get(name, ("", ""))
+        about = {"units": units, "description": description}
+        fields.append(pyarrow.field(name, kind, metadata=about))
+    schema = pyarrow.schema(fields)
     return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
 
 
@@ -353,7 +393,7 @@ def write_coco(pairs: PairDataset, folder: Path) -> str:
                 }
                 annotations.append(one)
         document = {
-            "info": {"description": f"SimNFND, {split}", "version": "1.0"},
+            "info": {"description": f"SimNFND, {split}; masks as run lengths", "version": "1.0"},
             "images": images,
             "annotations": annotations,
             "categories": [
@@ -434,12 +474,15 @@ stored as they are, float32 data (0..1) as 16 bits (0..65535).
 _WEBDATASET_NOTES = """\
 One sample is `KEY.noisy.png`, `KEY.clean.png` (input and target), `KEY.shadow.png` (255 in acoustic
 shadow), any optional layer by its name, and `KEY.json`, the sample's record (null: not drawn).
-float32 images are `.npy`.
+float32 images are `.npy`. Each split has at least 8 tars where it has as many samples, because
+every worker of a loader needs a tar of its own; more workers than tars need `empty_check=False`.
 
 ```python
+from glob import glob
+
 import webdataset
 
-pairs = webdataset.WebDataset("train-000000.tar", shardshuffle=False).decode("l8")
+pairs = webdataset.WebDataset(sorted(glob("train-*.tar")), shardshuffle=False).decode("l8")
 for noisy, clean, record in pairs.to_tuple("noisy.png", "clean.png", "json"):
     ...
 ```
@@ -448,7 +491,8 @@ for noisy, clean, record in pairs.to_tuple("noisy.png", "clean.png", "json"):
 _HUGGINGFACE_NOTES = """\
 `noisy` is the input of a denoiser, `clean` its target, `shadow` is 255 where no echo arrives. The
 other columns say which frame a sample is of and every number that was drawn for it (NaN: not
-drawn).
+drawn). Units and descriptions are in the metadata of the Parquet schema, too
+(`pyarrow.parquet.read_schema(FILE).field("range_min_m").metadata`).
 
 ```python
 from datasets import load_dataset
@@ -460,8 +504,8 @@ pairs = load_dataset("PATH_OF_THIS_FOLDER")
 _COCO_NOTES = f"""\
 `annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the pictures of
 `images/SPLIT`: box, area in pixels, and the mask as run lengths, which pycocotools reads
-(`annToMask`). Objects that show in fewer than {LEAST_PX} pixels are left out. `clean/SPLIT`
-has the same pictures without noise.
+(`annToMask`); `--to yolo` has polygons. Objects that show in fewer than {LEAST_PX} pixels are left
+out. `clean/SPLIT` has the same pictures without noise.
 
 ```python
 from pycocotools.coco import COCO

@@ -263,7 +263,7 @@ def opened_shard(path: Path) -> h5py.File:
 def made_of_points(shard: h5py.File) -> bool:
     """Whether the pictures of a shard have the paper's noise: acoustics=pointwise."""
     from ...factory.dataset.layout import config_of
-    from ...factory.dataset.schema import formation_of
+    from ...factory.dataset.meaning import formation_of
 
     return formation_of(config_of(shard)) == "pointwise"
 

@@ -60,10 +60,13 @@ def test_webdataset_gives_back_every_sample(which, request, tmp_path) -> None:
 
     source = request.getfixturevalue(which)
     stated = export(source, "webdataset", tmp_path / "out")
-    assert stated == "2 tars, 9 train samples and 3 test samples"
+    assert stated == "12 tars, 9 train samples and 3 test samples"
     for split, total in TOTALS.items():
-        url = (tmp_path / "out" / f"{split}-000000.tar").as_uri().replace("file://", "file:")
-        samples = list(webdataset.WebDataset(url, shardshuffle=False).decode("l8"))
+        urls = [
+            path.as_uri().replace("file://", "file:")
+            for path in sorted((tmp_path / "out").glob(f"{split}-*.tar"))
+        ]
+        samples = list(webdataset.WebDataset(urls, shardshuffle=False).decode("l8"))
         assert [sample["__key__"] for sample in samples] == [
             f"{split}-{number:06d}" for number in range(total)
         ]
@@ -82,11 +85,24 @@ def test_webdataset_gives_back_every_sample(which, request, tmp_path) -> None:
             same_record(sample["json"], row)
 
 
+def test_each_worker_of_a_loader_gets_tars_of_its_own(fans, tmp_path) -> None:
+    import webdataset
+    from torch.utils.data import DataLoader
+
+    export(fans, "webdataset", tmp_path / "out")
+    urls = [str(path) for path in sorted((tmp_path / "out").glob("train-*.tar"))]
+    pairs = webdataset.WebDataset(urls, shardshuffle=False).to_tuple("__key__")
+    loader = DataLoader(pairs, batch_size=None, num_workers=2)
+    keys = sorted(key for (key,) in loader)
+    assert keys == [f"train-{number:06d}" for number in range(TOTALS["train"])]
+
+
 @pytest.mark.parametrize("which", ["fans", "floats"])
 def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     monkeypatch.setattr("simnfnd.factory.export.formats.SAMPLES_PER_FILE", 6)
     import datasets
+    from pyarrow import parquet
 
     source = request.getfixturevalue(which)
     out = tmp_path / "out"
@@ -98,6 +114,10 @@ def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_p
     ]
     loaded = datasets.load_dataset(str(out), cache_dir=str(tmp_path / "cache"))
     assert {split: len(rows) for split, rows in loaded.items()} == TOTALS
+    schema = parquet.read_schema(out / "data/test-00000-of-00001.parquet")
+    about = schema.field("range_max_m").metadata
+    assert about == {b"units": b"m", b"description": b""}
+    assert b"input of a denoiser" in schema.field("noisy").metadata[b"description"]
     for split, rows in loaded.items():
         assert isinstance(rows.features["shadow"], datasets.Image)
         samples = list(rows.with_format(None))
