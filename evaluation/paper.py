@@ -1,4 +1,4 @@
-"""`simnfnd evaluate paper`: Tables 2 and 3 of the paper, from the dataset to both tables.
+"""`simnfnd evaluate paper`: Tables 2 and 3 and Figure 14 of the paper, from the dataset on.
 
 Every step is a command of its own, which is printed.  Making and training resume where they were
 interrupted and do nothing where they are done; the report is measured anew each time.
@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
@@ -19,10 +20,19 @@ from ..factory.files import check_writable
 from ..factory.words import quote
 from .report.build import REPORT_NAME
 from .report.document import write_files
-from .report.tables import as_markdown, beside_paper
+from .report.tables import as_markdown, as_table, beside_paper
 
 _NEWLOSS = ("loss=newloss", "loss.shadow=ste", "loss.weight=0.05")
 """As printed, the second term has no gradient (docs/models.md): here it is straight through."""
+_RIVAL = "sid_tgan"
+_FIGURE_ROWS = {
+    "lpmsde": "LPMsDE, after the abstract",
+    _RIVAL: "SID-TGAN, after the abstract",
+    "simnfnd_newloss": "SimNFND + NewLoss",
+}
+"""Methods of Figure 14: row of the report -> what it is."""
+_FIGURE_IMAGES = 16
+_FIGURE_EXAMPLES = 6
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,7 @@ class Plan:
 
 
 def main(words: Sequence[str]) -> int:
-    """Make, train, judge, and print both tables; the exit code of the step that failed, or 0."""
+    """Make, train, judge, and print the tables; the exit code of the step that failed, or 0."""
     parser = Parser(prog="simnfnd evaluate paper")
     parser.add_argument("--quick", action="store_true", help="3 minutes on two cores, few pairs")
     parser.add_argument("--scenes", type=Path, help="folder of FLSea VI (default: places made up)")
@@ -99,19 +109,28 @@ def steps_of(plan: Plan) -> Iterator[list[str]]:
     else:
         make.append(f"scenes.root={quote(str(plan.scenes))}")
     yield [*make, f"frames.total={plan.frames}", *(["render=analytic"] if plan.quick else [])]
-    trainings = {"simnfnd_l1": [dataset, "loss=l1"], "simnfnd_newloss": [dataset, *_NEWLOSS]}
+    ablation = {"simnfnd_l1": [dataset, "loss=l1"], "simnfnd_newloss": [dataset, *_NEWLOSS]}
     if plan.real is not None:
-        trainings["olddata_l1"] = [*_olddata(plan.real), "loss=l1"]
+        ablation["olddata_l1"] = [*_olddata(plan.real), "loss=l1"]
+    trainings = {**ablation, _RIVAL: [dataset, f"model={_RIVAL}", "loss=l1"]}
     for name, words in trainings.items():
         check, patch = min(plan.steps, 200), 64 if plan.quick else 128
         yield [
             "train", *words, f"name={name}", f"out={quote(str(plan.out / name))}",
             f"train.steps={plan.steps}", f"train.check_every={check}", f"data.patch={patch}",
         ]  # fmt: skip
-    weights = [f"ablation.{name}={quote(str(plan.out / name))}" for name in trainings]
+    weights = [f"ablation.{name}={quote(str(plan.out / name))}" for name in ablation]
+    rival = quote(str(plan.out / _RIVAL))
     report = f"out={quote(str(plan.out / 'report'))}"
-    judge = ["evaluate", dataset, report, "baselines=[paper]", "models=[]", "tuning.auto=false"]
-    yield [*judge, *weights]
+    judge = ["evaluate", dataset, report, "baselines=[paper,lpmsde]", f"models=[{rival}]"]
+    yield [*judge, "tuning.auto=false", *weights]
+    if plan.real is not None:
+        ours = quote(str(plan.out / "simnfnd_newloss"))
+        yield [
+            "evaluate", "real", str(_images_of(plan.real)), "baselines=[lpmsde]",
+            f"models=[{rival},{ours}]", "groups=false", f"limit={_FIGURE_IMAGES}", "in_time=0",
+            f"examples={_FIGURE_EXAMPLES}", f"out={quote(str(plan.out / 'figure14'))}",
+        ]  # fmt: skip
 
 
 def written(plan: Plan) -> str:
@@ -122,14 +141,36 @@ def written(plan: Plan) -> str:
     for number in (2, 3):
         table = beside_paper(content[f"table_{number}"]).rename(columns={"ours": ours})
         parts += [f"## Table {number}", as_markdown(table, "lrrl")]
+    parts += ["## Figure 14", _figure_14(plan, content["rows"])]
     text = "\n\n".join(parts)
-    write_files(plan.out, {"tables.md": f"# Tables 2 and 3 of the paper\n\n{text}\n"})
+    title = "# Tables 2 and 3 and Figure 14 of the paper"
+    write_files(plan.out, {"tables.md": f"{title}\n\n{text}\n"})
     return text
+
+
+def _figure_14(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> str:
+    """The methods of the figure on the test pairs, and where real images are shown."""
+    lines = []
+    for row in rows:
+        if row["label"] not in ("noisy", *_FIGURE_ROWS) or row["lost"] is not None:
+            continue
+        means = {name: metric["mean"] for name, metric in row["metrics"].items()}
+        psnr_db = f"{means['psnr']:.2f}"
+        lines.append([_FIGURE_ROWS.get(row["label"], "as made"), psnr_db, f"{means['ssim']:.3f}"])
+    table = as_markdown(as_table(["method", "PSNR, dB", "SSIM"], lines), "lrr")
+    where = "Real images: none, without `--real`."
+    if plan.real is not None:
+        where = f"Real images, which have no truth: `{plan.out / 'figure14' / 'real.html'}`."
+    return f"{table}\n\n{where}"
 
 
 def _olddata(folder: Path) -> list[str]:
     """Real images taken as clean; where their fans are says a table beside them."""
-    images = folder / "Images" if (folder / "Images").is_dir() else folder
-    words = ["data=olddata", f"data.folder={quote(str(images))}"]
+    words = ["data=olddata", f"data.folder={quote(str(_images_of(folder)))}"]
     table = folder / "fan_geometry.csv"
     return [*words, f"data.geometry={quote(str(table))}"] if table.is_file() else words
+
+
+def _images_of(folder: Path) -> Path:
+    """The folder of images of the Marine Debris Dataset, or the folder itself."""
+    return folder / "Images" if (folder / "Images").is_dir() else folder

@@ -33,6 +33,14 @@ if TYPE_CHECKING:
 NETWORKS = {"nafnet": "NAFNet", "restormer": "Restormer", "sonarnet": "SonarNet"}
 """kind, which is a module here -> its network, beside which lie `<network>Settings`; torch is
 imported only when one is built."""
+RIVALS = {
+    "dae": "DAE",
+    "dgp_srgan": "DGPSRGAN",
+    "log_residual": "LogResidual",
+    "sid_tgan": "SIDTGAN",
+    "three_stage": "ThreeStage",
+}
+"""The same of the modules in `rivals`."""
 
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
 """Of `ARTEFACTS`, what networks remove: the ground and the brightness of a picture stay."""
@@ -54,10 +62,13 @@ def build_network(config: Mapping[str, Any]) -> Network:
     from ...factory.settings import build  # loads pydantic, which graphs that ship do without
 
     kind = config.get("kind")
-    if not isinstance(kind, str) or kind not in NETWORKS:
-        raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(sorted(NETWORKS))}")
-    config = {key: one for key, one in config.items() if (key, one) not in _GONE.items()}
-    name, module = NETWORKS[kind], import_module(f".{kind}", __name__)
+    known = {**NETWORKS, **RIVALS}
+    if not isinstance(kind, str) or kind not in known:
+        raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(known)}")
+    config = {key: value for key, value in config.items() if (key, value) not in _GONE.items()}
+    name = known[kind]
+    folder = ".rivals" if kind in RIVALS else ""
+    module = import_module(f"{folder}.{kind}", __name__)
     settings: Any = build(getattr(module, f"{name}Settings"), config, "model")
     network: Network = getattr(module, name)(settings)
     return network

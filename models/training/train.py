@@ -9,7 +9,6 @@ import os
 import signal
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +31,11 @@ from ..data.sources import open_data
 from ..losses import Loss
 from ..networks import build_network
 from ..networks.network import Network, known_extras
+from ..networks.rivals.adversary import AdversarialNetwork
 from ..networks.weights import load_weights, save_weights
 from ..pretrained import find_weights
 from ..settings import DataSettings, ModelsSettings, RenderedData
+from .adversarial import Opponent
 from .cost import Cost, CostMeter, read_cost
 from .loop import Loop, Row, denoised, device_of, precision_of
 
@@ -102,6 +103,30 @@ def begun(settings: ModelsSettings) -> Network:
     return network
 
 
+def training_loss(
+    network: Network,
+    batch: Batch,
+    loss: Loss,
+    *,
+    teacher: Network | None = None,
+    opponent: Opponent | None = None,
+    progress: float = 0.0,
+) -> Tensor:
+    """The loss of a batch by whatever the network is trained with.
+
+    progress: of the training, 0 to 1.
+    """
+    own_loss = network.own_loss(batch["noisy"], progress)
+    if own_loss is not None:
+        return own_loss
+    if opponent is None:
+        return taught_loss(network, batch, loss, teacher)
+    assert isinstance(network, AdversarialNetwork)
+    denoised = network(batch["noisy"])
+    clean = completed(batch, denoised, None)["clean"]
+    return opponent.adversarial_loss(network, batch, clean, denoised, loss)
+
+
 def taught_loss(
     network: Network, batch: Batch, loss: Loss, teacher: Network | None = None
 ) -> Tensor:
@@ -111,6 +136,11 @@ def taught_loss(
     network cannot do shows as noise in the gradients when it learns from clean pictures alone; the
     pictures of a larger one are nearer to what it can do.
     """
+    if not network.has_heads:
+        images = network.stages(batch["noisy"], **known_extras(network, batch))
+        batch = completed(batch, images[-1], teacher)
+        losses = [loss(image, batch["clean"], batch) for image in images]
+        return torch.stack(losses).mean()
     prediction, heads = _predicted(network, batch)
     batch = completed(batch | heads, prediction, teacher)
     return loss(prediction, batch["clean"], batch)
@@ -154,6 +184,11 @@ def _fit(
     out, network = output_folder(settings), begun(settings)
     teacher, extras = None, network.extras
     if settings.train.teacher is not None:
+        if isinstance(network, AdversarialNetwork):
+            raise FactoryError(
+                f"train.teacher={settings.train.teacher}: a network with a critic does not learn "
+                "from a teacher; leave it out"
+            )
         teacher = load_weights(find_weights(settings.train.teacher)).network.requires_grad_(False)
         extras = tuple(dict.fromkeys((*extras, *teacher.extras)))
 
@@ -162,7 +197,10 @@ def _fit(
     def save() -> None:
         meter.write(out)
         content = io.BytesIO()
-        torch.save({**loop.state(), "recipe": dict(recipe), "format": _FORMAT}, content)
+        state = {**loop.state(), "recipe": dict(recipe), "format": _FORMAT}
+        if opponent is not None:
+            state["opponent"] = opponent.state_dict()
+        torch.save(state, content)
         write_atomically(out / CHECKPOINT_NAME, content.getvalue(), key="out")
 
     def batches(step: int) -> Iterator[Batch]:
@@ -184,10 +222,22 @@ def _fit(
         loop.bar.set_postfix_str(shown)
         return row
 
-    objective = partial(taught_loss, loss=build(Loss, settings.loss, "loss"), teacher=teacher)
+    opponent = None
+    if isinstance(network, AdversarialNetwork):
+        opponent = Opponent(network, settings.train.learning_rate, device)
+    loss_terms: Loss = build(Loss, settings.loss, "loss")
+
+    def objective(network: Network, batch: Batch) -> Tensor:
+        progress = loop.step / settings.train.steps
+        return training_loss(
+            network, batch, loss_terms, teacher=teacher, opponent=opponent, progress=progress
+        )
+
     loop = Loop(network, objective, settings.train, settings.seed, device, save=save)
     if checkpoint is not None:
         loop.restore(checkpoint)
+        if opponent is not None:
+            opponent.load_state_dict(checkpoint["opponent"])
     learning, visits = _loader(settings, device, data, extras)
     try:
         loop.run(batches, check)

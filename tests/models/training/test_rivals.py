@@ -1,0 +1,151 @@
+"""Networks of other authors: a critic in turns, noisy images alone, several stages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
+from simnfnd.models.losses import Loss
+from simnfnd.models.networks.rivals.dgp_srgan import slope_penalty
+from simnfnd.models.networks.rivals.log_residual import LogResidual, median_of, structure_of
+from simnfnd.models.networks.rivals.sid_tgan import hinge
+from simnfnd.models.training.adversarial import Opponent
+from simnfnd.models.training.loop import Loop
+from simnfnd.models.training.train import taught_loss, train
+from tests.models.networks.tiny_networks import TINY, stirred, tiny
+from tests.models.training.small_training import config_for
+from tests.small_dataset import write_dataset
+
+SMALL = (
+    *("data.patch=32", "data.batch=2", "data.crops=2", "data.validation_limit=1"),
+    *("train.steps=4", "train.check_every=2", "train.warmup=1", "train.ema=0.5", "device=cpu"),
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data"), train=8, test=0, size=48)
+
+
+def words_of(kind: str) -> list[str]:
+    return [f"model={kind}", *(f"model.{key}={value}" for key, value in TINY[kind].items()), *SMALL]
+
+
+def test_hinge_is_satisfied_by_clear_judgements() -> None:
+    assert hinge(torch.tensor([1.0, 2.0]), torch.tensor([-1.0, -5.0])).item() == 0
+    assert hinge(torch.tensor([0.0]), torch.tensor([0.0])).item() == 2
+    assert hinge(torch.tensor([-1.0]), torch.tensor([3.0])).item() == 6
+
+
+class Slope(torch.nn.Module):
+    """A critic whose slope has the same length everywhere."""
+
+    def __init__(self, length: float) -> None:
+        super().__init__()
+        self.length = torch.nn.Parameter(torch.tensor(length))
+
+    def forward(self, image: Tensor) -> Tensor:
+        value: Tensor = self.length * image.flatten(1).sum(dim=1) / image[0].numel() ** 0.5
+        return value
+
+
+def test_the_penalty_is_how_far_slopes_are_from_one() -> None:
+    images = torch.rand(3, 1, 5, 8)
+    for length, expected in ((1.0, 0.0), (3.0, 4.0), (0.0, 1.0)):
+        assert slope_penalty(Slope(length), images).item() == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["sid_tgan", "dgp_srgan"])
+def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
+    kind: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    critics: list[Opponent] = []
+    update = Loop.update
+    created = Opponent.__init__
+
+    def noted(self: Opponent, *given: Any) -> None:
+        created(self, *given)
+        critics.append(self)
+        starts.append({n: x.clone() for n, x in self.state_dict()["critic"].items()})
+
+    def stopped(self: Loop, *given: Any) -> Tensor:
+        if self.step == 3:
+            raise OSError("pulled the plug")
+        return update(self, *given)
+
+    starts: list[dict[str, Tensor]] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(Opponent, "__init__", noted)
+        train(*config_for(dataset, tmp_path / "whole", *words_of(kind)))
+    end = critics[0].state_dict()["critic"]
+    moved = [name for name, values in starts[0].items() if not torch.equal(values, end[name])]
+    assert len(moved) > 0.8 * len(end)
+    with monkeypatch.context() as patch:
+        patch.setattr(Loop, "update", stopped)
+        with pytest.raises(OSError, match="pulled the plug"):
+            train(*config_for(dataset, tmp_path / "cut", *words_of(kind)))
+    train(*config_for(dataset, tmp_path / "cut", *words_of(kind)))
+    files = [tmp_path / folder / "weights.safetensors" for folder in ("whole", "cut")]
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_critic_and_a_teacher_exclude_each_other(dataset: Path, tmp_path: Path) -> None:
+    words = [*words_of("dgp_srgan"), "train.teacher=simnfnd"]
+    with pytest.raises(FactoryError, match=r"train\.teacher=simnfnd: .*critic"):
+        train(*config_for(dataset, tmp_path, *words))
+
+
+def test_every_stage_is_taught() -> None:
+    network = stirred(tiny("three_stage"))
+    noisy, clean = torch.rand(2, 2, 1, 18, 21)
+    stages = network.stages(noisy)
+    assert [stage.shape for stage in stages] == [noisy.shape] * 3
+    assert torch.equal(stages[-1], network(noisy))
+    loss: Loss = build(Loss, {"kind": "l1"}, "loss")
+    batch = {"noisy": noisy, "clean": clean}
+    found = taught_loss(network, batch, loss)
+    expected = torch.stack([(stage - clean).abs().mean() for stage in stages]).mean()
+    torch.testing.assert_close(found, expected)
+    found.backward()
+    assert all(weights.grad is not None for weights in network.parameters())
+
+
+def test_a_network_learns_from_noisy_images_alone(dataset: Path, tmp_path: Path) -> None:
+    """What it takes away gets the variance of speckle; it sees no clean image."""
+    network = tiny("log_residual").train()
+    assert isinstance(network, LogResidual)
+    clean = torch.full((4, 1, 24, 24), 0.3)
+    clean[..., 12:] = 0.6
+    speckle = torch.distributions.Gamma(9.0, 9.0)
+    torch.manual_seed(0)
+    noisy = (clean * speckle.sample(clean.shape)).clamp(1e-3, 1)
+    optimizer = torch.optim.Adam(network.parameters(), lr=0.003)
+    for step in range(150):
+        loss = network.own_loss(noisy, step / 150)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    with torch.inference_mode():
+        denoised = network.eval()(noisy)
+    assert (denoised - clean).square().mean() < 0.6 * (noisy - clean).square().mean()
+    train(*config_for(dataset, tmp_path, *words_of("log_residual")))
+    assert (tmp_path / "weights.safetensors").is_file()
+
+
+def test_parts_of_the_self_supervised_loss() -> None:
+    even = torch.full((1, 1, 6, 6), 0.5)
+    assert structure_of(torch.zeros_like(even), even).item() == 0
+    step = torch.zeros_like(even)
+    step[..., 3:] = 1
+    # A step of the residual costs where the image is even, and hardly where it has an edge.
+    assert structure_of(step, even).item() == pytest.approx(1 / 5)
+    assert structure_of(step, step).item() < 1e-6
+    spike = even.clone()
+    spike[0, 0, 3, 3] = 1
+    assert torch.equal(median_of(spike), even)
