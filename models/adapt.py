@@ -17,6 +17,8 @@ from ..factory.cli import Parser
 from ..factory.errors import FactoryError
 from ..factory.files import check_writable, sha256_of
 from .denoise.inputs import FIND, Geometries
+from .learned_files import KEY as LEARNED_FROM
+from .learned_files import described, learned_files
 from .pretrained import find_weights
 from .stretches import Found, Lessons, find_lessons, read_clips
 
@@ -38,7 +40,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"skipped: {line}", file=sys.stderr)
     for line in geometries.summary():
         print(line)
-    return _adapt(chosen, _lessons(found), start, out)
+    return _adapt(chosen, _lessons(found), found.paths, start, out)
 
 
 def _parsed(arguments: Sequence[str]) -> Any:
@@ -98,7 +100,7 @@ def _lessons(found: Found) -> Lessons:
     return lessons
 
 
-def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
+def _adapt(chosen: Any, lessons: Lessons, paths: Sequence[Path], start: Path, out: Path) -> int:
     # torch takes seconds to import: only when there is something to learn from.
     from .networks.weights import load_weights, save_weights
     from .training.adapting import Lesson, tune
@@ -128,6 +130,9 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
         "adapted.by": "mean of the other frames",
         "adapted.frames": sum(len(one.frames) for one in lessons.learning),
         "adapted.stretches": len(lessons.learning),
+        LEARNED_FROM: [
+            entry._asdict() for entry in dict.fromkeys([*described(paths), *learned_files(start)])
+        ],
         "start": sha256_of(start)[:16],
         "start.training": dict(trained.training),
         "steps": steps,

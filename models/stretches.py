@@ -59,9 +59,13 @@ class Clip:
 
 @dataclass
 class Found:
-    """What was read.  frames: how many there were.  skipped: a line for each that was not read."""
+    """What was read.
+
+    frames: how many there were.  skipped: a line for each that was not read.  paths: of the files.
+    """
 
     clips: list[Clip] = field(default_factory=list)
+    paths: list[Path] = field(default_factory=list)
     frames: int = 0
     skipped: list[str] = field(default_factory=list)
 
@@ -82,6 +86,7 @@ def read_clips(
                 "`simnfnd adapt` from recordings, videos and pictures"
             )
     found, sources, counts = Found(), sequences(items), []
+    found.paths = [item.source for item in items]
     for source in sources:
         try:
             with _opened(source) as recording:

@@ -14,6 +14,7 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
 from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry
+from ..learned import learned_notes
 from ..methods import baselines_of, networks_at, reason, shown
 from ..metrics.fidelity import Mask
 from ..metrics.measure import Figures, Gray, ratio_figures
@@ -113,7 +114,9 @@ class Result:
 
 def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool) -> Outcome:
     """All figures.  Raises FactoryError where no recording can be judged."""
+    networks = networks_at(settings.models)
     recordings, notes = _static_recordings(stretches, settings.limit)
+    notes += learned_notes(stretches, networks)
     sequences: list[Sequences] = []
     rows_by_sequence: list[list[Row]] = []
     for recording in recordings:
@@ -121,7 +124,7 @@ def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
             recording.frames,
             fixed=settings.fixed,
             tuned=baselines_of(settings.baselines),
-            networks=networks_at(settings.models),
+            networks=networks,
             windows=settings.frames,
         )
         notes += _tuning_notes(recording.name, rows)

@@ -18,6 +18,7 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .. import tuning
 from ..filters import Baseline, Parameters
+from ..learned import learned_notes
 from ..methods import NOISY, Method, baselines_of, networks_at
 from ..metrics.fidelity import Mask, edge_preservation, finite_psnr, psnr, ssim
 from ..metrics.measure import (
@@ -81,6 +82,7 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     """
     baselines = baselines_of(settings.baselines)
     networks = networks_at(settings.models)
+    warnings = learned_notes(stretches, networks)
     groups, shots, notes = _found(settings, stretches, pool)
     parts = parts_of(groups)
     lost: dict[str, str] = {}
@@ -109,7 +111,8 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     )
     in_time, more = judged_in_time(settings, groups, networks, pool)
     files = [shot.name for shot in shots]
-    return Outcome(groups, parts, files, rows, measured, shown, best, in_time, notes + more)
+    notes = [*warnings, *notes, *more]
+    return Outcome(groups, parts, files, rows, measured, shown, best, in_time, notes)
 
 
 def _found(

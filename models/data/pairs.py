@@ -76,11 +76,15 @@ class Source:
 
 @dataclass(frozen=True)
 class Data:
-    """learning, validation: images.  facts: what decides the weights beside the settings."""
+    """learning, validation: images.  facts: what decides the weights beside the settings.
+
+    recordings: files of real sonars that are learned from.
+    """
 
     learning: Source
     validation: Source
     facts: dict[str, Any]
+    recordings: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def open_data(settings: ModelsSettings) -> Data:
     if not isinstance(data, MixedData):
         return Data(points, validation, facts)
     mixed = _mixed(data, points, others, seed)
-    return Data(mixed.learning, mixed.validation, facts | mixed.facts)
+    return Data(mixed.learning, mixed.validation, facts | mixed.facts, mixed.recordings)
 
 
 def _of_images(data: OldData, seed: int) -> Data:
@@ -87,7 +87,7 @@ def _of_images(data: OldData, seed: int) -> Data:
         OldDataSource(samples, data, noise, seed)
         for samples in (learning, spread(held, data.validation_limit))
     ]
-    return Data(sources[0], sources[1], facts)
+    return Data(sources[0], sources[1], facts, tuple({ref.path for ref in learning}))
 
 
 def renders_of(
@@ -151,6 +151,7 @@ def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], 
             "renders.devices": config_hash({name: plain(config)[name] for name in _DECIDE}),
             "data.recordings": digest_of(refs),
         },
+        tuple({ref.path for ref in refs}),
     )
 
 

@@ -16,6 +16,8 @@ from typing import Any
 
 from ...factory import __version__
 from ...factory.errors import FactoryError
+from ..learned_files import KEY as LEARNED_FROM
+from ..learned_files import as_front_matter, entries_of
 
 _METRICS_NAME = "metrics.csv"
 _COST_NAME = "cost.json"
@@ -29,7 +31,7 @@ license: apache-2.0
 library_name: simnfnd
 pipeline_tag: image-to-image
 tags: [sonar, denoising, forward-looking-sonar]
----
+{learned}---
 
 # {name}
 
@@ -43,7 +45,7 @@ A denoiser for forward-looking sonar images, made by `simnfnd train` of SimNFND 
 
 {recipe}
 
-`start` and `train.teacher` name weights by their hash.
+`start` and `train.teacher` name weights by their hash. Recordings that it learned from: {recordings}.
 
 ## Learning curve
 
@@ -113,12 +115,16 @@ def write_card(
         "size": f"{file.size_mb:.2f} MB, 16-bit safetensors",
         **_read_cost(run),
     }
+    learned = entries_of(training)
+    settings = {key: value for key, value in training.items() if key != LEARNED_FROM}
     figures = [_figures_of(report) for report in reports]
     return _CARD.format(
         name=file.name,
         version=__version__,
         file=_table(["what", ""], list(about.items())),
-        recipe=_settings_table({"model": dict(model), **training}),
+        recipe=_settings_table({"model": dict(model), **settings}),
+        learned=as_front_matter(learned),
+        recordings=", ".join(entry.file for entry in learned) or "none",
         curve=_curve_of(run / _METRICS_NAME),
         figures="\n\n".join(figures) or "None were given (`--figures`).",
     )

@@ -28,6 +28,8 @@ from .. import WEIGHTS_NAME
 from ..data.crops import LANES, Crops, KeptSource, VisitSampler, concatenate, whole_image
 from ..data.pairs import Batch, Data, Image, spread
 from ..data.sources import open_data
+from ..learned_files import KEY as LEARNED_FROM
+from ..learned_files import described, learned_files
 from ..losses import Loss
 from ..networks import build_network
 from ..networks.network import Network, known_extras
@@ -193,6 +195,7 @@ def _fit(
         extras = tuple(dict.fromkeys((*extras, *teacher.extras)))
 
     meter = CostMeter(read_cost(out) if checkpoint else Cost())
+    learned = _learned_files(settings, data)
 
     def save() -> None:
         meter.write(out)
@@ -211,7 +214,7 @@ def _fit(
         rate, figures = loop.learning_rate(), _measured(loop, data)
         row = {"step": step, "loss": loss, "learning_rate": rate, **figures}
         if best_row([*loop.rows, row]) is row:
-            facts = {**recipe, "validation": row}
+            facts = {**recipe, LEARNED_FROM: learned, "validation": row}
             save_weights(out / WEIGHTS_NAME, loop.average, settings.model, facts)
         text = io.StringIO()
         writer = csv.DictWriter(text, fieldnames=list(row), lineterminator="\n")
@@ -386,6 +389,15 @@ def recipe_of(settings: ModelsSettings) -> dict[str, Any]:
         if weights is not None:
             flat[key] = sha256_of(find_weights(weights))[:16]
     return {**flat, "seed": settings.seed}
+
+
+def _learned_files(settings: ModelsSettings, data: Data) -> list[dict[str, Any]]:
+    """The recordings that the weights learn from, and those that they began from or a teacher."""
+    found = described(data.recordings)
+    for weights in (settings.start, settings.train.teacher):
+        if weights is not None:
+            found += learned_files(find_weights(weights))
+    return [entry._asdict() for entry in dict.fromkeys(found)]
 
 
 def _innermost(error: FactoryError) -> str:

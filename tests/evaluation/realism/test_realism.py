@@ -118,7 +118,7 @@ def test_geometry_files_and_recordings_are_checked(tmp_path: Path) -> None:
 def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
     shutil.copy(LAMPREY, tmp_path / "dive.avi")
     one, folder = recorded.open_real(LAMPREY)[0], recorded.open_real(tmp_path)[0]
-    assert len(one) == len(folder) == 8
+    assert len(one) == len(folder) == 36
     assert folder[7].name == "dive.avi#7"
     first = one[0]
     assert first.known is not None

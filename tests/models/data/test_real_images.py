@@ -138,11 +138,11 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
     shutil.copy(LAMPREY, tmp_path / "dive.avi")
     cv2.imwrite(str(tmp_path / "one.png"), np.full((300, 500), 90, np.uint8))
     found = list_images(tmp_path)
-    assert [sample.frame for sample in found] == [*(f"dive.avi#{n}" for n in range(8)), "one.png"]
+    assert [sample.frame for sample in found] == [*(f"dive.avi#{n}" for n in range(36)), "one.png"]
     assert found[0].scene == "dive.avi"
     side, smallest = smallest_side(found)
     assert (side, smallest.frame) == (300, "one.png")
-    frames = [read_sample(found[number])[0] for number in (7, 0, 8)]
+    frames = [read_sample(found[number])[0] for number in (7, 0, 36)]
     assert [frame.shape for frame in frames] == [(774, 400), (774, 400), (300, 500)]
     assert 0 <= frames[0].min() < frames[0].max() <= 1
     np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])

@@ -245,7 +245,7 @@ def test_sequences_are_pictures_that_differ_in_their_last_number(tmp_path: Path)
 def test_lamprey_gains_in_time() -> None:
     """Decibels on the recording that ships, against the mean of frames that no window holds."""
     with open_recording(LAMPREY) as recording:
-        stack = np.stack([frame.samples for frame in recording])
+        stack = np.stack([recording[number].samples for number in range(8)])
     stack = stack if stack.ndim == 3 else stack[..., 0]
     levels = stack.astype(np.float32) / 255
 
