@@ -101,9 +101,12 @@ class Viewer(ThreadingHTTPServer):
     """Serves what is shown until it is shut down.
 
     url: where; it holds a random token, without which other users of the machine get nothing.
+    hosts: names of this server; a page elsewhere whose name was bound to this address has another.
     """
 
     daemon_threads = True
+    request_queue_size = 256
+    """Connections that wait to be accepted: a page may ask for many images at once."""
 
     def __init__(self, shown: Shown, port: int = 0) -> None:
         """port: 0 takes a free one.  Raises FactoryError when it is taken."""
@@ -116,6 +119,7 @@ class Viewer(ThreadingHTTPServer):
         self.lock = threading.Lock()
         self.token = secrets.token_urlsafe(24)
         self.url = f"http://{ADDRESS}:{self.server_port}/{self.token}/"
+        self.hosts = {f"{name}:{self.server_port}" for name in (ADDRESS, "localhost")}
 
     def handle_error(
         self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any
@@ -128,8 +132,13 @@ class Viewer(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     server: Viewer
+    timeout = 10.0
+    """Seconds that a connection may say nothing."""
 
     def do_GET(self) -> None:
+        if self.headers.get("Host") not in self.server.hosts:
+            self._send(403, "text/plain", b"open the address that `simnfnd view` printed")
+            return
         token, slash, wanted = self.path.removeprefix("/").partition("/")
         # In bytes, because a path may have any letters.
         if not secrets.compare_digest(token.encode(), self.server.token.encode()):

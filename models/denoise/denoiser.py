@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.errors import FactoryError
 from ...factory.files import sha256_of
 from ...factory.sonar.geometry import FanGeometry
 from ..networks import averaged
@@ -112,7 +113,10 @@ class Denoiser:
         if "frames" in maps and maps["frames"].mean() > averaged(_SEVERAL):
             # The head that weighs knows single frames; of means it takes too little.
             weight = np.float32(1)
-        return np.asarray(np.clip(gray + weight * (denoised - gray), 0, 1), np.float32)
+        result = np.asarray(np.clip(gray + weight * (denoised - gray), 0, 1), np.float32)
+        if not np.isfinite(result).all():
+            raise FactoryError(f"weights={self.name}: make NaN of this image; train again")
+        return result
 
 
 def by_scales(grey: Gray, maps: Maps, denoise: Work, widest: float) -> Gray:

@@ -25,6 +25,7 @@ from .pictures import Gray
 Maps = Mapping[str, Gray]
 Positions = Sequence[Gray]
 _SMALLEST = np.float32(1e-6)
+_PROBE_SHAPE, _LEAST_RANGE = (96, 128), 1e-4
 _MOST = np.float32(80)  # of a logit, so that its exponential is a number
 
 
@@ -35,9 +36,24 @@ def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
     not there, and packages that are not installed.
     """
     graph = find_graph(weights)
-    if graph is None:
-        return TorchNetwork(weights, device)
-    return OnnxNetwork(weights, graph, device)
+    network = OnnxNetwork(weights, graph, device) if graph else TorchNetwork(weights, device)
+    if weights not in shipped().values():
+        check_network(weights, network)
+    return network
+
+
+def check_network(weights: Path, network: OnnxNetwork | TorchNetwork) -> None:
+    """Raise FactoryError for weights that turn speckle into NaN, or into one grey value."""
+    rng = np.random.default_rng(0)
+    speckle = np.clip(rng.rayleigh(0.2, _PROBE_SHAPE), 0, 1).astype(np.float32)
+    with np.errstate(all="ignore"):
+        image, weight = network.run(speckle, {})
+        denoised = np.clip(speckle + np.float32(weight) * (image - speckle), 0, 1)
+    if not np.isfinite(denoised).all() or np.ptp(denoised) < _LEAST_RANGE:
+        raise FactoryError(
+            f"weights={weights}: make every image NaN or a single grey value; train again, or take "
+            "another file"
+        )
 
 
 def find_graph(weights: Path) -> Path | None:
@@ -82,6 +98,21 @@ def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[
     return [arrays, values]
 
 
+def _session_of(
+    graph: Path, weights: Mapping[str, npt.NDArray[Any]], providers: list[str]
+) -> tuple[Any, list[Any]]:
+    """A session of a graph with these weights, and what must be kept as long as it."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4  # what is wrong comes as an exception
+    # Waiting threads would burn as much time as computing ones.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    named = {f"network.{name}": tensor for name, tensor in weights.items()}
+    kept = give_weights(options, named)
+    return onnxruntime.InferenceSession(str(graph), options, providers=providers), kept
+
+
 class OnnxNetwork:
     """A network in onnxruntime, in 32 bits, ready to denoise.
 
@@ -97,19 +128,25 @@ class OnnxNetwork:
         cuda = "CUDAExecutionProvider"
         self.on_gpu = _on_gpu(device, cuda in onnxruntime.get_available_providers())
         providers = [*[cuda] * self.on_gpu, "CPUExecutionProvider"]
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        # Waiting threads would burn as much time as computing ones.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         header, weights = read_weights(path)
-        named = {f"network.{name}": one for name, one in weights.items()}
-        self._kept = give_weights(options, named)
-        self._session = onnxruntime.InferenceSession(str(graph), options, providers=providers)
-        facts, model = self._session.get_modelmeta().custom_metadata_map, header["model"]
-        self.extras, self._stride = tuple(facts["extras"].split(",")), int(facts["stride"])
+        try:
+            session, kept = _session_of(graph, weights, providers)
+        except Exception as error:  # onnxruntime has a class of its own for each reason
+            reason = " ".join(str(error).split())[:160]
+            raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
+        self._session, self._kept = session, kept
+        facts = session.get_modelmeta().custom_metadata_map
+        if not {"extras", "stride"} <= facts.keys() or not facts["stride"].isdigit():
+            raise FactoryError(
+                f"{graph}: was not made by `simnfnd export-weights --to runtime`; make it again"
+            )
+        model = header["model"]
+        self.extras = tuple(facts["extras"].split(","))
+        self._stride = max(int(facts["stride"]), 1)
         self.wide_grain = float(model.get("wide_grain", 1.0))
-        self.is_polar, self._mask = bool(model["polar"]), bool(model["mask"])
-        self._inputs = tuple(one.name for one in self._session.get_inputs())
+        self.is_polar = bool(model["polar"])
+        self._mask = bool(model["mask"])
+        self._inputs = tuple(node.name for node in session.get_inputs())
 
     def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
         """The picture (H, W) with its whole change, and the part of that it should get, 0 to 1.

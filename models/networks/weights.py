@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .network import Network
 
 FORMAT = "simnfnd-denoiser/1"
+_MOST_TENSORS = 10_000
 KEY = "simnfnd"
 """One header entry, because safetensors does not keep the order of several."""
 
@@ -95,30 +96,57 @@ def read_weights(path: str | Path) -> tuple[Header, Arrays]:
     """What a weights file says of itself (`model`, `training`), and the weights by their names.
 
     Floats are in 32 bits.  Nothing in the file is executed.  Raises FactoryError when it is absent,
-    not a weights file, of another program, or holds NaN or infinity.
+    not a weights file, of another program, or holds anything but finite floats.
     """
     if not Path(path).is_file():
         raise FactoryError(f"weights={path}: no such file; train one with `simnfnd train`")
-    arrays: Arrays = {}
     try:
         with safe_open(path, framework="np") as file:
             header = json.loads((file.metadata() or {}).get(KEY, "{}"))
-            names = file.keys()
-            for name in names:
-                values = file.get_tensor(name)
-                arrays[name] = values.astype(np.float32) if values.dtype.kind == "f" else values
+            _check_header(path, header)
+            names = list(file.keys())
+            if len(names) > _MOST_TENSORS:
+                raise FactoryError(
+                    f"weights={path}: do not fit their network: {len(names):,} tensors, more than "
+                    f"the {_MOST_TENSORS:,} that any network has"
+                )
+            tensors = {name: file.get_tensor(name) for name in names}
     except (SafetensorError, OSError, RecursionError, ValueError, TypeError) as error:
         raise FactoryError(f"weights={path}: not a safetensors file, or a damaged one") from error
+    return header, {name: _checked(path, name, tensor) for name, tensor in tensors.items()}
+
+
+def _check_header(path: str | Path, header: Any) -> None:
+    """FactoryError for a header that does not describe a network of this program."""
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise FactoryError(
             f"weights={path}: does not describe its network ({FORMAT}); not made by this program"
         )
     if not isinstance(header.get("model"), dict):
         raise FactoryError(f"weights={path}: do not fit their network: no `model` in the header")
-    for name, values in arrays.items():
-        # A picture made with them would be all NaN, or black, and nothing would say why.
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise FactoryError(
-                f"weights={path}: {name} holds NaN or infinity; train again, or take another file"
-            )
-    return header, arrays
+    if not isinstance(header.get("training", {}), dict):
+        raise FactoryError(f"weights={path}: `training` in the header is no table of facts")
+    wide_grain = header["model"].get("wide_grain", 1.0)
+    is_number = isinstance(wide_grain, int | float) and not isinstance(wide_grain, bool)
+    if not (is_number and 0 <= wide_grain <= 1):
+        raise FactoryError(
+            f"weights={path}: do not fit their network: model.wide_grain is {wide_grain!r:.40}, "
+            "expected 0 to 1"
+        )
+
+
+def _checked(path: str | Path, name: str, tensor: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """A tensor in 32 bits.  FactoryError for one that is empty, or holds no finite floats."""
+    if tensor.dtype.kind != "f":
+        raise FactoryError(
+            f"weights={path}: do not fit their network: {name} holds {tensor.dtype}, not floats"
+        )
+    if not tensor.size:
+        raise FactoryError(f"weights={path}: do not fit their network: {name} is empty")
+    values = tensor.astype(np.float32)
+    # An image made with them would be all NaN, or black, and nothing would say why.
+    if not np.isfinite(values).all():
+        raise FactoryError(
+            f"weights={path}: {name} holds NaN or infinity; train again, or take another file"
+        )
+    return values

@@ -7,8 +7,11 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
+from socket import create_connection
 from typing import Any
 from urllib.error import HTTPError
 from urllib.parse import quote
@@ -112,6 +115,48 @@ def test_only_what_is_shown_and_only_to_this_machine(dataset: Path) -> None:
             assert code(f"http://127.0.0.1:{port}/{quote(path)}") == 403, path
     with Viewer(open_shown(dataset)) as one, Viewer(open_shown(dataset)) as other:
         assert one.token != other.token
+
+
+def connection(url: str) -> HTTPConnection:
+    return HTTPConnection("127.0.0.1", int(url.split(":")[2].split("/")[0]), timeout=30)
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [("127.0.0.1:{port}", 200), ("localhost:{port}", 200), ("127.0.0.1", 403),
+     ("attacker.example:{port}", 403), ("", 403), (None, 403)],
+)  # fmt: skip
+def test_a_name_bound_to_this_address_gets_nothing(
+    dataset: Path, host: str | None, expected: int
+) -> None:
+    """A page elsewhere cannot make the browser read what is shown (DNS rebinding)."""
+    with served(open_shown(dataset)) as url, closing(connection(url)) as asked:
+        asked.putrequest("GET", f"/{url.split('/')[3]}/about.json", skip_host=True)
+        if host is not None:
+            asked.putheader("Host", host.format(port=asked.port))
+        asked.endheaders()
+        assert asked.getresponse().status == expected
+
+
+def test_half_open_connections_end_and_hold_nobody_up(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server._Handler, "timeout", 0.5)
+    with served(open_shown(dataset)) as url, ExitStack() as stack:
+        address = ("127.0.0.1", connection(url).port)
+        silent = [stack.enter_context(create_connection(address, 30)) for _ in range(40)]
+        for one in silent[::2]:
+            one.sendall(b"GET / HT")
+        assert json.loads(fetched(f"{url}about.json"))["count"] == 12
+        assert {one.recv(1) for one in silent} == {b""}, "the server closes them"
+
+
+def test_many_requests_at_once_are_answered(dataset: Path) -> None:
+    with served(open_shown(dataset)) as url, ThreadPoolExecutor(120) as pool:
+        paths = [f"picture/{number % 12}/{number % 2}.png" for number in range(120)]
+        answers = list(pool.map(fetched, (url + path for path in paths)))
+        for path, answer in zip(paths, answers, strict=True):
+            assert answer == fetched(url + path)
 
 
 def test_a_recording_before_and_after(tmp_path: Path) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +14,26 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import save_file
 
 from simnfnd.evaluation.commands import _runtime_of
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import Denoiser
-from simnfnd.models.denoise.runtime import OnnxNetwork, TorchNetwork, find_graph
+from simnfnd.models.denoise.runtime import (
+    OnnxNetwork,
+    TorchNetwork,
+    check_network,
+    find_graph,
+    open_runtime,
+)
 from simnfnd.models.networks import build_network
-from simnfnd.models.networks.weights import save_weights
+from simnfnd.models.networks.weights import KEY, Arrays, read_weights, save_weights
 from simnfnd.models.pretrained import find_weights, shipped
 from simnfnd.models.pretrained.export import main as export
 from tests.models.recordings.fan_pictures import fan, preset
 
+Change = Callable[[Arrays], Arrays]
 MODELS = {
     "plane": {
         "kind": "sonarnet", "widths": [4, 8], "blocks": [1, 1], "polar": False, "lines": True,
@@ -116,6 +128,65 @@ def test_weights_that_ship_run_in_onnxruntime_as_in_torch(name: str, tmp_path: P
     of_torch.runtime = TorchNetwork(find_weights(name), "cpu")
     wished = of_torch(picture, geometry)
     np.testing.assert_allclose(denoise(picture, geometry), wished, atol=within(denoise))
+
+
+def widest(arrays: Arrays) -> str:
+    return max(arrays, key=lambda name: arrays[name].size)
+
+
+def with_tensor(change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    """Another tensor in place of the largest."""
+    return lambda arrays: {**arrays, widest(arrays): change(arrays[widest(arrays)])}
+
+
+UNFIT: dict[str, Change] = {
+    "missing": lambda arrays: {k: v for k, v in arrays.items() if k != widest(arrays)},
+    "extra": lambda arrays: {**arrays, "more.weight": np.zeros(3, np.float32)},
+    "none": lambda arrays: {},
+    "flat": with_tensor(np.ravel),
+    "transposed": with_tensor(lambda tensor: np.ascontiguousarray(tensor.swapaxes(0, 1)[:, :1])),
+    "empty": with_tensor(lambda tensor: tensor[:0]),
+    "integers": with_tensor(lambda tensor: tensor.astype(np.int32)),
+    "truths": with_tensor(lambda tensor: tensor > 0),
+    "infinite": with_tensor(lambda tensor: tensor * np.float32(np.inf)),
+    "too many": lambda arrays: {**arrays, **{f"x{n}": np.zeros(1) for n in range(20_000)}},
+    "huge": lambda arrays: {name: tensor * np.float32(1e15) for name, tensor in arrays.items()},
+    "black": lambda arrays: {
+        name: tensor - np.float32(1e6 * name.endswith("bias")) for name, tensor in arrays.items()
+    },
+}
+
+
+def open_in_torch(path: Path, device: str) -> None:
+    check_network(path, TorchNetwork(path, device))
+
+
+@pytest.mark.parametrize("runtime", ["onnx", "torch"])
+@pytest.mark.parametrize("name", UNFIT)
+def test_weights_that_do_not_fit_cost_a_line(name: str, runtime: str, tmp_path: Path) -> None:
+    header, arrays = read_weights(find_weights("simnfnd"))
+    path = write_arrays(tmp_path / "own.safetensors", header, UNFIT[name](arrays))
+    opened = open_runtime if runtime == "onnx" else open_in_torch
+    with pytest.raises(FactoryError, match=r"weights=.*own\.safetensors") as caught:
+        opened(path, "cpu")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize("value", ["x", None, [1], math.nan, -3])
+@pytest.mark.parametrize("key", ["wide_grain", "polar", "widths", "kind"])
+def test_metadata_of_a_wrong_type_cost_a_line(key: str, value: object, tmp_path: Path) -> None:
+    header, arrays = read_weights(find_weights("simnfnd"))
+    changed = {**header, "model": {**header["model"], key: value}}
+    path = write_arrays(tmp_path / "own.safetensors", changed, arrays)
+    with pytest.raises(FactoryError, match=r"weights=.*own\.safetensors: do not fit"):
+        open_runtime(path, "cpu")
+
+
+def write_arrays(path: Path, header: Any, arrays: Arrays) -> Path:
+    contiguous = {name: np.ascontiguousarray(tensor) for name, tensor in arrays.items()}
+    save_file(contiguous, path, {KEY: json.dumps(header)})
+    return path
 
 
 def test_a_picture_is_denoised_without_torch(tmp_path: Path) -> None:
