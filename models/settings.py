@@ -85,6 +85,16 @@ class MixedData(RenderedData):
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
+class SequencesData(DataSettings):
+    """`data=sequences`: windows of a dataset of recordings."""
+
+    kind: Literal["sequences"]
+    frames: Annotated[int, Field(ge=1, le=99)]
+    reference: Literal["standing", "clean"]
+    targets: Share
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
 class OldData(DataSettings):
     """`data=olddata`: real images taken as clean, artificial noise on top."""
 
@@ -125,7 +135,9 @@ class ModelsSettings:
     seed: Annotated[int, Field(ge=0)]
     device: Literal["auto", "cpu", "gpu"]
     debug: bool
-    data: Annotated[PairsData | RendersData | MixedData | OldData, Field(discriminator="kind")]
+    data: Annotated[
+        PairsData | RendersData | MixedData | SequencesData | OldData, Field(discriminator="kind")
+    ]
     train: TrainSettings
     model: Mapping[str, Any]
     loss: Mapping[str, Any]

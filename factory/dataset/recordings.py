@@ -51,6 +51,7 @@ class FrameSequence:
 class _Row(NamedTuple):
     """A sample: its number in the dataset, the name and number of its frame, and its time."""
 
+    record: np.void
     sample: int
     frame: str
     number: int | None
@@ -108,6 +109,10 @@ class Recordings:
         last = len(rows) - frames + 1
         return [start for start in range(last) if is_gap[start] == is_gap[start + frames - 1]]
 
+    def record(self, name: str) -> np.void:
+        """The row of the sample table of a recording's first frame."""
+        return self._rows[name][0].record
+
     def window(self, name: str, start: int, frames: int) -> FrameSequence:
         """The window that begins at a place of `starts`."""
         return self._read(name, self._rows[name][start : start + frames])
@@ -132,7 +137,7 @@ def _row(sample: int, record: np.void) -> _Row:
     frame = record["frame"].decode()
     time_s = float(record["time_s"]) if "time_s" in names else float("nan")
     tracks = parse_tracks(record["tracks"], f"sample {sample}") if "tracks" in names else ()
-    return _Row(sample, frame, int(frame) if frame.isdigit() else None, time_s, tracks)
+    return _Row(record, sample, frame, int(frame) if frame.isdigit() else None, time_s, tracks)
 
 
 def parse_tracks(text: bytes, where: str) -> tuple[Track, ...]:

@@ -22,10 +22,11 @@ from ...factory.scenes import open_reader
 from ...factory.selection import choose_frames, split_frames
 from ...factory.storage.copies import local_folder
 from ...factory.views import open_views
-from ..settings import DataSettings, MixedData, ModelsSettings, OldData, RenderedData
+from ..settings import DataSettings, MixedData, ModelsSettings, OldData, RenderedData, SequencesData
 from .images import OldDataSource, digest_of, list_images, smallest_side
 from .pairs import Data, PairSource, SampleRef, hold_out, read_table, spread
 from .renders import DeviceSource, RenderSource
+from .sequences import open_sequences
 from .time_stacks import MixedSource, open_stacks
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
@@ -46,6 +47,8 @@ def open_data(settings: ModelsSettings) -> Data:
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
         )
     folder = local_folder(given)
+    if isinstance(data, SequencesData):
+        return open_sequences(folder, data, seed)
     table = read_table(folder, "train")
     if not isinstance(data, MixedData):
         least = min(data.scales) if isinstance(data, RenderedData) else 1.0

@@ -35,7 +35,7 @@ def settings(**keys: Any) -> FactoryConfig:
     values = {
         "scenes": {"kind": "seabed", "frame_rate_hz": 10},
         "sonar": sonar | keys.pop("sonar", {}),
-        "acoustics": {"formation": "field", **keys.pop("acoustics", {})},
+        "acoustics": {"formation": "coherent", **keys.pop("acoustics", {})},
         "noise": OFF | keys.pop("noise", {}),
     }
     return from_mapping(values | keys)
