@@ -1,7 +1,8 @@
 """`simnfnd evaluate compare A B`: is one run really better than another?
 
 A and B are folders of reports on the same pairs, or twice the same folder.  The rows are paired
-picture by picture: mean difference with its interval, Wilcoxon test, wins.
+image by image: mean difference with its interval, Wilcoxon test, wins.  Folders of `simnfnd
+evaluate real`, any number of them, are tabulated beside each other.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import pandas as pd
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
 from .metrics.statistics import Paired, holm, paired
+from .real_table import is_real_report, tabulate
 from .report.build import RESULTS_NAME
 from .report.tables import (
     METRIC_NAMES,
@@ -33,12 +35,25 @@ _ALPHA = 0.05
 def main(words: Sequence[str]) -> int:
     """Print the comparison."""
     parser = Parser(prog="simnfnd evaluate compare")
-    parser.add_argument("a", metavar="A", help="folder of a report")
-    parser.add_argument("b", metavar="B", help="folder of another, or the same")
+    parser.add_argument(
+        "folders",
+        nargs="+",
+        metavar="FOLDER",
+        help="two reports, which may be the same; or any number of reports on real images",
+    )
     parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")
     parser.add_argument("--row-b", help="row of B (default: as A)")
     chosen = parser.parse_args(list(words))
-    print(text_of(compare(Path(chosen.a), Path(chosen.b), chosen.row_a, chosen.row_b)))
+    folders = [Path(name) for name in chosen.folders]
+    if all(is_real_report(folder) for folder in folders):
+        print(tabulate(folders))
+        return 0
+    if len(folders) != 2:
+        raise FactoryError(
+            f"evaluate compare: {len(folders)} folders; give two reports of `simnfnd evaluate`, or "
+            "reports of `simnfnd evaluate real` alone"
+        )
+    print(text_of(compare(folders[0], folders[1], chosen.row_a, chosen.row_b)))
     return 0
 
 

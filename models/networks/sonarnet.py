@@ -83,7 +83,9 @@ class SonarNet(Network):
         planes = 1 + len(_MAPS) + settings.frames
         self.intro = nn.Conv2d(4 * planes, widths[0], 3, padding=1)
         told = ("remove",) if settings.told else ()
-        self.extras = (*_MAPS, *told, *(("frames",) if settings.frames else ()))
+        # What is always forgotten is no input.
+        maps = _MAPS if settings.forget < 1 else ()
+        self.extras = (*maps, *told, *(("frames",) if settings.frames else ()))
         if settings.told:
             self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())
             self.films = nn.ModuleList(zeroed(nn.Linear(_TOLD, 2 * width)) for width in widths)

@@ -157,6 +157,30 @@ def test_compare_says_which_is_better(
     assert "no difference shown" in capsys.readouterr().out
 
 
+def test_reports_on_real_images_are_tabulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def row(label: str, psnr_db: float, network: bool = False) -> dict[str, Any]:
+        means = {"psnr_db": psnr_db, "ssim": 0.7}
+        return {"label": label, "network": network, "lost": None, "means": means}
+
+    for name, offset in (("aris", 0.0), ("lamprey", 4.0)):
+        rows = [row("noisy", 25 + offset), row("tv tuned on others", 29 + offset)]
+        rows.append(row(f"outputs/{name}/both", 29.5 + offset, network=True))
+        best = {"psnr_db": "tv tuned on others", "ssim": None}
+        report = {"name": name, "best_filter": best, "rows": rows}
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "real.json").write_text(json.dumps(report), encoding="utf-8")
+    folders = [str(tmp_path / name) for name in ("aris", "lamprey")]
+    assert main(["evaluate", "compare", *folders]) == 0
+    said = capsys.readouterr().out
+    assert "| noisy | 25.00 / 0.700 | 29.00 / 0.700 |" in said
+    assert "| best filter | 29.00 / 0.700 (tv) | 33.00 / 0.700 (tv) |" in said
+    assert "| both | 29.50 / 0.700 | 33.50 / 0.700 |" in said
+    (tmp_path / "aris" / "real.json").write_text("{}", encoding="utf-8")
+    assert main(["evaluate", "compare", *folders]) == 2
+
+
 def test_compare_refuses_what_cannot_be_compared(
     reports: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -170,7 +194,7 @@ def test_compare_refuses_what_cannot_be_compared(
             (str(a), str(b), "--row-a", "wiener"),
             "no row 'wiener'; it has noisy, grey_",
         ),
-        ((str(a),), "the following arguments are required: B"),
+        ((str(a),), "evaluate compare: 1 folders; give two reports"),
     ):
         assert main(["evaluate", "compare", *words]) == 2
         error = capsys.readouterr().err

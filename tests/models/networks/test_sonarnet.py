@@ -71,7 +71,7 @@ def test_what_to_remove_changes_the_picture() -> None:
 
 
 def test_geometry_is_forgotten_in_training_alone() -> None:
-    network = stirred(tiny("sonarnet", forget=1.0))
+    network = stirred(tiny("sonarnet", forget=0.999999))
     image, extras = told(network, 32)
     blind, seeing = network(image), network(image, **extras)
     assert torch.equal(network.train()(image, **extras), blind)
@@ -120,3 +120,9 @@ def test_the_polar_grid_is_the_factorys() -> None:
     assert far_row == pytest.approx(1.0, abs=0.02)
     bearings = grid.azimuth_rad[0, 0, 0, [0, -1]].tolist()
     assert bearings == pytest.approx([-math.pi / 6, math.pi / 6], abs=0.02)
+
+
+def test_what_is_always_forgotten_is_no_input() -> None:
+    always = {"polar": False, "forget": 1.0}
+    assert not {"range_fraction", "azimuth_rad", "sector"} & set(tiny("sonarnet", **always).extras)
+    assert "sector" in tiny("sonarnet", polar=False, forget=0.9).extras
