@@ -22,6 +22,7 @@ from ..factory.errors import FactoryError
 from ..factory.sonar.geometry import FanGeometry
 from ..models.recordings import PICTURE_SUFFIXES, kind_of, open_recording
 from ..models.recordings.fan_finder import find_geometry
+from ..models.recordings.names import in_order
 from ..models.recordings.views import frame_picture
 from .metrics.measure import Gray
 
@@ -141,7 +142,7 @@ def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
     """The pictures of a folder whose geometry is known, by name, and notes."""
     images = root / "Images" if (root / "Images").is_dir() else root
     files = sorted(path for path in images.iterdir() if path.is_file())
-    paths = [path for path in files if kind_of(path) == "pictures"]
+    paths = in_order([path for path in files if kind_of(path) == "pictures"])
     if not paths:
         raise FactoryError(
             f"real={root}: no pictures ({', '.join(PICTURE_SUFFIXES)}) there or in its Images/"
@@ -234,7 +235,8 @@ def _below(root: Path) -> list[Stretch]:
             continue
         files = sorted(path for path in folder.iterdir() if path.is_file())
         kinds = {path: kind_of(path) for path in files}
-        shots = tuple(Shot(one, 0, one.name) for one, kind in kinds.items() if kind == "pictures")
+        images = in_order([path for path, kind in kinds.items() if kind == "pictures"])
+        shots = tuple(Shot(path, 0, path.name) for path in images)
         if shots:
             found.append(Stretch("/".join(parts) or root.resolve().name, shots))
         for path, kind in kinds.items():

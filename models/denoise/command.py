@@ -17,7 +17,7 @@ from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
 from .denoiser import Denoiser
 from .files import Job, denoise_files
-from .inputs import FIND, Geometries, Item, find_items, sequences
+from .inputs import FIND, Geometries, Item, find_items, said_of_sequences, sequences
 from .journal import opened_journal
 from .pictures import Denoising
 from .temporal.stream import FRAMES
@@ -59,6 +59,9 @@ def main(arguments: Sequence[str]) -> int:
             compare=options.compare,
             topics=options.topic,
         )
+        if options.frames > 1:
+            for line in said_of_sequences(items):
+                print(line)
         _denoise_all(items, job)
 
     for line in (*geometries.summary(), *denoising.summary(), *job.removed.summary()):

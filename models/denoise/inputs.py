@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,13 +16,14 @@ from ..data.fans import read_fans
 from ..recordings import READERS, is_bag_folder, kind_of
 from ..recordings.base import ARRAY_SUFFIX, ARRAY_SUFFIXES
 from ..recordings.fan_finder import find_geometry
+from ..recordings.names import sequences_of
 from ..recordings.pictures import is_table
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (*(suffix for _, suffixes in READERS.values() for suffix in suffixes), *HDF5_SUFFIXES)
 
 FIND, POLAR, NONE = "find", "polar", "none"
-_LAST_NUMBER = re.compile(r"(|.*\D)(\d+)(\D*)", re.DOTALL)
+_MOST_FOLDERS_SAID = 5
 
 
 @dataclass(frozen=True)
@@ -80,17 +80,41 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
 
 
 def sequences(items: Sequence[Item]) -> list[list[Item]]:
-    """Picture files that follow each other in time, by their numbers; other files alone.
+    """Picture files that follow each other in time, as their names say; other files alone.
 
-    A sequence is the pictures of a folder whose names differ in their last number alone.
+    The files of a sequence lie in one folder; see `sequences_of`.
     """
-    found: dict[tuple[str, ...], list[tuple[int, Path, Item]]] = {}
+    found: list[list[Item]] = []
+    for folder, in_folder in _by_folder(items).items():
+        if folder is None:
+            found += [[item] for item in in_folder]
+            continue
+        names = [item.source.name for item in in_folder]
+        found += [[in_folder[index] for index in sequence] for sequence in sequences_of(names)]
+    return found
+
+
+def _by_folder(items: Sequence[Item]) -> dict[Path | None, list[Item]]:
+    """Picture files by their folder, and other files under None, in the order of the items."""
+    folders: dict[Path | None, list[Item]] = {}
     for item in items:
-        last = _LAST_NUMBER.fullmatch(item.source.name) if item.kind == "pictures" else None
-        key = (str(item.source.parent), last[1], last[3]) if last else (str(item.source),)
-        number = int(last[2]) if last else 0
-        found.setdefault(key, []).append((number, item.source, item))
-    return [[item for *_, item in sorted(some, key=lambda one: one[:2])] for some in found.values()]
+        folder = item.source.parent if item.kind == "pictures" else None
+        folders.setdefault(folder, []).append(item)
+    return folders
+
+
+def said_of_sequences(items: Sequence[Item]) -> Iterator[str]:
+    """One line a folder of several pictures: as how many sequences their names read."""
+    folders = [(folder, some) for folder, some in _by_folder(items).items() if folder and some[1:]]
+    for folder, some in folders[:_MOST_FOLDERS_SAID]:
+        sizes = [len(sequence) for sequence in sequences(some)]
+        alone = sizes.count(1)
+        count = len(sizes) - alone
+        parts = [f"{count} sequence{'s' * (count != 1)}"] if count else []
+        parts += [f"{alone} by themselves"] if alone else []
+        yield f"sequences: {len(some)} images of {folder} are {' and '.join(parts)} by their names"
+    if len(folders) > _MOST_FOLDERS_SAID:
+        yield f"sequences: {len(folders) - _MOST_FOLDERS_SAID} more folders"
 
 
 def _of_input(path: Path, out: Path) -> list[Item]:

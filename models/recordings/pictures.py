@@ -33,6 +33,7 @@ from .base import (
     swapped,
     untinted,
 )
+from .names import in_order
 from .orientation import EXIF_ORIENTATION, UPRIGHT, Orientation, orientation_of_exif
 from .tiff import TIFF_HEADS, directories_of, with_upright_tags
 
@@ -46,7 +47,10 @@ _MATLAB = {"double": "f8", "single": "f4"} | {
 
 
 class Pictures(Recording):
-    """A `Recording` of picture files: one, those given, or all right in a folder, by name."""
+    """A `Recording` of picture files: one, those given, or all right in a folder, by name.
+
+    Those of a folder come in the order of their sequences, see `names`.
+    """
 
     def __init__(self, path: Path, files: Sequence[Path] = ()) -> None:
         """files: below the folder `path`.  Raises FactoryError when there are none."""
@@ -56,9 +60,10 @@ class Pictures(Recording):
     def _open(self) -> None:
         self.files = list(self._given) or [self.path]
         if self.path.is_dir() and not self._given:
-            files = sorted(one for one in self.path.iterdir() if one.is_file())
+            files = sorted(file for file in self.path.iterdir() if file.is_file())
             kinds = PICTURE_SUFFIXES
-            self.files = [one for one in files if one.suffix.lower() in kinds and not is_table(one)]
+            images = [file for file in files if file.suffix.lower() in kinds]
+            self.files = in_order([file for file in images if not is_table(file)])
         self.count = len(self.files)
         if not self.count:
             raise FactoryError(f"{self.path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")

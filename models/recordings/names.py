@@ -1,0 +1,243 @@
+"""Names of frames: in which order they follow each other, and which of them are one sequence.
+
+Recorders number frames with or without leading zeros, stamp them with a clock or with seconds since
+1970, and write settings before or behind the number.  Names that differ in their numbers alone are
+looked at together: a time stamp orders them, or else the number that counts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path, PurePath
+
+_NUMBER = re.compile(r"([0-9]+)")
+_EPOCH_UNITS = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
+"""Digits of a number of seconds since 1970 -> its unit, seconds."""
+_EARLIEST_S, _LATEST_S = 1e9, 4.1e9  # 2001 and 2099
+_DATE_WIDTHS = (
+    (14,), (8, 6), (4, 2, 2, 6), (8, 2, 2, 2), (4, 2, 2, 2, 2, 2),
+)  # fmt: skip
+"""Digits of the numbers that make up a date and a time of day."""
+_FRACTION_MARKS = (".", ",")
+_CLOCK_MARKS = ("-", "_", ".", ":", "h", "m", " ")
+_NANOSECOND_DIGITS = 9
+_LONGEST_DECIMAL = 7
+"""Digits up to which Python prints fractions of such a second; more are whole nanoseconds."""
+_NEXT_SECOND_S = 1.5  # frames of one recording have stamps that are no further apart
+
+
+def natural_key(name: str) -> tuple[object, ...]:
+    """Sorts names as people do: 2 before 10."""
+    parts = _NUMBER.split(name)
+    return (*(int(part) if place % 2 else part for place, part in enumerate(parts)), name)
+
+
+def in_order(paths: Sequence[Path]) -> list[Path]:
+    """Files of one folder in the order of their sequences, and of their frames in these."""
+    names = [path.name for path in paths]
+    return [paths[index] for sequence in sequences_of(names) for index in sequence]
+
+
+def sequences_of(names: Sequence[str]) -> list[list[int]]:
+    """Places of names that follow each other in time; a name that belongs to none is alone.
+
+    Sequences, and the names within each, are in natural order or in that of their time stamps.
+    """
+    patterns: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for index, name in enumerate(names):
+        suffix = PurePath(name).suffix
+        texts = tuple(_NUMBER.split(name.removesuffix(suffix) + suffix.lower())[::2])
+        patterns[texts].append(index)
+    found: list[list[int]] = []
+    for pattern, indices in patterns.items():
+        rows = [_Row(index, names[index], tuple(_digits(names[index]))) for index in indices]
+        found += [[row.index for row in sequence] for sequence in _split(pattern, rows)]
+    return sorted(found, key=lambda sequence: natural_key(names[sequence[0]]))
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One name.  digits: its numbers as they are written."""
+
+    index: int
+    name: str
+    digits: tuple[str, ...]
+
+    def number(self, field: int) -> int:
+        return int(self.digits[field])
+
+
+@dataclass(frozen=True)
+class _Stamp:
+    """Where time stamps stand.
+
+    fields: first and last number that belong to them.  seconds: of each name, by its place.
+    """
+
+    fields: tuple[int, int]
+    seconds: dict[int, float]
+
+
+def _digits(name: str) -> list[str]:
+    return _NUMBER.findall(name)
+
+
+def _split(pattern: tuple[str, ...], rows: list[_Row]) -> list[list[_Row]]:
+    """The sequences of names that differ in their numbers alone."""
+    fields = range(len(pattern) - 1)
+    varying = [field for field in fields if len({row.digits[field] for row in rows}) > 1]
+    if not varying:
+        return [[row] for row in rows]
+    stamp = _stamp_of(pattern, rows, varying)
+    if stamp is not None:
+        return _by_stamp(pattern, rows, varying, stamp)
+    counter = _counter_of(rows, varying)
+    before = [field for field in varying if field < counter]
+    if _is_distinct(rows, [counter]):
+        before = []
+    groups = _grouped(rows, lambda row: tuple(row.number(field) for field in before))
+    return [_sorted(group, lambda row: (row.number(counter),)) for group in groups]
+
+
+def _sorted(rows: list[_Row], key: Callable[[_Row], tuple[float, ...]]) -> list[_Row]:
+    return sorted(rows, key=lambda row: (key(row), natural_key(row.name)))
+
+
+def _grouped(rows: list[_Row], key: Callable[[_Row], tuple[float, ...]]) -> list[list[_Row]]:
+    groups: dict[tuple[float, ...], list[_Row]] = defaultdict(list)
+    for row in rows:
+        groups[key(row)].append(row)
+    return list(groups.values())
+
+
+def _is_distinct(rows: list[_Row], fields: list[int]) -> bool:
+    """Whether no two names agree in these numbers."""
+    return len({tuple(row.number(field) for field in fields) for row in rows}) == len(rows)
+
+
+def _counter_of(rows: list[_Row], varying: list[int]) -> int:
+    """The number that counts frames.
+
+    One in which all names differ, best without a gap; else the last one that counts within groups
+    of the numbers before it, so that settings behind it do not matter.
+    """
+    distinct = [field for field in varying if _is_distinct(rows, [field])]
+    for field in distinct:
+        numbers = [row.number(field) for row in rows]
+        if max(numbers) - min(numbers) == len(rows) - 1:
+            return field
+    if distinct:
+        return distinct[0]
+    for place in reversed(range(len(varying))):
+        before, field = varying[:place], varying[place]
+        groups = {tuple(row.number(other) for other in before) for row in rows}
+        if len(rows) >= 2 * len(groups) and _is_distinct(rows, [*before, field]):
+            return field
+    return varying[-1]
+
+
+def _stamp_of(pattern: tuple[str, ...], rows: list[_Row], varying: list[int]) -> _Stamp | None:
+    """The first time stamp in the names whose seconds or fractions vary; None where none does."""
+    widths = [{len(row.digits[field]) for row in rows} for field in range(len(pattern) - 1)]
+    for first in range(len(widths)):
+        for count, seconds_of in _readings(pattern, widths, first):
+            fields = range(first, first + count)
+            # The fraction of a second may be all that varies.
+            if not any(field in varying for field in (*fields, first + count)):
+                continue
+            seconds = {row.index: seconds_of(row.digits[first : first + count]) for row in rows}
+            known = {index: value for index, value in seconds.items() if value is not None}
+            if len(known) == len(rows):
+                return _Stamp((first, first + count - 1), known)
+    return None
+
+
+_Reading = Callable[[Sequence[str]], float | None]
+
+
+def _readings(
+    pattern: tuple[str, ...], widths: list[set[int]], first: int
+) -> list[tuple[int, _Reading]]:
+    """How many numbers from `first` on may be a time stamp, and what reads them as seconds."""
+    found: list[tuple[int, _Reading]] = []
+    if len(widths[first]) == 1 and min(widths[first]) in _EPOCH_UNITS:
+        found.append((1, _seconds_of_epoch))
+    for date in _DATE_WIDTHS:
+        if widths[first : first + len(date)] == [{width} for width in date]:
+            found.append((len(date), _seconds_of_date))
+    between = pattern[first + 1 : first + 3]
+    is_clock = widths[first : first + 3] == [{2}, {2}, {2}]
+    if is_clock and all(mark in _CLOCK_MARKS for mark in between):
+        found.append((3, _seconds_of_clock))
+    has_fraction = first + 1 < len(widths) and pattern[first + 1] in _FRACTION_MARKS
+    if widths[first] == {6} and has_fraction:
+        found.append((1, _seconds_of_clock))
+    return found
+
+
+def _seconds_of_epoch(digits: Sequence[str]) -> float | None:
+    seconds = int(digits[0]) * _EPOCH_UNITS[len(digits[0])]
+    return seconds if _EARLIEST_S <= seconds <= _LATEST_S else None
+
+
+def _seconds_of_date(digits: Sequence[str]) -> float | None:
+    try:
+        date = datetime.strptime("".join(digits), "%Y%m%d%H%M%S").replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return date.timestamp() if 1970 <= date.year < 2100 else None
+
+
+def _seconds_of_clock(digits: Sequence[str]) -> float | None:
+    text = "".join(digits)
+    hours, minutes, seconds = int(text[:2]), int(text[2:4]), int(text[4:])
+    if hours > 23 or minutes > 59 or seconds > 60:
+        return None
+    return 3600.0 * hours + 60 * minutes + seconds
+
+
+def _by_stamp(
+    pattern: tuple[str, ...], rows: list[_Row], varying: list[int], stamp: _Stamp
+) -> list[list[_Row]]:
+    """Names in the order of their stamps; apart where a number before these differs."""
+    first, last = stamp.fields
+    before = [field for field in varying if field < first]
+    behind = [field for field in range(last + 1, len(pattern) - 1)]
+    is_decimal = bool(behind) and _is_decimal(pattern[last + 1], rows, last + 1)
+
+    def moment(row: _Row) -> tuple[float, ...]:
+        numbers = [float(row.number(field)) for field in behind]
+        if is_decimal:
+            numbers[0] = float(row.digits[last + 1].ljust(_NANOSECOND_DIGITS, "0"))
+        return stamp.seconds[row.index], *numbers
+
+    found: list[list[_Row]] = []
+    for group in _grouped(rows, lambda row: tuple(row.number(field) for field in before)):
+        parts = [group]
+        if behind and pattern[last + 1] not in _FRACTION_MARKS:
+            parts = _apart_by_start(group, stamp, last + 1)
+        found += [_sorted(part, moment) for part in parts]
+    return found
+
+
+def _is_decimal(mark: str, rows: list[_Row], field: int) -> bool:
+    """Whether a number behind a point is a decimal fraction whose last zeros are left out."""
+    lengths = {len(row.digits[field]) for row in rows}
+    return mark in _FRACTION_MARKS and len(lengths) > 1 and max(lengths) <= _LONGEST_DECIMAL
+
+
+def _apart_by_start(rows: list[_Row], stamp: _Stamp, counter: int) -> list[list[_Row]]:
+    """Recordings whose names begin with when they began, and then count; else all together."""
+    groups = _grouped(rows, lambda row: (stamp.seconds[row.index],))
+    starts = sorted({stamp.seconds[row.index] for row in rows})
+    is_recording = all(later - earlier > _NEXT_SECOND_S for earlier, later in pairwise(starts))
+    for group in groups:
+        numbers = sorted(row.number(counter) for row in group)
+        counts = numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        is_recording = is_recording and counts and numbers[0] <= 1
+    return groups if is_recording and len(rows) > len(groups) else [rows]
