@@ -21,7 +21,7 @@ import numpy.typing as npt
 from ..factory.errors import FactoryError
 from ..factory.sonar.geometry import FanGeometry
 from ..models.recordings import PICTURE_SUFFIXES, kind_of, open_recording
-from ..models.recordings.fan_finder import find_geometry
+from ..models.recordings.fan_tracking import FanTracker
 from ..models.recordings.names import in_order
 from ..models.recordings.views import frame_picture
 from .metrics.measure import Gray
@@ -116,19 +116,18 @@ def open_input(
 
 
 def open_real(given: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
-    """The same shots, each with its geometry: given, or found in the first frame of a recording.
+    """The same shots, each with its geometry: given, or found in the image.
 
     Raises FactoryError, also where nothing says where range and bearing are.
     """
     stretches, notes = open_input(given)
     found: list[Shot] = []
-    for shot in (one for stretch in stretches for one in stretch.shots):
+    trackers: dict[Path, FanTracker] = {}
+    for shot in (shot for stretch in stretches for shot in stretch.shots):
         known = shot.known
         if known is None:
             picture, known = shot.read()
-            if known is None and shot.number:  # the frames of one file have one fan
-                known = found[-1].known
-            known = known or find_geometry(picture)
+            known = known or trackers.setdefault(shot.path, FanTracker()).geometry(picture)
         if known is None:
             raise FactoryError(
                 f"real={shot.path}: no fan is seen in it; write a {GEOMETRY_FILE} beside pictures "

@@ -38,6 +38,8 @@ def main(arguments: Sequence[str]) -> int:
     found = read_clips([Path(name).expanduser() for name in chosen.recordings], out, geometries)
     for line in found.skipped[:3]:
         print(f"skipped: {line}", file=sys.stderr)
+    if found.copies:
+        print(f"repeated frames: {found.copies} copies of others are left out")
     for line in geometries.summary():
         print(line)
     return _adapt(chosen, _lessons(found), found.paths, start, out)

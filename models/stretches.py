@@ -15,9 +15,10 @@ import numpy.typing as npt
 from ..factory.errors import FactoryError
 from ..factory.sonar.geometry import FanGeometry
 from .denoise.inputs import Geometries, Item, find_items, sequences
-from .recordings import Recording, open_recording
+from .recordings import Frame, Recording, open_recording
 from .recordings.palettes import grey_of_colours
 from .recordings.pictures import Pictures
+from .recordings.repeats import CopyFinder
 from .recordings.static import aligned, find_groups, laid_over, moving
 from .recordings.views import grey_of, polar_geometry, presentation_of
 
@@ -62,12 +63,14 @@ class Found:
     """What was read.
 
     frames: how many there were.  skipped: a line for each that was not read.  paths: of the files.
+    copies: how many were left out as they are copies of others.
     """
 
     clips: list[Clip] = field(default_factory=list)
     paths: list[Path] = field(default_factory=list)
     frames: int = 0
     skipped: list[str] = field(default_factory=list)
+    copies: int = 0
 
 
 def read_clips(
@@ -134,7 +137,11 @@ def _opened(source: list[Item]) -> Recording:
 def _shots(
     source: list[Item], numbers: list[int], geometries: Geometries, found: Found
 ) -> Iterator[Shot]:
-    """Frames by their numbers; notes those that are damaged."""
+    """Frames by their numbers; notes those that are damaged, and leaves out copies of others.
+
+    The target of a frame must not hold its copy, which has its noise.
+    """
+    copy_finder = CopyFinder()
     with _opened(source) as recording:
         for number in numbers:
             try:
@@ -142,12 +149,19 @@ def _shots(
             except FactoryError as error:
                 found.skipped.append(str(error))
                 continue
-            if frame.beams is not None:
-                yield Shot(grey_of(frame), polar_geometry(frame.beams, len(frame.samples)))
-                continue
-            is_grey = frame.samples.ndim == 2
-            grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
-            yield Shot(grey, geometries.of(source[number if recording.files else 0], grey))
+            shot = _shot_of(frame, source[number if recording.files else 0], geometries)
+            if copy_finder.is_copy(shot.grey):
+                found.copies += 1
+            else:
+                yield shot
+
+
+def _shot_of(frame: Frame, item: Item, geometries: Geometries) -> Shot:
+    if frame.beams is not None:
+        return Shot(grey_of(frame), polar_geometry(frame.beams, len(frame.samples)))
+    is_grey = frame.samples.ndim == 2
+    grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
+    return Shot(grey, geometries.of(item, grey))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .factory.sonar.geometry import FanGeometry
     from .models.denoise.denoiser import Denoiser
     from .models.recordings import Frame
+    from .models.recordings.fan_tracking import FanTracker
 
 
 class DenoisedImage(NamedTuple):
@@ -174,7 +175,7 @@ class OpenRecording:
         from .models.recordings import open_recording as opened
 
         self._recording = opened(path)
-        self._found: dict[tuple[int, ...], FanGeometry | None] = {}
+        self._trackers: dict[tuple[int, ...], FanTracker] = {}
 
     def __len__(self) -> int:
         return len(self._recording)
@@ -208,13 +209,17 @@ class OpenRecording:
         if frame.beams is not None:
             return RecordedFrame(*fan_of(grey_of(frame), frame.beams), frame.time_s, frame)
         from .models.recordings.fan_finder import find_geometry  # of the extra sonar
+        from .models.recordings.fan_tracking import FanTracker
         from .models.recordings.pictures import Pictures
 
-        # A video's fan stays where it was found first; pictures of a folder may have a fan each.
-        shape = frame.samples.shape
-        if shape not in self._found or isinstance(self._recording, Pictures):
-            self._found[shape] = find_geometry(frame.samples)
-        return RecordedFrame(frame.samples, self._found[shape], frame.time_s, frame)
+        # Pictures of a folder may have a fan each; that of a video changes now and then.
+        samples = frame.samples
+        if isinstance(self._recording, Pictures):
+            geometry = find_geometry(samples)
+        else:
+            tracker = self._trackers.setdefault(samples.shape, FanTracker())
+            geometry = tracker.geometry(samples)
+        return RecordedFrame(samples, geometry, frame.time_s, frame)
 
 
 def open_recording(path: str | Path) -> OpenRecording:

@@ -13,6 +13,8 @@ import numpy as np
 from ...factory.errors import FrameError
 from ...factory.sonar.geometry import FanGeometry
 from ...models.recordings.fan_finder import find_geometry
+from ...models.recordings.fan_tracking import FanTracker
+from ...models.recordings.repeats import CopyFinder
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
 from ..metrics.fidelity import Mask
 from ..metrics.measure import Gray
@@ -82,6 +84,8 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     _, stretch, limit = task
     recording = len(stretch.shots) > 1 and len({shot.path for shot in stretch.shots}) == 1
     notes = []
+    tracker, copy_finder = FanTracker(), CopyFinder()
+    copies = 0
     shots: list[Shot] = []
     fans: list[FanGeometry | None] = []
     sectors: list[Mask] = []
@@ -95,12 +99,16 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
             notes.append(f"left out: {error}")
             continue
         if geometry is None:
-            # The frames of one file have one fan.
-            same = recording and bool(shots) and fans[-1] is not None
-            geometry = fans[-1] if same else find_geometry(picture)
+            geometry = tracker.geometry(picture) if recording else find_geometry(picture)
+        # The copy of a frame has its noise: as a reference it would flatter whatever keeps that.
+        if copy_finder.is_copy(picture):
+            copies += 1
+            continue
         shots.append(shot)
         fans.append(geometry)
         sectors.append(sector_of(picture, geometry))
+    if copies:
+        notes.append(f"{stretch.name}: {copies} frames left out that are copies of others")
     found = []
     pictures = _Pictures(shots)
     for static in find_groups(pictures, sectors, least=LEAST):

@@ -219,7 +219,9 @@ def _denoise_shard(item: Item, job: Job) -> None:
             track_times=False,
         )
         shown: list[Compared] = []
-        denoising, sonar = Denoising(denoise), recorded_sonar(config_of(source))
+        # Simulated images have noise around their fan, too.
+        denoising = Denoising(denoise, keeps_outside=False)
+        sonar = recorded_sonar(config_of(source))
 
         def place(row: int, _: Picture) -> FanGeometry | None:
             return None if sonar is None else FanGeometry.from_record(sonar, source["meta"][row])
@@ -294,7 +296,9 @@ def _frames(
         for frame in recording:
             turned_px, before = _turned_px(frame, before), frame
             try:
-                yield job.denoising.shot(frame, frame.samples, partial(place, frame), turned_px)
+                yield job.denoising.shot(
+                    frame, frame.samples, partial(place, frame), turned_px, is_tracked=True
+                )
             except ValueError as error:
                 raise FrameError(f"{item.source}: frame {frame.number}: {error}") from error
 

@@ -16,6 +16,7 @@ from ..data.fans import read_fans
 from ..recordings import READERS, is_bag_folder, kind_of
 from ..recordings.base import ARRAY_SUFFIX, ARRAY_SUFFIXES
 from ..recordings.fan_finder import find_geometry
+from ..recordings.fan_tracking import FanTracker
 from ..recordings.names import sequences_of
 from ..recordings.pictures import is_table
 
@@ -169,7 +170,7 @@ def _item(file: Path, folder: Path) -> Item:
 class Geometries:
     """Geometry of pictures, as `--geometry` says.
 
-    chosen: `find` it in each picture (for a video or bag in its first frame); `polar`: rows are
+    chosen: `find` it in each picture (in a video, stack or bag where it changes); `polar`: rows are
     ranges, near range first, and the columns span 30 degrees; `none`; or the path of a table of
     fans.
     """
@@ -179,25 +180,31 @@ class Geometries:
         self.chosen = chosen
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
         # By the size of the pictures, too: a bag may have several topics.
-        self._videos: dict[tuple[Path, tuple[int, ...]], FanGeometry | None] = {}
-        self._found: dict[Path, list[bool]] = {}  # in the pictures of a folder, video or bag
+        self._trackers: dict[tuple[Path, tuple[int, ...]], FanTracker] = {}
+        self._found: dict[Path, list[bool]] = {}  # in the pictures of a folder
 
     def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
-        """The geometry of a picture of `item`; None where it is not known."""
+        """The geometry of a picture of `item`; None where it is not known.
+
+        Frames of a recording are to be asked for in order.
+        """
         if self.chosen == POLAR:
             return FanGeometry.polar().with_size(*picture.shape[:2])
         if self.chosen != FIND:
             return self._table.get(item.source.name)
-        key = item.source, picture.shape
-        if key in self._videos:
-            return self._videos[key]
-        geometry, place = find_geometry(picture), item.source.parent
         if item.kind != "pictures":
-            self._videos[key], place = geometry, item.source
-        self._found.setdefault(place, []).append(geometry is not None)
+            key = item.source, picture.shape
+            return self._trackers.setdefault(key, FanTracker()).geometry(picture)
+        geometry = find_geometry(picture)
+        self._found.setdefault(item.source.parent, []).append(geometry is not None)
         return geometry
 
     def summary(self) -> Iterator[str]:
         """One line a folder, video or bag whose pictures were searched."""
-        for place, fan in self._found.items():
-            yield f"geometry: fan found in {sum(fan)} of {len(fan)} pictures searched ({place})"
+        said = "geometry: fan found in {} of {} pictures searched ({})"
+        for folder, found in self._found.items():
+            yield said.format(sum(found), len(found), folder)
+        for (source, _), tracker in self._trackers.items():
+            line = said.format(tracker.found, tracker.searched, source)
+            times = "once" if tracker.changes == 1 else f"{tracker.changes} times"
+            yield f"{line}; it changes {times}" if tracker.changes else line

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from ...factory.sonar.geometry import FanGeometry
 from ..recordings.base import FULL_SCALE
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from .removed import Removed
+from .temporal.repeated import Unrepeated
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
 
 Gray = npt.NDArray[np.float32]
@@ -42,18 +43,32 @@ class Denoised:
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """An image on its way.  levels: float32 in 0..1.  painted: of a colour map; None: of none."""
+    """An image on its way.
+
+    shown: the image as it is denoised, inverted where it has a `white`.  levels: float32 in 0..1.
+    painted: of a colour map; None: of none.
+    """
 
     key: Any
-    image: Picture
+    shown: Picture
     levels: Gray
     painted: Painted | None
+    white: float | None
+
+    def result(self, levels: Gray) -> Denoised:
+        """levels: (H, W) or (H, W, C), what became of its own."""
+        painted = self.painted
+        image = restored(levels, self.shown) if painted is None else painted.repainted(levels)
+        if self.white is None:
+            return Denoised(self.key, image, Removed(self.levels, levels))
+        return Denoised(self.key, inverted(image, self.white), Removed(1 - self.levels, 1 - levels))
 
 
 class Denoising:
     """What a run does to pictures, and what it did.
 
-    network, frames, causal, calibrated: see `InTime`.
+    network, frames, causal, calibrated, keeps_outside: see `InTime`.
+    inverts: whether pictures show dark echoes on a bright ground.
     maps: colour map -> how many pictures had it.
     """
 
@@ -64,6 +79,8 @@ class Denoising:
         frames: int = FRAMES,
         causal: bool = False,
         calibrated: bool = True,
+        keeps_outside: bool = True,
+        inverts: bool = False,
     ) -> None:
         """Raises FactoryError for a number of frames that a window cannot have."""
         if not (1 <= frames <= MOST_FRAMES and frames % 2):
@@ -74,8 +91,14 @@ class Denoising:
         self.frames, self._tally = frames, defaultdict[str, float](float)
         self._strengths: list[str] = []
         self._in_time = partial(
-            InTime, network, causal=causal, calibrated=calibrated, tally=self._tally
+            InTime,
+            network,
+            causal=causal,
+            calibrated=calibrated,
+            keeps_outside=keeps_outside,
+            tally=self._tally,
         )
+        self._inverts = inverts
         self.maps: Counter[str] = Counter()
         self._last_map: Palette | None = None
 
@@ -87,26 +110,34 @@ class Denoising:
         shift_px: tuple[float, float] | None = None,
         *,
         wanted: bool = True,
+        is_tracked: bool = False,
     ) -> Shot:
         """A picture of a sequence, its colours read.
 
         picture: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
-        shift_px, wanted: see `Shot`.
+        place, shift_px, wanted, is_tracked: see `Shot`.
         Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
         """
         check(picture)
-        plain, painted = picture, find_painted(picture, self._last_map)
+        white = white_of(picture) if self._inverts else None
+        shown = picture if white is None else inverted(picture, white)
+        plain = without_alpha(shown)
+        painted = find_painted(shown, self._last_map)
         if painted is not None:
             plain, self._last_map = painted.levels, painted.palette
             self.maps[painted.palette.name] += 1
+        fan = cache(partial(place, plain))
+        if is_tracked:
+            fan()  # in the order of the frames
         levels = levels_of(plain)
-        source = _Source(key, picture, levels, painted)
-        return Shot(source, levels, partial(place, plain), shift_px, wanted)
+        source = _Source(key, shown, levels, painted, white)
+        return Shot(source, levels, fan, shift_px, wanted, is_tracked)
 
     def sequence(self, shots: Iterable[Shot], *, alone: bool = False) -> Iterator[Denoised]:
         """What became of each picture of a sequence, in order.
 
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
+        Copies of the picture before, as a video holds of a slower sonar, are fused once.
         alone: whether each is denoised by itself.
         """
         # The first image is looked at anew, so that a sequence depends on none before it.
@@ -121,13 +152,10 @@ class Denoising:
     def _denoised(self, shots: Iterable[Shot], alone: bool) -> Iterator[Denoised]:
         frames, at_once = (1, 1) if alone else (self.frames, usable_cores())
         stream = self._in_time(frames=frames, at_once=at_once)
+        denoised = Unrepeated(stream, self._tally)(shots) if frames > 1 else stream(shots)
         source: _Source
-        for source, levels in stream(shots):
-            if source.painted is None:
-                image = restored(levels, source.image)
-            else:
-                image = source.painted.repainted(levels)
-            yield Denoised(source.key, image, Removed(source.levels, levels))
+        for source, levels in denoised:
+            yield source.result(levels)
         if stream.strength.measured:
             self._strengths.append(str(stream.strength))
 
@@ -145,6 +173,11 @@ class Denoising:
                 f"fused in a pixel, {100 * self._tally['moved'] / pictures:.1f} % of pixels moved, "
                 f"{self._tally['alone']:.0f} of {pictures:.0f} frames matched no neighbour"
             )
+        if repeats := self._tally["repeats"]:
+            yield (
+                f"repeated frames: {repeats:.0f} of {pictures + repeats:.0f} are copies of the one "
+                "before and were fused once"
+            )
         for strength in self._strengths:
             yield f"strength by the recording itself: {strength}"
 
@@ -153,8 +186,12 @@ def check(picture: Picture) -> None:
     """ValueError for a picture that cannot be denoised."""
     if str(picture.dtype) not in FULL_SCALE:
         raise ValueError(f"pixels are {picture.dtype}; expected {', '.join(FULL_SCALE)}")
-    if picture.ndim not in (2, 3) or 0 in picture.shape:
-        raise ValueError(f"image has shape {picture.shape}; expected (H, W) or (H, W, C)")
+    is_image = picture.ndim == 2 or (picture.ndim == 3 and picture.shape[2] <= 4)
+    if not is_image or 0 in picture.shape:
+        raise ValueError(
+            f"image has shape {picture.shape}; expected (H, W), or (H, W, C) with C 1 (grey), 2 "
+            "(grey and alpha), 3 or 4 (colours and alpha)"
+        )
     if picture.dtype == np.float32:
         colours = _colours(picture)
         if not (colours.min() >= 0 and colours.max() <= 1):
@@ -172,15 +209,37 @@ def levels_of(picture: Picture) -> Gray:
 def restored(levels: Gray, picture: Picture) -> Picture:
     """The reverse of `levels_of`, with the dtype, shape and alpha of a picture."""
     full = FULL_SCALE[str(picture.dtype)]
-    found = np.rint(levels.astype(np.float64) * full) if full > 1 else levels
+    values = np.rint(levels.astype(np.float64) * full) if full > 1 else levels
     result = picture.copy()
     colours = _colours(result)
-    colours[...] = found if found.ndim == picture.ndim else found[..., None]
+    colours[...] = values if values.ndim == picture.ndim else values[..., None]
+    return result
+
+
+def without_alpha(picture: Picture) -> Picture:
+    """(H, W) of grey with or without alpha, (H, W, 3) of colours."""
+    colours = _colours(picture)
+    return colours[..., 0] if colours.ndim == 3 and colours.shape[2] == 1 else colours
+
+
+def white_of(picture: Picture) -> float:
+    """The grey value of white: full scale, or that of 10 or 12 bits in samples of 16."""
+    if picture.dtype != np.uint16:
+        return FULL_SCALE[str(picture.dtype)]
+    largest = int(_colours(picture).max(initial=0))
+    return float((1 << max(largest.bit_length(), 8)) - 1)
+
+
+def inverted(picture: Picture, white: float) -> Picture:
+    """A picture with white as black and black as white; alpha as it is."""
+    result = picture.copy()
+    colours = _colours(result)
+    colours[...] = np.clip(white - _colours(picture), 0, white).astype(picture.dtype)
     return result
 
 
 def _colours(picture: Picture) -> Picture:
-    """A view without the alpha channel; of an unknown number of channels, the first."""
+    """A view without the alpha channel."""
     if picture.ndim == 2:
         return picture
     return picture[..., : 3 if picture.shape[2] in (3, 4) else 1]

@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -49,7 +49,7 @@ def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
     None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
     full rectangle.  Raises ValueError for another shape.
     """
-    grey = _bytes(picture)
+    grey = grey_bytes(picture)
     if min(grey.shape) < 32:
         return None
     for spread in (None, *_GROUND_SPREADS):
@@ -113,7 +113,7 @@ def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
     return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
 
 
-def _bytes(picture: npt.NDArray[Any]) -> Bytes:
+def grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
     """(H, W) of 8 bits: grey values, or the levels of a colour map."""
     if picture.ndim == 3:
         painted = find_painted(picture)
@@ -141,23 +141,57 @@ def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
 
     Both edges and the far arc, in equal parts: a fan whose outline is half in the dark has 0.5.
     """
+    seen = []
+    for just_inside, just_outside in _outline_sides(fan):
+        # Outside the picture all is black, and inside there must be something.
+        inner = _lit_share(lit, *fan.pixels(*just_inside))
+        outer = _lit_share(lit, *fan.pixels(*just_outside))
+        seen.append((inner > 0.1) & (outer < 0.35 * inner))
+    return float(np.mean(seen))
+
+
+class _Places(NamedTuple):
+    """Points by range, as shares of the largest, and bearing, radians; both broadcast."""
+
+    range_fraction: Numbers
+    azimuth_rad: Numbers
+
+
+def _outline_sides(fan: FanGeometry) -> tuple[tuple[_Places, _Places], ...]:
+    """Points just inside and just outside the left edge, the right edge and the far arc."""
     count, first, last = _PIECES * 12, fan.azimuth_min_rad, fan.azimuth_max_rad
     # Some pixels away from the outline, as shares of the largest range.
-    away = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
+    away: Numbers = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
     ranges = np.linspace(fan.near_fraction + 0.03, 0.97, count)[:, None]
     bearings = np.linspace(first, last, count + 8)[4:-4, None]
     aside = away / ranges
-    sides = (
-        ((ranges, first + aside), (ranges, first - aside)),
-        ((ranges, last - aside), (ranges, last + aside)),
-        ((1 - away, bearings), (1 + away, bearings)),
+    return (
+        (_Places(ranges, first + aside), _Places(ranges, first - aside)),
+        (_Places(ranges, last - aside), _Places(ranges, last + aside)),
+        (_Places(1.0 - away, bearings), _Places(1.0 + away, bearings)),
     )
-    seen = []
-    for side in sides:
-        # Outside the picture all is black, and inside there must be something.
-        inner, outer = (_lit_share(lit, *fan.pixels(*places)) for places in side)
-        seen.append((inner > 0.1) & (outer < 0.35 * inner))
-    return float(np.mean(seen))
+
+
+def outline_pixels(
+    fan: FanGeometry, height: int, width: int
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Pixels just inside and just outside the outline of a fan.
+
+    (3, pieces, samples) each, indices of the flattened image, for both edges and the far arc; -1
+    outside the image.
+    """
+    sides = _outline_sides(fan)
+    inner = [_indices(fan, inside, height, width) for inside, _ in sides]
+    outer = [_indices(fan, outside, height, width) for _, outside in sides]
+    return np.stack(inner), np.stack(outer)
+
+
+def _indices(fan: FanGeometry, places: _Places, height: int, width: int) -> npt.NDArray[np.intp]:
+    row, column = np.broadcast_arrays(*fan.pixels(*places))
+    row = np.rint(row).astype(np.intp)
+    column = np.rint(column).astype(np.intp)
+    is_within = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    return np.where(is_within, row * width + column, -1).reshape(_PIECES, -1)
 
 
 def _lit_share(lit: npt.NDArray[np.bool_], row: Numbers, column: Numbers) -> Numbers:

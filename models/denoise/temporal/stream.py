@@ -10,9 +10,11 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
 from .fusion import Fused, Fusion
@@ -40,6 +42,7 @@ class Shot:
     place: says where range and bearing are; asked where they may differ from the frame before.
     shift_px: how far right and down the scene moved since the frame before, where that is known.
     wanted: whether its result is asked for; others only teach the stream what it learns from them.
+    is_tracked: whether `place` itself keeps to the frame before, so that it is asked each time.
     """
 
     key: Any
@@ -47,6 +50,13 @@ class Shot:
     place: Callable[[], FanGeometry | None] = lambda: None
     shift_px: tuple[float, float] | None = None
     wanted: bool = True
+    is_tracked: bool = False
+
+
+@lru_cache(maxsize=8)
+def outside_of(geometry: FanGeometry, height: int, width: int) -> npt.NDArray[np.bool_]:
+    """(H, W), the pixels that are not in the sector."""
+    return np.asarray(geometry.maps(0, 0, height, width)["sector"] <= 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +74,7 @@ class InTime:
 
     network: None: frames are fused, no more.  frames: of a window, odd.  causal: a window ends with
     its frame.  calibrated: whether the recording chooses the strength; else the usual one is taken.
+    keeps_outside: whether pixels around a fan stay as they are.
     tally: what was done: `pictures`, of which `alone` matched no neighbour, and sums over these:
     `frames` in a pixel, share of pixels that `moved`.  at_once: networks that run at the same time;
     with 1 a frame comes out as soon as its window is complete.  strength: chosen so far.
@@ -76,12 +87,14 @@ class InTime:
         frames: int = FRAMES,
         causal: bool = False,
         calibrated: bool = True,
+        keeps_outside: bool = False,
         tally: dict[str, float] | None = None,
         at_once: int = 1,
     ) -> None:
         self._network, self._frames, self._causal = network, frames, causal
         self._before = frames - 1 if causal else frames // 2
         self._after = 0 if causal else frames // 2
+        self._keeps_outside = keeps_outside
         self._calibrated = calibrated and network is not None and frames > 1
         self._tally = tally if tally is not None else defaultdict(float)
         self._aligner, self._fusion = Aligner(2 * frames), Fusion()
@@ -135,8 +148,9 @@ class InTime:
             if self._frames > 1:
                 self._count(ready.fused)
             if shot.wanted:
-                denoised = self._pool.submit(self._denoised, ready, self.strength.weights)
-                self._running.append((shot.key, denoised))
+                weights = self.strength.weights
+                finished = self._pool.submit(self._finished, ready, weights, shot.levels)
+                self._running.append((shot.key, finished))
         self._next += 1
         self._held.pop(number - self._before - 1, None)
         yield from self._done(self._under_way)
@@ -178,6 +192,8 @@ class InTime:
 
     def _place(self, number: int) -> FanGeometry | None:
         """Where range and bearing are: as in the nearest frame if that shows the same scene."""
+        if self._held[number].is_tracked:
+            return self._held[number].place()
         # To find a fan anew in each frame costs more than the network.
         self._places.pop(number - self._frames, None)
         near = min(self._places, key=lambda one: abs(one - number), default=None)
@@ -193,6 +209,16 @@ class InTime:
             return picture
         root: Grey = np.sqrt(frames)
         return self._fusion.noise.at(picture) / (root if picture.ndim == 2 else root[..., None])
+
+    def _finished(self, ready: _Ready, weights: Weights, levels: Grey) -> Grey:
+        """Denoised; around a fan the frame keeps its own levels."""
+        denoised, geometry = self._denoised(ready, weights), ready.geometry
+        if not self._keeps_outside or geometry is None or geometry.layout == "polar":
+            return denoised
+        outside = outside_of(geometry, *levels.shape[:2])
+        result = denoised.copy()
+        result[outside] = levels[outside]
+        return result
 
     def _denoised(self, ready: _Ready, weights: Weights) -> Grey:
         fused, network = ready.fused, self._network

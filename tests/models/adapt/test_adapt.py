@@ -76,8 +76,8 @@ def test_weights_learn_from_frames_without_truth(
 def test_weights_that_are_no_better_are_not_written(
     tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for frame in range(5):  # without any noise
-        write(tmp_path / "in" / f"{frame}.png", scene(0))
+    for frame in range(5):  # with hardly any noise
+        write(tmp_path / "in" / f"{frame}.png", noisy(scene(0), frame, 0.01))
     out = tmp_path / "out.safetensors"
     arguments = ["--weights", str(weights), "--steps", "2"]
     assert main([str(tmp_path / "in"), "--out", str(out), *arguments]) == 1

@@ -1,0 +1,113 @@
+"""Copies of a frame in a sequence: they are left out of the windows, and get its result."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ...recordings.repeats import RepeatFinder
+from .motion import Grey, grey_of
+from .stream import InTime, Shot, outside_of
+
+_MOST_COPIES = 64
+"""Copies that wait for one result; after so many the next one counts as a frame of its own."""
+_CHANGED = 0.1  # grey value: a codec changes a copy by less, a clock over the fan by more
+_WINDOW_PX = 3
+
+
+@dataclass(eq=False)
+class _Run:
+    """A frame and those of its copies that are wanted.
+
+    levels of a copy: None where it is exact.  count: of all copies.
+    """
+
+    shot: Shot
+    copies: deque[tuple[Any, Grey | None]] = field(default_factory=deque)
+    count: int = 0
+
+
+class Unrepeated:
+    """Passes every frame but copies through a stream.
+
+    tally: `repeats` counts the copies.
+    """
+
+    def __init__(self, stream: InTime, tally: dict[str, float]) -> None:
+        self._stream, self._tally = stream, tally
+        self._finder = RepeatFinder()
+        self._runs: deque[_Run] = deque()  # whose results are to come
+
+    def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
+        """The key of each frame that is wanted and its levels, denoised, in order."""
+        last: tuple[_Run, Grey] | None = None
+        for key, denoised in self._stream(self._originals(shots)):
+            if last is not None:  # copies that came after their frame was done
+                yield from self._copies(*last)
+            run = self._runs.popleft()
+            if run.shot.wanted:
+                yield key, denoised
+            yield from self._copies(run, denoised)
+            last = run, denoised
+        if last is not None:
+            yield from self._copies(*last)
+
+    def _originals(self, shots: Iterable[Shot]) -> Iterator[Shot]:
+        newest: _Run | None = None
+        waits = False
+        for shot in shots:
+            is_repeat = self._finder.is_repeat(grey_of(shot.levels))
+            if is_repeat and newest is not None and newest.count < _MOST_COPIES:
+                self._add_copy(newest, shot)
+                continue
+            if newest is not None and waits:
+                yield self._passed(newest)
+            newest = _Run(shot)
+            # Of a frame that is not wanted a copy may be.
+            waits = not shot.wanted
+            if not waits:
+                yield self._passed(newest)
+        if newest is not None and waits:
+            yield self._passed(newest)
+
+    def _add_copy(self, run: _Run, shot: Shot) -> None:
+        run.count += 1
+        self._tally["repeats"] += 1
+        if shot.wanted:
+            is_exact = np.array_equal(shot.levels, run.shot.levels)
+            run.copies.append((shot.key, None if is_exact else shot.levels))
+
+    def _passed(self, run: _Run) -> Shot:
+        """The frame of a run for the stream, wanted where a copy is."""
+        wanted = run.shot.wanted or bool(run.copies)
+        if wanted:
+            self._runs.append(run)
+        return replace(run.shot, wanted=wanted)
+
+    def _copies(self, run: _Run, denoised: Grey) -> Iterator[tuple[Any, Grey]]:
+        while run.copies:
+            key, levels = run.copies.popleft()
+            yield key, denoised if levels is None else _of_copy(run.shot, denoised, levels)
+
+
+def _of_copy(shot: Shot, denoised: Grey, levels: Grey) -> Grey:
+    """What was made of a frame, with what its copy shows besides: a clock, pixels around the fan.
+
+    shot: the frame.  levels: of the copy.
+    """
+    if levels.shape != denoised.shape:
+        return denoised
+    apart = cv2.blur(np.abs(grey_of(levels) - grey_of(shot.levels)), (_WINDOW_PX, _WINDOW_PX))
+    wide = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
+    own = cv2.dilate((apart > _CHANGED).astype(np.uint8), wide) > 0
+    geometry = shot.place()
+    if geometry is not None and geometry.layout != "polar":
+        own = own | outside_of(geometry, *own.shape)
+    result = denoised.copy()
+    result[own] = levels[own]
+    return result

@@ -1,0 +1,198 @@
+"""The fan of each frame of a recording: searched where its outline changes, else kept.
+
+An operator switches the range, a title comes before the first ping, a menu covers the fan for some
+seconds.  To search each frame anew would cost more than the network and make the fan tremble, so
+the outline that was found last is looked at first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.sonar.geometry import FanGeometry
+from .fan_finder import find_geometry, grey_bytes, outline_pixels
+
+Bytes = npt.NDArray[np.uint8]
+Shares = npt.NDArray[np.float64]
+
+_KEPT_SHARE = 0.5  # of the outline that was seen when the fan was found
+_OUTER_OF_INNER = 0.35  # part of what lies just inside that may be lit just outside
+_LEAST_INNER = 0.1
+_LEAST_SPREAD = 6  # of 255: ringing of codecs on a flat ground
+_MORE_OUTSIDE = 0.02  # part of the image: text and menus where there was nothing
+_LEAST_INSIDE = 0.2  # of what was lit in the fan when it was found
+_SAME_PX, _SAME_SHARE, _SAME_RAD = 2.0, 0.01, math.radians(0.5)
+_THUMBNAIL_PX = 16
+_LEAST_CUT, _CUT_OF_USUAL = 1.0, 4.0
+"""Mean difference of thumbnails after a cut: of 255, and times the usual one."""
+_SHARE_OF_NEWEST = 0.1  # in the usual difference
+_LONGEST_PAUSE = 32  # frames between two searches where none finds a fan
+
+
+@dataclass
+class _Seen:
+    """A fan with what its outline looked like.
+
+    inner, outer: indices of pixels beside the outline, (3, pieces, samples).
+    ground, spread: grey level around the fan, of 255.  shares: of each side that was seen.
+    inside, outside: part of the image that is lit in the fan and around it.
+    """
+
+    geometry: FanGeometry
+    inner: npt.NDArray[np.intp]
+    outer: npt.NDArray[np.intp]
+    sector: npt.NDArray[np.bool_]
+    ground: float
+    spread: float
+    shares: Shares
+    inside: float
+    outside: float
+
+
+class FanTracker:
+    """Follows the fan through images of one size.
+
+    searched: in how many images it was searched.  found: in how many of them it was there.
+    changes: how often it was another one than before.
+    """
+
+    def __init__(self) -> None:
+        self.searched = self.found = self.changes = 0
+        self._seen: _Seen | None = None
+        self._is_away = False
+        self._pause = self._waited = 0
+        self._before: Bytes | None = None
+        self._usual_change: float | None = None
+        self._is_cut = False
+
+    def geometry(self, image: npt.NDArray[Any]) -> FanGeometry | None:
+        """The fan of the next image, (H, W) or (H, W, colours); None where it shows none."""
+        grey = grey_bytes(image)
+        self._look(grey)
+        seen = self._seen
+        if seen is not None:
+            if _is_kept(seen, grey):
+                self._is_away = False
+                return seen.geometry
+            if _is_dark(seen, grey):
+                return None if self._is_away else seen.geometry
+        if (seen is None or self._is_away) and not self._is_due():
+            return None
+        return self._searched(image, grey)
+
+    def _searched(self, image: npt.NDArray[Any], grey: Bytes) -> FanGeometry | None:
+        geometry = find_geometry(image)
+        self.searched += 1
+        seen = self._seen
+        if geometry is None:
+            self._pause = min(2 * self._pause + 1, _LONGEST_PAUSE)
+            self._waited = 0
+            if seen is None or _shows_other(seen, grey):
+                self._is_away = True
+                return None
+            # Nothing is around it: parts of its outline are in the dark, no more.
+            seen.shares = np.minimum(seen.shares, _shares(seen, grey))
+            return seen.geometry
+        self.found += 1
+        self._is_away, self._pause = False, 0
+        if seen is not None and _is_same(seen.geometry, geometry):
+            seen.shares = np.minimum(seen.shares, _shares(seen, grey))
+            return seen.geometry
+        self.changes += seen is not None
+        self._seen = _seen(geometry, grey)
+        return geometry
+
+    def _is_due(self) -> bool:
+        """Whether to search after searches that failed: ever more rarely, and after a cut."""
+        self._waited += 1
+        if self._is_cut:
+            self._pause = 0
+        return self._waited > self._pause
+
+    def _look(self, grey: Bytes) -> None:
+        """Notes whether the image differs from the one before as images do after a cut."""
+        thumbnail = _thumbnail(grey)
+        before, self._before = self._before, thumbnail
+        if before is None:
+            return
+        change = float(np.abs(thumbnail.astype(np.float64) - before).mean())
+        usual = change if self._usual_change is None else self._usual_change
+        self._is_cut = change > max(_LEAST_CUT, _CUT_OF_USUAL * usual)
+        self._usual_change = usual + _SHARE_OF_NEWEST * (change - usual)
+
+
+def _seen(geometry: FanGeometry, grey: Bytes) -> _Seen:
+    inner, outer = outline_pixels(geometry, *grey.shape)
+    beside = grey.ravel()[outer[outer >= 0]].astype(np.float64)
+    ground = float(np.median(beside)) if beside.size else 0.0
+    spread = float(np.quantile(np.abs(beside - ground), 0.9)) if beside.size else 0.0
+    sector = geometry.maps(0, 0, *grey.shape)["sector"] > 0
+    spread = max(spread, _LEAST_SPREAD)
+    seen = _Seen(geometry, inner, outer, sector, ground, spread, np.zeros(3), 0.0, 0.0)
+    seen.shares = _shares(seen, grey)
+    seen.inside, seen.outside = _inside_of(seen, grey), _outside_of(seen, grey)
+    return seen
+
+
+def _is_lit(seen: _Seen, grey: Bytes) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.abs(grey.astype(np.float32) - np.float32(seen.ground)) > seen.spread)
+
+
+def _shares(seen: _Seen, grey: Bytes) -> Shares:
+    """(3,) part of the left edge, the right edge and the far arc at which the fan ends."""
+    lit = _is_lit(seen, grey).ravel()
+
+    def lit_share(indices: npt.NDArray[np.intp]) -> Shares:
+        within = indices >= 0
+        count = np.maximum(within.sum(axis=2), 1)
+        return np.asarray((lit[indices] & within).sum(axis=2) / count, np.float64)
+
+    inner, outer = lit_share(seen.inner), lit_share(seen.outer)
+    ends = (inner > _LEAST_INNER) & (outer < _OUTER_OF_INNER * inner)
+    return np.asarray(ends.mean(axis=1), np.float64)
+
+
+def _outside_of(seen: _Seen, grey: Bytes) -> float:
+    return float((_is_lit(seen, grey) & ~seen.sector).mean())
+
+
+def _inside_of(seen: _Seen, grey: Bytes) -> float:
+    return float((_is_lit(seen, grey) & seen.sector).mean())
+
+
+def _shows_other(seen: _Seen, grey: Bytes) -> bool:
+    """Whether an image in which no fan is found shows a title or a menu, not a fan in the dark."""
+    more_outside = _outside_of(seen, grey) > seen.outside + _MORE_OUTSIDE
+    return more_outside or _inside_of(seen, grey) < _LEAST_INSIDE * seen.inside
+
+
+def _is_kept(seen: _Seen, grey: Bytes) -> bool:
+    return bool((_shares(seen, grey) >= _KEPT_SHARE * seen.shares).all())
+
+
+def _is_dark(seen: _Seen, grey: Bytes) -> bool:
+    """Whether an image shows nothing at all, such as one between two recordings."""
+    return not bool(_is_lit(seen, grey).mean() > 0.001)
+
+
+def _is_same(geometry: FanGeometry, other: FanGeometry) -> bool:
+    """Whether two fans are one, as exactly as fans are found."""
+    if geometry.quarter_turns != other.quarter_turns:
+        return False
+    near_px = max(_SAME_PX, _SAME_SHARE * geometry.far_px)
+    lengths = ("apex_x_px", "apex_y_px", "far_px")
+    angles = ("azimuth_min_rad", "azimuth_max_rad")
+    return all(
+        abs(getattr(geometry, name) - getattr(other, name)) <= near_px for name in lengths
+    ) and all(abs(getattr(geometry, name) - getattr(other, name)) <= _SAME_RAD for name in angles)
+
+
+def _thumbnail(grey: Bytes) -> Bytes:
+    size = (_THUMBNAIL_PX, _THUMBNAIL_PX)
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
