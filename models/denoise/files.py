@@ -18,8 +18,9 @@ from ...factory.files import remove_stale_temporaries, write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
 from ..pretrained import DEFAULT, POINTS
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
+from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
-from ..recordings.pictures import ArrayFile, read_picture
+from ..recordings.pictures import read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .denoiser import Denoiser
 from .inputs import Geometries, Item

@@ -14,13 +14,12 @@ from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ..data.fans import read_fans
 from ..recordings import READERS, is_bag_folder, kind_of
-from ..recordings.base import ARRAY_SUFFIX, ARRAY_SUFFIXES
+from ..recordings.arrays import is_shard_file, is_table
+from ..recordings.base import ARRAY_SUFFIX, ARRAY_SUFFIXES, HDF5_SUFFIXES
 from ..recordings.fan_finder import find_geometry
 from ..recordings.fan_tracking import FanTracker
 from ..recordings.names import sequences_of
-from ..recordings.pictures import is_table
 
-HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (*(suffix for _, suffixes in READERS.values() for suffix in suffixes), *HDF5_SUFFIXES)
 
 FIND, POLAR, NONE = "find", "polar", "none"
@@ -46,8 +45,9 @@ class Item:
     @cached_property
     def kind(self) -> str:
         """`shard`, or the kind of recording; one picture is of kind `pictures`."""
-        is_shard = self.source.suffix.lower() in HDF5_SUFFIXES
-        return "shard" if is_shard else kind_of(self.source) or "pictures"
+        if self.source.suffix.lower() in HDF5_SUFFIXES:
+            return "array" if self.relative.suffix == ARRAY_SUFFIX else "shard"
+        return kind_of(self.source) or "pictures"
 
 
 def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> list[Item]:
@@ -130,7 +130,8 @@ def _of_input(path: Path, out: Path) -> list[Item]:
 
         if (path / MANIFEST_NAME).is_file():
             # Each is looked at when it is opened.
-            return [_item(shard, path) for shard in PairDataset(path, "all", trusted=True).paths]
+            shards = PairDataset(path, "all", trusted=True).paths
+            return [Item(shard, shard.relative_to(path)) for shard in shards]
         found = items_below(path, out)
     else:
         found = [_item(path, path.parent)] if path.suffix.lower() in SUFFIXES else []
@@ -163,7 +164,9 @@ def items_below(folder: Path, out: Path) -> list[Item]:
 
 def _item(file: Path, folder: Path) -> Item:
     """A file below a folder: arrays of all formats become .npy files."""
-    relative, is_array = file.relative_to(folder), file.suffix.lower() in ARRAY_SUFFIXES
+    relative, suffix = file.relative_to(folder), file.suffix.lower()
+    is_foreign = suffix in HDF5_SUFFIXES and not is_shard_file(file)
+    is_array = suffix in ARRAY_SUFFIXES or is_foreign
     return Item(file, relative.with_suffix(ARRAY_SUFFIX) if is_array else relative)
 
 

@@ -13,9 +13,11 @@ from PIL import Image, TiffImagePlugin
 
 from ...factory.errors import FrameError
 from ...factory.files import whole_file, write_atomically
+from ..recordings.animations import Animation
+from ..recordings.arrays import ArrayFile, write_array
 from ..recordings.base import FULL_SCALE, Recording, swapped
-from ..recordings.pictures import ArrayFile, write_array
 from ..recordings.videos import VideoFile
+from .animation_writer import write_animation
 from .removed import SHOWN
 from .video_writer import TimedImage, target_of, write_video
 
@@ -59,7 +61,8 @@ def write_frames(path: Path, images: Iterable[TimedImage], source: Recording) ->
     """Write the images of a recording in order, as a file of the same kind as `source`.
 
     images: (H, W) or (H, W, 3) BGR uint8 or uint16; of TIFF files and arrays also float32.
-    A stack becomes pages of a TIFF file, an array a .npy file, a video what `target_of` says.  The
+    A stack becomes pages of a TIFF file, an animation one of its format, an array a .npy file, a
+    video what `target_of` says.  The
     file appears when it is whole.
 
     Returns a line that says where the images are and why, if that is not `path`; mostly empty.
@@ -71,7 +74,9 @@ def write_frames(path: Path, images: Iterable[TimedImage], source: Recording) ->
             write_video(partial, target.suffix.lower(), images, source.properties)
         return note
     with whole_file(path) as partial:
-        if isinstance(source, ArrayFile):
+        if isinstance(source, Animation):
+            write_animation(partial, path.suffix.lower(), images, source)
+        elif isinstance(source, ArrayFile):
             with partial.open("wb") as file:
                 write_array(file, (timed.image for timed in images), source.stored)
         else:

@@ -11,7 +11,15 @@ from pathlib import Path
 
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
-from .base import ARRAY_SUFFIXES, PICTURE_SUFFIXES, TIFF_SUFFIXES, Frame, Recording
+from .base import (
+    ANIMATED_SUFFIXES,
+    ARRAY_SUFFIXES,
+    HDF5_SUFFIXES,
+    PICTURE_SUFFIXES,
+    TIFF_SUFFIXES,
+    Frame,
+    Recording,
+)
 
 __all__ = ["PICTURE_SUFFIXES", "Frame", "Recording", "is_recording", "kind_of", "open_recording"]
 
@@ -21,13 +29,14 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "oculus": ("sonar_files:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": ("videos:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
-    "stack": ("pictures:StackFile", (".gif",)),
-    "array": ("pictures:ArrayFile", (".npz", ".mat")),
+    "stack": ("stacks:StackFile", ()),
+    "animation": ("animations:Animation", (".gif",)),
+    "array": ("arrays:ArrayFile", (".npz", ".mat")),
     "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),
 }
-"""Kind -> ("module:class", suffixes of its files); stacks also have those of TIFF, arrays .npy."""
+"""Kind -> ("module:class", suffixes of its files); `kind_of` says what else files of images are."""
 
-SEQUENCES = ("video", "stack", "array")
+SEQUENCES = ("video", "stack", "animation", "array")
 """Kinds whose frames are pictures, one after the other."""
 
 
@@ -41,19 +50,28 @@ def is_bag_folder(folder: Path) -> bool:
 def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; None for others.
 
-    A TIFF file of several pages is a `stack`; a .npy file of several pictures, .npz and .mat are
+    A TIFF file of several pages is a `stack`, a PNG or WebP file of several frames an `animation`;
+    a .npy file of several pictures, .npz, .mat, and HDF5 files that are no shard of a dataset are
     an `array`, and of no kind when they hold no pictures.  A folder is `rosbag` when it holds a bag
     of ROS 2, and `pictures` otherwise.
     """
     if path.is_dir():
         return "rosbag" if is_bag_folder(path) else "pictures"
     suffix = path.suffix.lower()
-    if suffix in (*TIFF_SUFFIXES, *ARRAY_SUFFIXES) and path.is_file():
-        from .pictures import is_stack, kind_of_array
+    if path.is_file():
+        if suffix in (*ARRAY_SUFFIXES, *HDF5_SUFFIXES):
+            from .arrays import is_shard_file, kind_of_array
 
-        if suffix in ARRAY_SUFFIXES:
-            return kind_of_array(path)
-        return "stack" if is_stack(path) else "pictures"
+            is_shard = suffix in HDF5_SUFFIXES and is_shard_file(path)
+            return None if is_shard else kind_of_array(path)
+        if suffix in TIFF_SUFFIXES:
+            from .stacks import is_stack
+
+            return "stack" if is_stack(path) else "pictures"
+        if suffix in ANIMATED_SUFFIXES:
+            from .animations import is_animated
+
+            return "animation" if is_animated(path) else "pictures"
     return next((kind for kind, (_, known) in READERS.items() if suffix in known), None)
 
 
@@ -70,13 +88,13 @@ def open_recording(path: str | Path) -> Recording:
     where = Path(path).expanduser()
     if not where.exists():
         raise FactoryError(f"{path}: no such file or folder")
-    is_array = where.suffix.lower() in ARRAY_SUFFIXES
+    is_array = where.suffix.lower() in (*ARRAY_SUFFIXES, *HDF5_SUFFIXES)
     kind = kind_of(where) or ("array" if is_array else None)  # which says what it lacks
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
     module, name = READERS[kind][0].split(":")
-    if module in ("pictures", "rosbag", "videos"):
+    if module != "sonar_files":
         require([Need(f"{path}", "cv2")])
     recording: Recording = getattr(import_module(f".{module}", __name__), name)(where)
     return recording

@@ -22,7 +22,9 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.small_files import open_regular
 
 TIFF_SUFFIXES = (".tif", ".tiff")
+ANIMATED_SUFFIXES = (".png", ".webp")
 ARRAY_SUFFIX = ".npy"
+HDF5_SUFFIXES = (".h5", ".hdf5")
 ARRAY_SUFFIXES = (ARRAY_SUFFIX, ".npz", ".mat")
 PICTURE_SUFFIXES = (".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX)
 FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
@@ -258,6 +260,24 @@ def untinted(image: Samples) -> Samples:
     import cv2  # sonars' own recordings do without
 
     return np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+
+
+def as_samples(page: Samples, what: str) -> Samples:
+    """A page whose numbers are grey values as they are: uint8, uint16, or floats as float32.
+
+    what: names it in errors.  Raises FrameError for other dtypes, NaN and floats outside 0..1.
+    """
+    if page.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # infinite: outside 0..1
+            page = page.astype(np.float32)
+    if str(page.dtype) not in FULL_SCALE:
+        raise FrameError(f"{what}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}")
+    if page.dtype == np.float32 and not (page.min() >= 0 and page.max() <= 1):
+        raise FrameError(
+            f"{what}: floats must be grey values from 0 to 1, these are {page.min():g} to "
+            f"{page.max():g}; scale them (of echoes in linear units the logarithm)"
+        )
+    return page
 
 
 def known(value: float, most: float = 1e6) -> float | None:

@@ -16,6 +16,7 @@ from typing import IO, NamedTuple
 WIDTH, HEIGHT, BITS, COMPRESSION = 256, 257, 258, 259
 DESCRIPTION, STRIP_OFFSETS, ORIENTATION, SAMPLES = 270, 273, 274, 277
 STRIP_BYTES, TILE_OFFSETS, TILE_BYTES, SAMPLE_FORMAT = 279, 324, 325, 339
+PHOTOMETRIC, WHITE_IS_ZERO = 262, 0
 UNCOMPRESSED = 1
 TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
@@ -108,15 +109,17 @@ def _count_of_shape(text: str, size: tuple[int, int]) -> int:
     return int(shape[0])
 
 
-def directories_of(file: IO[bytes], size: int) -> tuple[list[Directory], bool]:
-    """The directories of a file in order, and whether there should be more than it holds."""
+def directories_of(
+    file: IO[bytes], size: int, most: int = _MOST_PAGES
+) -> tuple[list[Directory], bool]:
+    """The first directories of a file in order, and whether one of them lies beyond its end."""
     form = _form_of(file)
     if form is None:
         return [], False
     found: list[Directory] = []
     seen: set[int] = set()
     offset = _first_offset(file, form)
-    while offset and len(found) < _MOST_PAGES:
+    while offset and len(found) < most:
         if offset in seen:  # a ring
             return found, False
         seen.add(offset)

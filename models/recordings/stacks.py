@@ -1,0 +1,144 @@
+"""TIFF files of several pages, and those that hold several images behind one directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import IO
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from ...factory.errors import FrameError
+from ...factory.quiet import quiet_stderr
+from .base import (
+    Frame,
+    Recording,
+    Samples,
+    as_samples,
+    ask_bytes,
+    ask_pixels,
+    explained,
+    swapped,
+    untinted,
+)
+from .tiff import (
+    BITS,
+    PHOTOMETRIC,
+    SAMPLES,
+    STRIP_OFFSETS,
+    WHITE_IS_ZERO,
+    Directory,
+    directories_of,
+)
+
+
+def is_stack(path: Path) -> bool:
+    """Whether a TIFF file holds several images of one size, or should."""
+    try:
+        with path.open("rb") as file:
+            size = path.stat().st_size
+            directories, is_cut = directories_of(file, size, most=2)
+    except OSError:
+        return False
+    if not directories:
+        return False
+    if len(directories) == 1:
+        return is_cut or directories[0].images_behind > 1
+    return directories[1].size == directories[0].size
+
+
+class StackFile(Recording):
+    """A TIFF file; a `Recording` of images, (H, W) or (H, W, 3) BGR, one a page.
+
+    ImageJ and tifffile may write one directory, and the images behind each other without
+    compression; then so many are read as are there.
+    """
+
+    def _open(self) -> None:
+        assert self._file is not None
+        what = str(self.path)
+        directories, is_cut = directories_of(self._file, self.size)
+        if not directories:
+            raise FrameError(f"{what}: not a readable TIFF; it is damaged or cut short")
+        first = directories[0]
+        ask_pixels(what, *first.size)
+        self._first = first
+        self._is_contiguous = first.images_behind > len(directories)
+        stated = max(first.images_behind, len(directories))
+        self.count = self._whole_images(directories)
+        if self.count < 1:
+            raise FrameError(
+                f"{what}: ends within its first page; the file is cut short or damaged"
+            )
+        if is_cut or self.count < stated:
+            self.warning = f"{what}: is cut short; its {self.count} whole pages are read"
+        ask_bytes(what, self.count * first.page_bytes, self.size, streamed=True)
+        if first.number(SAMPLES, 1) >= 3 and first.number(BITS, 8) > 8:
+            raise FrameError(
+                f"{what}: pages in colours of {first.number(BITS)} bits cannot be read; save them "
+                "in 8 bits, or one page a file"
+            )
+        self._image = None if self._is_contiguous else _opened(self._file)
+
+    def _whole_images(self, directories: list[Directory]) -> int:
+        if self._is_contiguous:
+            (offset, *_) = self._first.numbers[STRIP_OFFSETS]
+            page_bytes = max(self._first.page_bytes, 1)
+            return min(self._first.images_behind, max(self.size - offset, 0) // page_bytes)
+        count = len(directories)
+        while count and directories[count - 1].end > self.size:
+            count -= 1
+        return count
+
+    def _read(self, number: int) -> Frame:
+        what = f"{self.path}: page {number + 1}"
+        page = self._contiguous(number, what) if self._is_contiguous else self._page(number, what)
+        width, height = self._first.size
+        if page.shape[:2] not in ((height, width), (width, height)):
+            own = f"{page.shape[1]} x {page.shape[0]}"
+            raise FrameError(f"{what} has {own} pixels, the first {width} x {height}")
+        return Frame(number, as_samples(page, what))
+
+    def _contiguous(self, number: int, what: str) -> Samples:
+        first = self._first
+        if not first.dtype:
+            raise FrameError(f"{what}: samples of {first.number(BITS)} bits cannot be read")
+        (offset, *_) = first.numbers[STRIP_OFFSETS]
+        content = self.bytes_at(offset + number * first.page_bytes, first.page_bytes, what)
+        width, height = first.size
+        shape = (height, width, first.number(SAMPLES, 1))
+        page = np.frombuffer(content, first.dtype).reshape(shape)
+        page = page[..., 0] if shape[2] == 1 else page
+        if first.number(PHOTOMETRIC, 1) == WHITE_IS_ZERO and page.dtype.kind == "u":
+            page = np.iinfo(page.dtype).max - page
+        # The most significant byte may come first.
+        return np.ascontiguousarray(swapped(page))
+
+    def _page(self, number: int, what: str) -> Samples:
+        if self._image is None:
+            return self._by_opencv(number, what)
+        with explained(f"{what} cannot be read"), quiet_stderr():
+            self._image.seek(number)
+            is_palette = self._image.mode == "P"
+            image = self._image.copy()
+            page = np.asarray(image.convert("RGB") if is_palette else image)
+        page = np.ascontiguousarray(swapped(page))
+        return untinted(page) if is_palette else page
+
+    def _by_opencv(self, number: int, what: str) -> Samples:
+        """A page of a kind that Pillow does not know, such as floats of 64 bits."""
+        with explained(f"{what} cannot be read"), quiet_stderr():
+            path = str(self.path)
+            _, pages = cv2.imreadmulti(path, start=number, count=1, flags=cv2.IMREAD_UNCHANGED)
+            return np.asarray(pages[0])
+
+
+def _opened(file: IO[bytes]) -> Image.Image | None:
+    """None for a kind of TIFF that Pillow does not know."""
+    try:
+        with explained("not for Pillow"):
+            file.seek(0)
+            return Image.open(file, formats=("TIFF",))
+    except FrameError:
+        return None
