@@ -46,7 +46,11 @@ def main(arguments: Sequence[str]) -> int:
     # A strength that was asked for is not the one that predicts other frames of a recording.
     calibrated = options.strength == 1
     denoising = Denoising(
-        denoise, frames=options.frames, causal=options.causal, calibrated=calibrated
+        denoise,
+        frames=options.frames,
+        causal=options.causal,
+        calibrated=calibrated,
+        inverts=options.invert,
     )
     with opened_journal(out, denoise.digest, list(arguments)) as journal:
         job = Job(
@@ -66,6 +70,9 @@ def main(arguments: Sequence[str]) -> int:
 
     for line in (*geometries.summary(), *denoising.summary(), *job.removed.summary()):
         print(line)
+    if options.strength > 0:
+        for line in job.unchanged.summary():
+            print(line)
     names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
     print(f"weights: {names or denoise.name}")
     print(f"denoised: {job.used.total()} file(s) in {out}")
@@ -91,6 +98,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         f"show the same, half before and half after each; odd ({FRAMES}; 1: each by itself)"
     )
     add("--frames", type=int, default=FRAMES, metavar="N", help=fused)
+    add("--invert", action="store_true", help="for dark echoes on a bright ground")
     add("--causal", action="store_true", help="fuse with frames before alone, for live use")
     add("--compare", action="store_true", help=_COMPARE)
     where = (

@@ -28,6 +28,7 @@ from .journal import Journal
 from .pictures import Denoised, Denoising, Picture
 from .removed import RemovedReport
 from .temporal.stream import Shot
+from .unchanged import UnchangedReport
 from .video_writer import TimedImage
 from .writers import COMPARED, Compared, write_compared, write_frames, write_image
 
@@ -45,6 +46,7 @@ class Job:
     points: gives what denoises shards of the paper's points.  topics: of bags, whose pictures;
     none: as `RosBag` says.  bar: of progress, in pictures.
     used: names of weights, with how many files they denoised.  removed: from all of their images.
+    unchanged: images that stayed as they were.
     """
 
     out: Path
@@ -58,6 +60,7 @@ class Job:
     bar: Any = None
     used: Counter[str] = field(default_factory=Counter)
     removed: RemovedReport = field(default_factory=RemovedReport)
+    unchanged: UnchangedReport = field(default_factory=UnchangedReport)
     failures: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -112,6 +115,7 @@ def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
     for denoised in job.denoising.sequence(read(), alone=len(items) < 2):
         item, picture = denoised.key
         job.removed.add(str(item.relative), denoised.removed)
+        job.unchanged.add(str(item.relative), picture, denoised.image)
         path = job.out / item.relative
         try:
             if item.source.suffix.lower() == ARRAY_SUFFIX:
@@ -308,6 +312,7 @@ def _frames(
     for denoised in job.denoising.sequence(read(), alone=alone):
         frame = denoised.key
         job.removed.add(f"{item.relative}, frame {frame.number}", denoised.removed)
+        job.unchanged.add(str(item.relative), frame.samples, denoised.image)
         if job.compare and frame.number < COMPARED:
             panels = frame.samples, denoised.image, denoised.removed.shown()
             shown.append(Compared(*(_view(frame, panel) for panel in panels)))

@@ -112,8 +112,9 @@ def said_of_sequences(items: Sequence[Item]) -> Iterator[str]:
         alone = sizes.count(1)
         count = len(sizes) - alone
         parts = [f"{count} sequence{'s' * (count != 1)}"] if count else []
-        parts += [f"{alone} by themselves"] if alone else []
-        yield f"sequences: {len(some)} images of {folder} are {' and '.join(parts)} by their names"
+        parts += [f"{alone} single image{'s' * (alone != 1)}"] if alone else []
+        said = " and ".join(parts)
+        yield f"sequences: the {len(some)} images of {folder} make {said}, by their names"
     if len(folders) > _MOST_FOLDERS_SAID:
         yield f"sequences: {len(folders) - _MOST_FOLDERS_SAID} more folders"
 

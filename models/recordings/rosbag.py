@@ -39,6 +39,7 @@ from .base import (
     explained,
     known,
 )
+from .cut_bags import CutBag
 from .pictures import decoded
 
 if TYPE_CHECKING:
@@ -61,6 +62,12 @@ _ENCODINGS = {
     **dict.fromkeys(("rgb16", "bgr16", "16UC3"), ("u2", 3)),
 }
 _DAMAGED = "cannot be read, it is damaged or no bag"
+_REPAIRS = {
+    ".bag": "; `rosbag reindex` repairs the file",
+    ".mcap": "; `mcap recover` repairs the file",
+    ".db3": "; if it is cut short, `sqlite3 OLD .recover | sqlite3 NEW` saves what is whole",
+}
+"""Suffix of a bag -> what to do where it is cut short."""
 _UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"  # of a type of which only the name is known
 
 
@@ -76,6 +83,7 @@ class RosBag(Recording):
     def __init__(self, path: Path, topics: Sequence[str] = ()) -> None:
         """Raises FactoryError when the bag cannot be read or has no such topics."""
         self._asked = topics
+        self._is_cut = False
         super().__init__(path)
 
     def _open(self) -> None:
@@ -91,6 +99,11 @@ class RosBag(Recording):
         # A message takes a byte at least, whatever the bag says.
         stated = sum(int(one.msgcount) for one in chosen)
         self.count = min(stated, sum(file.stat().st_size for file in self._files))
+        if self._is_cut:
+            self.warning = (
+                f"{self.path}: is cut short; its {self.count} whole frames are read"
+                f"{_REPAIRS[self.path.suffix.lower()]}"
+            )
         if self.count < 1:
             raise FactoryError(f"{self.path}: holds no message on {', '.join(self.topics)}")
         self._next, self._frames = 0, self._messages(chosen)
@@ -183,9 +196,29 @@ class RosBag(Recording):
         return self._library.Writer(target, version=8, storage_plugin=plugin)
 
     def _reader(self) -> Any:
-        """The bag, opened once more, as two that read in turns would lose their places."""
+        """The bag, opened once more, as two that read in turns would lose their places.
+
+        Where its index is missing, what is whole of it, and `warning` says so.
+        """
+        if self._is_cut:
+            return self._cut_reader()
+        try:
+            with explained(f"{self.path}: {_DAMAGED}", reason=True):
+                reader = self._library.Reader(self.path)
+                reader.open()
+                return reader
+        except FrameError as error:
+            hint = _REPAIRS.get(self.path.suffix.lower(), "")
+            if self.path.is_file() and self.path.suffix.lower() in (".bag", ".mcap"):
+                cut = self._cut_reader()
+                if cut.connections:
+                    self._is_cut = True
+                    return cut
+            raise FrameError(f"{error}{hint}") from error
+
+    def _cut_reader(self) -> CutBag:
+        reader = CutBag(self.path)
         with explained(f"{self.path}: {_DAMAGED}", reason=True):
-            reader = self._library.Reader(self.path)
             reader.open()
         return reader
 

@@ -155,6 +155,8 @@ class VideoFile(Recording):
             except errors:
                 reading.ended_early = True
                 packet = None
+            if packet is not None and packet.is_corrupt and self._cut_short:
+                continue  # the file ends within it
             try:
                 frames = stream.codec_context.decode(packet)
             except EOFError:

@@ -90,7 +90,7 @@ def test_mutations(tmp_path: Path, name: str) -> None:
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert grown < 300_000, "kilobytes"
     assert time.monotonic() - started < 60
-    assert refused > 2
+    assert refused > 1
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,60 @@
+"""Images that the network left as they are, mostly dark echoes on a bright ground."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..recordings.base import FULL_SCALE
+
+Image = npt.NDArray[Any]
+
+_CHANGED_SHARE = 0.005  # of the pixels: fewer are none
+_LEAST_CONTRAST = 0.02  # of full scale: what is darker or flat has nothing to denoise
+_BRIGHT = 0.5  # of the largest grey value, at the image's border
+_NAMED = 3
+
+
+class UnchangedReport:
+    """Counts images that did not change, by the file that they are of."""
+
+    def __init__(self) -> None:
+        self._images: Counter[str] = Counter()
+        self._bright = 0
+
+    def add(self, name: str, image: Image, denoised: Image) -> None:
+        """An image, (H, W) or (H, W, C), with what became of it.  name: of its file."""
+        differs = image != denoised
+        if differs.ndim == 3:
+            differs = differs.any(axis=2)
+        if differs.mean() >= _CHANGED_SHARE or not _has_contrast(image):
+            return
+        self._images[name] += 1
+        self._bright += _has_bright_border(image)
+
+    def summary(self) -> Iterator[str]:
+        """One line, if there was an image that did not change."""
+        if not self._images:
+            return
+        names = ", ".join(list(self._images)[:_NAMED])
+        more = f" and {len(self._images) - _NAMED} more" if len(self._images) > _NAMED else ""
+        hint = ""
+        if self._bright:
+            hint = "; where echoes are dark on a bright ground, add --invert"
+        count = self._images.total()
+        yield f"unchanged: {count} image{'s' * (count != 1)} of {names}{more}{hint}"
+
+
+def _has_contrast(image: Image) -> bool:
+    spread = float(image.max()) - float(image.min())
+    return spread > _LEAST_CONTRAST * FULL_SCALE[str(image.dtype)]
+
+
+def _has_bright_border(image: Image) -> bool:
+    colours = image[..., :3].mean(axis=2) if image.ndim == 3 else image
+    border = np.concatenate([colours[0], colours[-1], colours[:, 0], colours[:, -1]])
+    return bool(np.median(border) > _BRIGHT * float(colours.max()))
