@@ -72,7 +72,8 @@ def denoise(
 ) -> npt.NDArray[Any] | DenoisedImage:
     """Denoise one sonar picture, or a stack of them.
 
-    picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
+    picture: (H, W), (N, H, W), or (H, W, C): C is 1, 2 (grey and alpha), 3 or 4 (colours, with
+        alpha); uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.  Of a `Pair` the
         noisy image is denoised, with the geometry of the pair.
     weights: a weights.safetensors of a training or the name of weights that ship: `simnfnd` for
@@ -127,7 +128,7 @@ def denoise(
 
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
     denoising = Denoising(network, frames=frames, causal=causal, calibrated=strength == 1)
-    if given.ndim == 2 or given.shape[2] in (3, 4):
+    if given.ndim == 2 or given.shape[2] <= 4:
         single = denoising.one(known, place)
         image = single.image.astype(given.dtype)
         return DenoisedImage(image, single.removed.signal) if return_removed else image

@@ -60,15 +60,24 @@ def _milliseconds(timed: TimedImage) -> int:
 def _write_gif(output: IO[bytes], images: Iterable[TimedImage], source: Animation) -> None:
     plugin: Any = GifImagePlugin
     for number, timed in enumerate(images):
-        image = PillowImage.fromarray(np.ascontiguousarray(swapped(timed.image)))
-        if image.mode == "RGB":
-            image = image.quantize(256, dither=PillowImage.Dither.NONE)
+        image = _with_palette(timed.image)
         if number == 0:
             header, _ = plugin.getheader(image, info={"loop": source.loops, "optimize": False})
             output.write(b"".join(header))
         blocks = plugin.getdata(image, duration=_milliseconds(timed), include_color_table=True)
         output.write(b"".join(blocks))
     output.write(b";")
+
+
+def _with_palette(image: Image) -> PillowImage.Image:
+    """With all 256 greys, or with the 256 colours that are nearest to its own."""
+    if image.ndim == 2:
+        height, width = image.shape
+        found = PillowImage.frombytes("P", (width, height), image.tobytes())
+        found.putpalette(bytes(level for level in range(256) for _ in range(3)))
+        return found
+    coloured = PillowImage.fromarray(np.ascontiguousarray(swapped(image)))
+    return coloured.quantize(256, dither=PillowImage.Dither.NONE)
 
 
 def _write_webp(output: IO[bytes], images: Iterable[TimedImage], source: Animation) -> None:

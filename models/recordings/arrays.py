@@ -161,8 +161,16 @@ def _is_single(shape: Sequence[int]) -> bool:
 
 def _images_in(path: Path) -> list[Listed]:
     """The arrays of a file that may be images; nothing is unpacked.  Raises FactoryError."""
-    with explained(f"{path}: not a readable array", reason=True, passing=FrameError):
-        return [array for array in _listed(path, path.stat().st_mtime_ns) if array.is_of_images]
+    what = f"{path}: not a readable array"
+    with explained(what, reason=True, passing=FrameError):
+        try:
+            listed = _listed(path, path.stat().st_mtime_ns)
+        except FactoryError as error:
+            if isinstance(error, FrameError):
+                raise
+            reason = str(error).removeprefix(f"{path}: ")
+            raise FrameError(f"{what} ({reason})") from error
+    return [array for array in listed if array.is_of_images]
 
 
 @lru_cache(maxsize=4096)
@@ -446,7 +454,10 @@ def _load_matlab(path: Path, listed: Listed) -> Samples:
     # Where numbers are complex SciPy would leave out the imaginary part.
     warnings.simplefilter("error", np.exceptions.ComplexWarning)
     name, *fields = listed.name.split(".")
-    if fields:
+    is_cell = ("cell",) in [
+        variable[2:] for variable in scipy.io.whosmat(path) if variable[0] == name
+    ]
+    if fields or is_cell:
         value = scipy.io.loadmat(path, squeeze_me=True, variable_names=[name])[name]
         for field in fields:
             value = _of_field(value, field)

@@ -1,0 +1,136 @@
+"""Bags and videos of a recorder that was stopped: whole frames, and a warning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.rosbag import IMAGE, SONAR, RosBag, typestore
+from tests.models.recordings.bag_files import image, sonar, write_bag
+from tests.models.recordings.recording_files import pings, write_video
+from tests.models.recordings.video_files import encode
+
+
+@pytest.mark.parametrize("compression", ["", "lz4"])
+def test_a_bag_of_ros_1_without_its_index(tmp_path: Path, compression: str) -> None:
+    _whole_frames(tmp_path / "a.bag", SONAR, compression)
+
+
+@pytest.mark.parametrize("kind", [SONAR, IMAGE])
+def test_an_mcap_without_its_index(tmp_path: Path, kind: str) -> None:
+    _whole_frames(tmp_path / "a.mcap", kind, "")
+
+
+def _whole_frames(path: Path, kind: str, compression: str) -> None:
+    version = 1 if path.suffix == ".bag" else 2
+    make = sonar if kind == SONAR else image
+    samples = pings(10, 120, 80)
+    messages = [make(typestore(version), number, frame) for number, frame in enumerate(samples)]
+    write_bag(path, {"/sonar": (kind, messages)}, compression=compression)
+    with open_recording(path) as recording:
+        times_s = [frame.time_s for frame in recording]
+    content = path.read_bytes()
+    path.write_bytes(content[: int(0.7 * len(content))])
+    with open_recording(path) as recording:
+        assert isinstance(recording, RosBag)
+        frames = list(recording)
+        assert "cut short" in recording.warning
+        assert len(recording) == len(frames)
+        assert 3 <= len(frames) <= 7
+        np.testing.assert_array_equal([frame.samples for frame in frames], samples[: len(frames)])
+        assert [frame.time_s for frame in frames] == times_s[: len(frames)]
+        recording.rewrite(
+            (255 - frame.samples for frame in frames), path.with_name(f"b{path.suffix}")
+        )
+    with open_recording(path.with_name(f"b{path.suffix}")) as again:
+        assert not again.warning
+        np.testing.assert_array_equal(
+            [frame.samples for frame in again], 255 - samples[: len(frames)]
+        )
+
+
+def test_a_database_that_is_cut_short_names_the_remedy(tmp_path: Path) -> None:
+    store = typestore(2)
+    messages = [image(store, number, frame) for number, frame in enumerate(pings(10, 90, 80))]
+    path = write_bag(tmp_path / "a.db3", {"/sonar": (IMAGE, messages)})
+    content = path.read_bytes()
+    path.write_bytes(content[: int(0.7 * len(content))])
+    with pytest.raises(FactoryError, match=r"a\.db3: .*\.recover"):
+        open_recording(path)
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a.mkv", "a.webm"])
+def test_a_video_that_is_cut_short(tmp_path: Path, name: str) -> None:
+    frames = pings(10, 48, 64)
+    webm = {"codec": "libvpx-vp9", "stored": "yuv420p", "options": {"lossless": "1"}}
+    path = encode(tmp_path / name, frames, **(webm if name == "a.webm" else {}))  # type: ignore[arg-type]
+    with open_recording(path) as recording:
+        whole = [frame.samples for frame in recording]
+        assert not recording.warning
+    content = path.read_bytes()
+    path.write_bytes(content[: int(0.7 * len(content))])
+    with open_recording(path) as recording:
+        found = [frame.samples for frame in recording]
+        assert "cut short" in recording.warning
+        assert len(recording) == len(found)
+    assert 5 <= len(found) <= 8
+    np.testing.assert_array_equal(found, whole[: len(found)])
+
+
+def test_a_video_without_its_index_names_the_remedy(tmp_path: Path) -> None:
+    path = encode(tmp_path / "a.mp4", pings(10, 48, 64), codec="png")
+    content = path.read_bytes()
+    path.write_bytes(content[: int(0.7 * len(content))])
+    with pytest.raises(FactoryError, match=r"a\.mp4: .*index \(moov\) is missing"):
+        open_recording(path)
+
+
+def test_damaged_frames_are_left_out_and_counted(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.avi", pings(8, 48, 64))
+    content = bytearray(path.read_bytes())
+    third = content.index(b"00dc", content.index(b"00dc", content.index(b"00dc") + 4) + 4)
+    content[third + 8 : third + 12] = b"\0\0\0\0"  # no picture begins so
+    path.write_bytes(content)
+    with open_recording(path) as recording:
+        assert len(list(recording)) in (7, 8)
+        assert len(recording) == len(list(recording))
+
+
+def test_a_wrong_duration_is_said_and_a_missing_one_is_not(tmp_path: Path) -> None:
+    path = encode(tmp_path / "a.mkv", pings(8, 48, 64))
+    content = bytearray(path.read_bytes())
+    place = content.index(b"\x44\x89\x88")
+    longer, missing = bytearray(content), bytearray(content)
+    longer[place + 3 : place + 11] = np.array(9000.0, ">f8").tobytes()
+    missing[place : place + 11] = b"\xec\x89" + bytes(9)
+    for changed, words in ((longer, "says that it lasts 9.00 s"), (missing, "")):
+        path.write_bytes(changed)
+        with open_recording(path) as recording:
+            assert len(list(recording)) == 8
+            assert words in recording.warning
+            assert bool(words) == bool(recording.warning)
+
+
+def test_an_inverted_image_is_denoised_by_its_inverse(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from simnfnd.models.denoise.command import main
+
+    grey = cv2.VideoCapture("examples/didson/lamprey.avi").read()[1][:400, :, 1]
+    assert cv2.imwrite(str(tmp_path / "white.png"), 255 - grey)
+    assert cv2.imwrite(str(tmp_path / "black.png"), grey)
+    out = tmp_path / "out"
+    assert main([str(tmp_path / "white.png"), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "unchanged: 1 image of white.png" in said
+    assert "--invert" in said
+    assert main([str(tmp_path / "white.png"), "--out", str(out), "--invert"]) == 0
+    assert main([str(tmp_path / "black.png"), "--out", str(out)]) == 0
+    assert "unchanged" not in capsys.readouterr().out
+    white, black = (cv2.imread(str(out / f"{name}.png"), -1) for name in ("white", "black"))
+    np.testing.assert_array_equal(white, 255 - black)
