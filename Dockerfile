@@ -14,7 +14,7 @@ RUN apt-get update \
 # name the index of torch's CPU builds there, or torch brings gigabytes of CUDA libraries:
 #   docker build --build-arg PIP_ARGS="--extra-index-url URL" -t simnfnd .
 ARG PIP_ARGS=""
-COPY pyproject.toml constraints.txt README.md LICENSE /src/
+COPY pyproject.toml setup.py constraints.txt README.md LICENSE /src/
 COPY simnfnd /src/simnfnd
 COPY factory /src/factory
 COPY models /src/models

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from simnfnd.models.denoise.denoiser import Denoiser
+from simnfnd.models.denoise.hub import HubDenoiser
 
-dependencies = ["numpy", "cv2", "scipy", "onnxruntime", "safetensors"]
+dependencies = ["torch", "numpy", "cv2", "scipy", "safetensors"]
 
 
-def denoiser(weights: str | None = None, device: str = "auto") -> Denoiser:
-    """(H, W) float32 in 0..1 -> the same, denoised.
+def denoiser(weights: str | None = None, device: str = "cpu") -> HubDenoiser:
+    """An `nn.Module`: (N, 1, H, W) float in 0..1 -> the same, denoised.
 
     weights: the name of weights that ship, a file, or a repository of the Hugging Face Hub; None:
-    `simnfnd`.  device: auto, cpu or gpu.
+    `simnfnd`.  device: where the module is.
     """
-    return Denoiser(weights, device)
+    return HubDenoiser(weights).to(device).eval()

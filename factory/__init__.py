@@ -5,3 +5,8 @@ Read `pairs.py` first: it is the whole method in one screen.  Every other room d
 """
 
 __version__ = "0.4.0"
+
+if __name__ == "factory":
+    from simnfnd.rooms import refuse_modules_of
+
+    refuse_modules_of(__name__)

@@ -5,3 +5,8 @@
 
 WEIGHTS_NAME = "weights.safetensors"
 """The weights file of a training; named here, where importing it does not load torch."""
+
+if __name__ == "models":
+    from simnfnd.rooms import refuse_modules_of
+
+    refuse_modules_of(__name__)

@@ -13,7 +13,10 @@ Each name is imported when it is first used, so `import simnfnd` costs nothing.
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from .rooms import search_path
 
 if TYPE_CHECKING:
     from .api import OpenRecording, RecordedFrame, denoise, open_recording
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
     from .factory.progress import RunProgress
     from .making import DatasetResult, make_dataset, make_pair
     from .models.data.pair_stream import PairStream
+
+__path__ = search_path(Path(__file__).parent)
 
 __all__ = [
     "DatasetResult",

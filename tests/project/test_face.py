@@ -224,9 +224,17 @@ def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
 
 
 def test_a_checkout_is_a_repository_of_torch_hub() -> None:
+    """Its module denoises as the command does, where that needs the network alone."""
     import torch
 
     load: Any = torch.hub.load
-    denoiser = load(str(ROOT), "denoiser", source="local", device="cpu")
-    picture = np.random.default_rng(0).random((64, 48), np.float32)
-    assert denoiser(picture).shape == picture.shape
+    denoiser = load(str(ROOT), "denoiser", source="local")
+    speckle = np.random.default_rng(0).rayleigh(0.2, (2, 64, 48)).clip(0, 1).astype(np.float32)
+    noisy = torch.from_numpy(speckle)[:, None]
+    denoised = denoiser(noisy)
+    expected = simnfnd.denoise(speckle, frames=1, geometry=None)
+    np.testing.assert_allclose(denoised[:, 0].detach().numpy(), expected, atol=1e-4)
+    denoised.sum().backward()
+    assert all(parameter.requires_grad for parameter in denoiser.parameters())
+    with pytest.raises(ValueError, match=r"expected \(N, 1, H, W\)"):
+        denoiser(noisy[0])

@@ -156,7 +156,7 @@ def test_the_image_has_what_the_wheels_load_and_the_install_reads() -> None:
         word for line in re.findall(r"^COPY (.+)$", text, re.MULTILINE) for word in line.split()
     }
     links = {path.name for path in (ROOT / "simnfnd").iterdir() if path.is_symlink()}
-    wanted = {"pyproject.toml", "constraints.txt", "simnfnd", *links}
+    wanted = {"pyproject.toml", "setup.py", "constraints.txt", "simnfnd", *links}
     wanted |= {project()["project"]["readme"], *project()["project"]["license-files"]}
     assert wanted <= copied
     assert 'ENTRYPOINT ["simnfnd"]' in text
