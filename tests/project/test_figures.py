@@ -1,0 +1,42 @@
+"""The figures of README.md are those that its commands gave, with the denoiser that ships."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tools import readme_figures
+
+WITHIN_DB = 0.1
+
+
+def test_readme_has_the_figures_that_its_commands_gave() -> None:
+    content = json.loads(readme_figures.FIGURES.read_text(encoding="utf-8"))
+    readme = readme_figures.README.read_text(encoding="utf-8")
+    lines = readme_figures.lines_of(content["figures"])
+    assert readme_figures.with_lines(readme, lines) == readme, "run python -m tools.readme_figures"
+    assert readme_figures.MARKS[0] in readme
+    assert content["commands"] == readme_figures.COMMANDS
+    assert all(f"`{command}`" in readme for command in readme_figures.COMMANDS.values())
+
+
+def test_the_denoiser_is_the_one_that_was_measured() -> None:
+    content = json.loads(readme_figures.FIGURES.read_text(encoding="utf-8"))
+    kept = content["figures"]["probe"]
+    now = readme_figures.probe()
+    assert now == pytest.approx(kept, abs=WITHIN_DB), "run python -m tools.readme_figures"
+
+
+def test_other_figures_give_other_lines() -> None:
+    content = json.loads(readme_figures.FIGURES.read_text(encoding="utf-8"))["figures"]
+    before = readme_figures.lines_of(content)
+    content["real"]["moving"]["simnfnd: fused and denoised"]["psnr_db"] = 12.34
+    content["detect"]["simnfnd, 7 frames"]["auc"] = 0.567
+    after = readme_figures.lines_of(content)
+    assert "12.34 dB" in after
+    assert "12.34 dB" not in before
+    assert "0.567" in after
+    first, last = readme_figures.MARKS
+    page = f"a\n{first}\nold\n{last}\nb"
+    assert readme_figures.with_lines(page, "new\n") == f"a\n{first}\nnew\n{last}\nb"
