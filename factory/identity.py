@@ -7,6 +7,8 @@ that are gone stay in it as they were.
 from __future__ import annotations
 
 import hashlib
+import json
+import os
 from collections.abc import Mapping
 from functools import reduce
 from operator import getitem
@@ -16,10 +18,13 @@ from typing import Any
 from .config import FactoryConfig, plain
 from .errors import FactoryError
 from .imaging.settings import PointwiseSettings
+from .render.pack import read_contents
 from .renderer_choice import renderer_of
 from .scenes.base import INTEGERS_PER_M
 from .scenes.csv_list import CsvListSettings
 from .scenes.mesh import MeshSettings
+from .scenes.mesh_parts import files_of
+from .scenes.pack import PackSettings
 from .scenes.seabed import SeabedSettings
 
 # Keys that came later, each with the value that leaves a dataset and its hash as they were.
@@ -104,7 +109,7 @@ def _scenes_identity(config: FactoryConfig, values: Mapping[str, Any]) -> dict[s
         if scenes.pop("path") is not None:
             scenes["path"] = _file_digest(str(settings.path), "scenes.path")
         for own_object in scenes["own_objects"]:
-            own_object["file"] = _file_digest(own_object["file"], "scenes.own_objects")
+            own_object["file"] = _mesh_digest(own_object["file"], "scenes.own_objects")
             if own_object["moving"] is None:
                 own_object.pop("moving")
         for item in (*scenes["moving_objects"], *scenes["own_objects"]):
@@ -112,9 +117,11 @@ def _scenes_identity(config: FactoryConfig, values: Mapping[str, Any]) -> dict[s
             if moving.get("path") is not None:
                 moving["path"] = _file_digest(moving["path"], "moving.path")
     if isinstance(settings, MeshSettings):
-        scenes["file"] = _file_digest(settings.file, "scenes.file")
+        scenes["file"] = _mesh_digest(settings.file, "scenes.file")
         poses = settings.poses
         scenes["poses"] = None if poses is None else _file_digest(poses, "scenes.poses")
+    if isinstance(settings, PackSettings):
+        scenes["digest"] = read_contents(Path(settings.root).expanduser()).digest
     if isinstance(settings, CsvListSettings):
         if settings.depth_scale is None:
             scenes["depth_scale"] = INTEGERS_PER_M
@@ -138,6 +145,17 @@ def _drop_later_keys_at_their_defaults(values: dict[str, Any]) -> None:
         group = reduce(getitem, groups, values)
         if key in group and group[key] == default:
             group.pop(key)
+
+
+def _mesh_digest(path: str, key: str) -> str:
+    """The same of a mesh and all files that it refers to.  Raises FactoryError without one."""
+    mesh = Path(path).expanduser()
+    _file_digest(path, key)  # says best that the file itself is not there
+    files = files_of(mesh, key)
+    if len(files) == 1:
+        return _file_digest(path, key)
+    parts = [(os.path.relpath(file, mesh.parent), _file_digest(file, key)) for file in files]
+    return hashlib.blake2b(json.dumps(parts).encode(), digest_size=8).hexdigest()
 
 
 def _file_digest(path: str, key: str) -> str:

@@ -6,8 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from .errors import FactoryError
 from .render.base import RenderSettings
 from .scenes.mesh import MeshSettings
+from .scenes.pack import PackSettings
 
 if TYPE_CHECKING:
     from .config import FactoryConfig
@@ -36,8 +38,13 @@ def renderer_of(config: FactoryConfig) -> RendererChoice:
 
     With the sonar at the camera Cycles and the closed form differ by at most 2.9e-4 of the
     radiance, and Cycles takes 17 to 23 times as long; elsewhere shadows need rays.
+
+    Raises FactoryError for a pack that cannot be read, and one of another renderer than
+    `render.kind` names.
     """
     render = config.render
+    if isinstance(config.scenes, PackSettings):
+        return _renderer_of_pack(config.scenes.root, render)
     if render.kind != "auto":
         return RendererChoice(render, f"render={render.kind}")
     scenes = config.scenes
@@ -52,3 +59,14 @@ def renderer_of(config: FactoryConfig) -> RendererChoice:
     return RendererChoice(
         replace(render, kind="analytic"), "render=auto: the sonar is at the camera"
     )
+
+
+def _renderer_of_pack(root: str, render: RenderSettings) -> RendererChoice:
+    from .render.pack import read_contents
+
+    packed = read_contents(Path(root).expanduser()).render
+    if render.kind not in ("auto", packed.kind):
+        raise FactoryError(
+            f"render={render.kind}: the pack {root} holds renders of {packed.kind}; leave it out"
+        )
+    return RendererChoice(packed, "as the pack says")

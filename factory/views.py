@@ -8,6 +8,7 @@ removed when it is met, and made again.  The file's time is when it was last use
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 _SUFFIX = ".view"
 _MOST_BYTES = 1 << 27
+# Of a file that is larger than any view, and of no file at all: reading again cannot help.
+_NO_VIEW = (errno.EFBIG, errno.EINVAL)
 # Room made at once, so that a full cache does not have to be gone through for every entry.
 _EVICT_TO = 0.9
 
@@ -55,11 +58,23 @@ class Cache:
         return self.folder / key[:2] / f"{key}{_SUFFIX}"
 
     def get(self, key: str) -> View | None:
-        """The entry, or None when it is absent or was damaged (and is now removed)."""
+        """The entry, or None when it is absent or was damaged (and is now removed).
+
+        Raises OSError when it is there and cannot be read now: it may be whole.
+        """
         path = self.path(key)
         try:
-            view = decode(read_regular(path, _MOST_BYTES))
-        except (OSError, ValueError):
+            content = read_regular(path, _MOST_BYTES)
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            if error.errno not in _NO_VIEW:
+                raise
+            path.unlink(missing_ok=True)
+            return None
+        try:
+            view = decode(content)
+        except ValueError:
             path.unlink(missing_ok=True)
             return None
         with suppress(OSError):  # a cache that others own may be read only
@@ -113,8 +128,13 @@ _NOT_PIXELS = {
     # What moves is put into a frame after it was rendered.
     "moving_objects",
 }
-# All code between the files of a recording and the rendered pixels.
-_CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "scenes")
+# All code and data between the files of a recording and the rendered pixels.
+RENDER_CODE = (
+    *("compiled.py", "distribution.py", "elementary.py", "errors.py", "files.py", "frame.py"),
+    *("isolated.py", "labels.py", "quiet.py", "seeds.py", "settings.py", "small_files.py"),
+    *("render", "scenes"),
+)
+"""Modules and rooms of the factory; of a room, all files."""
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
 
 
@@ -122,8 +142,9 @@ _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
 def _code_version(kind: str) -> str:
     """Stands for the source files and the library that a renderer consists of."""
     root, digest = Path(__file__).parent, hashlib.blake2b(digest_size=8)
-    for place in (root / name for name in _CODE):
-        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+    for place in (root / name for name in RENDER_CODE):
+        files = sorted(place.rglob("*.py")) + sorted(place.rglob("*.yaml"))
+        for path in files or [place]:
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     try:
         library = metadata.version(_LIBRARY[kind])
@@ -225,11 +246,22 @@ class CachedViews(Views):
 
     def view(self, ref: FrameRef) -> View:
         """See `Views`."""
-        with suppress(OSError):
-            view = self.cache.get(self._expected.get(ref.name) or self.key(ref))
-            if view is not None:
-                return view
-        raise NotRendered(ref.name)
+        key = self._expected.get(ref.name)
+        if not key:
+            try:
+                key = self.key(ref)
+            except OSError as error:  # a file of the recording: who renders it says which
+                raise NotRendered(ref.name) from error
+        try:
+            view = self.cache.get(key)
+        except OSError as error:
+            raise FrameError(
+                f"{ref.name}: its render {self.cache.path(key)} cannot be read "
+                f"({error.strerror}); it is kept, run again"
+            ) from error
+        if view is None:
+            raise NotRendered(ref.name)
+        return view
 
 
 class ViewMaker:

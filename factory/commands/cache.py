@@ -60,6 +60,6 @@ def _pack(overrides: list[str], out: Path | None) -> None:
             f"run `simnfnd make {shell_line(overrides)}` first"
         )
     classes = config.scenes.own_classes()
-    renderer = renderer_of(config).settings.kind
+    renderer = renderer_of(config).settings
     size = write_pack(out, there, views.view, config.sonar.mount, renderer, classes)
     print(f"pack: {out}: {len(there)} of {len(refs)} frames, {size / len(there) / 1e3:.0f} kB each")

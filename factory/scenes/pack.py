@@ -43,7 +43,7 @@ class PackReader:
         contents = read_contents(Path(self.settings.root).expanduser())
         if not contents.members:
             raise FactoryError(f"scenes.root={self.settings.root}: the pack is empty; pack again")
-        note = f"pack: {len(contents.members)} frames of render.kind={contents.render}"
+        note = f"pack: {len(contents.members)} frames of render.kind={contents.render.kind}"
         return Discovery(tuple(contents.members), {}, (note,))
 
     def load(self, ref: FrameRef) -> Frame:

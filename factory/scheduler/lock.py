@@ -140,6 +140,7 @@ def publishing(
                 if one.holds():
                     store.put(one.lock, one.text())
 
+    beating = threading.Thread(target=beat, daemon=True)
     if not store.create(one.lock, one.text()):
         dead = _refuse_if_held(store, one.lock)
         if _read_lock(store, one.lock) == dead:
@@ -156,7 +157,7 @@ def publishing(
         sizes = store.sizes()
         for other in _rivals(one.lock, sizes):
             _refuse_if_held(store, other)
-        threading.Thread(target=beat, daemon=True).start()
+        beating.start()
         # Slices begin side by side.
         foreign = sorted(name for name in sizes if not name.startswith(LOCK_NAME))
         if foreign and not {"config.yaml", "manifest.json"} & set(foreign):
@@ -169,6 +170,9 @@ def publishing(
             yield one
     finally:
         ended.set()
+        if beating.ident is not None:
+            # A beat under way would write the lock again after it was removed.
+            beating.join()
         # Never another's; what cannot be removed is found dead later.
         with suppress(FactoryError):
             if one.holds():

@@ -23,7 +23,7 @@ from simnfnd.factory.dataset.manifest import load_manifest
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
-from simnfnd.factory.render.base import CacheSettings, Mount
+from simnfnd.factory.render.base import CacheSettings, Mount, RenderSettings
 from simnfnd.factory.render.pack import read_contents, write_pack
 from simnfnd.factory.scheduler.lock import owner_of
 from simnfnd.factory.small_files import read_regular
@@ -194,7 +194,9 @@ def test_heads_that_make_no_sense_are_damage(changes: dict[str, Any]) -> None:
 
 def test_packs_that_would_do_harm_are_refused(tmp_path: Path) -> None:
     pack = tmp_path / "a.pack"
-    write_pack(pack, [FrameRef("a", "b", "c")], lambda ref: some_view(), Mount(), "cycles")
+    write_pack(
+        pack, [FrameRef("a", "b", "c")], lambda ref: some_view(), Mount(), RenderSettings("cycles")
+    )
     with zipfile.ZipFile(pack) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
 

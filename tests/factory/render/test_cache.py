@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import errno
+import json
 import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import h5py
@@ -15,11 +19,13 @@ import pytest
 from simnfnd.command import main
 from simnfnd.factory.cli.generate import run as generate
 from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.errors import FactoryError, NotRendered
+from simnfnd.factory.dataset.schema import config_hash
+from simnfnd.factory.errors import FactoryError, FrameError, NotRendered
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.render.base import CacheSettings, Mount
+from simnfnd.factory.identity import identity
+from simnfnd.factory.render.base import CacheSettings, Mount, RenderSettings
 from simnfnd.factory.render.pack import read_contents, write_pack
-from simnfnd.factory.views import Cache, CachedViews, PackViews, ViewMaker
+from simnfnd.factory.views import RENDER_CODE, Cache, CachedViews, PackViews, ViewMaker
 from tests.factory.render.small_views import SMALL_SEABED, config, same, some_view
 from tests.factory.scheduler.run_files import shard_bytes
 from tests.project_files import ROOT
@@ -101,10 +107,11 @@ def test_a_cache_that_cannot_be_written_is_said_before_the_run(tmp_path: Path) -
 def test_a_pack_holds_the_renders_and_knows_its_mount(tmp_path: Path) -> None:
     view, refs = some_view(), [FrameRef("a", "b", "c"), FrameRef("", "s/t", "f")]
     for name in ("one.pack", "two.pack"):
-        write_pack(tmp_path / name, refs, lambda ref: view, Mount(), "cycles")
+        write_pack(tmp_path / name, refs, lambda ref: view, Mount(), RenderSettings("cycles"))
     assert (tmp_path / "one.pack").read_bytes() == (tmp_path / "two.pack").read_bytes()
     contents = read_contents(tmp_path / "one.pack")
     assert list(contents.members) == refs
+    assert contents.render == RenderSettings("cycles")
     views = PackViews(str(tmp_path / "one.pack"), Mount())
     assert same(views.view(refs[1]), view)
     with pytest.raises(NotRendered):
@@ -119,6 +126,90 @@ def test_a_pack_holds_the_renders_and_knows_its_mount(tmp_path: Path) -> None:
     (tmp_path / "one.pack").write_bytes(b"no zip")
     with pytest.raises(FactoryError, match="no pack, or damaged"):
         read_contents(tmp_path / "one.pack")
+
+
+def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> None:
+    refs = [FrameRef("seabed", f"seabed-000{k}", "0000") for k in range(2)]
+    hashes, made = set(), tmp_path / "out"
+    for name, albedo in (("first", "flattened"), ("second", "constant")):
+        settings = config(tmp_path / "cache", render={"kind": "analytic", "albedo": albedo})
+        maker, pack = ViewMaker(settings), tmp_path / f"{name}.pack"
+        write_pack(pack, refs, maker.render, Mount(), settings.render)
+        packed = config(
+            tmp_path / "cache",
+            scenes={"kind": "pack", "root": str(pack)},
+            render={},
+            dataset={"dir": str(made), "preview_pairs": 0},
+        )
+        stated = identity(packed)
+        assert stated["render"]["kind"] == "analytic"
+        assert stated["render"]["albedo"] == albedo
+        hashes.add(config_hash(stated))
+        if name == "first":
+            generate(packed, [])
+    assert len(hashes) == 2
+    assert "closed form (as the pack says)" in (made / "README.md").read_text()
+    with pytest.raises(FactoryError, match=r"scenes\.digest"):
+        generate(packed, [])
+    cycles = config(tmp_path, scenes={"kind": "pack", "root": str(pack)}, render={"kind": "cycles"})
+    with pytest.raises(FactoryError, match="render=cycles: the pack"):
+        identity(cycles)
+
+
+def test_packs_of_0_4_are_read(tmp_path: Path) -> None:
+    view, ref = some_view(), FrameRef("a", "b", "c")
+    pack, old = tmp_path / "new.pack", tmp_path / "old.pack"
+    write_pack(pack, [ref], lambda _: view, Mount(), RenderSettings("embree"))
+    with zipfile.ZipFile(pack) as new, zipfile.ZipFile(old, "w") as archive:
+        head = json.loads(new.read("pack.json"))
+        head |= {"schema": "simnfnd-pack 2", "render": "embree"}
+        head.pop("digest")
+        head["frames"][0].pop("digest")
+        archive.writestr("000000.view", new.read("000000.view"))
+        archive.writestr("pack.json", json.dumps(head))
+    contents = read_contents(old)
+    assert contents.render.kind == "embree"
+    assert same(PackViews(str(old), Mount()).view(ref), view)
+
+
+def test_a_render_that_cannot_be_read_now_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, ref = config(tmp_path), FrameRef("seabed", "seabed-0000", "0001")
+    key = ViewMaker(settings).prepare(ref).key
+    path = CachedViews(settings).cache.path(key)
+
+    def fails(*_: object) -> bytes:
+        raise OSError(errno.EIO, "Input/output error", str(path))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("simnfnd.factory.views.read_regular", fails)
+        with pytest.raises(FrameError, match="cannot be read"):
+            CachedViews(settings).view(ref)
+    assert path.exists()
+    CachedViews(settings).view(ref)
+
+
+def test_the_key_covers_every_module_that_a_render_passes() -> None:
+    """What the rooms of the renders import, and what that imports, is hashed."""
+    root = ROOT / "factory"
+    waiting = [
+        path for room in ("render", "scenes") for path in sorted((root / room).rglob("*.py"))
+    ]
+    seen: set[Path] = set()
+    while waiting:
+        path = waiting.pop()
+        if path in seen:
+            continue
+        seen.add(path)
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.level and node.module:
+                target = path.parents[node.level - 1].joinpath(*node.module.split("."))
+                waiting += [one for one in (target.with_suffix(".py"),) if one.exists()]
+    outside = {path.relative_to(root).parts[0] for path in seen}
+    # Progress is only printed.
+    assert outside - set(RENDER_CODE) == {"progress.py"}
+    assert {"scenes", "seeds.py"} <= outside
 
 
 def test_adding_noise_loads_neither_blender_nor_open3d(tmp_path: Path) -> None:

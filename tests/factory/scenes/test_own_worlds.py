@@ -18,12 +18,14 @@ import pytest
 from simnfnd.command import main
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig, from_mapping, plain
+from simnfnd.factory.dataset.schema import config_hash
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
 from simnfnd.factory.identity import identity
 from simnfnd.factory.imaging.settings import CoherentSettings
 from simnfnd.factory.pairs import observe
 from simnfnd.factory.render import open_renderer
+from simnfnd.factory.render.base import RenderSettings
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
@@ -454,7 +456,41 @@ def test_renders_and_packs_keep_boxes_and_classes(folder: Path, tmp_path: Path) 
     assert again.boxes is not None
     assert np.array_equal(again.boxes, np.round(np.asarray(frame.boxes), 5))
     classes = config.scenes.own_classes()
-    write_pack(tmp_path / "a.pack", [ref], lambda _: view, mount, "analytic", classes)
+    write_pack(
+        tmp_path / "a.pack", [ref], lambda _: view, mount, RenderSettings("analytic"), classes
+    )
     packed = compose_config(["scenes=pack", f"scenes.root={tmp_path}/a.pack"])
     assert packed.scenes.own_classes() == ("target",)
     assert identity(packed)["classes"] == ["target"]
+
+
+def test_every_file_of_a_mesh_counts(folder: Path, tmp_path: Path) -> None:
+    """Of a .gltf its buffer, of an .obj its materials: alone in a world, and as an object."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4")
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u2")
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"uri": "a.bin", "byteLength": points.nbytes + faces.nbytes}],
+        "meshes": [{"primitives": []}],
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+
+    def hashes() -> list[str]:
+        found = []
+        for name in ("a.gltf", "a.obj"):
+            file = str(tmp_path / name)
+            scenes = [
+                {"kind": "mesh", "file": file},
+                {"kind": "seabed", "own_objects": [{"file": file, "class": "thing"}]},
+            ]
+            found += [config_hash(identity(from_mapping({"scenes": one}))) for one in scenes]
+        return found
+
+    (tmp_path / "a.bin").write_bytes(points.tobytes() + faces.tobytes())
+    (tmp_path / "a.mtl").write_text("newmtl grey\nKd 0.5 0.5 0.5\n")
+    first = hashes()
+    assert hashes() == first
+    (tmp_path / "a.bin").write_bytes((2 * points).tobytes() + faces.tobytes())
+    (tmp_path / "a.mtl").write_text("newmtl grey\nKd 0.1 0.1 0.1\n")
+    assert not set(first) & set(hashes())

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -168,6 +169,25 @@ def test_two_runs_do_not_write_at_once(bucket: str) -> None:
         theirs = contents(url)[".lock"].replace(first.token.encode(), b"0" * 32)
         store.put(".lock", theirs)
     assert contents(url) == {".lock": theirs}
+
+
+def test_the_lock_goes_with_its_run_though_a_beat_is_under_way(
+    bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url, begun = f"{bucket}/beat", threading.Event()
+    put = Store.put
+
+    def slow(self: Store, name: str, content: bytes) -> None:
+        begun.set()
+        time.sleep(0.5)
+        put(self, name, content)
+
+    monkeypatch.setattr("simnfnd.factory.scheduler.lock._BEAT_S", 0.01)
+    with publishing(folder_of(url)):
+        monkeypatch.setattr(Store, "put", slow)
+        assert begun.wait(30)
+    time.sleep(0.6)
+    assert ".lock" not in contents(url)
 
 
 def test_a_run_that_lost_its_url_writes_no_more(bucket: str, monkeypatch: Any) -> None:

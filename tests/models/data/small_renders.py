@@ -37,7 +37,7 @@ def rendered_dataset(folder: Path) -> tuple[Path, Path]:
     from simnfnd.factory.scenes import open_reader
 
     frames = open_reader(config.scenes).discover().frames
-    write_pack(pack, frames, views.view, config.sonar.mount, config.render.kind)
+    write_pack(pack, frames, views.view, config.sonar.mount, config.render)
     assert not report.failures
     return dataset, pack
 
