@@ -58,7 +58,12 @@ REAL: dict[str, tuple[str, ...]] = {
         LAYERS,
         "frames.variants=2",
     ),
-    "flsea_any_sonar": ("devices=any_sonar", "noise=any_sonar", "frames.variants=2"),
+    "flsea_any_sonar": (
+        "devices=any_sonar",
+        "noise=any_sonar",
+        "acoustics=coherent",
+        "frames.variants=2",
+    ),
 }
 FEW = ("render=analytic", "frames.total=4", "scheduler.shard_size=2", "dataset.preview_pairs=0")
 ONE, MANY = ("scheduler=serial",), ("scheduler=local", "scheduler.workers=48")
@@ -70,13 +75,19 @@ def main() -> int:
     choice = parser.add_mutually_exclusive_group(required=True)
     choice.add_argument("--write", type=Path, metavar="FILE")
     choice.add_argument("--against", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        default=Path("outputs/stray-bytes"),
+        help="folder for both files where two shards hold the same and are not the same bytes",
+    )
     parser.add_argument("--only", nargs="*", help="names of datasets; the rest is left out")
     parser.add_argument("--flsea", type=Path, default=Path("../shared/data/flsea-vi"))
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="same-bytes-") as folder:
         hashes = everything(Path(folder), given.only)
         if given.flsea.is_dir():
-            hashes |= of_real_frames(Path(folder), given.flsea.resolve(), given.only)
+            hashes |= of_real_frames(Path(folder), given.flsea.resolve(), given.only, given.keep)
     if given.write:
         given.write.write_text(json.dumps(hashes, indent=1, sort_keys=True) + "\n")
         print(f"{len(hashes)} hashes: {given.write}")
@@ -133,7 +144,7 @@ def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
     return hashes
 
 
-def of_real_frames(folder: Path, root: Path, only: list[str] | None) -> dict[str, str]:
+def of_real_frames(folder: Path, root: Path, only: list[str] | None, keep: Path) -> dict[str, str]:
     """The same of FLSea frames.  Raises SystemExit where workers, a kill or a pack change bytes."""
     hashes: dict[str, str] = {}
     scenes = ("scenes=flsea", f"scenes.root={root}")
@@ -151,7 +162,7 @@ def of_real_frames(folder: Path, root: Path, only: list[str] | None) -> dict[str
             if way == "killed":
                 kill_in_the_middle(other, *words, *scenes, *how, f"dataset.dir={other}")
             run("simnfnd.factory", *words, *scenes, *how, f"dataset.dir={other}")
-            same(f"{name}, {way}", expected, dataset_hashes(other))
+            same(f"{name}, {way}", expected, dataset_hashes(other), made, other, keep)
         pack, packed = folder / f"{name}.pack", folder / f"{name}_packed"
         run("simnfnd.factory", "cache", "pack", "--out", str(pack), *words, *scenes)
         run("simnfnd.factory", *words, "scenes=pack", f"scenes.root={pack}", *ONE,
@@ -160,11 +171,34 @@ def of_real_frames(folder: Path, root: Path, only: list[str] | None) -> dict[str
     return hashes
 
 
-def same(what: str, expected: dict[str, str], found: dict[str, str]) -> None:
-    """Raise SystemExit where two datasets of one version differ."""
-    if expected != found:
-        keys = sorted(k for k in {*expected, *found} if expected.get(k) != found.get(k))
-        raise SystemExit(f"{what}: {len(keys)} parts have other bytes: {', '.join(keys[:5])}")
+def same(
+    what: str,
+    expected: dict[str, str],
+    found: dict[str, str],
+    first: Path,
+    second: Path,
+    keep: Path,
+) -> None:
+    """Raise SystemExit where two datasets of one version differ.
+
+    Shards that hold the same and are not the same bytes are copied to `keep`.
+    """
+    if expected == found:
+        return
+    keys = sorted(k for k in {*expected, *found} if expected.get(k) != found.get(k))
+    stray = [key for key in keys if key.endswith(".h5") and not _parts_differ(key, keys)]
+    for shard in stray:
+        for name, folder in (("first", first), ("second", second)):
+            copy = keep / name / shard
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(folder / shard, copy)
+    kept = f"; both files of {', '.join(stray)} are in {keep}" if stray else ""
+    raise SystemExit(f"{what}: {len(keys)} parts have other bytes: {', '.join(keys[:5])}{kept}")
+
+
+def _parts_differ(shard: str, keys: list[str]) -> bool:
+    """Whether a dataset or attribute in the shard is among the keys that differ."""
+    return any(key.startswith(f"{shard}/") for key in keys)
 
 
 def kill_in_the_middle(folder: Path, *words: str) -> None:

@@ -53,6 +53,8 @@ class FramesSettings:
     stride).  total: at most so many frames in all, spread over the scenes (after stride and limit);
     a larger total keeps the frames of a smaller one.  variants: pairs made of each frame, each with
     noise of its own.  only: names (location/scene/frame) of the frames to use; null uses all.
+    min_insonified: refuses a frame with echoes in less than this part of the sonar's beams, 0 to 1;
+    null refuses none, and pairs below a fifth are counted.
     """
 
     stride: Annotated[int, Field(ge=1)] = 1
@@ -60,6 +62,7 @@ class FramesSettings:
     total: Annotated[int, Field(ge=1)] | None = None
     variants: Annotated[int, Field(ge=1)] = 1
     only: tuple[str, ...] | None = None
+    min_insonified: Annotated[float, Field(ge=0, le=1)] | None = None
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -108,6 +111,21 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
         yield (
             "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
             "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
+        )
+    for name in ("altitude_m", "tilt_deg"):
+        drawn = isinstance(config.scenes, SeabedSettings) or (
+            isinstance(config.scenes, MeshSettings) and config.scenes.poses is None
+        )
+        if getattr(config.sonar, name) is not None and not drawn:
+            yield (
+                f"sonar.{name}: the poses of scenes={config.scenes.kind} are recorded ones; leave "
+                "it out, or use scenes=seabed"
+            )
+    sonar = config.sonar
+    if sonar.altitude_m is not None and sonar.tilt_deg is None and not sonar.mount.colocated:
+        yield (
+            "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
+            "give sonar.tilt_deg, too"
         )
     if config.devices is not None:
         yield from _conflicts_of_drawn_devices(config)
@@ -264,7 +282,22 @@ def _scenes_as_the_sonar_needs(config: FactoryConfig) -> Scenes:
         return scenes
     if scenes.hfov_deg is None and sonar.hfov_deg > HFOV_DEG:
         scenes = replace(scenes, hfov_deg=sonar.hfov_deg, vfov_deg=sonar.vfov_deg)
-    return replace(scenes, boxes=scenes.boxes or "boxes" in config.dataset.columns)
+    scenes = replace(scenes, boxes=scenes.boxes or "boxes" in config.dataset.columns)
+    if sonar.altitude_m is None and sonar.tilt_deg is None:
+        return scenes
+    altitude_m, tilt_deg = scenes.camera_altitude_m, scenes.camera_tilt_deg
+    if sonar.tilt_deg is not None:
+        tilt_deg = sonar.mount.camera_tilt_deg(sonar.tilt_deg)
+        if tilt_deg is None:
+            raise FactoryError(
+                f"sonar.tilt_deg={sonar.tilt_deg:g}: no camera has it with sonar.mount.yaw_deg="
+                f"{sonar.mount.yaw_deg:g}; give a smaller yaw or tilt"
+            )
+    if sonar.altitude_m is not None:
+        altitude_m = sonar.altitude_m
+        if not sonar.mount.colocated:
+            altitude_m -= sonar.mount.height_above_camera_m(tilt_deg or 0.0)
+    return replace(scenes, camera_altitude_m=altitude_m, camera_tilt_deg=tilt_deg)
 
 
 def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:

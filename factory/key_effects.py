@@ -329,6 +329,16 @@ _RULES = (
         _draws_poses,
         "scenes.poses has the poses: set scenes.poses=null",
     ),
+    Rule(
+        ("scenes.height_m",),
+        lambda config: config.sonar.altitude_m is None,
+        "sonar.altitude_m has the height: set sonar.altitude_m=null",
+    ),
+    Rule(
+        ("scenes.tilt_deg",),
+        lambda config: config.sonar.tilt_deg is None,
+        "sonar.tilt_deg has the tilt: set sonar.tilt_deg=null",
+    ),
     Rule(("scenes.speed_m_s",), _draws_poses, "scenes.poses has the poses: set scenes.poses=null"),
     Rule(
         ("scenes.distance_m",),

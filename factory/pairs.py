@@ -26,6 +26,7 @@ from .imaging.coherent import CoherentScene
 from .imaging.contract import Floats
 from .imaging.pointwise import PointwiseScene
 from .imaging.settings import CoherentSettings, with_materials
+from .insonified import check_share, insonified_share
 from .labels import class_names
 from .moving.compose import Echo, compose
 from .moving.recordings import Moment, Recordings
@@ -202,6 +203,8 @@ def observe_moment(
         )
         lit = surface.LitSurface(composed.frame, composed.rendered, window, sonar, cones)
         scene = _scene_of(lit, config, scene)
+    share = insonified_share(scene.filled, window, sonar)
+    check_share(moment.frame.ref, share, config.frames.min_insonified)
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
     layers = {
         name: lay_out_nearest(image, window, sonar)

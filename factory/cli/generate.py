@@ -18,6 +18,7 @@ from ..errors import FactoryError
 from ..files import check_writable
 from ..frame import FrameRef
 from ..identity import identity
+from ..insonified import THIN_SHARE, thin_pairs
 from ..key_effects import refuse_keys_without_effect
 from ..pairs import pair_maker
 from ..progress import RunReporter, stage_if_slow
@@ -184,12 +185,29 @@ def job_of(
         shard=config.shard,
         rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
         skipped=discovery.skipped,
-        facts=(f"ideal echoes by {render}",),
+        facts=lambda directory: _facts(directory, config, reporter),
         on_prepared=Cache(working.cache).grown,
         warnings=warnings,
         preload=PRELOADED,
         reporter=reporter,
     )
+
+
+def _facts(directory: Path, config: FactoryConfig, reporter: RunReporter) -> list[str]:
+    """What the card states of a finished dataset; what deserves attention is reported, too."""
+    facts = [f"ideal echoes by {renderer_of(config).text}"]
+    if config.devices is None:
+        thin, total = thin_pairs(directory, config.sonar)
+        if thin:
+            counted = (
+                f"less than {THIN_SHARE:.0%} of the sector is insonified in {thin} of {total} pairs"
+            )
+            facts.append(counted)
+            reporter.warning(
+                f"{counted}; frames.min_insonified={THIN_SHARE:g} refuses them (see "
+                "sonar.tilt_deg, sonar.altitude_m, sonar.range)"
+            )
+    return facts
 
 
 def _rerun_command(ref: FrameRef, arguments: Sequence[str], directory: Path) -> str:

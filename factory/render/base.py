@@ -39,6 +39,26 @@ class Mount:
         """True when the sonar is at the camera: what the camera sees, the sonar insonifies."""
         return not any(self.translation_m)
 
+    def camera_tilt_deg(self, sonar_tilt_deg: float) -> float | None:
+        """Tilt of a level camera whose sonar looks so far down; None where no tilt gives that.
+
+        The sonar looks along (cos yaw cos pitch, sin yaw cos pitch, -sin pitch) in the camera's
+        forward, left, up; below the horizon by sin T = sin pitch cos t + cos yaw cos pitch sin t of
+        a camera tilted by t.
+        """
+        pitch, yaw = np.deg2rad([self.pitch_deg, self.yaw_deg])
+        ahead, down = np.cos(yaw) * np.cos(pitch), np.sin(pitch)
+        sine = np.sin(np.deg2rad(sonar_tilt_deg)) / np.hypot(ahead, down)
+        if abs(sine) > 1:
+            return None
+        return float(np.rad2deg(np.arcsin(sine) - np.arctan2(down, ahead)))
+
+    def height_above_camera_m(self, camera_tilt_deg: float) -> float:
+        """How much higher than a level camera that is tilted so far the sonar is."""
+        forward_m, _, up_m = self.translation_m
+        tilt = np.deg2rad(camera_tilt_deg)
+        return float(up_m * np.cos(tilt) - forward_m * np.sin(tilt))
+
     def rotation_sonar_from_camera(self) -> npt.NDArray[np.float64]:
         """(3, 3): turns directions in camera axes into sonar axes."""
         pitch, yaw = np.deg2rad([self.pitch_deg, self.yaw_deg])

@@ -56,7 +56,8 @@ class MeshSettings(SceneSettings):
     paths, views_per_path: how many paths, each a scene, and views of each, a second apart.
     height_m: least and most above the ground right under the camera.  distance_m: of an orbit.
     tilt_deg: how far a transect looks down.  speed_m_s: of the camera.
-    width, height, hfov_deg, vfov_deg: of the camera; these and boxes as of `scenes=seabed`.
+    width, height, hfov_deg, vfov_deg: of the camera; these, boxes, camera_altitude_m and
+        camera_tilt_deg as of `scenes=seabed`; the latter are of drawn paths.
     """
 
     kind: Literal["mesh"] = "mesh"
@@ -76,6 +77,8 @@ class MeshSettings(SceneSettings):
     hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
     vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
     boxes: bool = False
+    camera_altitude_m: Annotated[float, Field(gt=0)] | None = None
+    camera_tilt_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
 
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
@@ -198,14 +201,24 @@ class MeshReader:
         def orbit(travelled_m: float) -> Pose:
             angle = heading + travelled_m / (side * distance_m)
             eye = self._clear(centre + distance_m * _level(angle), level_m)
-            down = np.arctan2(eye[2] - centre[2], distance_m)
-            return pose(eye, float(np.rad2deg(angle + np.pi)), float(np.rad2deg(down)), 0.0)
+            down_deg = np.rad2deg(np.arctan2(eye[2] - centre[2], distance_m))
+            return self._standing(eye, float(np.rad2deg(angle + np.pi)), float(down_deg))
 
         def transect(travelled_m: float) -> Pose:
             eye = self._clear(centre + (travelled_m - reach_m) * ahead + aside, level_m)
-            return pose(eye, float(np.rad2deg(heading)), float(np.rad2deg(tilt)), 0.0)
+            return self._standing(eye, float(np.rad2deg(heading)), float(np.rad2deg(tilt)))
 
         return orbit if settings.route == "orbit" else transect
+
+    def _standing(self, eye: Points, heading_deg: float, tilt_deg: float) -> Pose:
+        """The pose at a place of a path, as `camera_altitude_m` and `camera_tilt_deg` say."""
+        settings = self._settings
+        if settings.camera_tilt_deg is not None:
+            tilt_deg = settings.camera_tilt_deg
+        ground_m = self._ground_m(eye) if settings.camera_altitude_m is not None else None
+        if settings.camera_altitude_m is not None and ground_m is not None:
+            eye = np.array([*eye[:2], ground_m + settings.camera_altitude_m])
+        return pose(eye, heading_deg, tilt_deg, 0.0)
 
     def _clear(self, place: Points, level_m: float) -> Points:
         """The place at a level, or higher: clear of what lies under it."""

@@ -85,7 +85,7 @@ class Job(Recipe):
     config_values: the whole configuration as plain values; written to config.yaml.
     rerun_command: frame -> the command line that tries it again; written to failed.jsonl.
     skipped: reason -> images left out before planning; stated in the card.
-    facts: more that the card states of how the samples were made.
+    facts: what the card states of the finished dataset in a folder and how it was made.
     shard: which slice of the shards to make; the run of the whole, made last, takes them up.
     on_prepared: called with the bytes added to the cache whenever a frame was prepared.
     warnings: what the user is told when planning, and once more at the end.
@@ -98,7 +98,7 @@ class Job(Recipe):
     scheduler: SchedulerSettings
     rerun_command: Callable[[FrameRef], str]
     skipped: Mapping[str, int] = field(default_factory=dict)
-    facts: tuple[str, ...] = ()
+    facts: Callable[[Path], Sequence[str]] = lambda directory: ()
     shard: ShardSlice = field(default_factory=ShardSlice)
     on_prepared: Callable[[int], None] = lambda added_bytes: None
     warnings: tuple[str, ...] = ()

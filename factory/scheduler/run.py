@@ -120,5 +120,5 @@ def _describe(job: Job, report: RunReport) -> None:
             report.failures,
             job.skipped,
             job.config_values,
-            job.facts,
+            job.facts(job.directory),
         )

@@ -133,6 +133,9 @@ class SonarSettings:
     beam_azimuths_deg: directions of the beams from left to right where they are not uniform.
     projection: slant_range (what a sonar measures) or top_view (the paper's view from above).
     accumulate: how echoes in one bin become its level: mean, max or sum.
+    altitude_m: height of the sonar above the ground right under it; of `scenes=seabed` and drawn
+        paths of `scenes=mesh`; null: as the places and paths have it.
+    tilt_deg: how far it looks below the horizon; likewise.
     tvg_db_per_decade: time-varying gain on the echoes, in dB per tenfold range; 20 undoes the
         1/r^2 of the render.
     """
@@ -154,6 +157,8 @@ class SonarSettings:
     transfer: TransferSettings = field(default_factory=TransferSettings)
     array: ArraySettings = field(default_factory=ArraySettings)
     mount: Mount = field(default_factory=Mount)
+    altitude_m: Positive | None = None
+    tilt_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -20,8 +20,8 @@ from ...labels import ObjectName
 from ...settings import STRICT
 from ..base import Discovery, OwnClass, Root, SceneSettings
 from ..moving import Moving, MovingObject, check_moving, waypoints
+from .camera import Stance, movements
 from .camera import camera as optics_of
-from .camera import movements
 from .terrain import PLACE_NAMES, PlaceName
 
 if TYPE_CHECKING:
@@ -98,6 +98,8 @@ class SeabedSettings(SceneSettings):
         along `path`), so many a second.  Moving objects need it, or a path with times.
     moving_objects: what moves through the recordings; see `moving.MovingObject`.
     boxes: of each frame's objects; `dataset.columns=[boxes]` sets it.
+    camera_altitude_m, camera_tilt_deg: of every camera (of a path, its first pose) instead of what
+    the places draw; `sonar.altitude_m` and `sonar.tilt_deg` set them.
     """
 
     kind: Literal["seabed"] = "seabed"
@@ -116,6 +118,8 @@ class SeabedSettings(SceneSettings):
     frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
     moving_objects: tuple[MovingObject, ...] = ()
     boxes: bool = False
+    camera_altitude_m: Annotated[float, Field(gt=0)] | None = None
+    camera_tilt_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
 
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
@@ -220,9 +224,12 @@ class SeabedReader:
         elif settings.frame_rate_hz is not None:
             number = 0
         world = self._world(int(ref.scene.removeprefix("seabed-")))
-        frame = take(world, number, ref, optics, movement, settings.boxes)
+        stance = Stance(settings.camera_altitude_m, settings.camera_tilt_deg)
+        frame = take(world, number, ref, optics, movement, settings.boxes, stance)
         if settings.is_recording:
-            frame = replace(frame, surroundings=surroundings(world), time_s=settings.time_s(ref))
+            frame = replace(
+                frame, surroundings=surroundings(world, stance), time_s=settings.time_s(ref)
+            )
         return checked(frame)
 
     def _movements(self) -> tuple[dict[str, float], ...] | None:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -95,6 +96,17 @@ class Pose:
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.eye
         return matrix
+
+
+class Stance(NamedTuple):
+    """What the user says of a camera; None: as the place or path has it.
+
+    altitude_m: above the ground right under it.  tilt_deg: how far it looks down; it is then level
+    across.
+    """
+
+    altitude_m: float | None = None
+    tilt_deg: float | None = None
 
 
 def pose(eye: Points, heading_deg: float, pitch_deg: float, roll_deg: float) -> Pose:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ...frame import Frame, FrameRef, Intrinsics, Surroundings
 from ...seeds import stream
-from .camera import Optics, Pose, ZBuffer, camera, centred, moved, pose
+from .camera import Optics, Pose, Stance, ZBuffer, camera, centred, moved, pose
 from .meshes import grid_triangles
 from .terrain import FAR_M, TILE, WORLD_SEED, Draws, Floats, tiles
 from .world import World
@@ -22,14 +22,20 @@ _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the wate
 
 
 def take(
-    world: World, frame: int, ref: FrameRef, optics: Optics, movement: Movement | None, boxes: bool
+    world: World,
+    frame: int,
+    ref: FrameRef,
+    optics: Optics,
+    movement: Movement | None,
+    boxes: bool,
+    stance: Stance,
 ) -> Frame:
     """Take frame number `frame` of a location.
 
-    The pose is the one that FLSea's camera would choose, however wide this one sees; with a
-    movement, of a platform that begins there.
+    The pose is the one that FLSea's camera would choose, however wide this one sees, or as its
+    stance says; with a movement, of a platform that begins there.
     """
-    where = choose_pose(world, frame)
+    where = choose_pose(world, frame, stance)
     if movement is not None:
         where = moved(where, movement)
     azimuths, elevations = field_of_view(where, optics)
@@ -65,9 +71,9 @@ def take(
 _AROUND_M, _AROUND_STEP_M = 24, 1.0  # half the side of the known ground, and its steps
 
 
-def surroundings(world: World) -> Surroundings:
+def surroundings(world: World, stance: Stance) -> Surroundings:
     """Where the recording of a location begins, and the ground around."""
-    start = choose_pose(world, 0)
+    start = choose_pose(world, 0, stance)
     steps_m = np.arange(-_AROUND_M, _AROUND_M + 1) * _AROUND_STEP_M
     x, y = np.meshgrid(start.eye[0] + steps_m, start.eye[1] + steps_m)
     return Surroundings(start.matrix, world.terrain.height_m(x, y), _AROUND_STEP_M)
@@ -180,20 +186,25 @@ _LOOKOUT = Optics((70.0, 70.0, 101.0, 54.0), 203, 122)
 
 
 @functools.lru_cache(maxsize=2)  # all frames of a moving platform begin at one
-def choose_pose(world: World, frame: int) -> Pose:
+def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
     """The pose of a frame: of a few ways to look from its place, the one that shows most.
 
     A good view has ground to throw shadows on, objects at middle range, something missing but not
     much, and nothing right before the lens.
     """
     eye, heading, pitch, roll = world.path.view(frame)
+    lowers = [lower for lower in (0, -5, 8, 16) if 8 <= pitch + lower <= 35]  # one at least
+    if stance.altitude_m is not None:
+        eye = np.array([*eye[:2], world.terrain.height_m(*eye[:2, None])[0] + stance.altitude_m])
+    if stance.tilt_deg is not None:
+        pitch, roll = stance.tilt_deg, 0.0
+        lowers = [0]
     # Between walls the way ahead is the view; in the open the camera turns to what lies there.
     turning = 0.012 if world.terrain.banks is not None else 0.004
     views = [
         (pose(eye, heading + yaw, pitch + lower, roll), turning * abs(yaw) + 0.01 * abs(lower))
         for yaw in (0, 14, -14, 28, -28, 45, -45, 70, -70)
-        for lower in (0, -5, 8, 16)
-        if 8 <= pitch + lower <= 35  # always includes one
+        for lower in lowers
     ]
     lookouts = [pose(eye, heading + side_deg, 20, 0) for side_deg in (50, -50)]
     objects, clear_m = world.objects, world.look.clear_m
