@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic.dataclasses import dataclass
@@ -45,10 +45,20 @@ class BottomMultipathSettings(EffectSettings):
     tilt_deg: AnyNumber = parameter(0, "deg")
 
 
-def _with_images(
-    signal: Signal, ping: Ping, height_m: float, loss_db: float, tilt_deg: float
-) -> Signal:
-    """Echoes by way of a level plane `height_m` above the sonar (negative: below).
+class Plane(NamedTuple):
+    """A level mirror.
+
+    height_m: above the sonar, negative below.  loss_db: lost at each reflection.
+    tilt_deg: how far the sonar looks down, so that the plane lies level.
+    """
+
+    height_m: float
+    loss_db: float
+    tilt_deg: float
+
+
+def _add_mirrored_echoes(signal: Signal, ping: Ping, plane: Plane) -> Signal:
+    """The signal with the echoes that come by way of a plane.
 
     With r the way to a point and r' that from the mirrored sonar, a path that touches the plane
     once comes in at range (r + r') / 2, twice in phase, one that touches it both ways at r' (Urick
@@ -56,43 +66,82 @@ def _with_images(
     """
     from ..imaging import kernels  # loads numba
 
-    scene, tilt_rad = ping.scatterers, np.deg2rad(tilt_deg)
-    powered = sounds(signal.power)
-    if not (powered or signal.field.size):
+    has_power = sounds(signal.power)
+    if not (has_power or signal.field.size):
         return signal
-    field, planes = signal.field.copy(), (2 * len(signal.field), signal.power.size)
-    # With speckle there is none; what is there is the frame's, and no effect may change it.
-    power = signal.power.copy() if powered else np.empty(0, np.float32)
-    level = height_m, float(np.cos(tilt_rad)), float(np.sin(tilt_rad))
+
+    field = signal.field.copy()
+    # With speckle there is no power; what is there is the frame's, and no effect may change it.
+    power = signal.power.copy() if has_power else np.empty(0, np.float32)
+    planes = (2 * len(signal.field), signal.power.size)
+    tilt_rad = np.deg2rad(plane.tilt_deg)
     kernels.mirror(
-        *scene.surface, ping.sonar.mount.axes(), level,
-        vertical_table(ping.sonar), 10 ** (-loss_db / 10),
-        np.log(10) / 10 * ping.absorption_db_per_m, 1 / ping.bin_m, ping.sonar.beams,
-        ((signal.power.reshape(-1), signal.field.reshape(planes)),
-         (power.reshape(-1), field.reshape(planes))),
-    )  # fmt: skip
-    return Signal(power if power.size else signal.power, field)
+        *ping.scatterers.surface,
+        ping.sonar.mount.axes(),
+        (plane.height_m, float(np.cos(tilt_rad)), float(np.sin(tilt_rad))),
+        vertical_table(ping.sonar),
+        10 ** (-plane.loss_db / 10),
+        np.log(10) / 10 * ping.absorption_db_per_m,
+        1 / ping.bin_m,
+        ping.sonar.beams,
+        (
+            (signal.power.reshape(-1), signal.field.reshape(planes)),
+            (power.reshape(-1), field.reshape(planes)),
+        ),
+    )
+    return Signal(power if has_power else signal.power, field)
 
 
-def _of_plane(settings: type[EffectSettings], height_m: Callable[..., float]) -> Effect:
-    """The effect of the plane at this height; it gets the ping and the parameters of its own."""
-
-    def apply(
-        signal: Signal, ping: Ping, rng: Rng, *, loss_db: float, tilt_deg: float, **own: float
-    ) -> Signal:
-        return _with_images(signal, ping, height_m(ping, **own), loss_db, tilt_deg)
-
-    def expect(state: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
-        # Each ghost is as wide as what it mirrors.
-        for plane in (state.echo, state.steady):
-            unspeckled = Signal(plane, np.empty((0, 2, *plane.shape), np.float32))
-            plane[:] = apply(unspeckled, ping, rng, **parameters).power
-
-    return Effect(settings, apply, "echo", "ghosts", systematic=expect)
+def _expect_mirrored_echoes(state: Expected, ping: Ping, plane: Plane) -> None:
+    """Each ghost is as wide as what it mirrors."""
+    for intensity in (state.echo, state.steady):
+        no_field = np.empty((0, 2, *intensity.shape), np.float32)
+        mirrored = _add_mirrored_echoes(Signal(intensity, no_field), ping, plane)
+        intensity[:] = mirrored.power
 
 
-SURFACE_MULTIPATH = _of_plane(SurfaceMultipathSettings, lambda ping: ping.water.depth_m)
-BOTTOM_MULTIPATH = _of_plane(BottomMultipathSettings, lambda ping, altitude_m: -altitude_m)
+def surface_multipath(
+    signal: Signal, ping: Ping, rng: Rng, *, loss_db: float, tilt_deg: float
+) -> Signal:
+    """Echoes by way of the sea surface, water.depth_m above the sonar."""
+    return _add_mirrored_echoes(signal, ping, Plane(ping.water.depth_m, loss_db, tilt_deg))
+
+
+def expect_surface_multipath(
+    state: Expected, ping: Ping, rng: Rng, *, loss_db: float, tilt_deg: float
+) -> None:
+    """Their intensities."""
+    _expect_mirrored_echoes(state, ping, Plane(ping.water.depth_m, loss_db, tilt_deg))
+
+
+def bottom_multipath(
+    signal: Signal, ping: Ping, rng: Rng, *, altitude_m: float, loss_db: float, tilt_deg: float
+) -> Signal:
+    """Echoes by way of a level bottom."""
+    return _add_mirrored_echoes(signal, ping, Plane(-altitude_m, loss_db, tilt_deg))
+
+
+def expect_bottom_multipath(
+    state: Expected, ping: Ping, rng: Rng, *, altitude_m: float, loss_db: float, tilt_deg: float
+) -> None:
+    """Their intensities."""
+    _expect_mirrored_echoes(state, ping, Plane(-altitude_m, loss_db, tilt_deg))
+
+
+SURFACE_MULTIPATH = Effect(
+    SurfaceMultipathSettings,
+    surface_multipath,
+    "echo",
+    "ghosts",
+    systematic=expect_surface_multipath,
+)
+BOTTOM_MULTIPATH = Effect(
+    BottomMultipathSettings,
+    bottom_multipath,
+    "echo",
+    "ghosts",
+    systematic=expect_bottom_multipath,
+)
 
 
 @dataclass(frozen=True, config=STRICT)

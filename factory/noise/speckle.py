@@ -72,25 +72,27 @@ def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: 
 def expect_speckle(
     state: Expected, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float
 ) -> None:
-    """The echoes fluctuate, but for what stands still.
+    """Speckle varies from ping to ping, except for its static part.
 
     A field that keeps the part p of its power from ping to ping is sqrt(p) f + sqrt(1 - p) g, f the
     same in all pings and g new in each.  This ping shows that sum, so f is, with another g,
     sqrt(p) (the sum) + sqrt(1 - p) g.
     """
-    part = state.standing
-    state.echo += (1 - part) * state.steady
+    static_part = state.standing
+    state.echo += (1 - static_part) * state.steady
     state.steady[:] = 0
     state.looks = max(round(looks), 1)
-    if part:
-        none, given = (
-            Signal(state.steady, state.steady),
-            {"looks": looks, "scatterer_m": scatterer_m},
-        )
-        # The first has the stream of the effect, and so the field that the picture shows.
-        shown, other = (speckle(none, ping, rng, **given).field for _ in range(2))
-        same = np.float32(np.sqrt(part)) * shown + np.float32(np.sqrt(1 - part)) * other
-        state.steady[:] = part * (beamform(same, ping) ** 2).sum(axis=1).mean(axis=0)
+    if static_part == 0:
+        return
+
+    no_signal = Signal(state.steady, state.steady)
+    # The first field has the stream of the effect, and so it is the one that the image shows.
+    shown = speckle(no_signal, ping, rng, looks=looks, scatterer_m=scatterer_m).field
+    renewed = speckle(no_signal, ping, rng, looks=looks, scatterer_m=scatterer_m).field
+    static_field = np.float32(np.sqrt(static_part)) * shown
+    static_field += np.float32(np.sqrt(1 - static_part)) * renewed
+    intensity = (beamform(static_field, ping) ** 2).sum(axis=1).mean(axis=0)
+    state.steady[:] = static_part * intensity
 
 
 SPECKLE = Effect(SpeckleSettings, speckle, "echo", "speckle", "world", expected=expect_speckle)
