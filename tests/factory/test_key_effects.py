@@ -70,6 +70,8 @@ NO_IMAGES = (
     *("devices.height_px", "devices.polar_share"),
     # Renderers agree; the column boxes reads it; it counts where depths are invalid.
     *("render.kind", "scenes.boxes", "scenes.bad_depth"),
+    # It refuses frames; tests of stances do.
+    "frames.min_insonified",
     # Files, which tests of own worlds change.
     *("scenes.own_objects", "acoustics.materials"),
 )
@@ -83,6 +85,8 @@ OTHER: dict[str, Any] = {
     "scenes.kinds": ["Tire"],
     "scenes.places": ["pier"],
     "scenes.path": str(ROOT / "examples/platform.csv"),
+    "scenes.camera_altitude_m": 1.2,
+    "scenes.camera_tilt_deg": 20.0,
     "scenes.frame_rate_hz": 0.2,
     "scenes.moving_objects": [{"object": "Fish"}],
     "frames.limit": 1,
@@ -91,6 +95,8 @@ OTHER: dict[str, Any] = {
     "split.test": ["seabed-000[12]"],
     "split.test_fraction": 0.7,
     "render.albedo": "constant",
+    "sonar.altitude_m": 1.2,
+    "sonar.tilt_deg": 20.0,
     "sonar.projection": ("slant_range", "top_view"),
     "sonar.accumulate": "max",
     "sonar.image.layout": ("fan", "polar"),
