@@ -113,7 +113,7 @@ def own(folder: Path, entry: str, *words: str) -> FactoryConfig:
 def test_own_objects_lie_in_every_place_and_leave_the_rest_as_it_was(folder: Path) -> None:
     asked = "cube.ply, class: crate, per_place: [2, 3], reflectivity_db: -7"
     words = "scenes.locations=2", "scenes.frames_per_location=4"
-    config = own(folder, asked, *words, "scenes.boxes=true")
+    config = own(folder, asked, *words, "scenes.boxes=true", "experiment=physical")
     assert isinstance(config.acoustics, CoherentSettings)
     assert config.acoustics.reflectivity_db["crate"] == -7
     assert from_mapping(plain(config)) == config
@@ -208,7 +208,12 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
         *("scenes=mesh", f"scenes.file={folder}/world.glb", "scenes.width=484"),
         *("scenes.height=304", "render=analytic", f"scenes.poses={folder}/poses.txt"),
         *("scenes.classes=[{class: target, parts: 'valve*'}]", "experiment=physical"),
-        *("sonar.image.layout=polar", "sonar.range.max_m=6", "split.test_fraction=0"),
+        *(
+            "sonar.image.layout=polar",
+            "sonar.range.auto=true",
+            "sonar.range.max_m=6",
+            "split.test_fraction=0",
+        ),
         *("dataset.layers=[segmentation]", "dataset.columns=[boxes]", "scheduler=serial"),
         *("dataset.preview_pairs=0", f"cache.dir={tmp_path}/cache"),
     ]
@@ -310,10 +315,10 @@ def test_materials_name_known_classes(folder: Path, tmp_path: Path) -> None:
     ):
         listed.write_text(f"class,reflectivity_db,lambert_exponent\n{line}\n")
         with pytest.raises(FactoryError, match=said):
-            compose_config([f"acoustics.materials={listed}"])
+            compose_config(["experiment=physical", f"acoustics.materials={listed}"])
     two = "cube.ply, class: a, reflectivity_db: -3}, {file: b.ply, class: a"
     with pytest.raises(FactoryError, match="a has two materials"):
-        own(folder, two)
+        own(folder, two, "experiment=physical")
 
 
 def test_equal_bytes_on_one_and_many_workers(folder: Path, tmp_path: Path) -> None:
