@@ -72,5 +72,8 @@ def _share_of_image(shadow: npt.NDArray[np.bool_], row: Any, sonar: SonarSetting
     table = fan_table(sonar, window.near_fraction)
     # The beam of each pixel in the sector; a small fan does not show all beams.
     beam = table.corner % sonar.beams
-    is_insonified = ~shadow.reshape(-1)[table.pixel] & seen_beams[beam]
-    return len(np.unique(beam[is_insonified])) / len(np.unique(beam))
+    is_shown = np.zeros(sonar.beams, np.bool_)
+    is_shown[beam] = True
+    is_insonified = np.zeros(sonar.beams, np.bool_)
+    is_insonified[beam[~shadow.reshape(-1)[table.pixel]]] = True
+    return float((is_insonified & seen_beams)[is_shown].mean())
