@@ -108,7 +108,7 @@ def steps_of(plan: Plan) -> Iterator[list[str]]:
         make.append(f"scenes.frames_per_location={-(-plan.frames // places)}")
     else:
         make.append(f"scenes.root={quote(str(plan.scenes))}")
-    yield [*make, f"frames.total={plan.frames}", *(["render=analytic"] if plan.quick else [])]
+    yield [*make, f"frames.total={plan.frames}", f"render={'analytic' if plan.quick else 'cycles'}"]
     ablation = {"simnfnd_l1": [dataset, "loss=l1"], "simnfnd_newloss": [dataset, *_NEWLOSS]}
     if plan.real is not None:
         ablation["olddata_l1"] = [*_olddata(plan.real), "loss=l1"]

@@ -148,7 +148,9 @@ def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> 
         if name == "first":
             generate(packed, [])
     assert len(hashes) == 2
-    assert "closed form (as the pack says)" in (made / "README.md").read_text()
+    card = (made / "README.md").read_text()
+    assert "closed form (as the pack says)" in card
+    assert "bounces" not in card, "a setting of an earlier version"
     with pytest.raises(FactoryError, match=r"scenes\.digest"):
         generate(packed, [])
     cycles = config(tmp_path, scenes={"kind": "pack", "root": str(pack)}, render={"kind": "cycles"})
