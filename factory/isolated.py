@@ -19,6 +19,7 @@ import threading
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import IO, Any
@@ -26,6 +27,8 @@ from typing import IO, Any
 from .errors import FactoryError
 
 LIMIT_S = 60.0
+_ALARM = 14
+"""Number of SIGALRM, which Windows does not have; there it is an exit code."""
 
 # Beyond what the process has after its imports; a picture has 64 MB at most.
 _MEMORY_BYTES = 800 << 20
@@ -59,7 +62,8 @@ class IsolatedProcess:
         self._memory_bytes = memory_bytes
         self._forget()
         atexit.register(self.close)
-        os.register_at_fork(after_in_child=self._forget)
+        if hasattr(os, "register_at_fork"):  # Windows has no forks
+            os.register_at_fork(after_in_child=self._forget)
 
     def _forget(self) -> None:
         self._lock = threading.Lock()
@@ -89,7 +93,7 @@ class IsolatedProcess:
             return kind, result
         except (EOFError, BrokenPipeError, ValueError, TypeError) as error:
             # It closes its pipes a moment before its exit code can be had.
-            if self.close(1) == -signal.SIGALRM:
+            if self.close(1) in (-_ALARM, _ALARM):
                 raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
             raise FactoryError("crashes the library that reads it; it is damaged") from error
         except BaseException:
@@ -156,8 +160,6 @@ def _start(memory_bytes: int) -> subprocess.Popen[bytes]:
 
 def serve(memory_bytes: int) -> None:
     """Answer the calls that come on standard input until it ends."""
-    import resource
-
     import h5py  # noqa: F401  (counts as what the process has)
 
     # Ctrl-C is for the parent, which then ends this process.
@@ -165,23 +167,14 @@ def serve(memory_bytes: int) -> None:
     answers = os.fdopen(os.dup(1), "wb")
     # What libraries print must not get between the answers.
     os.dup2(2, 1)
-    # What this process has reserved; systems without /proc know no such limit.
-    reserved = Path("/proc/self/statm")
-    pages = int(reserved.read_text().split()[0]) if reserved.exists() else 0
-    most = pages * resource.getpagesize() + memory_bytes
-    _, allowed = resource.getrlimit(resource.RLIMIT_AS)
-    most = most if allowed == resource.RLIM_INFINITY else min(most, allowed)
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    # A core file of an expected crash is of no use.
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _limit_memory(memory_bytes)
     while True:
         try:
             name, limit_s, folder, arguments = _decode(sys.stdin.buffer)
         except EOFError:
             return
         os.chdir(folder)  # relative paths mean what they mean to who asks
-        # Not caught: it ends the process even where C code never comes back.
-        signal.setitimer(signal.ITIMER_REAL, limit_s)
+        end = _deadline(limit_s)
         try:
             content = _encode(("answer", resolve_name(name)(*arguments)))
         except FactoryError as error:
@@ -190,6 +183,35 @@ def serve(memory_bytes: int) -> None:
             content = _encode(("refused", "asks for more memory than a sound file needs"))
         except Exception:
             content = _encode(("error", traceback.format_exc()))
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        end()
         answers.write(content)
         answers.flush()
+
+
+def _limit_memory(memory_bytes: int) -> None:
+    """Let this process take so much beyond what it has.  Windows knows no such limit."""
+    try:
+        import resource
+    except ImportError:
+        return
+    # What this process has reserved; systems without /proc do not say it.
+    reserved = Path("/proc/self/statm")
+    pages = int(reserved.read_text().split()[0]) if reserved.exists() else 0
+    most = pages * resource.getpagesize() + memory_bytes
+    _, allowed = resource.getrlimit(resource.RLIMIT_AS)
+    most = most if allowed == resource.RLIM_INFINITY else min(most, allowed)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    # A core file of an expected crash is of no use.
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _deadline(limit_s: float) -> Callable[[], object]:
+    """End this process after so long; the result calls that off."""
+    if hasattr(signal, "setitimer"):
+        # Not caught: it ends the process even where C code never comes back.
+        signal.setitimer(signal.ITIMER_REAL, limit_s)
+        return partial(signal.setitimer, signal.ITIMER_REAL, 0)
+    timer = threading.Timer(limit_s, os._exit, (_ALARM,))
+    timer.daemon = True
+    timer.start()
+    return timer.cancel

@@ -13,6 +13,8 @@ MOST_BYTES = 1 << 24
 # Of settings.  The time of YAML's numbers in base sixty grows with the square of their length.
 _MOST_YAML_BYTES = 1 << 18
 _MOST_DEPTH = 64
+# Windows has no pipes that wait here, and would translate line ends.
+_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -20,7 +22,7 @@ def open_regular(path: Path) -> BinaryIO:
 
     A pipe would wait for a writer for ever, and some devices never end.
     """
-    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb")
+    file = os.fdopen(os.open(path, _FLAGS), "rb")
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
         raise OSError(errno.EINVAL, "no regular file", str(path))

@@ -118,7 +118,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd denoise dive.aris --out outputs/denoised",
             "simnfnd denoise dive.bag --topic /sonar/image --out outputs/denoised",
             "simnfnd denoise picture.png --out outputs/denoised --strength 0.7 --compare",
-            "simnfnd denoise lamprey.avi --frames 7 --out outputs/denoised",
+            "simnfnd denoise lamprey.avi --out outputs/denoised --compare talk.mp4",
             "simnfnd denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd",
         ),
         needs=_NETWORK,

@@ -15,6 +15,7 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
+from .comparison_video import SUFFIX, comparison_video
 from .denoiser import Denoiser
 from .files import Job, denoise_files
 from .inputs import FIND, Geometries, Item, find_items, said_of_sequences, sequences
@@ -22,13 +23,17 @@ from .journal import opened_journal
 from .pictures import Denoising
 from .temporal.stream import FRAMES
 
+SHEETS = "sheets"
 _WHICH = f"""\
 weights that ship:
   {DEFAULT_WEIGHTS:16}  real sonars: single frames and recordings (default)
   {POINTS:16}  the paper's points: datasets say so, other files need --noise points
 your own sonar: `simnfnd adapt RECORDING --out own.safetensors`, then --weights own.safetensors
 """
-_COMPARE = "also write sheets: noisy, denoised, and removed in standard deviations of the grain"
+_COMPARE = (
+    "also write sheets: noisy, denoised, and removed in standard deviations of the grain; with a "
+    "file name, one video of noisy and denoised side by side instead"
+)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -37,7 +42,10 @@ def main(arguments: Sequence[str]) -> int:
     options = _options(arguments)
     out = Path(options.out).expanduser()
     inputs = [Path(name).expanduser() for name in options.inputs]
-    items = find_items(inputs, out, compare=options.compare)
+    with_sheets = options.compare == SHEETS
+    video = Path(options.compare).expanduser() if options.compare and not with_sheets else None
+    items = find_items(inputs, out, compare=with_sheets)
+    _check_video(video, items, out)
     geometries = Geometries(options.geometry)
     check_writable(out, "--out")
 
@@ -52,7 +60,12 @@ def main(arguments: Sequence[str]) -> int:
         calibrated=calibrated,
         inverts=options.invert,
     )
-    with opened_journal(out, denoise.digest, list(arguments)) as journal:
+    with (
+        opened_journal(out, denoise.digest, list(arguments)) as journal,
+        comparison_video(video) as job_video,
+    ):
+        if video is not None:  # it has all images of the run
+            journal.begin_anew()
         job = Job(
             out=out,
             denoise=denoise,
@@ -60,8 +73,9 @@ def main(arguments: Sequence[str]) -> int:
             denoising=denoising,
             geometries=geometries,
             journal=journal,
-            compare=options.compare,
+            compare=with_sheets,
             topics=options.topic,
+            video=job_video,
         )
         if options.frames > 1:
             for line in said_of_sequences(items):
@@ -76,6 +90,8 @@ def main(arguments: Sequence[str]) -> int:
     names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
     print(f"weights: {names or denoise.name}")
     print(f"denoised: {job.used.total()} file(s) in {out}")
+    if video is not None:
+        print(f"compared: {video}")
     return 1 if job.failures else 0
 
 
@@ -87,7 +103,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("inputs", nargs="+", metavar="IN", help="image, folder, shard, video, recording, array")
+    add("inputs", nargs="*", metavar="IN", help="image, folder, shard, video, recording, array")
     add("--out", required=True, help="folder for the results; names are kept")
     add("--weights", help="weights.safetensors of a training, or a name of those that ship (below)")
     of_noise = "of real sonars, or of the paper's points; shards say it themselves"
@@ -100,7 +116,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add("--frames", type=int, default=FRAMES, metavar="N", help=fused)
     add("--invert", action="store_true", help="for dark echoes on a bright ground")
     add("--causal", action="store_true", help="fuse with frames before alone, for live use")
-    add("--compare", action="store_true", help=_COMPARE)
+    add("--compare", nargs="?", const=SHEETS, default="", metavar="FILE.mp4", help=_COMPARE)
     where = (
         "of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV table "
         "of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
@@ -111,6 +127,12 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add("--device", choices=("auto", "cpu", "gpu"), default="auto")
 
     options = parser.parse_args(list(arguments))
+    if options.compare not in ("", SHEETS) and Path(options.compare).suffix.lower() != SUFFIX:
+        # An input that follows `--compare`.
+        options.inputs.insert(0, options.compare)
+        options.compare = SHEETS
+    if not options.inputs:
+        raise FactoryError("IN: nothing to denoise; give images, recordings or folders first")
     if not 0 <= options.strength <= 1:
         raise FactoryError(f"--strength {options.strength:g}: must lie between 0 and 1")
     if options.noise == "points":
@@ -118,6 +140,15 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
             raise FactoryError("--noise points: chooses weights that ship; leave out --weights")
         options.weights = POINTS
     return options
+
+
+def _check_video(video: Path | None, items: Sequence[Item], out: Path) -> None:
+    """FactoryError for a video to compare by that would replace an input or a result."""
+    if video is None:
+        return
+    others = [item.source for item in items] + [out / item.relative for item in items]
+    if video.resolve() in {path.resolve() for path in others}:
+        raise FactoryError(f"--compare {video}: is an input or a result; give another name")
 
 
 def _denoise_all(items: Sequence[Item], job: Job) -> None:

@@ -22,6 +22,7 @@ from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from ..recordings.pictures import read_picture
 from ..recordings.views import fan_of, grey_of, polar_geometry
+from .comparison_video import ComparisonVideo
 from .denoiser import Denoiser
 from .inputs import Geometries, Item
 from .journal import Journal
@@ -47,6 +48,7 @@ class Job:
     none: as `RosBag` says.  bar: of progress, in pictures.
     used: names of weights, with how many files they denoised.  removed: from all of their images.
     unchanged: images that stayed as they were.
+    video: of all images side by side; None: none is asked for.
     """
 
     out: Path
@@ -61,6 +63,7 @@ class Job:
     used: Counter[str] = field(default_factory=Counter)
     removed: RemovedReport = field(default_factory=RemovedReport)
     unchanged: UnchangedReport = field(default_factory=UnchangedReport)
+    video: ComparisonVideo | None = None
     failures: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -123,6 +126,8 @@ def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
                     write_frames(path, [TimedImage(denoised.image)], array)
             else:
                 write_image(path, denoised.image)
+            if job.video is not None:
+                job.video.add(picture, denoised.image)
             if job.compare:
                 row = Compared(picture, denoised.image, denoised.removed.shown())
                 write_compared(job.out / item.compared, [row])
@@ -237,6 +242,8 @@ def _denoise_shard(item: Item, job: Job) -> None:
                 result = denoising.one(image, partial(place, row))
                 denoised[row] = result.image
                 job.removed.add(f"{item.relative}, pair {row}", result.removed)
+                if job.video is not None:
+                    job.video.add(image / full, denoised[row] / full)
                 if row < COMPARED:
                     panels = image / full, denoised[row] / full, result.removed.shown()
                     shown.append(Compared(*panels, clean=clean[row] / full))
@@ -316,6 +323,9 @@ def _frames(
         if job.compare and frame.number < COMPARED:
             panels = frame.samples, denoised.image, denoised.removed.shown()
             shown.append(Compared(*(_view(frame, panel) for panel in panels)))
+        if job.video is not None:
+            before, after = (_view(frame, image) for image in (frame.samples, denoised.image))
+            job.video.add(before, after, frame.time_s)
         yield frame, denoised.image
         job.bar.update()
 

@@ -45,6 +45,10 @@ class Journal:
         """Whether a file was denoised by this command, and its result is there."""
         return str(item.relative) in self._finished and (self._out / item.relative).exists()
 
+    def begin_anew(self) -> None:
+        """Count nothing as finished."""
+        self._finished.clear()
+
     def begin(self, items: Sequence[Item]) -> None:
         """Make room for the names of all items.  Raises FactoryError when there is none."""
         names = [str(item.relative) for item in items]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -106,16 +106,26 @@ def write_image(path: Path, image: Picture) -> None:
 
 def write_compared(path: Path, rows: Sequence[Compared]) -> None:
     """A sheet of panels side by side, one row an image, with captions on top."""
-    gap = np.full((len(rows[0].noisy), _GAP_PX, 3), 128, np.uint8)
-    lines = []
-    for row in rows:
-        panels = [_shown(panel) for panel in row.panels().values()]
-        lines.append(np.hstack([part for panel in panels for part in (gap, panel)][1:]))
-    width = rows[0].noisy.shape[1]
-    header = np.full((CAPTION_PX, lines[0].shape[1], 3), 24, np.uint8)
-    for number, caption in enumerate(rows[0].panels()):
+    first, *others = (row.panels() for row in rows)
+    lines = [side_by_side(first), *(_joined(panels) for panels in others)]
+    write_image(path, np.vstack(lines))
+
+
+def side_by_side(panels: Mapping[str, Picture]) -> Picture:
+    """(H, W, 3) uint8: panels of one size, (H, W) or (H, W, C), under their captions."""
+    line = _joined(panels)
+    width = next(iter(panels.values())).shape[1]
+    header = np.full((CAPTION_PX, line.shape[1], 3), 24, np.uint8)
+    for number, caption in enumerate(panels):
         _write_caption(header, caption, number * (width + _GAP_PX), width)
-    write_image(path, np.vstack([header, *lines]))
+    return np.vstack([header, line])
+
+
+def _joined(panels: Mapping[str, Picture]) -> Picture:
+    """Panels from left to right with gaps between."""
+    gap = np.full((len(next(iter(panels.values()))), _GAP_PX, 3), 128, np.uint8)
+    parts = [part for panel in panels.values() for part in (gap, _shown(panel))]
+    return np.hstack(parts[1:])
 
 
 def _write_caption(header: Picture, caption: str, left: int, width: int) -> None:
