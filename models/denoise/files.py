@@ -74,10 +74,15 @@ class Job:
         """
         self.journal.add(item)
         self.used[name] += 1
-        made_for, other = ("real sonars", POINTS) if of_points else ("the paper's points", DEFAULT)
-        if of_points is not None and name == (DEFAULT if of_points else POINTS):
-            said = f"{name} is made for {made_for}; {other} suits this file"
-            self.warnings.append(f"{item.source}: {said}")
+        if of_points is None:
+            return
+        if of_points and name == DEFAULT:
+            unsuited = f"{name} is made for real sonars; {POINTS} suits this file"
+        elif not of_points and name == POINTS:
+            unsuited = f"{name} is made for the paper's points; {DEFAULT} suits this file"
+        else:
+            return
+        self.warnings.append(f"{item.source}: {unsuited}")
 
 
 def denoise_files(items: Sequence[Item], job: Job) -> None:

@@ -235,6 +235,7 @@ def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
 
 _SIDE = 160  # the picture is made about this large for the first guess
 _NONE = 1e15  # cost of an outline that is no sector
+_LEAST_SPREAD, _LEAST_DISTANCE = 1.0, 0.05  # of the costs and corners of a simplex
 
 
 def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
@@ -418,42 +419,96 @@ class _Likelihood:
 
 
 def _lowest(cost: Callable[[Numbers], float], corners: Numbers, most: int) -> Numbers:
-    """Where the cost is lowest near a simplex (N + 1, N), by at most about `most` looks at it.
+    """The point of lowest cost near a simplex (N + 1, N), by about `most` evaluations.
 
-    Nelder and Mead 1965 with the parameters of Gao and Han 2012; it stops where no corner is more
-    than .05 away and 1 above.  SciPy has it, too, and takes a third of a second to import.
+    SciPy has the method, too, and takes a third of a second to import.
     """
-    size = corners.shape[1]
-    expand, contract, shrink = 1 + 2 / size, 0.75 - 1 / (2 * size), 1 - 1 / size
-    costs = np.array([cost(corner) for corner in corners])
-    looks = len(costs)
-    while True:
-        by = np.argsort(costs, kind="stable")
-        corners, costs = corners[by], costs[by]
-        still = costs[-1] - costs[0] <= 1.0 and np.abs(corners[1:] - corners[0]).max() <= 0.05
-        if still or looks >= most:
+    simplex = _Simplex(cost, corners)
+    while not simplex.has_converged and simplex.evaluations < most:
+        if not simplex.step(most):
             break
-        middle, worst = np.add.reduce(corners[:-1]) / size, corners[-1]
-        tried = 2 * middle - worst
-        found = cost(tried)
-        looks += 1
-        if not costs[0] <= found < costs[-2]:
-            if looks >= most:
-                break
-            lowest, outside = found < costs[0], found < costs[-1]
-            part = expand if lowest else contract if outside else -contract
-            further = (1 + part) * middle - part * worst
-            there = cost(further)
-            looks += 1
-            if there < found if lowest else there <= found and there < costs[-1]:
-                tried, found = further, there
-            elif not lowest:
-                corners[1:] = corners[0] + shrink * (corners[1:] - corners[0])
-                costs[1:] = [cost(corner) for corner in corners[1:]]
-                looks += size
-                continue
-        corners[-1], costs[-1] = tried, found
-    return np.asarray(corners[0])
+    return np.asarray(simplex.corners[0])
+
+
+class _Simplex:
+    """The simplex of Nelder and Mead 1965, with the parameters of Gao and Han 2012.
+
+    corners: (N + 1, N), the best first.  costs: of each.  evaluations: of the cost so far.
+    """
+
+    def __init__(self, cost: Callable[[Numbers], float], corners: Numbers) -> None:
+        self._cost = cost
+        size = corners.shape[1]
+        self._size = size
+        self._expansion = 1 + 2 / size
+        self._contraction = 0.75 - 1 / (2 * size)
+        self._shrinkage = 1 - 1 / size
+        self.evaluations = 0
+        self.corners = corners
+        self.costs = np.array([self._evaluate(corner) for corner in corners])
+        self._sort()
+
+    @property
+    def has_converged(self) -> bool:
+        """Whether no corner is more than .05 away from the best, and none costs 1 more."""
+        spread = self.costs[-1] - self.costs[0]
+        distance = np.abs(self.corners[1:] - self.corners[0]).max()
+        return bool(spread <= _LEAST_SPREAD and distance <= _LEAST_DISTANCE)
+
+    def step(self, most: int) -> bool:
+        """Move the worst corner, or all but the best; False where no evaluations are left."""
+        reflected = self._opposite(1.0)
+        reflected_cost = self._evaluate(reflected)
+        if self.costs[0] <= reflected_cost < self.costs[-2]:
+            self._replace_worst(reflected, reflected_cost)
+            return True
+        if self.evaluations >= most:
+            return False
+
+        if reflected_cost < self.costs[0]:
+            expanded = self._opposite(self._expansion)
+            expanded_cost = self._evaluate(expanded)
+            if expanded_cost < reflected_cost:
+                self._replace_worst(expanded, expanded_cost)
+            else:
+                self._replace_worst(reflected, reflected_cost)
+            return True
+
+        # Outside where reflecting gained something, else between the worst corner and the others.
+        is_outside = reflected_cost < self.costs[-1]
+        contracted = self._opposite(self._contraction if is_outside else -self._contraction)
+        contracted_cost = self._evaluate(contracted)
+        if contracted_cost <= reflected_cost and contracted_cost < self.costs[-1]:
+            self._replace_worst(contracted, contracted_cost)
+        else:
+            self._shrink()
+        return True
+
+    def _opposite(self, share: float) -> Numbers:
+        """The worst corner, moved through the middle of the others and beyond by such a share."""
+        middle = np.add.reduce(self.corners[:-1]) / self._size
+        return np.asarray((1 + share) * middle - share * self.corners[-1])
+
+    def _evaluate(self, corner: Numbers) -> float:
+        self.evaluations += 1
+        return self._cost(corner)
+
+    def _replace_worst(self, corner: Numbers, cost: float) -> None:
+        self.corners[-1] = corner
+        self.costs[-1] = cost
+        self._sort()
+
+    def _shrink(self) -> None:
+        """Move all corners towards the best."""
+        best = self.corners[0]
+        self.corners[1:] = best + self._shrinkage * (self.corners[1:] - best)
+        self.costs[1:] = [self._evaluate(corner) for corner in self.corners[1:]]
+        self._sort()
+
+    def _sort(self) -> None:
+        by_cost = np.argsort(self.costs, kind="stable")
+        self.corners = self.corners[by_cost]
+        self.costs = self.costs[by_cost]
 
 
 def limits(sectors: Numbers, x: Numbers) -> Numbers:
