@@ -35,9 +35,9 @@ def write_animation(
     """Write frames, (H, W) or (H, W, 3) BGR; of PNG also uint16 of grey.
 
     GIF holds 256 colours a frame: grey is exact, and colours become the nearest of 256.
-    suffix: .gif, .webp or .png.  Raises OSError, and FrameError where sizes differ.
+    suffix: .gif, .webp, .png or .apng.  Raises OSError, and FrameError where sizes differ.
     """
-    writers = {".gif": _write_gif, ".webp": _write_webp, ".png": _write_png}
+    writers = {".gif": _write_gif, ".webp": _write_webp, ".png": _write_png, ".apng": _write_png}
     with file.open("w+b") as output:
         writers[suffix](output, _of_one_size(images), source)
 

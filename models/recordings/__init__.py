@@ -30,7 +30,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": ("videos:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "stack": ("stacks:StackFile", ()),
-    "animation": ("animations:Animation", (".gif",)),
+    "animation": ("animations:Animation", (".gif", ".apng")),
     "array": ("arrays:ArrayFile", (".npz", ".mat")),
     "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),
 }

@@ -96,6 +96,9 @@ def _split(pattern: tuple[str, ...], rows: list[_Row]) -> list[list[_Row]]:
     stamp = _stamp_of(pattern, rows, varying)
     if stamp is not None:
         return _by_stamp(pattern, rows, varying, stamp)
+    decimal = _decimal_of(pattern, rows, varying)
+    if decimal is not None:
+        return [_sorted(rows, lambda row: (row.number(decimal), row.number(decimal + 1)))]
     counter = _counter_of(rows, varying)
     before = [field for field in varying if field < counter]
     if _is_distinct(rows, [counter]):
@@ -118,6 +121,16 @@ def _grouped(rows: list[_Row], key: Callable[[_Row], tuple[float, ...]]) -> list
 def _is_distinct(rows: list[_Row], fields: list[int]) -> bool:
     """Whether no two names agree in these numbers."""
     return len({tuple(row.number(field) for field in fields) for row in rows}) == len(rows)
+
+
+def _decimal_of(pattern: tuple[str, ...], rows: list[_Row], varying: list[int]) -> int | None:
+    """The first of two numbers that are one with decimals, such as seconds; None where none is."""
+    if len(varying) != 2:
+        return None
+    first, second = varying
+    is_one = second == first + 1 and pattern[second] == "."
+    is_even = len({len(row.digits[second]) for row in rows}) == 1
+    return first if is_one and is_even else None
 
 
 def _counter_of(rows: list[_Row], varying: list[int]) -> int:
@@ -217,7 +230,10 @@ def _by_stamp(
         return stamp.seconds[row.index], *numbers
 
     found: list[list[_Row]] = []
-    for group in _grouped(rows, lambda row: tuple(row.number(field) for field in before)):
+    groups = _grouped(rows, lambda row: tuple(row.number(field) for field in before))
+    if 2 * len(groups) > len(rows):  # a number that counts frames, before the stamp
+        groups = [rows]
+    for group in groups:
         parts = [group]
         if behind and pattern[last + 1] not in _FRACTION_MARKS:
             parts = _apart_by_start(group, stamp, last + 1)

@@ -258,12 +258,11 @@ class VideoFile(Recording):
             return f"{self.path}: is cut short; {whole}"
         if reading.damaged:
             return f"{self.path}: {reading.damaged} damaged frames are left out; {whole}"
-        lasts_s = reading.end_s - self.properties.start_s
         frame_s = 1 / self.rate_hz if self.rate_hz else 0.1
-        if self._stated_s is not None and self._stated_s > lasts_s + 2 * frame_s + 0.01:
+        if self._stated_s is not None and self._stated_s > reading.end_s + 2 * frame_s + 0.01:
             return (
                 f"{self.path}: says that it lasts {self._stated_s:.2f} s and ends after "
-                f"{lasts_s:.2f} s; {whole}"
+                f"{reading.end_s:.2f} s; {whole}"
             )
         return ""
 

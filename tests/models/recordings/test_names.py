@@ -29,6 +29,10 @@ ONE_SEQUENCE = {
     ],
     "a clock and tenths": [f"dive 10h07m{n // 2:02d}.{n % 2 * 5}.bmp" for n in range(12)],
     "frames within a second": [f"20240201_1200{n // 4:02d}_{n % 4}.png" for n in range(12)],
+    "a counter and a stamp": [
+        f"{n:04d}-{1_700_000_000 + n // 2}.{n % 2 * 5}.png" for n in range(12)
+    ],
+    "seconds since the start": [f"t{n // 4}.{n % 4 * 25:02d}s.png" for n in range(12)],
     "capitals": [f"A{n}.{'PNG' if n % 2 else 'png'}" for n in range(12)],
 }
 
