@@ -16,6 +16,7 @@ from ..factory.settings import STRICT
 NotNegative = Annotated[float, Field(ge=0)]
 _PSNR_FLOOR = 1e-4  # added to the mean squares in `decibels`: below it, 40 dB, gains count little
 _EQUAL = 1e-10  # mean squared difference of pictures that count as equal: 100 dB
+_NOTHING, _WHOLE = 0.3, 0.8  # factors on a change from which on it is left out, or made whole
 _CLEAN = 1e-4  # in `blend` the noise of a picture has at least this mean square, 40 dB
 
 
@@ -85,8 +86,10 @@ class Loss:
 def _blend_entropy(prediction: Tensor, clean: Tensor, batch: Mapping[str, Tensor]) -> Tensor:
     """Cross entropy between the network's `weight` and the best weight of each image, scalar.
 
-    The best weight is the least-squares factor on the change.  Each image counts as the power of
-    its change over that of its noise, at most 1.
+    The best factor on the change is the least-squares one; the best weight is 1 where that is
+    `_WHOLE` or more, and 0 where it is `_NOTHING` or less.  Entropy averages over images: without
+    these limits a change that is right gets 0.8 of itself.  Each image counts as the power of its
+    change over that of its noise, at most 1.
     """
     # Autocast forbids the cross entropy of probabilities on a GPU.
     with torch.autocast(prediction.device.type, enabled=False):
@@ -96,6 +99,7 @@ def _blend_entropy(prediction: Tensor, clean: Tensor, batch: Mapping[str, Tensor
         noise_power = noise.square().mean(dim=(1, 2, 3))
 
         overlap = (change * noise).mean(dim=(1, 2, 3))
-        best_weight = (overlap / (change_power + _EQUAL)).clamp(0, 1)
+        best_factor = overlap / (change_power + _EQUAL)
+        best_weight = ((best_factor - _NOTHING) / (_WHOLE - _NOTHING)).clamp(0, 1)
         importance = (change_power / (noise_power + _CLEAN)).clamp(max=1)
         return functional.binary_cross_entropy(batch["weight"].float(), best_weight, importance)

@@ -72,11 +72,13 @@ class MixedData(RenderedData):
     """`data=mixed`: drawn devices, the paper's points and recordings beside each other."""
 
     kind: Literal["mixed"]
+    make: tuple[str, ...]
     experiment: str
     recordings: tuple[str, ...]
     recordings_share: Share
     points_share: Share
     several: Share
+    targets: Share
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -130,6 +130,20 @@ class FanGeometry:
         bearings = tuple((step * self.sector_rad - self.sector_rad / 2).tolist())
         return replace(self, range_bins=rows, beam_azimuths_rad=bearings)
 
+    def scaled(self, rows: int, columns: int, scale: float) -> FanGeometry:
+        """The geometry of a fan after the picture was resized by `scale`, to this size.
+
+        A polar picture keeps its sector; its new columns divide it evenly.
+        """
+        if self.layout == "polar":
+            return replace(self, range_bins=0, beam_azimuths_rad=()).with_size(rows, columns)
+        return replace(
+            self,
+            apex_x_px=(self.apex_x_px + 0.5) * scale - 0.5,
+            apex_y_px=(self.apex_y_px + 0.5) * scale - 0.5,
+            far_px=self.far_px * scale,
+        )
+
     def turned(self, rows: int, columns: int) -> FanGeometry:
         """The geometry after `quarter_turns` of a picture of this size: far range on top."""
         x, y = self.apex_x_px, self.apex_y_px

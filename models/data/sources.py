@@ -41,12 +41,7 @@ def open_data(settings: ModelsSettings) -> Data:
     data, seed = settings.data, settings.seed
     if isinstance(data, OldData):
         return _of_images(data, seed)
-    given = settings.dataset["dir"]
-    if given is None:
-        raise FactoryError(
-            f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
-        )
-    folder = local_folder(given)
+    folder = local_folder(_dataset_folder(settings))
     if isinstance(data, SequencesData):
         return open_sequences(folder, data, seed)
     table = read_table(folder, "train")
@@ -75,6 +70,24 @@ def open_data(settings: ModelsSettings) -> Data:
         return Data(points, validation, facts)
     mixed = _mixed(data, points, others, seed)
     return Data(mixed.learning, mixed.validation, facts | mixed.facts, mixed.recordings)
+
+
+def _dataset_folder(settings: ModelsSettings) -> str:
+    """The dataset that is named, or that `data.make` makes (or finds made already)."""
+    data = settings.data
+    if settings.dataset["dir"] is not None:
+        return settings.dataset["dir"]
+    if not isinstance(data, MixedData) or not data.make:
+        raise FactoryError(
+            f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
+        )
+    # Loads the scheduler, which a dataset that exists does without.
+    from ...factory.cli.generate import run
+
+    folder = f"outputs/{settings.name}-renders"
+    words = (*data.make, f"dataset.dir={folder}")
+    run(compose_config(words), words)
+    return folder
 
 
 def _of_images(data: OldData, seed: int) -> Data:

@@ -24,6 +24,7 @@ from ..recordings.views import presentation_of
 from ..settings import MixedData
 from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source
+from .targets import draw_targets, insert_targets
 
 _ALIKE = 0.75  # likeness of two frames in a row from which on a recording stands still
 _AROUND = 25  # frames before and after whose mean is a target
@@ -33,6 +34,8 @@ _SINGLE = 0.4  # part of the visits of a recording that show a single frame
 _UNEVEN = 0.45  # part of the means with uneven weights
 _OFF, _OFF_PX = 0.25, 0.5  # part of the means with frames that lie beside, and by how much
 _TAUGHT = 0.5  # of the target of a recording's single frame, what a teacher makes of it
+_AS_RECORDED = 0.4  # part of the visits of a recording that are not shown at another size and gain
+_SCALES, _GAINS = (0.55, 1.15), (0.5, 1.3)
 _LOUD = 0.12  # part of the pictures that get a loud beam
 # Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight.
 _FEWEST, _FULL = 0.15, 0.7
@@ -144,11 +147,43 @@ class MixedSource(Source):
             return replace(self.points.sample(index, visit), taught=0.0)
         if kind < data.points_share + data.recordings_share and self.stacks:
             stack = self.stacks[int(rng.integers(len(self.stacks)))]
-            return with_loud_beam(stack.sample(rng), rng)
-        drawn = self.devices.sample(index, visit)
-        if rng.random() < data.several:
-            drawn = standing(drawn, rng)
-        return with_loud_beam(drawn, rng)
+            sample = resized(stack.sample(rng), rng)
+        else:
+            sample = self.devices.sample(index, visit)
+            if rng.random() < data.several:
+                sample = standing(sample, rng)
+        if rng.random() < data.targets:
+            sample = insert_targets(sample, draw_targets(rng, sample.noisy.shape))
+        return with_loud_beam(sample, rng)
+
+
+def resized(sample: Sample, rng: np.random.Generator) -> Sample:
+    """A recorded image as another display shows it: larger or smaller, brighter or darker."""
+    if rng.random() < _AS_RECORDED or sample.geometry is None:
+        return sample
+    height, width = sample.noisy.shape
+    scale = rng.uniform(*_SCALES)
+    rows, columns = round(scale * height), round(scale * width)
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    gain = np.float32(rng.uniform(*_GAINS))
+
+    def shown(image: Image) -> Image:
+        return np.asarray(
+            np.clip(gain * cv2.resize(image, (columns, rows), interpolation=how), 0, 1)
+        )
+
+    frames = sample.frames
+    if frames is not None:
+        frames = np.asarray(
+            cv2.resize(frames, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32
+        )
+    return replace(
+        sample,
+        noisy=shown(sample.noisy),
+        clean=shown(sample.clean),
+        geometry=sample.geometry.scaled(rows, columns, scale),
+        frames=frames,
+    )
 
 
 def standing(sample: Sample, rng: np.random.Generator) -> Sample:

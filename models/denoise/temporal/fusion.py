@@ -1,14 +1,18 @@
-"""Frames laid over each other become one, where they show the same as far as noise lets it be seen.
+"""Aligned frames become one: the static scene is averaged, and moving targets are kept.
 
-What noise explains is measured in the recording itself, one usual difference a grey level.  A
-neighbour goes into a pixel where it agrees with the median of all frames (and so does the frame
-itself), over a small window and over a wide one; where the frame does not agree with the median,
-something moves there: then only neighbours that agree with the frame itself go in, mostly none.
+What noise explains is measured in the recording itself, by grey level (`NoiseByLevel`).
+
+- Static scene: a neighbour counts at a pixel where it agrees with the median of all frames, in a
+  small window and in a wide one.
+- Moving object that a single frame shows: where the frame itself disagrees with the median, only
+  neighbours that agree with the frame count, mostly none.
+- Moving target that only several frames show: where the deviations along a path are significant
+  (`tracking`) and explain the frame, the mean along the path is added to the scene.  The target
+  keeps its contrast, and its noise falls as that of the scene does.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,183 +20,305 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .motion import Floats, Grey, blurred, factors, grey_of, reduced
+from .motion import Grey, blurred, factors, grey_of, reduced
+from .noise_level import NoiseByLevel, RunningSpread
+from .tracking import MAX_OFFSET, Tracks, find_tracks, mean_along
 
-_LEVELS = 32
-_LEAST_PIXELS = 20
-_LEAST_SIGMA = 0.0015
-_NORMAL = 1.4826  # from the median of absolute values to a standard deviation
-_EVERY = 3  # pixels along each side from one that is measured to the next
-_LEARNED, _AGAIN = 30, 8
-"""Frames after which differences are measured in every so many only."""
-_SMALL, _WIDE, _CLIP = 0.8, 7, 3.0
-"""Sigma of the small window, reduced pixels; side of the wide one; deviations count no more."""
-_AGREES, _LIKE = 7.0, 4.0
+_LEARNING_FRAMES, _LEARNING_INTERVAL = 30, 8
+"""Noise is measured on each of the first frames, later on every so many."""
+_SMALL_SIGMA_PX, _WIDE_SIDE_PX = 0.8, 7
+"""Of the small window and of the wide one, reduced pixels."""
+_MAX_DEVIATION = 3.0  # in the wide window: an object nearby must not fill it
+_AGREEMENT_LIMIT = 3.0
 """Standard deviations up to which a frame agrees with the median, and a neighbour with a frame."""
+_GATE_START, _GATE_END = 2.2, 4.2
+"""Significance of a path from which on it counts, and from which on it counts in full."""
+_EXPLAINED_LIMIT = 2.5  # standard deviations between a frame and the mean along its path
+_OBVIOUS = 8.0
+"""Standard deviations from which on a frame shows an object by itself; no path is needed then."""
+_MIN_TRACKED_FRAMES = 3
 _DARK = 0.02  # grey value below which there is nothing to learn from
 
 
 @dataclass(frozen=True, eq=False)
-class Fused:
-    """picture: (H, W) or (H, W, C) float32.  frames: (H, W), how many count in each pixel, >= 1.
+class Neighbour:
+    """Another frame of the window, aligned with the frame that is denoised.
 
-    agrees: (H, W), how far the frame itself agrees with the others, 0..1; 0: something moves.
+    offset: its frame number less that of the frame.  levels: (H, W) or (H, W, C) float32 in 0..1.
+    visible: (H, W) float32, 1 where it shows what the frame shows, else 0.
     """
 
-    picture: Grey
-    frames: Grey
-    agrees: Grey
+    offset: int
+    levels: Grey
+    visible: Grey
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """A frame fused with its neighbours.
+
+    image: (H, W) or (H, W, C) float32.
+    frame_count: (H, W), effective number of frames averaged at each pixel, >= 1.
+    static_share: (H, W) in 0..1; 0 where something moves.
+    """
+
+    image: Grey
+    frame_count: Grey
+    static_share: Grey
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """What the reduced, slightly blurred frames of a window say; all planes are (h, w).
+
+    frame, median: the frame itself, and the median of the window.
+    neighbours: each of them, replaced by the frame where it is not visible.
+    """
+
+    frame: Grey
+    median: Grey
+    neighbours: list[Grey]
+
+
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    """Moving targets; all planes are reduced, (h, w).
+
+    gate: 0..1, how far the path through a pixel counts.
+    faint: frame offset -> 1 where the frame deviates by less than `_OBVIOUS`, else 0.
+    """
+
+    tracks: Tracks
+    gate: Grey
+    faint: dict[int, Grey]
 
 
 class Fusion:
-    """Fuses frames, and learns with each what noise explains.
+    """Fuses the frames of a recording in order, and learns from each what noise explains.
 
-    noise: of a pixel of a single frame.
+    noise: of a pixel of a single frame, by grey level.
     """
 
     def __init__(self) -> None:
-        self._seen = 0
-        self._to_median, self._to_frame = _Agreement(_AGREES), _Agreement(_LIKE)
-        self.noise = Usual()
+        self._frames_seen = 0
+        self._to_median = _Agreement(_AGREEMENT_LIMIT)
+        self._to_frame = _Agreement(_AGREEMENT_LIMIT)
+        self._score_spread = RunningSpread()
+        self.noise = NoiseByLevel()
 
-    def __call__(self, own: Grey, laid: Sequence[Grey], shown: Sequence[Grey]) -> Fused:
-        """The frame with its neighbours.
+    def __call__(self, frame: Grey, neighbours: Sequence[Neighbour]) -> Fused:
+        """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""
+        grey = grey_of(frame)
+        if not neighbours:
+            ones = np.ones(grey.shape, np.float32)
+            return Fused(frame, ones, ones)
+        measured = self._neighbour_to_measure(len(neighbours))
+        if measured is not None:
+            neighbour = neighbours[measured]
+            difference = (grey_of(neighbour.levels) - grey) * np.float32(np.sqrt(0.5))
+            self.noise.add(difference, grey * neighbour.visible)
 
-        own, laid: (H, W) or (H, W, C) float32 in 0..1.  shown: (H, W), 1 where a neighbour shows
-        what the frame does, else 0.
-        """
-        grey, others = grey_of(own), [grey_of(other) for other in laid]
-        one = np.ones(grey.shape, np.float32)
-        if not laid:
-            return Fused(own, one, one)
-        # The neighbour that noise is measured with; None: not now.
-        now = self._seen < _LEARNED or self._seen % _AGAIN == 0
-        which = self._seen % len(laid) if now else None
-        self._seen += 1
-        if which is not None:
-            apart = (others[which] - grey) * np.float32(np.sqrt(0.5))
-            self.noise.add(apart, grey * shown[which])
-        weights, agrees = self._weights(grey, others, shown, which)
-        (height, width), (down, right) = grey.shape, factors(grey.shape)
-        size = width // right * right, height // down * down
+        small, visible = _reduce(grey, neighbours)
+        level = small.median if measured is None else small.median * visible[measured]
+        planes = (*small.neighbours, small.frame)
+        from_median = [plane - small.median for plane in planes]
+        *agreement, static = self._to_median(from_median, small.median, measured, level)
+        from_frame = [plane - small.frame for plane in small.neighbours]
+        likeness = self._to_frame(from_frame, small.frame, measured, level)
 
-        def enlarged(plane: Grey) -> Grey:
-            found = cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR)
-            return np.pad(found, ((0, height % down), (0, width % right)), mode="edge")
-
-        total, count, squares = own.copy(), one.copy(), one.copy()
-        for other, mask, weight in zip(laid, shown, weights, strict=True):
-            part = enlarged(weight) * mask
-            total += other * (part if own.ndim == 2 else part[..., None])
-            count += part
-            squares += part * part
-        total = total / (count if own.ndim == 2 else count[..., None])
-        return Fused(total, count * count / squares, enlarged(agrees))
-
-    def same(self, fused: Grey, outside: Grey, shown: Grey) -> npt.NDArray[np.bool_]:
-        """Where another frame, (H, W), shows what was fused, as far as noise lets it be seen."""
-        small = blurred(reduced(fused), _SMALL)
-        apart = np.abs(blurred(reduced(outside), _SMALL) - small) / self._to_frame.usual.at(small)
-        agrees = (apart < _LIKE) & (small > _DARK)
-        size = fused.shape[1], fused.shape[0]
-        found = cv2.resize(agrees.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        return np.asarray(found & (shown > 0))
-
-    def _weights(
-        self, own: Grey, others: Sequence[Grey], shown: Sequence[Grey], which: int | None
-    ) -> tuple[list[Grey], Grey]:
-        """Of the neighbours, and how far the frame itself agrees with the median; all reduced."""
-        own = blurred(reduced(own), _SMALL)
-        seen = [cv2.erode((reduced(one) > 0.99).astype(np.uint8), np.ones((5, 5))) for one in shown]
-        smalls = [
-            np.where(mask > 0, blurred(reduced(other), _SMALL), own)
-            for other, mask in zip(others, seen, strict=True)
+        scene_weights = [_smooth(weight) for weight in agreement]
+        frame_weights = [
+            _smooth(alike * static + like_frame * (1 - static))
+            for alike, like_frame in zip(agreement, likeness, strict=True)
         ]
-        middle = median([*smalls, own])
-        level = middle if which is None else middle * seen[which]
-        apart = [one - middle for one in (*smalls, own)]
-        *agree, agrees = self._to_median(apart, middle, which, level)
-        like = self._to_frame([one - own for one in smalls], own, which, level)
-        weights = []
-        for one, other in zip(agree, like, strict=True):
-            least = cv2.erode(one * agrees + (1 - agrees) * other, np.ones((3, 3), np.uint8))
-            weights.append(cv2.blur(least, (3, 3)))
-        return weights, agrees
+        fused, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, frame_weights)
+        static_share = _enlarge(static, grey.shape)
+        if sum(abs(one.offset) <= MAX_OFFSET for one in neighbours) + 1 >= _MIN_TRACKED_FRAMES:
+            targets = self._find_targets(small, from_median, neighbours)
+            if targets.gate.any():
+                scene, scene_count = _weighted_mean(frame, static_share, neighbours, scene_weights)
+                # Where too few frames show the scene there is none to add a target to.
+                gate = _enlarge(targets.gate, grey.shape) * (scene_count > 1)
+                target = _mean_target(frame, scene, neighbours, targets)
+                fused = fused + _like(gate, fused) * (scene + target - fused)
+                fused = np.clip(fused, 0, 1)
+                static_share = static_share * (1 - gate)
+        return Fused(fused, frame_count, static_share)
+
+    def shows_same(self, fused: Fused, other: Grey, visible: Grey) -> npt.NDArray[np.bool_]:
+        """Where another frame, (H, W), shows the static scene that was fused.
+
+        Pixels where something moves, in either, are left out: a later frame does not show what
+        moved, and would teach that it is noise.
+        """
+        small = blurred(reduced(fused.image), _SMALL_SIGMA_PX)
+        difference = np.abs(blurred(reduced(other), _SMALL_SIGMA_PX) - small)
+        agrees = difference / self._to_frame.noise.at(small) < _AGREEMENT_LIMIT
+        lit = small > _DARK
+        height, width = fused.image.shape
+        same = cv2.resize(
+            (agrees & lit).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
+        )
+        return np.asarray((same > 0) & (visible > 0) & (fused.static_share > 0.5))
+
+    def _neighbour_to_measure(self, count: int) -> int | None:
+        """Index of the neighbour on which noise is measured; None: not on this frame."""
+        due = self._frames_seen < _LEARNING_FRAMES or self._frames_seen % _LEARNING_INTERVAL == 0
+        index = self._frames_seen % count if due else None
+        self._frames_seen += 1
+        return index
+
+    def _find_targets(
+        self, small: _Reduced, from_median: Sequence[Grey], neighbours: Sequence[Neighbour]
+    ) -> _Targets:
+        """What moves along paths through the window."""
+        lit = small.median > _DARK
+        sigma = self._to_median.noise.at(small.median)
+        offsets = [*(one.offset for one in neighbours), 0]
+        deviations = {
+            offset: difference / sigma * lit
+            for offset, difference in zip(offsets, from_median, strict=True)
+        }
+        faint = {offset: _faint(deviation) for offset, deviation in deviations.items()}
+        tracks = find_tracks({offset: deviations[offset] * faint[offset] for offset in offsets})
+        score = self._score_spread.standardise(np.abs(tracks.score), lit)
+        significance = np.clip((score - _GATE_START) / (_GATE_END - _GATE_START), 0, 1)
+        # A bright object on another path is not what this path shows: the frame shows it itself.
+        excess = np.abs(deviations[0] - tracks.mean) - np.float32(_EXPLAINED_LIMIT)
+        explained = cv2.exp(-np.square(np.maximum(excess, 0)))
+        gate = cv2.dilate(significance.astype(np.float32), np.ones((3, 3), np.uint8))
+        gate = gate * cv2.erode(explained, np.ones((3, 3), np.uint8))
+        return _Targets(tracks, cv2.blur(gate, (3, 3)), faint)
 
 
 class _Agreement:
-    """How far frames agree in a small window and in a wide one, up to a limit in deviations."""
+    """How far frames agree in a small window and in a wide one, up to a limit in deviations.
+
+    noise: standard deviation of a deviation in the small window, by grey level.
+    """
 
     def __init__(self, limit: float) -> None:
-        self._limit, self.usual, self._wide = np.float32(limit), Usual(), Usual()
+        self._limit = np.float32(limit)
+        self.noise, self._wide_noise = NoiseByLevel(), NoiseByLevel()
 
     def __call__(
-        self, apart: Sequence[Grey], grey: Grey, learned: int | None, level: Grey
+        self, differences: Sequence[Grey], grey: Grey, measured: int | None, level: Grey
     ) -> list[Grey]:
-        """Of deviations from `grey`: 1 up to the limit in both windows, then falling to 0.
+        """1 up to the limit in both windows, then falling to 0; (h, w) for each difference.
 
-        learned: which of them are measured, by grey `level`; None: none.
+        differences: (h, w) each, from planes of grey values `grey`.
+        measured: index of the difference that noise is measured on, by grey values `level`.
         """
-        if learned is not None:
-            self.usual.add(apart[learned], level)
-        sigma = self.usual.at(grey)
-        apart = [one / sigma for one in apart]
-        # A thing that moves nearby must not fill the wide window.
-        wide = [cv2.blur(np.clip(one, -_CLIP, _CLIP), (_WIDE, _WIDE)) for one in apart]
-        if learned is not None:
-            self._wide.add(wide[learned], level)
-        sigma, found = self._wide.at(grey), []
-        for small, large in zip(apart, wide, strict=True):
-            over = np.maximum(np.maximum(np.abs(small), np.abs(large / sigma)) - self._limit, 0)
-            found.append(cv2.exp(-over * over))
-        return found
-
-
-class Usual:
-    """How far values deviate by noise alone, by grey level: robust, the mean over frames."""
-
-    def __init__(self) -> None:
-        self._sum, self._pixels = np.zeros(_LEVELS), np.zeros(_LEVELS)
-
-    def add(self, deviation: Grey, grey: Grey) -> None:
-        """Deviations of pixels of some grey value in 0..1."""
-        level = np.minimum(grey[::_EVERY, ::_EVERY] * _LEVELS, _LEVELS - 1).astype(np.int32).ravel()
-        size = np.abs(deviation[::_EVERY, ::_EVERY]).ravel()
-        order = np.argsort(level, kind="stable")
-        size, ends = size[order], np.searchsorted(level[order], np.arange(_LEVELS + 1))
-        for number, (first, last) in enumerate(itertools.pairwise(ends)):
-            if last - first >= _LEAST_PIXELS:
-                usual = _NORMAL * float(np.median(size[first:last]))
-                self._sum[number] += usual * (last - first)
-                self._pixels[number] += last - first
-
-    def at(self, grey: Grey) -> Grey:
-        """Standard deviation at each pixel of such a grey value.
-
-        Neighbouring levels share what they know.
-        """
-        known = self._pixels > 0
-        if not known.any():
-            return np.full(grey.shape, _LEAST_SIGMA, np.float32)
-        middles = (np.arange(_LEVELS) + 0.5) / _LEVELS
-        sigma = np.interp(middles, middles[known], self._sum[known] / self._pixels[known])
-        pixels = np.interp(middles, middles[known], self._pixels[known])
-        window = np.array([1.0, 2, 3, 2, 1])
-        power: Floats = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), window, "valid")
-        power = power / np.convolve(np.pad(pixels, 2, mode="edge"), window, "valid")
-        fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
-        table = np.maximum(fine, _LEAST_SIGMA).astype(np.float32)
-        return cv2.LUT(np.clip(grey * 255, 0, 255).astype(np.uint8), table)
+        if measured is not None:
+            self.noise.add(differences[measured], level)
+        sigma = self.noise.at(grey)
+        small = [difference / sigma for difference in differences]
+        wide = [
+            cv2.blur(
+                np.clip(deviation, -_MAX_DEVIATION, _MAX_DEVIATION), (_WIDE_SIDE_PX, _WIDE_SIDE_PX)
+            )
+            for deviation in small
+        ]
+        if measured is not None:
+            self._wide_noise.add(wide[measured], level)
+        wide_sigma = self._wide_noise.at(grey)
+        agreement = []
+        for near, around in zip(small, wide, strict=True):
+            deviation = np.maximum(np.abs(near), np.abs(around / wide_sigma))
+            excess = np.maximum(deviation - self._limit, 0)
+            agreement.append(cv2.exp(-excess * excess))
+        return agreement
 
 
 def median(planes: Sequence[Grey]) -> Grey:
-    """Of some planes, pixel by pixel, by a network of lesser and greater ones."""
-    left, count = list(planes), len(planes)
-    for done in range(count // 2 + 1):
-        for one in range(count - 1 - done):
-            lesser = np.minimum(left[one], left[one + 1])
-            left[one + 1] = np.maximum(left[one], left[one + 1])
-            left[one] = lesser
+    """Of planes, pixel by pixel, by a network of minima and maxima."""
+    values = list(planes)
+    count = len(values)
+    for sorted_count in range(count // 2 + 1):
+        for index in range(count - 1 - sorted_count):
+            lesser = np.minimum(values[index], values[index + 1])
+            values[index + 1] = np.maximum(values[index], values[index + 1])
+            values[index] = lesser
     if count % 2:
-        return left[count // 2]
-    return (left[count // 2] + left[count // 2 - 1]) / np.float32(2)
+        return values[count // 2]
+    return (values[count // 2] + values[count // 2 - 1]) / np.float32(2)
+
+
+def _reduce(grey: Grey, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list[Grey]]:
+    """The frames reduced and blurred, and where each neighbour is visible there, 0 or 1."""
+    frame = blurred(reduced(grey), _SMALL_SIGMA_PX)
+    visible, planes = [], []
+    for neighbour in neighbours:
+        fully_visible = (reduced(neighbour.visible) > 0.99).astype(np.uint8)
+        mask = cv2.erode(fully_visible, np.ones((5, 5), np.uint8))
+        plane = blurred(reduced(grey_of(neighbour.levels)), _SMALL_SIGMA_PX)
+        visible.append(mask)
+        planes.append(np.where(mask > 0, plane, frame))
+    return _Reduced(frame, median([*planes, frame]), planes), visible
+
+
+def _smooth(weight: Grey) -> Grey:
+    """A weight that falls before it reaches a pixel that disagrees."""
+    return cv2.blur(cv2.erode(weight, np.ones((3, 3), np.uint8)), (3, 3))
+
+
+def _weighted_mean(
+    frame: Grey, frame_weight: Grey, neighbours: Sequence[Neighbour], weights: Sequence[Grey]
+) -> tuple[Grey, Grey]:
+    """Mean of a frame and its neighbours, and (H, W) how many frames count in it effectively.
+
+    frame_weight: (H, W).  weights: (h, w) reduced, of each neighbour.
+    """
+    shape = frame_weight.shape
+    total = frame * _like(frame_weight, frame)
+    count = frame_weight.copy()
+    squares = frame_weight * frame_weight
+    for neighbour, weight in zip(neighbours, weights, strict=True):
+        part = _enlarge(weight, shape) * neighbour.visible
+        total += neighbour.levels * _like(part, frame)
+        count += part
+        squares += part * part
+    count = np.maximum(count, np.float32(1e-3))
+    mean = total / _like(count, frame)
+    return mean, count * count / np.maximum(squares, np.float32(1e-6))
+
+
+def _faint(deviation: Grey) -> Grey:
+    """1 where a deviation, (h, w), and all beside it are less than `_OBVIOUS`, else 0."""
+    faint = (np.abs(deviation) < _OBVIOUS).astype(np.float32)
+    return cv2.erode(faint, np.ones((5, 5), np.uint8))
+
+
+def _mean_target(
+    frame: Grey, scene: Grey, neighbours: Sequence[Neighbour], targets: _Targets
+) -> Grey:
+    """Mean deviation from the scene along the path through each pixel, as the scene in shape."""
+    shape = frame.shape[:2]
+    down, right = factors(shape)
+    # Not interpolated: between two paths lies none.
+    velocity_px = _enlarge(targets.tracks.velocity_px, shape, cv2.INTER_NEAREST)
+    velocity_px = velocity_px * np.float32([right, down])
+    deviations = {0: frame - scene}
+    for neighbour in neighbours:
+        if abs(neighbour.offset) <= MAX_OFFSET:
+            faint = _enlarge(targets.faint[neighbour.offset], shape, cv2.INTER_NEAREST)
+            weight = _like(neighbour.visible * faint, frame)
+            deviations[neighbour.offset] = (neighbour.levels - scene) * weight
+    return mean_along(deviations, velocity_px)
+
+
+def _enlarge(plane: Grey, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR) -> Grey:
+    """A reduced plane, (h, w) or (h, w, C), at the size of the frames, (H, W)."""
+    height, width = shape[:2]
+    down, right = factors(shape[:2])
+    size = width // right * right, height // down * down
+    enlarged = cv2.resize(plane, size, interpolation=interpolation)
+    if enlarged.shape[:2] == (height, width):
+        return enlarged
+    margin = [(0, height % down), (0, width % right), (0, 0)]
+    return np.pad(enlarged, margin[: enlarged.ndim], mode="edge")
+
+
+def _like(plane: Grey, frame: Grey) -> Grey:
+    """A plane, (H, W), that multiplies a frame of one plane or of several channels."""
+    return plane if frame.ndim == 2 else plane[..., None]

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
-from .fusion import Fused, Fusion
+from .fusion import Fused, Fusion, Neighbour
 from .motion import Aligner, Grey, grey_of, laid_over
 from .strength import Predictors, Strength, Weights
 
@@ -99,7 +99,7 @@ class InTime:
         self._tally = tally if tally is not None else defaultdict(float)
         self._aligner, self._fusion = Aligner(2 * frames), Fusion()
         self._told = bool(getattr(network, "knows_frames", False))
-        self.strength = Strength(frames, told=self._told)
+        self.strength = Strength(frames, frame_aware=self._told)
         self._held: dict[int, Shot] = {}
         self._places: dict[int, FanGeometry | None] = {}
         self._measured: dict[int, _Ready] = {}
@@ -156,12 +156,12 @@ class InTime:
         yield from self._done(self._under_way)
 
     def _count(self, fused: Fused) -> None:
-        lit = grey_of(fused.picture) > _DARK
+        lit = grey_of(fused.image) > _DARK
         lit = lit if lit.any() else np.ones_like(lit)
         self._tally["pictures"] += 1
-        self._tally["frames"] += float(fused.frames[lit].mean())
-        self._tally["moved"] += 1 - float(fused.agrees[lit].mean())
-        self._tally["alone"] += bool(fused.frames.max() <= 1)
+        self._tally["frames"] += float(fused.frame_count[lit].mean())
+        self._tally["moved"] += 1 - float(fused.static_share[lit].mean())
+        self._tally["alone"] += bool(fused.frame_count.max() <= 1)
 
     def _done(self, most: int) -> Iterator[tuple[Any, Grey]]:
         """What is denoised, in order, until at most so many are under way."""
@@ -171,16 +171,15 @@ class InTime:
 
     def _ready(self, number: int) -> _Ready:
         shot = self._held[number]
-        laid, shown = [], []
+        neighbours = []
         around = range(max(0, number - self._before), min(self._newest, number + self._after) + 1)
         for other in sorted(around, key=lambda one: abs(one - number)):
             found = self._laid(number, other) if other != number else None
             if found is not None:
-                laid.append(found[0])
-                shown.append(found[1])
-        fused = self._fusion(shot.levels, laid, shown)
+                neighbours.append(Neighbour(other - number, *found))
+        fused = self._fusion(shot.levels, neighbours)
         geometry = self._place(number) if self._network is not None else None
-        return _Ready(fused, self._sigma(fused.picture, fused.frames), geometry)
+        return _Ready(fused, self._sigma(fused.image, fused.frame_count), geometry)
 
     def _laid(self, number: int, other: int) -> tuple[Grey, Grey] | None:
         """Another frame over this one; None where it shows something else."""
@@ -223,23 +222,23 @@ class InTime:
     def _denoised(self, ready: _Ready, weights: Weights) -> Grey:
         fused, network = ready.fused, self._network
         if network is None:
-            return fused.picture
-        if fused.picture.ndim == 3:
+            return fused.image
+        if fused.image.ndim == 3:
             planes = []
-            for channel in range(fused.picture.shape[2]):
-                plane = replace(fused, picture=np.ascontiguousarray(fused.picture[..., channel]))
+            for channel in range(fused.image.shape[2]):
+                plane = replace(fused, image=np.ascontiguousarray(fused.image[..., channel]))
                 one = _Ready(plane, ready.sigma[..., channel], ready.geometry)
                 planes.append(self._denoised(one, weights))
             return np.stack(planes, axis=-1)
         if self._frames == 1:
-            return network(fused.picture, ready.geometry)
-        return weights.applied(ready.predictors or self._predictors(ready), fused.frames)
+            return network(fused.image, ready.geometry)
+        return weights.apply(ready.predictors or self._predictors(ready), fused.frame_count)
 
     def _predictors(self, ready: _Ready) -> Predictors:
         assert self._network is not None
-        told = {"frames": ready.fused.frames} if self._told else {}
-        made = self._network(ready.fused.picture, ready.geometry, **told)
-        return Predictors.of(ready.fused.picture, ready.sigma, made)
+        told = {"frames": ready.fused.frame_count} if self._told else {}
+        made = self._network(ready.fused.image, ready.geometry, **told)
+        return Predictors.of(ready.fused.image, ready.sigma, made)
 
     def _calibrate(self, number: int) -> None:
         """Measure on a frame which strength predicts one outside its window."""
@@ -253,12 +252,12 @@ class InTime:
         if target is None or levels.ndim != 2:
             return
         fused = ready.fused
-        where = self._fusion.same(fused.picture, *target)
-        one = np.ones_like(fused.frames)
+        where = self._fusion.shows_same(fused, *target)
+        one = np.ones_like(fused.frame_count)
         own = _Ready(Fused(levels, one, one), self._sigma(levels, one), ready.geometry)
-        self.strength.add(False, self._predictors(own), target[0], where)
+        self.strength.add_single(self._predictors(own), target[0], where)
         found = self._predictors(ready)
         self._measured[number] = replace(ready, predictors=found)
-        full = where & (fused.frames > 0.8 * fused.frames.max())
-        self.strength.add(True, found, target[0], full)
+        full = where & (fused.frame_count > 0.8 * fused.frame_count.max())
+        self.strength.add_window(found, target[0], full)
         self.strength.fit()

@@ -17,7 +17,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.inputs import find_items, sequences
 from simnfnd.models.denoise.pictures import Denoising
-from simnfnd.models.denoise.temporal.fusion import Fusion
+from simnfnd.models.denoise.temporal.fusion import Fusion, Neighbour
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, Shot
 from simnfnd.models.denoise.temporal.strength import Strength
@@ -123,6 +123,62 @@ def test_where_nothing_moves_all_frames_count() -> None:
     assert error(found[6], truth) < 1.03 * error(plain, truth)
 
 
+def fused_by_the_window(frames: list[Grey], learning: int = 12) -> dict[int, Grey]:
+    """Each frame with three before and three after it, by one fusion; static sonar."""
+    fusion = Fusion()
+    visible = np.ones_like(frames[0])
+    fused = {}
+    for own in range(3, len(frames) - 3):
+        window = (n for n in range(own - 3, own + 4) if n != own)
+        neighbours = [Neighbour(n - own, frames[n], visible) for n in window]
+        image = fusion(frames[own], neighbours).image
+        if own >= learning:
+            fused[own] = image
+    return fused
+
+
+def test_a_faint_target_on_a_path_keeps_its_contrast_and_loses_its_noise() -> None:
+    ground = view(scene())
+    shape = (9, 15)
+    frames, boxes = [], []
+    for number in range(24):
+        top, left = 30 + 2 * number, 40 + 4 * number
+        box = np.s_[top : top + shape[0], left : left + shape[1]]
+        picture = ground.copy()
+        picture[box] += 1.5 * NOISE
+        frames.append(noisy(picture, number))
+        boxes.append(box)
+    contrasts, residuals = [], []
+    for number, image in fused_by_the_window(frames).items():
+        added = (image - ground)[boxes[number]]
+        contrasts.append(added.mean() / (1.5 * NOISE))
+        residuals.append(added.std())
+    assert np.mean(contrasts) > 0.8
+    assert np.mean(residuals) < 0.8 * NOISE
+
+
+def test_noise_alone_seldom_counts_as_a_path() -> None:
+    ground = view(scene())
+    frames = [noisy(ground, number) for number in range(24)]
+    plain = np.mean(frames[11:18], axis=0)
+    image = fused_by_the_window(frames)[14]
+    assert error(image, ground) < 1.15 * error(plain, ground)
+
+
+def test_calibration_leaves_out_what_moves() -> None:
+    ground = view(scene())
+    box = np.s_[80:100, 80:100]
+    frames = [noisy(ground, number) for number in range(7)]
+    frames[3][box] += 8 * NOISE
+    fusion = Fusion()
+    visible = np.ones_like(ground)
+    neighbours = [Neighbour(n - 3, frames[n], visible) for n in range(7) if n != 3]
+    fused = fusion(frames[3], neighbours)
+    same = fusion.shows_same(fused, noisy(ground, 99), visible)
+    assert not same[box].any()
+    assert same[20:60, 20:60].mean() > 0.8
+
+
 def test_what_moves_leaves_no_trail_and_does_not_fade() -> None:
     truth, frames = [], []
     for number in range(12):
@@ -136,17 +192,21 @@ def test_what_moves_leaves_no_trail_and_does_not_fade() -> None:
         aligner.add(number, frame)
     for own in range(3, 9):
         motions = {n: aligner.motion(own, n) for n in range(own - 3, own + 4) if n != own}
-        laid = [laid_over(frames[n], one) for n, one in motions.items() if one is not None]
-        fused = fusion(frames[own], [one for one, _ in laid], [shown for _, shown in laid])
+        neighbours = [
+            Neighbour(number - own, *laid_over(frames[number], motion))
+            for number, motion in motions.items()
+            if motion is not None
+        ]
+        fused = fusion(frames[own], neighbours)
     thing = truth[8] == np.float32(0.95)
     trail = np.zeros_like(thing)
     for number in (5, 6, 7, 9, 10, 11):
         trail |= truth[number] == np.float32(0.95)
     trail &= ~cv2.dilate(thing.astype(np.uint8), np.ones((9, 9))).astype(bool)
-    assert np.median(fused.frames[thing]) < 1.5
-    assert abs(float((fused.picture - truth[8])[thing].mean())) < 0.01
-    assert abs(float((fused.picture - truth[8])[trail].mean())) < 0.01
-    assert np.median(fused.frames[40:50, 10:30]) > 6
+    assert np.median(fused.frame_count[thing]) < 1.5
+    assert abs(float((fused.image - truth[8])[thing].mean())) < 0.01
+    assert abs(float((fused.image - truth[8])[trail].mean())) < 0.01
+    assert np.median(fused.frame_count[40:50, 10:30]) > 6
 
 
 def test_a_moving_sonar_keeps_what_it_gains() -> None:
@@ -219,8 +279,8 @@ def test_the_recording_chooses_the_strength() -> None:
 
     perfect, spoiling = chosen(truth), chosen(np.zeros_like(truth))
     assert perfect.measured >= 2
-    assert perfect.weights.whole[2:5, 1].min() > 0.8
-    assert np.abs(spoiling.weights.whole[2:5, 1]).max() < 0.2
+    assert perfect.weights.window[2:5, 1].min() > 0.8
+    assert np.abs(spoiling.weights.window[2:5, 1]).max() < 0.2
 
 
 @pytest.mark.parametrize("frames", [0, 2, -1, 33])

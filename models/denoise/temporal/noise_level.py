@@ -1,0 +1,81 @@
+"""How large deviations between frames are by noise alone, measured in the recording itself."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+
+from .motion import Floats, Grey
+
+_LEVELS = 32  # classes of grey value
+_MIN_PIXELS = 20  # of a class in one frame
+_MIN_SIGMA = 0.0015
+_NORMAL = 1.4826  # from the median of absolute values to a standard deviation
+_STRIDE = 3  # of the pixels that are measured
+_KERNEL = np.array([1.0, 2, 3, 2, 1])  # neighbouring classes share their measurements
+_MAX_MEMORY = 20  # frames that a running mean goes back
+
+
+class NoiseByLevel:
+    """Standard deviation of some deviation by grey level: robust, the mean over frames."""
+
+    def __init__(self) -> None:
+        self._weighted_sigma, self._pixels = np.zeros(_LEVELS), np.zeros(_LEVELS)
+
+    def add(self, deviation: Grey, grey: Grey) -> None:
+        """Measure deviations, (h, w), at pixels of grey values in 0..1, (h, w)."""
+        sampled_grey = grey[::_STRIDE, ::_STRIDE]
+        level = np.minimum(sampled_grey * _LEVELS, _LEVELS - 1).astype(np.int32).ravel()
+        magnitude = np.abs(deviation[::_STRIDE, ::_STRIDE]).ravel()
+        order = np.argsort(level, kind="stable")
+        magnitude = magnitude[order]
+        ends = np.searchsorted(level[order], np.arange(_LEVELS + 1))
+        for number, (first, last) in enumerate(itertools.pairwise(ends)):
+            count = last - first
+            if count < _MIN_PIXELS:
+                continue
+            sigma = _NORMAL * float(np.median(magnitude[first:last]))
+            self._weighted_sigma[number] += sigma * count
+            self._pixels[number] += count
+
+    def at(self, grey: Grey) -> Grey:
+        """Standard deviation, (h, w) float32, at pixels of grey values in 0..1, (h, w)."""
+        known = self._pixels > 0
+        if not known.any():
+            return np.full(grey.shape, _MIN_SIGMA, np.float32)
+        middles = (np.arange(_LEVELS) + 0.5) / _LEVELS
+        sigma = np.interp(
+            middles, middles[known], self._weighted_sigma[known] / self._pixels[known]
+        )
+        pixels = np.interp(middles, middles[known], self._pixels[known])
+        power: Floats = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), _KERNEL, "valid")
+        power = power / np.convolve(np.pad(pixels, 2, mode="edge"), _KERNEL, "valid")
+        fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
+        table = np.maximum(fine, _MIN_SIGMA).astype(np.float32)
+        return cv2.LUT(np.clip(grey * 255, 0, 255).astype(np.uint8), table)
+
+
+class RunningSpread:
+    """Median of a value and its robust standard deviation, averaged over frames."""
+
+    def __init__(self) -> None:
+        self._median, self._sigma, self._frames = 0.0, 0.0, 0
+
+    def standardise(self, values: Grey, measured: Grey) -> Grey:
+        """(h, w): values in standard deviations above their median.
+
+        measured: (h, w) bool, the pixels that are measured; with fewer than 20 of them nothing is.
+        """
+        sample = values[measured][::_STRIDE]
+        if len(sample) >= _MIN_PIXELS:
+            self._frames += 1
+            share = 1 / min(self._frames, _MAX_MEMORY)
+            median = float(np.median(sample))
+            sigma = _NORMAL * float(np.median(np.abs(sample - median)))
+            self._median += share * (median - self._median)
+            self._sigma += share * (sigma - self._sigma)
+        if self._sigma <= 0:
+            return np.zeros_like(values)
+        return (values - np.float32(self._median)) / np.float32(self._sigma)
