@@ -297,7 +297,7 @@ def _mean_target(
     down, right = factors(shape)
     # Not interpolated: between two paths lies none.
     velocity_px = _enlarge(targets.tracks.velocity_px, shape, cv2.INTER_NEAREST)
-    velocity_px = velocity_px * np.float32([right, down])
+    velocity_px = velocity_px * np.array([right, down], np.float32)
     deviations = {0: frame - scene}
     for neighbour in neighbours:
         if abs(neighbour.offset) <= MAX_OFFSET:

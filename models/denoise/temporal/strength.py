@@ -220,7 +220,7 @@ def _target(predictors: Predictors, outside: Grey, same: npt.NDArray[np.bool_]) 
 
 def _changes(planes: list[Grey], same: npt.NDArray[np.bool_]) -> Floats:
     """(predictors, pixels)."""
-    return np.stack([plane[same] for plane in planes]).astype(np.float64)
+    return np.stack([plane[same].astype(np.float64) for plane in planes])
 
 
 def _less_divergence(grey: Grey, across: Grey, down: Grey, weight: Grey) -> Grey:

@@ -69,11 +69,11 @@ def find_tracks(deviations: Mapping[int, Grey]) -> Tracks:
     is_bright = largest >= -smallest.astype(np.int32)
     best = np.where(is_bright, largest, smallest)
     deviation_sum = (best >> _INDEX_BITS) / np.float32(_LEVELS_PER_DEVIATION)
-    index = best & ((1 << _INDEX_BITS) - 1)
+    best_index = best & ((1 << _INDEX_BITS) - 1)
     return Tracks(
         mean=deviation_sum / np.float32(len(near)),
         score=deviation_sum / np.float32(np.sqrt(len(near))),
-        velocity_px=velocities[index].astype(np.float32),
+        velocity_px=velocities[best_index].astype(np.float32),
     )
 
 
