@@ -43,6 +43,10 @@ _SMALL = {
     "+scenes/objects": (
         *SMALL_SEABED[:2], "scenes.width=484", "scenes.height=304", "frames.variants=1", *_ALONE,
     ),
+    "experiment=fish": (
+        *SMALL_SEABED[:1], "scenes.frames_per_location=2", *SMALL_SEABED[2:], *_ALONE,
+        "sonar.image.width_px=192", "sonar.image.height_px=192",
+    ),
     "experiment=noise_sweep": (*SMALL_SEABED, *_ALONE, "render=embree", "resample.rate=0.3"),
     "render=": (*SMALL_SEABED, *_ALONE),
     "simnfnd make": (*SMALL_SEABED, *_ALONE, "render=embree"),
