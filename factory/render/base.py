@@ -51,7 +51,8 @@ class Mount:
         sine = np.sin(np.deg2rad(sonar_tilt_deg)) / np.hypot(ahead, down)
         if abs(sine) > 1:
             return None
-        return float(np.rad2deg(np.arcsin(sine) - np.arctan2(down, ahead)))
+        # So that 15 degrees stay 15.
+        return round(float(np.rad2deg(np.arcsin(sine) - np.arctan2(down, ahead))), 9)
 
     def height_above_camera_m(self, camera_tilt_deg: float) -> float:
         """How much higher than a level camera that is tilted so far the sonar is."""
