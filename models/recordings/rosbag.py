@@ -40,6 +40,7 @@ from .base import (
     known,
 )
 from .cut_bags import CutBag
+from .cut_database import CutDatabase
 from .pictures import decoded
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ _DAMAGED = "cannot be read, it is damaged or no bag"
 _REPAIRS = {
     ".bag": "; `rosbag reindex` repairs the file",
     ".mcap": "; `mcap recover` repairs the file",
-    ".db3": "; if it is cut short, `sqlite3 OLD .recover | sqlite3 NEW` saves what is whole",
+    ".db3": "; `sqlite3 OLD .recover | sqlite3 NEW` repairs the file",
 }
 """Suffix of a bag -> what to do where it is cut short."""
 _UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"  # of a type of which only the name is known
@@ -209,15 +210,16 @@ class RosBag(Recording):
                 return reader
         except FrameError as error:
             hint = _REPAIRS.get(self.path.suffix.lower(), "")
-            if self.path.is_file() and self.path.suffix.lower() in (".bag", ".mcap"):
+            if self.path.is_file():
                 cut = self._cut_reader()
                 if cut.connections:
                     self._is_cut = True
                     return cut
             raise FrameError(f"{error}{hint}") from error
 
-    def _cut_reader(self) -> CutBag:
-        reader = CutBag(self.path)
+    def _cut_reader(self) -> CutBag | CutDatabase:
+        is_database = self.path.suffix.lower() == ".db3"
+        reader = CutDatabase(self.path) if is_database else CutBag(self.path)
         with explained(f"{self.path}: {_DAMAGED}", reason=True):
             reader.open()
         return reader

@@ -17,7 +17,7 @@ from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.real import in_time
-from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of, sector_of
+from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of, search, sector_of
 from simnfnd.evaluation.real.judge import Scene, figures_of, scene_of
 from simnfnd.evaluation.recorded import MDD_GEOMETRIES, MDD_SHAPE, Shot, open_input
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
@@ -311,3 +311,19 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert main(["evaluate", "real", *words, f"out={tmp_path / 'out'}", "workers=1"]) == 2
         error = capsys.readouterr().err
         assert told in error
+
+
+def test_no_copy_of_a_frame_is_its_reference(tmp_path: Path) -> None:
+    """A slow sonar in a fast video, saved frame by frame without leading zeros."""
+    folder = tmp_path / "real"
+    folder.mkdir()
+    frames = [one for one in stored(3, 8) for _ in range(2)]
+    for number, one in enumerate(frames):
+        assert cv2.imwrite(str(folder / f"frame{number}.png"), one)
+    (stretch,), _ = open_input(str(folder))
+    names = [shot.name for shot in stretch.shots]
+    assert names == [f"frame{number}.png" for number in range(16)]
+    (group,), shots, notes = search((0, stretch, None))
+    assert [shot.name for shot in group.shots] == names[::2]
+    assert len(shots) == 8
+    assert notes == ["real: 8 frames left out that are copies of others"]
