@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import Field, dataclass, replace
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from ..sonar.settings import RangeSettings, SonarSettings, TransferSettings
 from ..sonar.window import Window
 from .settings import DeviceSettings, distributions
 
-if TYPE_CHECKING:
-    from ..config import FactoryConfig
-
 _SOUND_SPEED_M_S = 1480.0
 """Turns a range resolution into a bandwidth; the water's own speed is within 4 % of it."""
 _FEWEST_BINS = 64
@@ -40,6 +37,27 @@ _DARKEST = 0.8
 """Of the median echo's grey value: a display that is no darker anywhere shows nothing."""
 _ODD = ("spokes", "ghosts", "gains")
 """Artefacts that many recordings do not have; seen always, they teach to take detail for them."""
+
+
+class ImageSettings(Protocol):
+    """What of a configuration, a dataclass, a device decides; its other fields stay as they are."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def sonar(self) -> SonarSettings:
+        """The device, and the size and layout of its images."""
+
+    @property
+    def acoustics(self) -> AcousticsSettings:
+        """The image formation."""
+
+    @property
+    def noise(self) -> NoiseSettings:
+        """The effects."""
+
+
+Config = TypeVar("Config", bound=ImageSettings)
 
 
 @dataclass(frozen=True)
@@ -87,7 +105,7 @@ def columns(settings: DeviceSettings) -> tuple[Column, ...]:
     )
 
 
-def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> FactoryConfig:
+def configured(config: Config, device: Device, *, any_size: bool) -> Config:
     """The configuration of one picture by this device, but for what depends on its window.
 
     any_size: whether pictures may differ in size and layout; else they keep `sonar.image`.
@@ -154,9 +172,7 @@ def _acoustics(acoustics: AcousticsSettings, device: Device) -> AcousticsSetting
     )
 
 
-def resolved(
-    config: FactoryConfig, device: Device, window: Window, *, any_size: bool
-) -> FactoryConfig:
+def resolved(config: Config, device: Device, window: Window, *, any_size: bool) -> Config:
     """The same, with what the device resolves in its window, and a fan as wide as its sector."""
     if device.formation == "pointwise":
         return config
@@ -172,9 +188,7 @@ def resolved(
     return replace(config, sonar=replace(sonar, array=array, image=image))
 
 
-def fitted(
-    config: FactoryConfig, device: Device, scene: PointwiseScene | CoherentScene
-) -> FactoryConfig:
+def fitted(config: Config, device: Device, scene: PointwiseScene | CoherentScene) -> Config:
     """The same once the scene is known: the receiver's noise lies so far over its median echo."""
     receiver = config.noise.receiver
     if isinstance(scene, PointwiseScene) or receiver is None or not receiver.enabled:
