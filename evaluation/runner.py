@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
-from .filters import REGISTRY, checked
+from .filters import checked, method_of
 from .methods import Method, network, reason
 from .metrics.measure import Figures, Gray
 
@@ -217,7 +217,7 @@ def _timed(method: Method, subject: Subject, image: Gray, device: str) -> tuple[
     clock = time.process_time  # what other processes take does not count
     if method.weights is None:
         start = clock()
-        result = REGISTRY[method.name](image, method.parameters)
+        result = method_of(method.name)(image, method.parameters)
         return result, clock() - start
     loaded = network(method.weights, device)  # before the clock runs
     geometry = subject.geometry() if loaded.runtime.extras else None

@@ -26,7 +26,7 @@ from ..factory.errors import FactoryError
 from ..factory.files import explain_os_errors, write_atomically
 from ..factory.progress import progress_bar
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
-from .filters import REGISTRY, Baseline, Parameters
+from .filters import REGISTRY, Baseline, Parameters, method_of
 from .methods import reason, shown
 from .metrics.fidelity import finite_psnr, psnr
 from .metrics.measure import Gray, Levels, fit_levels
@@ -89,7 +89,7 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
     ]
 
     def limit_s(task: Task) -> float:
-        points = len(REGISTRY[task.baseline].points()) + 1
+        points = len(method_of(task.baseline).points()) + 1
         return settings.image_timeout_s * len(items) * points
 
     for task, found in run_tasks(on_pairs, tasks, pool, limit_s):
@@ -116,7 +116,7 @@ def run_tasks(
 
 def on_pairs(task: Task) -> dict[str, Any] | str:
     """The default, the best, and the best after levels, as in the file; or why not."""
-    baseline, known = REGISTRY[task.baseline], dict[tuple[float, ...], Point]()
+    baseline, known = method_of(task.baseline), dict[tuple[float, ...], Point]()
 
     def measured(point: Parameters) -> Point:
         key = tuple(point.values())
@@ -135,7 +135,7 @@ def on_pairs(task: Task) -> dict[str, Any] | str:
 
 def on_frames(task: Task) -> Parameters | str:
     """The best parameters after one gain and offset a picture; or why not."""
-    baseline = REGISTRY[task.baseline]
+    baseline = method_of(task.baseline)
     try:
         frames = task.samples[:: _SLOWER if baseline.name in _SLOW else 1]
         middles = tuple(_middle(frame) for frame in frames)

@@ -12,10 +12,11 @@ denoised, only the last waits.  Needs a sourced ROS 2 and `pip install 'simnfnd[
 import argparse
 
 from simnfnd import FactoryError
+from simnfnd.factory.ros_types import SONAR
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.pictures import Denoising
 from simnfnd.models.recordings.fan_finder import find_geometry
-from simnfnd.models.recordings.rosbag import IMAGE, SONAR, frame_of, with_samples
+from simnfnd.models.recordings.rosbag import IMAGE, frame_of, with_samples
 from simnfnd.models.recordings.views import polar_geometry
 
 

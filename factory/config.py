@@ -28,7 +28,7 @@ from .imaging.settings import (
 from .labels import class_names
 from .noise.registry import EFFECTS, NoiseSettings, blocks
 from .render.base import CacheSettings, RenderSettings
-from .scenes import Scenes
+from .scenes import Scenes, has_labels
 from .scenes.mesh import MeshSettings
 from .scenes.seabed import SeabedSettings
 from .scenes.seabed.camera import HFOV_DEG
@@ -40,9 +40,6 @@ from .sonar_randomization.settings import DeviceSettings
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-LABELLED_SCENES = ("seabed", "mesh", "pack")
-"""Scenes whose frames can carry labels: a pack has those that went into it."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -149,7 +146,7 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
             "dataset.layers: rgb and depth do not show moving objects; leave them out, or leave "
             "scenes.moving_objects out"
         )
-    if "segmentation" in config.dataset.layers and config.scenes.kind not in LABELLED_SCENES:
+    if "segmentation" in config.dataset.layers and not has_labels(config.scenes):
         yield (
             "dataset.layers: segmentation needs labelled frames and "
             f"scenes={config.scenes.kind} has none; leave it out or use scenes=seabed"

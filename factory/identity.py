@@ -15,12 +15,13 @@ from operator import getitem
 from pathlib import Path
 from typing import Any
 
+from . import extensions
 from .config import FactoryConfig, plain
 from .errors import FactoryError
 from .imaging.settings import PointwiseSettings
 from .render.pack import read_contents
 from .renderer_choice import renderer_of
-from .scenes.base import INTEGERS_PER_M
+from .scenes.base import INTEGERS_PER_M, OwnSceneSettings
 from .scenes.csv_list import CsvListSettings
 from .scenes.mesh import MeshSettings
 from .scenes.mesh_parts import files_of
@@ -86,7 +87,19 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     else:
         values["acoustics"]["formation"] = _COHERENT
     values["scheduler"] = {"shard_size": values["scheduler"]["shard_size"]}
+    if used := extensions_of(config):
+        values["extensions"] = [extensions.provenance(*extension) for extension in used]
     return values
+
+
+def extensions_of(config: FactoryConfig) -> list[tuple[extensions.Kind, str]]:
+    """Kind and name of each effect and reader of another package that the pairs are made by."""
+    used: list[tuple[extensions.Kind, str]] = [
+        ("effect", block.effect.name) for block in config.noise.own
+    ]
+    if isinstance(config.scenes, OwnSceneSettings):
+        used.append(("reader", config.scenes.kind))
+    return used
 
 
 def _render_identity(config: FactoryConfig) -> dict[str, Any]:

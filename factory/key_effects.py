@@ -15,6 +15,7 @@ from .distribution import Distribution
 from .errors import FactoryError
 from .imaging.settings import CoherentSettings
 from .noise.registry import EFFECTS, blocks
+from .scenes import has_labels
 from .scenes.mesh import MeshSettings
 from .scenes.seabed import SeabedSettings
 
@@ -174,9 +175,7 @@ def _has_systematic_effects(config: FactoryConfig) -> bool:
 
 
 def _is_labelled(config: FactoryConfig) -> bool:
-    from .config import LABELLED_SCENES
-
-    return config.scenes.kind in LABELLED_SCENES
+    return has_labels(config.scenes)
 
 
 def _is_fan(config: FactoryConfig) -> bool:

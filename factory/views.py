@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 
+from . import extensions
 from .compiled import compile_needed
 from .dataset.schema import Prepared
 from .errors import FactoryError, FrameError, NotRendered
@@ -32,6 +33,7 @@ from .render.pack import read_contents, read_view
 from .render.view import View, decode, encode, view_of
 from .renderer_choice import renderer_of
 from .scenes import Scenes, open_reader
+from .scenes.base import OwnSceneSettings
 from .scenes.seabed import GENERATOR
 from .small_files import read_regular
 
@@ -218,7 +220,9 @@ class CachedViews(Views):
         scenes, *others = kinds.dump_python(given, mode="json")
         pixels = {key: value for key, value in scenes.items() if key not in _NOT_PIXELS}
         version = GENERATOR if config.scenes.kind == "seabed" else None
-        common = pixels, *others, _code_version(render.kind), version
+        common: tuple[Any, ...] = pixels, *others, _code_version(render.kind), version
+        if isinstance(config.scenes, OwnSceneSettings):
+            common = *common, extensions.provenance("reader", config.scenes.kind)
         self._common = json.dumps(common, sort_keys=True)
         self._scenes = config.scenes
         self._expected: Mapping[str, str] = {}

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 
-from .factory import __version__
+from .factory import __version__, extensions
 from .factory.cli import guard
 from .factory.cli.extras import EXTRAS, Need, install_command, require
 from .factory.cli.hydra_loader import config_folders, take_config_folders
@@ -101,6 +101,8 @@ def head(name: str, verb: Verb) -> str:
     """What `simnfnd VERB --help` begins with; the options or configuration groups follow."""
     lines = [f"simnfnd {name}: {verb.line}", "", "Examples:"]
     lines += [f"  {example}" for example in verb.examples]
+    if verb.hydra and (own := extensions.listed()):
+        lines += ["", *own]
     if verb.needs:
         lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]
     return "\n".join(lines)

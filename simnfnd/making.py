@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .factory.config import FactoryConfig
     from .factory.dataset.manifest import Failure
     from .factory.dataset.schema import Pair
+    from .factory.imaging.effect import Effect
     from .factory.progress import RunProgress
     from .factory.render.base import Renderer, RenderSettings
 
@@ -89,6 +90,7 @@ def make_pair(
     cx: float,
     cy: float,
     config: Words = ("experiment=simnfnd", "render=analytic"),
+    effects: Sequence[Effect] = (),
     seed: int | None = None,
     variant: int = 0,
     name: str = "frame",
@@ -102,6 +104,8 @@ def make_pair(
     fx, fy, cx, cy: focal lengths and principal point of this very image size, in pixels.
     config: words of `simnfnd make`, for example ("experiment=physical", "sonar=didson_hf");
         those of scenes, frames, scheduler and cache change nothing here.
+    effects: of noise, of your own (`simnfnd.extensions`), with the defaults of their parameters;
+        `config` may set them, for example "noise.mine.level=0.2".
     seed: the same as "seed=..." among `config`.
     variant: other numbers thin the echoes and draw the noise anew.
     name, scene: of the frame; with seed and variant they decide what is drawn.
@@ -116,6 +120,7 @@ def make_pair(
     from .factory.cli.extras import needs_of, require
     from .factory.frame import FrameRef, Intrinsics
     from .factory.memory_frame import frame_from_arrays
+    from .factory.noise.registry import register_effect
     from .factory.pairs import PairMaker
     from .factory.render.view import view_of
     from .factory.renderer_choice import renderer_of
@@ -123,7 +128,12 @@ def make_pair(
     from .factory.views import Views
 
     words = shlex.split(config) if isinstance(config, str) else [*config]
-    settings = _config((*words, *(() if seed is None else (f"seed={seed}",))))
+    for effect in effects:
+        register_effect(effect)
+        words.insert(0, f"noise.{effect.name}.enabled=true")
+    if seed is not None:
+        words.append(f"seed={seed}")
+    settings = _config(tuple(words), tuple(effects))
     require(needs_of(settings))
     ref = FrameRef("", scene, name)
     frame = frame_from_arrays(ref, rgb, depth_m, Intrinsics(fx, fy, cx, cy))
@@ -136,7 +146,8 @@ def make_pair(
 
 
 @lru_cache(maxsize=8)
-def _config(words: tuple[str, ...]) -> FactoryConfig:
+def _config(words: tuple[str, ...], effects: tuple[Effect, ...]) -> FactoryConfig:
+    """effects: those that are registered now, of which another one may have the same name."""
     from .factory.cli.compose import compose_config
 
     # The frame is at hand, so where recordings are does not matter.

@@ -98,7 +98,7 @@ VERBS: dict[str, Verb] = {
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
     ),
     "export": Verb(
-        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, COCO or YOLO",
+        PASS_ON, "a dataset for other programs: Hugging Face, COCO, MCAP, PLY and more",
         f"{_COMMANDS}.export:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",

@@ -13,7 +13,7 @@ from ...factory.sonar.geometry import FanGeometry
 from ...models.denoise.pictures import Denoising
 from ...models.denoise.temporal.stream import Shot
 from .. import tuning
-from ..filters import REGISTRY, Baseline, Parameters
+from ..filters import REGISTRY, Baseline, Parameters, method_of
 from ..filters.windows import mean_around, registered_mean
 from ..methods import Method, network, shown
 from ..metrics.statistics import evenly
@@ -108,11 +108,11 @@ def denoised(
     if row.kind == "recorded":
         return frames
     if row.kind == "filter":
-        return np.stack([REGISTRY[row.name](frame, row.parameters) for frame in frames])
+        return np.stack([method_of(row.name)(frame, row.parameters) for frame in frames])
     mean = registered_mean if row.kind == "registered mean" else mean_around
     means = (mean(frames, number, REACH) for number in range(len(frames)))
     if row.parameters:
-        means = (REGISTRY[row.name](one, row.parameters) for one in means)
+        means = (method_of(row.name)(one, row.parameters) for one in means)
     return np.stack(list(means))
 
 

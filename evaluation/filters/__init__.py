@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ...factory import extensions
 from ...factory.errors import FactoryError
 from ..metrics.measure import Gray
 from .bm3d import bm3d
@@ -132,12 +134,49 @@ _RIVALS = (
 )  # fmt: skip
 
 REGISTRY: dict[str, Baseline] = {filter_.name: filter_ for filter_ in (*_FILTERS, *_RIVALS)}
-"""All filters by name: those that users know, then those of other authors."""
+"""All filters by name: those that users know, of other authors, and of packages in use."""
+_BUILT_IN = frozenset(REGISTRY)
 GROUPS = {
     "all": tuple(filter_.name for filter_ in _FILTERS),
     "rivals": tuple(filter_.name for filter_ in _RIVALS),
 }
 """Names that stand for several filters.  Rivals are slow and need what few users have installed."""
+
+
+def register_method(method: Baseline) -> None:
+    """Make a method known in this process, by its name among `baselines`.
+
+    Raises ValueError for a name that is taken or no name.
+    """
+    if method.name in _BUILT_IN or method.name in GROUPS:
+        raise ValueError(f"method {method.name!r}: there is one of that name")
+    extensions.register("method", method.name, method)
+    REGISTRY[method.name] = method
+
+
+def method_of(name: str) -> Baseline:
+    """The method of a name, of this project or another package.
+
+    Raises FactoryError where there is none, and for one that cannot be loaded.
+    """
+    if name in REGISTRY:
+        return REGISTRY[name]
+    extension = extensions.find("method", name)
+    if extension is None:
+        known = (*REGISTRY, *extensions.names("method"), *GROUPS)
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = (
+            f"did you mean {near[0]}?" if near else f"choose of {', '.join(dict.fromkeys(known))}"
+        )
+        raise FactoryError(f"baselines: no {name!r}; {hint}")
+    method = extension.value
+    if not isinstance(method, Baseline) or method.name != name:
+        raise FactoryError(
+            f"baselines={name}: {extension.source} gives no `Baseline` of that name; report it to "
+            "the package's author"
+        )
+    REGISTRY[name] = method
+    return method
 
 
 def chosen(names: Sequence[str]) -> list[Baseline]:
@@ -148,8 +187,4 @@ def chosen(names: Sequence[str]) -> list[Baseline]:
     wanted: list[str] = []
     for name in names:
         wanted += GROUPS.get(name, (name,))
-    for name in wanted:
-        if name not in REGISTRY:
-            known = ", ".join((*REGISTRY, *GROUPS))
-            raise FactoryError(f"baselines: no {name!r}; choose of {known}")
-    return [REGISTRY[name] for name in dict.fromkeys(wanted)]
+    return [method_of(name) for name in dict.fromkeys(wanted)]

@@ -11,6 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .. import extensions
 from ..distribution import as_override
 from ..errors import FactoryError
 from ..small_files import load_yaml
@@ -141,6 +142,11 @@ def _keys(name: str) -> set[str]:
             group = path.parent.name
             if group != "experiment":  # which sets keys of others
                 keys |= {group, *_flat(load_yaml(path) or {}, f"{group}.")}
+    from ..noise.registry import own_effects
+
+    for effect in own_effects():
+        parameters = (item.name for item in effect.parameters)
+        keys |= {f"noise.{effect.name}.{item}" for item in ("enabled", *parameters)}
     return keys
 
 
@@ -162,10 +168,19 @@ def hydra_words(words: Sequence[str], name: str, settings: Any) -> list[str]:
     return [_hydra_word(word, name, form, in_sweep=in_sweep) for word in words]
 
 
+def own_effect_key(key: str) -> str:
+    """A key of an effect of another package, of which no YAML file need have a block."""
+    parts = key.split(".")
+    is_own = parts[0] == "noise" and len(parts) > 2 and parts[1] in extensions.names("effect")
+    return f"++{key}" if is_own else key
+
+
 def _hydra_word(word: str, name: str, form: Form, *, in_sweep: bool) -> str:
     key, equals, value = word.partition("=")
     if not equals or not _KEY.fullmatch(key):
         return word
+    if name == "factory":
+        key = own_effect_key(key)
     if value.startswith("~"):
         value = os.path.expanduser(value)
 

@@ -15,9 +15,10 @@ from ..config import FactoryConfig, composed_values, from_mapping, plain, with_c
 from ..dataset.quality import images_digest, lit_share, noisiness, seen_sector_deg
 from ..dataset.schema import Provenance, config_hash
 from ..errors import FactoryError
+from ..extensions import refuse_main
 from ..files import check_writable
 from ..frame import FrameRef
-from ..identity import identity
+from ..identity import extensions_of, identity
 from ..insonified import THIN_SHARE, thin_pairs
 from ..key_effects import refuse_keys_without_effect
 from ..pairs import pair_maker
@@ -105,6 +106,9 @@ def run(
     from ..scheduler.run import make_dataset
 
     require(needs_of(config))
+    if config.scheduler.backend != "serial":
+        for kind, name in extensions_of(config):
+            refuse_main(kind, name)
     if config.cache.enabled and config.scenes.kind != "pack":
         check_writable(config.cache.folder, "cache.dir")
     if not (template.runs() and config.scheduler.backend == "local"):

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .. import extensions
 from ..errors import FactoryError
 
 if TYPE_CHECKING:
@@ -87,8 +88,24 @@ def register_search_path() -> None:
             def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
                 for folder in searched_folders():
                     search_path.append("simnfnd --config-dir", f"file://{folder}")
+                for name in extensions.names("preset"):
+                    module = extensions.preset_module(name)
+                    search_path.append(f"simnfnd preset {name}", f"pkg://{module}")
+                _store_readers()
 
         plugins.register(SimnfndFolders)
+
+
+def _store_readers() -> None:
+    """Make `scenes=KIND` a choice of Hydra for each reader of another package."""
+    from hydra.core.config_store import ConfigStore
+
+    from ..scenes import default_values
+
+    for kind in extensions.names("reader"):
+        # What cannot be loaded is told when it is chosen.
+        with suppress(FactoryError):
+            ConfigStore.instance().store(name=kind, group="scenes", node=default_values(kind))
 
 
 def load(config_name: str, overrides: Sequence[str]) -> DictConfig:

@@ -11,8 +11,8 @@ from ..dataset.reader import Split
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
-# Format -> the libraries that it needs; `write_FORMAT(pairs, folder)` of formats.py or tracks.py
-# fills an empty folder and returns one line that says what it wrote.
+# Format -> the libraries that it needs; `write_FORMAT(pairs, folder)` of formats.py, or of the
+# module that `_MODULES` names, fills an empty folder and returns one line that says what it wrote.
 FORMATS = {
     "webdataset": ("webdataset", "cv2"),
     "huggingface": ("pyarrow", "cv2"),
@@ -21,8 +21,10 @@ FORMATS = {
     "yolo": ("cv2",),
     "mot": ("cv2",),
     "coco_video": ("cv2",),
+    "mcap": ("rosbags", "cv2"),
+    "ply": ("open3d", "cv2"),
 }
-_OF_TRACKS = ("mot", "coco_video")
+_MODULES = {"mot": "tracks", "coco_video": "tracks", "mcap": "mcap", "ply": "ply"}
 
 
 def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") -> str:
@@ -35,7 +37,7 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
     require(Need(f"--to {to}", library) for library in FORMATS[to])
-    module = "tracks" if to in _OF_TRACKS else "formats"
+    module = _MODULES.get(to, "formats")
     write = getattr(import_module(f"{__name__}.{module}"), f"write_{to}")
     folder = Path(out)
     refuse_files(folder)

@@ -70,6 +70,8 @@ class Effect:
     expected: the same of random ones, which average out.  None: nothing.
     realised: of random effects, the same for what they do in this one sample, where a picture
         without speckle still shows it.  None: as `expected`.
+    name: of an effect of another package, what its block in `noise` is called; those of
+        `NoiseSettings` have the names of its fields.
     """
 
     settings: type[EffectSettings]
@@ -81,6 +83,7 @@ class Effect:
     systematic: Callable[..., None] | None = None
     expected: Callable[..., None] | None = None
     realised: Callable[..., None] | None = None
+    name: str = ""
 
     @cached_property
     def parameters(self) -> tuple[Field[Any], ...]:

@@ -3,20 +3,48 @@
 An effect is a settings class, a pure function and an `Effect` that joins them: in `points` (paper
 section 3.3), or in `speckle`, `receiver` and `paths` (on the complex field).  To add one: these
 three, a line in `NoiseSettings`, a block in conf/noise/*.yaml and a test of its statistics.
+Effects of other packages (`simnfnd.factory.extensions`) come after them, in blocks of their own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import replace
 from typing import Annotated, Any, get_type_hints
 
-from pydantic import SerializerFunctionWrapHandler, model_serializer
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    TypeAdapter,
+    model_serializer,
+    model_validator,
+)
 from pydantic.dataclasses import dataclass
+from pydantic_core import ArgsKwargs
 
+from .. import extensions
+from ..errors import FactoryError
 from ..imaging.effect import Effect, EffectSettings
-from ..settings import STRICT
+from ..settings import STRICT, build
 from . import drift, paths, points
 from . import receiver as device
 from . import speckle as grain
+
+
+@plain_dataclass(frozen=True)
+class OwnEffect:
+    """An effect of another package with the settings of its block.
+
+    It takes its effect along to worker processes, which then know it, too.
+    """
+
+    effect: Effect
+    settings: EffectSettings
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _arrived, (self.effect, self.settings)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -24,6 +52,7 @@ class NoiseSettings:
     """Keys of the `noise` group, one block an effect, in the order in which they are applied.
 
     A configuration that names none of the field's effects does not have them.
+    own: blocks of effects of other packages, each given under the name of its effect.
     """
 
     range_spreading: Annotated[points.RangeSpreadingSettings, points.RANGE_SPREADING] = (
@@ -56,17 +85,101 @@ class NoiseSettings:
     comb_lines: Annotated[device.CombLinesSettings | None, device.COMB_LINES] = None
     saturation: Annotated[device.SaturationSettings | None, device.SATURATION] = None
 
+    own: Annotated[tuple[Any, ...], Field(exclude=True)] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_own_blocks(cls, given: Any) -> Any:
+        values = given.kwargs if isinstance(given, ArgsKwargs) else given
+        if not isinstance(values, Mapping):
+            return given
+        values = dict(values)
+        own = values.pop("own", ())
+        if not all(isinstance(block, OwnEffect) for block in own):
+            raise ValueError("own: unknown key; name the effect itself")
+        for name in [key for key in values if key not in BUILT_IN]:
+            effect = own_effect(name)
+            if effect is not None:
+                settings: EffectSettings = build(effect.settings, values.pop(name), f"noise.{name}")
+                own = (*own, OwnEffect(effect, settings))
+        return {**values, "own": own}
+
     @model_serializer(mode="wrap")
     def _present(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {name: block for name, block in serialise(self).items() if block is not None}
+        values = {name: block for name, block in serialise(self).items() if block is not None}
+        for block in self.own:
+            kind: TypeAdapter[Any] = TypeAdapter(type(block.settings))
+            values[block.effect.name] = kind.dump_python(block.settings, mode="json")
+        return values
 
 
 _HINTS = get_type_hints(NoiseSettings, include_extras=True)
-EFFECTS: dict[str, Effect] = {name: hint.__metadata__[0] for name, hint in _HINTS.items()}
-"""Those that the annotations of `NoiseSettings` name, by the names of their blocks."""
+EFFECTS: dict[str, Effect] = {
+    name: hint.__metadata__[0] for name, hint in _HINTS.items() if name != "own"
+}
+"""By the names of their blocks: those of the annotations, then those of other packages in use."""
+BUILT_IN = tuple(EFFECTS)
+"""Names of the effects that `NoiseSettings` has fields for."""
+
+
+def register_effect(effect: Effect) -> None:
+    """Make an effect known in this process, as `noise.<effect.name>`.
+
+    Raises ValueError for a name that is taken or no name.
+    """
+    if effect.name in BUILT_IN:
+        raise ValueError(f"effect {effect.name!r}: there is one of that name")
+    extensions.register("effect", effect.name, effect)
+    EFFECTS[effect.name] = effect
+
+
+def own_effect(name: str) -> Effect | None:
+    """The effect of another package that has this name; None where there is none.
+
+    Raises FactoryError for one that cannot be loaded, or is no effect.
+    """
+    extension = extensions.find("effect", name)
+    if extension is None:
+        return None
+    effect = extension.value
+    if not isinstance(effect, Effect) or effect.name != name or name in BUILT_IN:
+        raise FactoryError(
+            f"noise.{name}: {extension.source} gives no `Effect` of that name for it; report it "
+            "to the package's author"
+        )
+    EFFECTS[name] = effect
+    return effect
+
+
+def own_effects() -> list[Effect]:
+    """The effects of other packages that can be loaded."""
+    found = []
+    for name in extensions.names("effect"):
+        with suppress(FactoryError):
+            effect = own_effect(name)
+            found += [effect] if effect else []
+    return found
+
+
+def _arrived(effect: Effect, settings: EffectSettings) -> OwnEffect:
+    """In a worker process."""
+    if effect.name not in EFFECTS:
+        register_effect(effect)
+    return OwnEffect(effect, settings)
 
 
 def blocks(settings: NoiseSettings) -> dict[str, EffectSettings]:
     """The effects that a configuration has, switched on or not, by name and in order."""
-    found = {name: getattr(settings, name) for name in EFFECTS}
-    return {name: block for name, block in found.items() if block is not None}
+    found = {name: getattr(settings, name) for name in BUILT_IN}
+    present = {name: block for name, block in found.items() if block is not None}
+    return present | {block.effect.name: block.settings for block in settings.own}
+
+
+def with_blocks(settings: NoiseSettings, changed: Mapping[str, EffectSettings]) -> NoiseSettings:
+    """The settings with other blocks in the place of those of the same names."""
+    own = tuple(
+        replace(block, settings=changed.get(block.effect.name, block.settings))
+        for block in settings.own
+    )
+    built_in: dict[str, Any] = {n: block for n, block in changed.items() if n in BUILT_IN}
+    return replace(settings, **built_in, own=own)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
+from pydantic.fields import FieldInfo
 
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef
@@ -101,6 +102,40 @@ def discovery(
         raise FactoryError(nothing)
     counts = {reason: count for reason, count in sorted((skipped or {}).items()) if count}
     return Discovery(tuple(ordered), counts, tuple(notes))
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class OwnSceneSettings(SceneSettings):
+    """What the settings of a reader of another package are made of.
+
+    kind: its name; the settings class narrows it to one, `kind: Literal["mine"] = "mine"`.
+    """
+
+    kind: str
+
+
+def settings_fields(settings: type[OwnSceneSettings]) -> dict[str, FieldInfo]:
+    """The keys of a settings class, as pydantic describes them."""
+    described: dict[str, FieldInfo] = vars(settings)["__pydantic_fields__"]
+    return described
+
+
+@plain_dataclass(frozen=True)
+class ReaderEntry:
+    """A reader of another package.
+
+    settings: a subclass of `OwnSceneSettings`.  reader: builds the reader from such settings.
+    has_labels: whether its frames have segmentation and instance.
+    """
+
+    settings: type[OwnSceneSettings]
+    reader: Callable[[Any], Reader]
+    has_labels: bool = False
+
+    @property
+    def kind(self) -> str:
+        """The name by which `scenes=KIND` chooses it."""
+        return str(settings_fields(self.settings)["kind"].default)
 
 
 class Reader(Protocol):

@@ -12,6 +12,7 @@ from .. import seeds
 from ..dataset.schema import Column
 from ..distribution import number
 from ..imaging.coherent import CoherentScene
+from ..imaging.effect import EffectSettings
 from ..imaging.pointwise import PointwiseScene
 from ..imaging.settings import (
     AcousticsSettings,
@@ -20,7 +21,7 @@ from ..imaging.settings import (
     PointwiseSettings,
     ResampleSettings,
 )
-from ..noise.registry import EFFECTS, NoiseSettings, blocks
+from ..noise.registry import EFFECTS, NoiseSettings, blocks, with_blocks
 from ..sonar.array import WaterSettings
 from ..sonar.fan import fan_size
 from ..sonar.settings import RangeSettings, SonarSettings, TransferSettings
@@ -232,7 +233,7 @@ def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
 def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
     """The effects of the device's formation that are on in this picture."""
     points, drawn = device.formation == "pointwise", device.values
-    changed: dict[str, Any] = {}
+    changed: dict[str, EffectSettings] = {}
     for name, block in blocks(noise).items():
         effect = EFFECTS[name]
         odd = effect.artefact in _ODD and not points
@@ -240,4 +241,4 @@ def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
         on &= device.coins[name] or not (drawn["fewer_share"] or odd)
         on &= bool(drawn["odd_share"]) or not odd
         changed[name] = replace(block, enabled=on)
-    return replace(noise, **changed)
+    return with_blocks(noise, changed)

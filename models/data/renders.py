@@ -19,7 +19,7 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.moving.recordings import Moment
 from ...factory.noise.draws import StreamNames, draw
-from ...factory.noise.registry import NoiseSettings
+from ...factory.noise.registry import BUILT_IN, NoiseSettings, blocks, with_blocks
 from ...factory.pairs import PairMaker, frames_worth_keeping, observe_by
 from ...factory.seeds import stream
 from ...factory.sonar.fan import rasterised
@@ -97,16 +97,19 @@ class RenderSource(RenderedSource):
         factor = weakened(self.data.weaker, self.seed, index, visit)
         rng = stream(self.seed, "fewer", index, visit)
         fewer = rng.random() < self.data.fewer
-        blocks = {}
-        for item in fields(chosen):
-            block, coins = getattr(chosen, item.name), rng.random(2)
-            if block is None:
+        present = blocks(chosen)
+        changed = {}
+        # Absent effects have their coins, too, so that the others keep theirs.
+        for name in dict.fromkeys((*BUILT_IN, *present)):
+            coins = rng.random(2)
+            if name not in present:
                 continue
+            block = present[name]
             weaker = scaled(block, factor) if factor < 1 else block
             off = (fewer and coins[0] < 0.5) or factor == 0
             off |= factor < 1 and weaker == block and coins[1] >= factor
-            blocks[item.name] = replace(weaker, enabled=block.enabled and not off)
-        return replace(chosen, **blocks)
+            changed[name] = replace(weaker, enabled=block.enabled and not off)
+        return with_blocks(chosen, changed)
 
 
 class DeviceSource(RenderedSource):

@@ -14,7 +14,6 @@ from array import array
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from copy import deepcopy
-from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +24,7 @@ import numpy as np
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import temporary_folder
+from ...factory.ros_types import SONAR, typestore
 from .base import (
     MOST_BEAMS,
     MOST_PIXELS,
@@ -45,9 +45,7 @@ from .pictures import decoded
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
-    from rosbags.typesys.store import Typestore
 
-SONAR = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 
@@ -250,20 +248,6 @@ class RosBag(Recording):
 
     def _named(self, number: int) -> str:
         return f"{self.path}: message {number} of {', '.join(self.topics)}"
-
-
-@lru_cache(maxsize=2)
-def typestore(version: int) -> Typestore:
-    """The types of ROS 1 or 2, with those of marine_acoustic_msgs.
-
-    Their field names and types are those of https://github.com/apl-ocean-engineering/marine_msgs.
-    """
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-    text = Path(__file__).with_name("ProjectedSonarImage.msg").read_text(encoding="utf-8")
-    store.register(get_types_from_msg(text, SONAR))
-    return store
 
 
 def digest_of(msgtype: str, version: int) -> str:

@@ -29,7 +29,7 @@ from simnfnd.factory.noise.receiver import (
     ring_down,
     saturation,
 )
-from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
+from simnfnd.factory.noise.registry import BUILT_IN, EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.noise.speckle import scintillation
 from simnfnd.factory.pairs import ObservedFrame, make_pair
 from tests.constant_field import config, observed, ping_of
@@ -68,7 +68,7 @@ def intensity(field: np.ndarray) -> np.ndarray:
 
 
 def test_the_registry_and_the_settings_name_the_same_effects() -> None:
-    assert [item.name for item in fields(NoiseSettings)] == list(EFFECTS)
+    assert [item.name for item in fields(NoiseSettings)] == [*BUILT_IN, "own"]
     given = compose_config(["experiment=physical"]).noise
     # Four are asked for by name (noise=moving, recording, any_sonar, aris_mdd).
     others = ("path_speckle", "drifting_volume", "scintillation", "sector_edges")

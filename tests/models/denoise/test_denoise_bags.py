@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simnfnd.factory.ros_types import SONAR, typestore
 from simnfnd.models.denoise import command
 from simnfnd.models.recordings import open_recording
-from simnfnd.models.recordings.rosbag import IMAGE, SONAR, RosBag, typestore
+from simnfnd.models.recordings.rosbag import IMAGE, RosBag
 from tests.models.denoise.untrained import Halving, main
 from tests.models.recordings.bag_files import content, image, sonar, write_bag
 from tests.models.recordings.recording_files import pings

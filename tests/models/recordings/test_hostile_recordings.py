@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.ros_types import SONAR, typestore
 from simnfnd.models.recordings import base, open_recording
 from simnfnd.models.recordings.pictures import read_picture
-from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE, SONAR, typestore
+from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE
 from simnfnd.models.recordings.sonar_files import ArisFile
 from tests.models.recordings.bag_files import compressed, image, sonar, write_bag
 from tests.models.recordings.mutations import MUTATIONS, mutated, use

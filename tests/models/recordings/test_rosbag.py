@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.ros_types import SONAR, typestore
 from simnfnd.models.recordings import kind_of, open_recording
-from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE, SONAR, RosBag, typestore
+from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE, RosBag
 from tests.models.recordings.bag_files import (
     START_NS,
     STEP_NS,
