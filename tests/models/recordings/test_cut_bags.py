@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.ros_types import SONAR, typestore
 from simnfnd.models.recordings import open_recording
-from simnfnd.models.recordings.rosbag import IMAGE, SONAR, RosBag, typestore
+from simnfnd.models.recordings.rosbag import IMAGE, RosBag
 from tests.models.recordings.bag_files import image, sonar, write_bag
 from tests.models.recordings.recording_files import pings, write_video
 from tests.models.recordings.video_files import encode
