@@ -356,9 +356,10 @@ def test_a_sweep_over_names_separates_them_by_commas():
     assert [point.dataset.name for point in points] == ["a", "b"]
 
 
-def test_home_is_expanded(monkeypatch):
-    monkeypatch.setenv("HOME", "/home/me (2)")
-    assert read("dataset.dir=~/out") == "/home/me (2)/out"
+def test_home_is_expanded(tmp_path, monkeypatch):
+    home = tmp_path / "me (2)"
+    monkeypatch.setenv("HOME", str(home))
+    assert read("dataset.dir=~/out") == str(home / "out")
 
 
 def test_scenes_of_any_name_test_and_train():
