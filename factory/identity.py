@@ -40,6 +40,7 @@ _LATER: dict[str, Any] = {
     "sonar.altitude_m": None,
     "sonar.tilt_deg": None,
     "frames.min_insonified": None,
+    "scenes.up": "auto",
     "sonar.samples_per_bin": 1,
     "sonar.range.windows_m": [],
     "sonar.image.sampling": "bilinear",
@@ -128,6 +129,8 @@ def _scenes_identity(config: FactoryConfig, values: Mapping[str, Any]) -> dict[s
             scenes["path"] = _file_digest(str(settings.path), "scenes.path")
         for own_object in scenes["own_objects"]:
             own_object["file"] = _mesh_digest(own_object["file"], "scenes.own_objects")
+            if own_object["up"] == "auto":
+                own_object.pop("up")
             if own_object["moving"] is None:
                 own_object.pop("moving")
         for item in (*scenes["moving_objects"], *scenes["own_objects"]):

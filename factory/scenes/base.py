@@ -156,6 +156,11 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
 
     Raises FactoryError when the file cannot be read, or is no text.
     """
+    return [(number, line) for number, line in text_lines(path) if not line.startswith("#")]
+
+
+def text_lines(path: Path) -> list[tuple[int, str]]:
+    """(line number, text) of the lines that are not empty; see `numbered_lines`."""
     try:
         text = read_regular(path, _MOST_LIST_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -163,7 +168,7 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
             f"{path}: not a text file that can be read ({one_line(error)})"
         ) from error
     numbered = enumerate((line.strip() for line in text.splitlines()), start=1)
-    return [(number, line) for number, line in numbered if line and not line.startswith("#")]
+    return [(number, line) for number, line in numbered if line]
 
 
 def numbers_in(path: Path, numbered_line: tuple[int, str], names: Iterable[str]) -> list[float]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import io
 import itertools
 from collections.abc import Callable
+from dataclasses import dataclass as plain_dataclass
 from fnmatch import fnmatchcase
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,8 +25,10 @@ from ..frame import Frame, FrameRef, Intrinsics, checked
 from ..labels import class_names
 from ..seeds import stream
 from ..settings import STRICT
-from .base import Discovery, OwnClass, Root, SceneSettings, numbered_lines, numbers_in
-from .mesh_parts import READING, files_of, photograph, read_parts, turned_note
+from .base import Discovery, OwnClass, Root, SceneSettings
+from .blend_files import photograph
+from .mesh_parts import READING, Part, Up, files_of, read_model, stands_like_a_wall
+from .poses import trajectory
 from .seabed.camera import Objects, Optics, Pose, ZBuffer, camera, centred, pose
 
 _LARGEST_M = 3000.0
@@ -47,11 +50,13 @@ class PartClass(OwnClass):
 class MeshSettings(SceneSettings):
     """Keys of `scenes=mesh`.
 
-    file: .glb, .gltf, .obj, .ply, .stl, or .blend (whose pictures Cycles makes with its own
-        materials); z (of .glb: y) points up.  scale: metres per unit of the file.
+    file: .glb, .gltf, .obj, .ply, .stl, or .blend (whose images Cycles makes with its own
+        materials).  scale: metres per unit of the file.
+    up: the axis of the file that points up; auto: y of .glb and .gltf, z of others, but y of a
+        world whose ground lies along x and z (not where poses are given).
     classes: see `PartClass`; other parts are Background.
-    poses: a file of `time tx ty tz qx qy qz qw` lines (TUM; commas go, too): camera to world in
-        metres, camera axes x right, y down, z forward; null: drawn paths.
+    poses: a file of `time tx ty tz qx qy qz qw` lines (TUM), or of columns that its header names:
+        camera to world in metres, z up, camera axes x right, y down, z forward; null: drawn paths.
     route: orbit (around a named part, or all) or transect (straight over the world).
     paths, views_per_path: how many paths, each a scene, and views of each, a second apart.
     height_m: least and most above the ground right under the camera.  distance_m: of an orbit.
@@ -63,6 +68,7 @@ class MeshSettings(SceneSettings):
     kind: Literal["mesh"] = "mesh"
     file: Root
     scale: Annotated[float, Field(gt=0)] = 1.0
+    up: Up = "auto"
     classes: tuple[PartClass, ...] = ()
     poses: Root | None = None
     route: Literal["orbit", "transect"] = "orbit"
@@ -85,6 +91,20 @@ class MeshSettings(SceneSettings):
         return self.classes
 
 
+@plain_dataclass(frozen=True, eq=False)
+class World:
+    """A mesh file ready to be seen.
+
+    shades: (T + 1, 3) uint8 of its faces and of nothing.  origin_m: (3,) of its coordinates in
+    those of the file, metres, z up.  notes: lines for the user.
+    """
+
+    objects: Objects
+    shades: npt.NDArray[np.uint8]
+    origin_m: Points
+    notes: tuple[str, ...]
+
+
 class MeshReader:
     """Takes frames of one world; its name and the settings decide them."""
 
@@ -97,12 +117,14 @@ class MeshReader:
     def discover(self) -> Discovery:
         """List the frames: scene `orbit-0003` is the path number 3, frame `0007` its view 7."""
         settings = self._settings
-        paths, views = files_of(self._path, _KEY), settings.views_per_path
+        paths = files_of(self._path, _KEY)
+        views = settings.views_per_path
         scenes = [f"{settings.route}-{path:04d}" for path in range(settings.paths)]
-        _, _, notes = self._world  # read, so that bad files show here
+        notes = self._world.notes  # read, so that bad files show here
         if settings.poses is not None:
             recorded = Path(settings.poses).expanduser()
-            scenes, views = ["poses"], len(trajectory(recorded)[0])
+            scenes = ["poses"]
+            views = len(trajectory(recorded)[0])
             paths += (str(recorded),)
         places = itertools.product(scenes, range(views))
         refs = (FrameRef(self._path.stem, scene, f"{view:04d}", paths) for scene, view in places)
@@ -110,105 +132,146 @@ class MeshReader:
 
     def load(self, ref: FrameRef) -> Frame:
         """See `Reader`."""
-        settings, (objects, shades, _) = self._settings, self._world
+        settings = self._settings
+        world = self._world
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
-        view, time_s = int(ref.frame), float(ref.frame)
+        view = int(ref.frame)
         if settings.poses is not None:
             times, poses = trajectory(Path(settings.poses).expanduser())
-            time_s, matrix = float(times[view]), poses[view]
-            where = Pose(matrix[:3, 3].copy(), np.ascontiguousarray(matrix[:3, :3]))
+            time_s = float(times[view])
+            eye = poses[view][:3, 3] - world.origin_m
+            viewpoint = Pose(eye, np.ascontiguousarray(poses[view][:3, :3]))
         else:
-            where = self._course(int(ref.scene[-4:]))(settings.speed_m_s * view)
-        seen = ZBuffer(where, optics, objects)
+            time_s = float(view)
+            viewpoint = self._course(int(ref.scene[-4:]))(settings.speed_m_s * view)
+        seen = ZBuffer(viewpoint, optics, world.objects)
         segmentation, instance = seen.shown
         frame = Frame(
             ref=ref,
-            rgb=self._photograph(where, optics, shades[seen.which]),
+            rgb=self._photograph(viewpoint, optics, world.shades[seen.which]),
             depth_m=np.where(seen.which < 0, np.float32(0), seen.depth_m),
             intrinsics=Intrinsics(*optics.lens),
-            world_from_camera=where.matrix,
+            world_from_camera=viewpoint.matrix,
             segmentation=segmentation,
             instance=instance,
             time_s=time_s,
-            altitude_m=self._below(where.eye),
+            altitude_m=self._below(viewpoint.eye),
             boxes=seen.boxes(instance) if settings.boxes else None,
         )
         return checked(frame)
 
     @cached_property
-    def _world(self) -> tuple[Objects, npt.NDArray[np.uint8], tuple[str, ...]]:
-        """The parts, shades (T + 1, 3) of their faces and of nothing, and notes for the user."""
+    def _world(self) -> World:
         settings = self._settings
-        parts = read_parts(self._path, _KEY, settings.scale, _LARGEST_M)
-        names = class_names(settings.own_classes())
+        up = "stated" if settings.up == "auto" and settings.poses is not None else settings.up
+        model = read_model(self._path, _KEY, settings.scale, _LARGEST_M, up)
+        notes = model.notes
+        if up == "stated" and stands_like_a_wall(model.parts):
+            notes += (
+                f"{self._path.name}: stands upright like a wall; where y points up in it and in "
+                "the poses is z, set scenes.up=y",
+            )
+        objects = Objects([part.mesh for part in model.parts], self._labels(model.parts))
+        return World(objects, _shades(objects), model.origin_m, notes)
+
+    def _labels(self, parts: tuple[Part, ...]) -> npt.NDArray[np.uint8]:
+        """(N,) classes of the parts.  Raises FactoryError for a pattern that no name matches."""
+        settings = self._settings
+        class_numbers = class_names(settings.own_classes())
         labels = np.zeros(len(parts), np.uint8)
-        for one in settings.classes:
-            meant = [k for k, part in enumerate(parts) if fnmatchcase(part.name, one.parts)]
-            if not meant:
+        for stated in settings.classes:
+            matching = [
+                number
+                for number, part in enumerate(parts)
+                if part.name == stated.parts or fnmatchcase(part.name, stated.parts)
+            ]
+            if not matching:
                 known = ", ".join(sorted({part.name for part in parts}))[:200]
                 raise FactoryError(
-                    f"scenes.classes: no part is called {one.parts}; there are {known}"
+                    f"scenes.classes: no part is called {stated.parts}; there are {known}"
                 )
-            labels[meant] = names.index(one.label)
-        objects = Objects([part.mesh for part in parts], labels)
-        a, b, c = objects.mesh.vertices[objects.mesh.triangles].transpose(1, 0, 2)
-        normal = np.cross(b - a, c - a)
-        up = normal[:, 2] / np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
-        light = (0.65 + 0.35 * up)[:, None]  # from above, through water
-        albedo = objects.mesh.colours[objects.mesh.triangles].mean(axis=1)
-        shades = np.round(255 * np.clip(albedo * light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
-        shades = np.append(shades, np.zeros((1, 3), np.uint8), axis=0)
-        return objects, shades, turned_note(self._path, parts)
+            labels[matching] = class_numbers.index(stated.label)
+        return labels
 
     def _photograph(
-        self, where: Pose, optics: Optics, shaded: npt.NDArray[np.uint8]
+        self, viewpoint: Pose, optics: Optics, shaded: npt.NDArray[np.uint8]
     ) -> npt.NDArray[np.uint8]:
+        """What a camera sees of a .blend, in its own materials; of other files the shaded faces."""
         if self._path.suffix.lower() != ".blend":
             return shaded
         from PIL import Image
 
-        matrix = where.matrix
-        matrix[:3, 3] /= self._settings.scale
-        given = matrix.tolist(), list(optics.lens), optics.width, optics.height
-        content = READING.call(photograph, self._path, *given, limit_s=600.0)
-        with Image.open(io.BytesIO(content)) as picture:
-            return np.array(picture.convert("RGB"))
+        matrix = viewpoint.matrix
+        matrix[:3, 3] = (matrix[:3, 3] + self._world.origin_m) / self._settings.scale
+        arguments = matrix.tolist(), list(optics.lens), optics.width, optics.height
+        content = READING.call(photograph, self._path, *arguments, limit_s=600.0)
+        with Image.open(io.BytesIO(content)) as image:
+            return np.array(image.convert("RGB"))
 
     def _drawn(self, path: int) -> Callable[[float], Pose]:
         """Draw a path, and measure the ground under it; metres travelled give the pose."""
-        settings, objects = self._settings, self._world[0]
+        settings = self._settings
         rng = stream(0, "mesh", settings.route, path)
-        targets = np.flatnonzero(objects.labels)
-        points = objects.mesh.vertices
-        if len(targets):
-            first, _, last, _ = objects.parts[rng.choice(targets)]
-            points = points[first:last]
-        low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
-        centre, reach_m = (low + high) / 2, float(np.hypot(*(high - low)[:2])) / 2
-        height_m, heading = rng.uniform(*settings.height_m), rng.uniform(0, 2 * np.pi)
+        target = self._draw_target(rng)
+        height_m = rng.uniform(*settings.height_m)
+        heading_rad = rng.uniform(0, 2 * np.pi)
         if settings.route == "orbit":
-            distance_m, side = rng.uniform(*settings.distance_m), rng.choice([-1, 1])
-            distance_m += reach_m * (len(targets) > 0)
-            under = centre + distance_m * _level(np.linspace(0, 2 * np.pi, 9)[1:])
-        else:
-            aside_m = 2 * rng.uniform(-0.25, 0.25) * reach_m
-            ahead, aside = _level(heading), aside_m * _level(heading + np.pi / 2)
-            under = centre + np.linspace(-1, 1, 9)[:, None] * ahead * reach_m + aside
-            tilt = np.deg2rad(rng.uniform(*settings.tilt_deg))
-        known = [one for one in map(self._ground_m, under) if one is not None]
-        level_m = (float(np.median(known)) if known else float(centre[2])) + height_m
+            return self._orbit(target, rng, height_m, heading_rad)
+        return self._transect(target, rng, height_m, heading_rad)
+
+    def _draw_target(self, rng: np.random.Generator) -> Target:
+        """One of the parts with a class; all of the world where none has."""
+        objects = self._world.objects
+        classified = np.flatnonzero(objects.labels)
+        points = objects.mesh.vertices
+        if len(classified):
+            first, _, last, _ = objects.parts[rng.choice(classified)]
+            points = points[first:last]
+        low = points.min(axis=0).astype(float)
+        high = points.max(axis=0).astype(float)
+        reach_m = float(np.hypot(*(high - low)[:2])) / 2
+        return Target((low + high) / 2, reach_m, is_part=len(classified) > 0)
+
+    def _orbit(
+        self, target: Target, rng: np.random.Generator, height_m: float, heading_rad: float
+    ) -> Callable[[float], Pose]:
+        """Around the target, which stays in the middle of the image."""
+        distance_m = rng.uniform(*self._settings.distance_m)
+        side = rng.choice([-1, 1])
+        distance_m += target.reach_m * target.is_part
+        around = target.centre + distance_m * _level(np.linspace(0, 2 * np.pi, 9)[1:])
+        level_m = self._level_above(around, target) + height_m
 
         def orbit(travelled_m: float) -> Pose:
-            angle = heading + travelled_m / (side * distance_m)
-            eye = self._clear(centre + distance_m * _level(angle), level_m)
-            down_deg = np.rad2deg(np.arctan2(eye[2] - centre[2], distance_m))
+            angle = heading_rad + travelled_m / (side * distance_m)
+            eye = self._clear(target.centre + distance_m * _level(angle), level_m)
+            down_deg = np.rad2deg(np.arctan2(eye[2] - target.centre[2], distance_m))
             return self._standing(eye, float(np.rad2deg(angle + np.pi)), float(down_deg))
 
-        def transect(travelled_m: float) -> Pose:
-            eye = self._clear(centre + (travelled_m - reach_m) * ahead + aside, level_m)
-            return self._standing(eye, float(np.rad2deg(heading)), float(np.rad2deg(tilt)))
+        return orbit
 
-        return orbit if settings.route == "orbit" else transect
+    def _transect(
+        self, target: Target, rng: np.random.Generator, height_m: float, heading_rad: float
+    ) -> Callable[[float], Pose]:
+        """Straight over the target, looking ahead and down."""
+        aside_m = 2 * rng.uniform(-0.25, 0.25) * target.reach_m
+        ahead = _level(heading_rad)
+        aside = aside_m * _level(heading_rad + np.pi / 2)
+        along = target.centre + np.linspace(-1, 1, 9)[:, None] * ahead * target.reach_m + aside
+        tilt_rad = np.deg2rad(rng.uniform(*self._settings.tilt_deg))
+        level_m = self._level_above(along, target) + height_m
+
+        def transect(travelled_m: float) -> Pose:
+            place = target.centre + (travelled_m - target.reach_m) * ahead + aside
+            eye = self._clear(place, level_m)
+            return self._standing(eye, float(np.rad2deg(heading_rad)), float(np.rad2deg(tilt_rad)))
+
+        return transect
+
+    def _level_above(self, places: Points, target: Target) -> float:
+        """Height of the ground below a path: the median at (N, 3) places along it."""
+        measured = [height for height in map(self._ground_m, places) if height is not None]
+        return float(np.median(measured)) if measured else float(target.centre[2])
 
     def _standing(self, eye: Points, heading_deg: float, tilt_deg: float) -> Pose:
         """The pose at a place of a path, as `camera_altitude_m` and `camera_tilt_deg` say."""
@@ -228,39 +291,42 @@ class MeshReader:
 
     def _ground_m(self, place: Points) -> float | None:
         """Height of the highest thing at a place."""
-        top_m = float(self._world[0].mesh.vertices[:, 2].max()) + 1
+        top_m = float(self._world.objects.mesh.vertices[:, 2].max()) + 1
         below = self._below(np.array([*place[:2], top_m]))
         return None if below is None else top_m - below
 
     def _below(self, eye: Points) -> float | None:
         """Metres to the first thing right under the eye."""
-        optics, down = centred(500, _GROUND_PX, _GROUND_PX), pose(eye, 0, 90, 0)
-        nearest = ZBuffer(down, optics, self._world[0]).inverse[(_GROUND_PX // 2,) * 2]
+        optics = centred(500, _GROUND_PX, _GROUND_PX)
+        down = pose(eye, 0, 90, 0)
+        nearest = ZBuffer(down, optics, self._world.objects).inverse[(_GROUND_PX // 2,) * 2]
         return float(1 / nearest) if nearest > 0 else None
+
+
+@plain_dataclass(frozen=True, eq=False)
+class Target:
+    """What a path goes round or over: its middle (3,), half its diagonal seen from above, metres.
+
+    is_part: it is a part with a class, and not the whole world.
+    """
+
+    centre: Points
+    reach_m: float
+    is_part: bool
+
+
+def _shades(objects: Objects) -> npt.NDArray[np.uint8]:
+    """(T + 1, 3) sRGB of the faces lit from above, as through water; the last is black."""
+    a, b, c = objects.mesh.vertices[objects.mesh.triangles].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    up = normal[:, 2] / np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
+    light = (0.65 + 0.35 * up)[:, None]
+    albedo = objects.mesh.colours[objects.mesh.triangles].mean(axis=1)
+    shades = np.round(255 * np.clip(albedo * light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    return np.append(shades, np.zeros((1, 3), np.uint8), axis=0)
 
 
 def _level(angle_rad: npt.ArrayLike) -> Points:
     """(..., 3) unit vectors along headings."""
     angle = np.asarray(angle_rad)
     return np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
-
-
-@lru_cache(maxsize=4)
-def trajectory(path: Path) -> tuple[Points, Points]:
-    """Times (N,) in seconds and poses (N, 4, 4) from `time tx ty tz qx qy qz qw` lines."""
-    names = ["time", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
-    lines = numbered_lines(path)
-    table = np.array([numbers_in(path, line, names) for line in lines]).reshape(-1, 8)
-    length = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-    if not length.all():
-        number, line = lines[int(np.argmin(length))]
-        raise FactoryError(f"{path}:{number}: expected a rotation, got {line[:60]!r}")
-    axis, w = np.split(table[:, 4:] / length, [3], axis=1)
-    # R = (w^2 - a.a) I + 2 a a^T + 2 w [a]x  (Rodrigues' formula for the unit quaternion (a, w))
-    outer = axis[:, :, None] * axis[:, None, :]
-    cross = np.cross(axis[:, None, :], np.eye(3)[None], axisa=2, axisb=2)
-    square = (w**2 - np.sum(axis**2, axis=1, keepdims=True))[:, :, None]
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, :3] = square * np.eye(3) + 2 * outer - 2 * w[:, :, None] * cross
-    poses[:, :3, 3] = table[:, 1:4]
-    return table[:, 0], poses

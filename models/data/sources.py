@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ...factory.cli.compose import compose_config
 from ...factory.config import FactoryConfig, from_mapping, plain
 from ...factory.dataset.manifest import CONFIG_NAME
@@ -20,6 +18,7 @@ from ...factory.files import sha256_of
 from ...factory.frame import FrameRef
 from ...factory.scenes import open_reader
 from ...factory.selection import choose_frames, split_frames
+from ...factory.small_files import load_yaml
 from ...factory.storage.copies import local_folder
 from ...factory.views import open_views
 from ..settings import DataSettings, MixedData, ModelsSettings, OldData, RenderedData, SequencesData
@@ -175,13 +174,13 @@ def _config(data: RenderedData, dataset: Path) -> FactoryConfig:
     """The dataset's own configuration with what `data` changes."""
     path = dataset / CONFIG_NAME
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = load_yaml(path)
         # What stands beside the pairs is of no use here, and may need more than the renders.
         values["dataset"]["layers"] = []
         if data.pack is not None:
             values["scenes"] = {"kind": "pack", "root": data.pack}
         return from_mapping(values)
-    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError, FactoryError) as error:
+    except (OSError, ValueError, TypeError, KeyError, FactoryError) as error:
         raise FactoryError(
             f"{path}: data={data.kind} needs the whole folder that `simnfnd make` of this version "
             f"wrote ({error})"

@@ -41,7 +41,8 @@ _HELD = 2  # a location takes a second to build and tens of megabytes
 class OwnObject(OwnClass):
     """An entry of `scenes.own_objects`; see also `OwnClass`.
 
-    file: .glb, .gltf, .obj, .ply, .stl or .blend; its z (of .glb: y) points up.
+    file: .glb, .gltf, .obj, .ply, .stl or .blend.
+    up: the axis of the file that points up; auto: y of .glb and .gltf, z of others.
     per_place: least and most of them in a place.  scale: metres per unit of the file.
     burial: least and most of its height in the ground.  tilt_deg: likewise, from upright.
     colour: albedo (red, green, blue; 0 to 1) instead of the mesh's own colours and textures.
@@ -51,6 +52,7 @@ class OwnObject(OwnClass):
     file: Root
     per_place: tuple[_Count, _Count] = (0, 1)
     scale: Annotated[float, Field(gt=0)] = 1.0
+    up: Literal["auto", "y", "z"] = "auto"
     burial: tuple[_Share, _Share] = (0.02, 0.18)
     tilt_deg: tuple[float, float] = (0.0, 10.0)
     colour: tuple[_Share, _Share, _Share] | None = None
@@ -67,18 +69,19 @@ class OwnObject(OwnClass):
 
         Raises FactoryError that names file and key.
         """
-        from ..mesh_parts import files_of, read_parts, turned_note
+        from ..mesh_parts import files_of, read_model
         from .meshes import join
 
         if self.label == "Background":
             raise FactoryError(f"{key}.class: Background is the ground; name it")
         path = Path(self.file).expanduser()
-        parts = read_parts(path, f"{key}.file", self.scale, _LARGEST_M)
-        whole = join(part.mesh for part in parts)
+        up = "stated" if self.up == "auto" else self.up
+        model = read_model(path, f"{key}.file", self.scale, _LARGEST_M, up)
+        whole = join(part.mesh for part in model.parts)
         whole = whole.moved(-(whole.vertices.min(axis=0) + whole.vertices.max(axis=0)) / 2)
         if self.colour is not None:
             whole = whole.tinted(self.colour)
-        return whole, files_of(path, f"{key}.file"), turned_note(path, parts)
+        return whole, files_of(path, f"{key}.file"), model.notes
 
 
 @dataclass(frozen=True, config=STRICT)

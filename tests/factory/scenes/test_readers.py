@@ -25,7 +25,7 @@ from simnfnd.factory.scenes import Scenes, open_reader
 from simnfnd.factory.scenes.base import Reader
 from simnfnd.factory.scenes.flsea import BUILT_IN, SCENES
 from simnfnd.factory.scenes.frame_files import image_size, read_depth, read_rgb
-from simnfnd.factory.scenes.mesh import trajectory
+from simnfnd.factory.scenes.poses import trajectory
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
 from tests.render_scenes import FLSEA
