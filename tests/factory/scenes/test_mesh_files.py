@@ -15,8 +15,8 @@ import pytest
 from PIL import Image
 
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.identity import identity
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.identity import identity
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scenes.mesh_loading import MOST_PARTS
 from simnfnd.factory.scenes.mesh_parts import files_of, read_model, read_parts
