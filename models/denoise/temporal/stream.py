@@ -24,13 +24,14 @@ from .strength import Predictors, Strength, Weights
 FRAMES, MOST_FRAMES = 7, 31
 
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
-_CALIBRATED_EVERY, _LONGEST = 8, 4
-"""Frames from the first measured one to the second; later intervals are up to so many times it."""
+_CALIBRATION_INTERVAL, _MAX_INTERVALS = 8, 4
+"""Frames between the first two calibrations; later ones are up to so many times as far apart."""
+_FULL_WINDOW = 0.8  # of the highest frame count from which on a pixel shows a whole window
 
 Network = Callable[..., Grey]
-"""What denoises a picture, (H, W) float32 in 0..1, by its `FanGeometry` or None; see `Denoiser`.
+"""Denoises an image, (H, W) float32 in 0..1, with its `FanGeometry` or None; see `Denoiser`.
 
-One with an attribute `knows_frames` that is true is given `frames`, how many count in each pixel.
+One with a true attribute `knows_frames` also gets `frames`, how many count in each pixel.
 """
 
 
@@ -60,8 +61,12 @@ def outside_of(geometry: FanGeometry, height: int, width: int) -> npt.NDArray[np
 
 
 @dataclass(frozen=True, eq=False)
-class _Ready:
-    """A fused frame.  sigma: (H, W) or (H, W, C) of the noise left in each pixel."""
+class _FusedFrame:
+    """A frame fused with its neighbours, ready for the network.
+
+    sigma: (H, W) or (H, W, C) standard deviation of the noise that is left.
+    predictors: where the calibration has computed them already.
+    """
 
     fused: Fused
     sigma: Grey
@@ -73,7 +78,7 @@ class InTime:
     """Denoises the frames of one sequence.
 
     network: None: frames are fused, no more.  frames: of a window, odd.  causal: a window ends with
-    its frame.  calibrated: whether the recording chooses the strength; else the usual one is taken.
+    its frame.  calibrated: whether the recording chooses the strength; else the default is taken.
     keeps_outside: whether pixels around a fan stay as they are.
     tally: what was done: `pictures`, of which `alone` matched no neighbour, and sums over these:
     `frames` in a pixel, share of pixels that `moved`.  at_once: networks that run at the same time;
@@ -91,173 +96,204 @@ class InTime:
         tally: dict[str, float] | None = None,
         at_once: int = 1,
     ) -> None:
-        self._network, self._frames, self._causal = network, frames, causal
+        self._network = network
+        self._window = frames
+        self._causal = causal
         self._before = frames - 1 if causal else frames // 2
         self._after = 0 if causal else frames // 2
         self._keeps_outside = keeps_outside
         self._calibrated = calibrated and network is not None and frames > 1
         self._tally = tally if tally is not None else defaultdict(float)
-        self._aligner, self._fusion = Aligner(2 * frames), Fusion()
-        self._told = bool(getattr(network, "knows_frames", False))
-        self.strength = Strength(frames, frame_aware=self._told)
-        self._held: dict[int, Shot] = {}
-        self._places: dict[int, FanGeometry | None] = {}
-        self._measured: dict[int, _Ready] = {}
-        self._newest, self._next = -1, 0
-        self._last_fit: int | None = None
-        self._pool, self._under_way = ThreadPoolExecutor(at_once), at_once if at_once > 1 else 0
-        self._running: deque[tuple[Any, Future[Grey]]] = deque()
+        self._is_frame_aware = bool(getattr(network, "knows_frames", False))
+
+        self._aligner = Aligner(2 * frames)
+        self._fusion = Fusion()
+        self.strength = Strength(frames, frame_aware=self._is_frame_aware)
+
+        # By frame number.
+        self._shots: dict[int, Shot] = {}
+        self._geometries: dict[int, FanGeometry | None] = {}
+        self._fused_early: dict[int, _FusedFrame] = {}
+        self._newest = -1
+        self._next = 0
+        self._last_calibrated: int | None = None
+
+        self._pool = ThreadPoolExecutor(at_once)
+        self._max_pending = at_once if at_once > 1 else 0
+        self._pending: deque[tuple[Any, Future[Grey]]] = deque()
 
     def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
-        """The key of each frame and its levels, denoised."""
+        """The key of each frame and its levels, denoised, in order."""
         for shot in shots:
             self._newest += 1
-            self._held[self._newest] = shot
-            if self._frames > 1:
+            self._shots[self._newest] = shot
+            if self._window > 1:
                 self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
                 # Motions over several frames start from those between neighbours.
                 self._aligner.motion(self._newest, self._newest - 1)
-            while self._next <= self._newest - self._wait():
-                yield from self._one()
+            while self._next <= self._newest - self._lookahead():
+                yield from self._denoise_next()
         while self._next <= self._newest:
-            yield from self._one()
-        yield from self._done(0)
+            yield from self._denoise_next()
+        yield from self._finished(0)
         self._pool.shutdown()
 
-    def _wait(self) -> int:
-        """How many frames are to come before one is denoised."""
+    def _lookahead(self) -> int:
+        """How many frames must have come after the next one before it is denoised."""
         if self._causal or not self._calibrated:
             return self._after
-        # The first wait until the strength is measured; then one beyond a window measures it again.
-        first = self._next == 0 and self._newest < self._frames
-        return self._frames if first else self._after + 1
+        # The first frame waits for a calibration; later ones for a frame to calibrate on.
+        is_starting = self._next == 0 and self._newest < self._window
+        return self._window if is_starting else self._after + 1
 
-    def _one(self) -> Iterator[tuple[Any, Grey]]:
-        """Begin the next frame; gives those that are denoised by then."""
+    def _denoise_next(self) -> Iterator[tuple[Any, Grey]]:
+        """Begin the next frame; yields those that are denoised by then."""
         number = self._next
         if self._calibrated:
-            due = _CALIBRATED_EVERY * min(max(self.strength.measured, 1), _LONGEST)
-            if self._last_fit is None and not self._causal:
-                self._calibrate(self._before)
-            elif number - (self._last_fit or 0) >= due:
-                self._calibrate(number)
-        shot = self._held[number]
+            self._calibrate_if_due(number)
+        shot = self._shots[number]
         # A frame by itself teaches the stream nothing.
-        if shot.wanted or self._frames > 1:
-            ready = self._measured.pop(number, None) or self._ready(number)
-            if self._frames > 1:
-                self._count(ready.fused)
+        if shot.wanted or self._window > 1:
+            frame = self._fused_early.pop(number, None) or self._fuse(number)
+            if self._window > 1:
+                self._count(frame.fused)
             if shot.wanted:
                 weights = self.strength.weights
-                finished = self._pool.submit(self._finished, ready, weights, shot.levels)
-                self._running.append((shot.key, finished))
+                denoised = self._pool.submit(self._restore, frame, weights, shot.levels)
+                self._pending.append((shot.key, denoised))
         self._next += 1
-        self._held.pop(number - self._before - 1, None)
-        yield from self._done(self._under_way)
+        self._shots.pop(number - self._before - 1, None)
+        yield from self._finished(self._max_pending)
+
+    def _finished(self, max_pending: int) -> Iterator[tuple[Any, Grey]]:
+        """Denoised frames, in order, until at most so many are under way."""
+        while len(self._pending) > max_pending:
+            key, denoised = self._pending.popleft()
+            yield key, denoised.result()
 
     def _count(self, fused: Fused) -> None:
+        """Add a frame to the tally."""
         lit = grey_of(fused.image) > _DARK
-        lit = lit if lit.any() else np.ones_like(lit)
+        if not lit.any():
+            lit = np.ones_like(lit)
         self._tally["pictures"] += 1
         self._tally["frames"] += float(fused.frame_count[lit].mean())
         self._tally["moved"] += 1 - float(fused.static_share[lit].mean())
         self._tally["alone"] += bool(fused.frame_count.max() <= 1)
 
-    def _done(self, most: int) -> Iterator[tuple[Any, Grey]]:
-        """What is denoised, in order, until at most so many are under way."""
-        while len(self._running) > most:
-            key, denoised = self._running.popleft()
-            yield key, denoised.result()
-
-    def _ready(self, number: int) -> _Ready:
-        shot = self._held[number]
+    def _fuse(self, number: int) -> _FusedFrame:
+        """A frame with the frames of its window that show the same."""
+        first = max(0, number - self._before)
+        last = min(self._newest, number + self._after)
+        nearest_first = sorted(range(first, last + 1), key=lambda other: abs(other - number))
         neighbours = []
-        around = range(max(0, number - self._before), min(self._newest, number + self._after) + 1)
-        for other in sorted(around, key=lambda one: abs(one - number)):
-            found = self._laid(number, other) if other != number else None
-            if found is not None:
-                neighbours.append(Neighbour(other - number, *found))
-        fused = self._fusion(shot.levels, neighbours)
-        geometry = self._place(number) if self._network is not None else None
-        return _Ready(fused, self._sigma(fused.image, fused.frame_count), geometry)
+        for other in nearest_first:
+            aligned = self._aligned(number, other) if other != number else None
+            if aligned is not None:
+                neighbours.append(Neighbour(other - number, *aligned))
+        fused = self._fusion(self._shots[number].levels, neighbours)
+        geometry = self._geometry(number) if self._network is not None else None
+        return _FusedFrame(fused, self._sigma(fused.image, fused.frame_count), geometry)
 
-    def _laid(self, number: int, other: int) -> tuple[Grey, Grey] | None:
-        """Another frame over this one; None where it shows something else."""
-        levels = self._held[other].levels if other in self._held else None
-        if levels is None or levels.shape != self._held[number].levels.shape:
+    def _aligned(self, number: int, other: int) -> tuple[Grey, Grey] | None:
+        """Levels of another frame as seen from this one, and (H, W) where they are visible.
+
+        None where the other frame shows something else.
+        """
+        shot = self._shots.get(other)
+        if shot is None or shot.levels.shape != self._shots[number].levels.shape:
             return None
         motion = self._aligner.motion(number, other)
-        return None if motion is None else laid_over(levels, motion)
+        return None if motion is None else laid_over(shot.levels, motion)
 
-    def _place(self, number: int) -> FanGeometry | None:
+    def _geometry(self, number: int) -> FanGeometry | None:
         """Where range and bearing are: as in the nearest frame if that shows the same scene."""
-        if self._held[number].is_tracked:
-            return self._held[number].place()
+        shot = self._shots[number]
+        if shot.is_tracked:
+            return shot.place()
         # To find a fan anew in each frame costs more than the network.
-        self._places.pop(number - self._frames, None)
-        near = min(self._places, key=lambda one: abs(one - number), default=None)
-        if near is None or self._aligner.motion(number, near) is None:
-            self._places[number] = self._held[number].place()
+        self._geometries.pop(number - self._window, None)
+        nearest = min(self._geometries, key=lambda other: abs(other - number), default=None)
+        if nearest is None or self._aligner.motion(number, nearest) is None:
+            self._geometries[number] = shot.place()
         else:
-            self._places[number] = self._places[near]
-        return self._places[number]
+            self._geometries[number] = self._geometries[nearest]
+        return self._geometries[number]
 
-    def _sigma(self, picture: Grey, frames: Grey) -> Grey:
-        """Of the noise that is left in each pixel; none is asked for of frames by themselves."""
-        if self._frames == 1:
-            return picture
-        root: Grey = np.sqrt(frames)
-        return self._fusion.noise.at(picture) / (root if picture.ndim == 2 else root[..., None])
+    def _sigma(self, image: Grey, frame_count: Grey) -> Grey:
+        """Standard deviation of the noise in each pixel; single frames need none."""
+        if self._window == 1:
+            return image
+        root: Grey = np.sqrt(frame_count)
+        return self._fusion.noise.at(image) / (root if image.ndim == 2 else root[..., None])
 
-    def _finished(self, ready: _Ready, weights: Weights, levels: Grey) -> Grey:
-        """Denoised; around a fan the frame keeps its own levels."""
-        denoised, geometry = self._denoised(ready, weights), ready.geometry
+    def _restore(self, frame: _FusedFrame, weights: Weights, levels: Grey) -> Grey:
+        """The denoised frame; around a fan it keeps its own levels."""
+        denoised = self._denoise(frame, weights)
+        geometry = frame.geometry
         if not self._keeps_outside or geometry is None or geometry.layout == "polar":
             return denoised
         outside = outside_of(geometry, *levels.shape[:2])
-        result = denoised.copy()
-        result[outside] = levels[outside]
-        return result
+        restored = denoised.copy()
+        restored[outside] = levels[outside]
+        return restored
 
-    def _denoised(self, ready: _Ready, weights: Weights) -> Grey:
-        fused, network = ready.fused, self._network
-        if network is None:
+    def _denoise(self, frame: _FusedFrame, weights: Weights) -> Grey:
+        fused = frame.fused
+        if self._network is None:
             return fused.image
         if fused.image.ndim == 3:
-            planes = []
-            for channel in range(fused.image.shape[2]):
-                plane = replace(fused, image=np.ascontiguousarray(fused.image[..., channel]))
-                one = _Ready(plane, ready.sigma[..., channel], ready.geometry)
-                planes.append(self._denoised(one, weights))
+            channels = range(fused.image.shape[2])
+            planes = [self._denoise(_channel(frame, index), weights) for index in channels]
             return np.stack(planes, axis=-1)
-        if self._frames == 1:
-            return network(fused.image, ready.geometry)
-        return weights.apply(ready.predictors or self._predictors(ready), fused.frame_count)
+        if self._window == 1:
+            return self._network(fused.image, frame.geometry)
+        predictors = frame.predictors or self._predictors(frame)
+        return weights.apply(predictors, fused.frame_count)
 
-    def _predictors(self, ready: _Ready) -> Predictors:
+    def _predictors(self, frame: _FusedFrame) -> Predictors:
         assert self._network is not None
-        told = {"frames": ready.fused.frame_count} if self._told else {}
-        made = self._network(ready.fused.image, ready.geometry, **told)
-        return Predictors.of(ready.fused.image, ready.sigma, made)
+        fused = frame.fused
+        condition = {"frames": fused.frame_count} if self._is_frame_aware else {}
+        output = self._network(fused.image, frame.geometry, **condition)
+        return Predictors.of(fused.image, frame.sigma, output)
+
+    def _calibrate_if_due(self, number: int) -> None:
+        if self._last_calibrated is None and not self._causal:
+            self._calibrate(self._before)
+            return
+        intervals = min(max(self.strength.measured, 1), _MAX_INTERVALS)
+        if number - (self._last_calibrated or 0) >= _CALIBRATION_INTERVAL * intervals:
+            self._calibrate(number)
 
     def _calibrate(self, number: int) -> None:
-        """Measure on a frame which strength predicts one outside its window."""
+        """Fit the strength to how well a frame predicts one outside its window."""
         outside = number - self._before - 1 if self._causal else number + self._after + 1
-        if number < self._before or outside not in self._held:
+        if number < self._before or outside not in self._shots:
             return
-        self._last_fit = number
-        levels = self._held[number].levels
-        target = self._laid(number, outside)
-        ready = self._measured[number] = self._ready(number)
+        self._last_calibrated = number
+        levels = self._shots[number].levels
+        target = self._aligned(number, outside)
+        frame = self._fuse(number)
+        self._fused_early[number] = frame
         if target is None or levels.ndim != 2:
             return
-        fused = ready.fused
-        where = self._fusion.shows_same(fused, *target)
-        one = np.ones_like(fused.frame_count)
-        own = _Ready(Fused(levels, one, one), self._sigma(levels, one), ready.geometry)
-        self.strength.add_single(self._predictors(own), target[0], where)
-        found = self._predictors(ready)
-        self._measured[number] = replace(ready, predictors=found)
-        full = where & (fused.frame_count > 0.8 * fused.frame_count.max())
-        self.strength.add_window(found, target[0], full)
+        target_levels, visible = target
+        same = self._fusion.shows_same(frame.fused, target_levels, visible)
+
+        ones = np.ones_like(frame.fused.frame_count)
+        single = _FusedFrame(Fused(levels, ones, ones), self._sigma(levels, ones), frame.geometry)
+        self.strength.add_single(self._predictors(single), target_levels, same)
+
+        predictors = self._predictors(frame)
+        self._fused_early[number] = replace(frame, predictors=predictors)
+        frame_count = frame.fused.frame_count
+        is_full = frame_count > _FULL_WINDOW * frame_count.max()
+        self.strength.add_window(predictors, target_levels, same & is_full)
         self.strength.fit()
+
+
+def _channel(frame: _FusedFrame, index: int) -> _FusedFrame:
+    """One channel of a frame in colour, as a frame of its own."""
+    image = np.ascontiguousarray(frame.fused.image[..., index])
+    return _FusedFrame(replace(frame.fused, image=image), frame.sigma[..., index], frame.geometry)
