@@ -25,7 +25,7 @@ from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.dataset.quality import psnr_db
 from simnfnd.factory.distribution import Distribution, number
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.noise.registry import BUILT_IN, NoiseSettings
 from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.base import Rendered
@@ -129,9 +129,9 @@ def figures(seen: Sequence[View], config: FactoryConfig) -> dict[str, list[list[
 def alone(config: FactoryConfig, effect: str, quantile: float) -> FactoryConfig:
     """`config` with one noise effect, its parameters at `quantile` (0 or 1) of their ranges."""
     blocks = {
-        item.name: replace(block, enabled=item.name == effect)
-        for item in fields(NoiseSettings)
-        if (block := getattr(config.noise, item.name)) is not None
+        name: replace(block, enabled=name == effect)
+        for name in BUILT_IN
+        if (block := getattr(config.noise, name)) is not None
     }
     block = blocks[effect]
     ends = {

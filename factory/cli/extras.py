@@ -10,7 +10,6 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..errors import FactoryError
-from ..renderer_choice import renderer_of
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
@@ -76,6 +75,9 @@ def require(needs: Iterable[Need]) -> None:
 
 def needs_of(config: FactoryConfig) -> Iterator[Need]:
     """What making the pairs of a configuration needs beyond the core install."""
+    # Imports numpy and pydantic, which `simnfnd --help` does without.
+    from ..renderer_choice import renderer_of
+
     image, drawn = config.sonar.image, config.devices is not None
     renderer = ""
     choice = renderer_of(config)

@@ -233,7 +233,7 @@ for words in ("train dataset=made", "denoise made --out x",
               "evaluate detect a",
               "evaluate realism a b", "evaluate fit a"):
     said(words, 2, "pip install")
-said("make dataset.dir=x", 2, "needs bpy")
+said("make render=cycles dataset.dir=x", 2, "needs bpy")
 assert not pathlib.Path("x").exists(), "said before any work"
 print(f"core alone: {defects} defects")
 """

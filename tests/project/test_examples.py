@@ -171,14 +171,14 @@ def test_the_papers_figures(tmp_path: Path) -> None:
 def test_a_listed_recording_becomes_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both 10.00 and 10.02 are near 10.008: the nearer gets it."""
     folder = tmp_path / "rgbd_dataset_freiburg1_desk"
-    depth_m = np.broadcast_to(np.linspace(4, 1, 120)[:, None], (120, 160))
+    depth_m = np.broadcast_to(np.linspace(4, 1, 480)[:, None], (480, 640))
     for kind, times in (
         ("rgb", ["10.00", "10.02", "10.06", "10.50"]), ("depth", ["10.008", "10.065", "10.20"]),
     ):  # fmt: skip
         (folder / kind).mkdir(parents=True)
         for time in times:
             pixels = np.rint(depth_m * 5000).astype(np.uint16)
-            stored = np.full((120, 160, 3), 128, np.uint8) if kind == "rgb" else pixels
+            stored = np.full((480, 640, 3), 128, np.uint8) if kind == "rgb" else pixels
             Picture.fromarray(stored).save(folder / kind / f"{time}.png")
         lines = [f"{time} {kind}/{time}.png" for time in times]
         (folder / f"{kind}.txt").write_text("# timestamp filename\n" + "\n".join(lines) + "\n")

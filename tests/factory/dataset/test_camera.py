@@ -19,6 +19,7 @@ from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.views import ViewMaker
+from tests.factory.cli_frames import ground, write_frame
 from tests.frames import ground_and_post
 
 LAYERS = ["rgb", "depth"]
@@ -110,7 +111,10 @@ def test_of_a_procedural_frame_whose_render_is_cached(tmp_path: Path) -> None:
 
 
 def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
-    scenes = recording(tmp_path, (96, 64), (60, 40), (96, 64))
+    """A list has one lens, so one size; FLSea's lens is scaled to each image."""
+    for number, (width, height) in enumerate([(96, 64), (60, 40), (96, 64)]):
+        write_frame(tmp_path / "videos", str(number), ground(height, width))
+    scenes = {"kind": "flsea", "root": str(tmp_path / "videos")}
     settings = config(tmp_path, scenes, dataset={"layers": ["depth"]})
     first, small, third = open_reader(settings.scenes).discover().frames
     for ref in (first, small, third):
