@@ -11,8 +11,9 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -58,21 +59,60 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return site
 
 
-def run(site: Path, cwd: Path, *words: str, code: int = 0) -> str:
-    """What `simnfnd WORDS` (or `python WORDS` for -c) prints where the package is installed."""
+def run_python(site: Path, cwd: Path, code: str, *words: str) -> str:
+    """What `python -c CODE WORDS` prints on stdout and stderr where the package is installed."""
     path = os.pathsep.join([str(site), *map(os.path.abspath, sys.path)])
-    command = [sys.executable, *([] if words[0] == "-c" else ["-m", "simnfnd"]), *words]
     done = subprocess.run(
-        command, cwd=cwd, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True,
-        check=False,
+        [sys.executable, "-c", code, *words], cwd=cwd, env={**os.environ, "PYTHONPATH": path},
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
     )  # fmt: skip
-    assert done.returncode == code, done.stderr[-3000:]
-    return done.stdout + done.stderr
+    assert done.returncode == 0, done.stdout[-3000:]
+    return done.stdout
+
+
+# Each command ends with a line of its exit code.
+_COMMANDS = """
+import json, sys
+from simnfnd.command import main
+
+for words in json.loads(sys.argv.pop()):
+    sys.argv = ["simnfnd"]
+    try:
+        code = main(words)
+    except SystemExit as stopped:
+        code = stopped.code
+    sys.stderr.flush()
+    print(f"\\n{MARK}{int(code or 0)}", flush=True)
+"""
+_MARK = "exit code of this command: "
+
+
+class Command(NamedTuple):
+    """words: after `simnfnd`.  code: the exit code that is expected."""
+
+    words: Sequence[str]
+    code: int = 0
+
+
+def run(site: Path, cwd: Path, *commands: Command) -> list[str]:
+    """What each command prints where the package is installed.
+
+    One process runs them all: most of the time of a small command is that of its imports.
+    """
+    code = _COMMANDS.replace("{MARK}", _MARK)
+    output = run_python(site, cwd, code, json.dumps([command.words for command in commands]))
+    *printed, rest = re.split(rf"\n{_MARK}(\d+)\n", output)
+    assert rest == ""
+    texts = printed[::2]
+    codes = [int(number) for number in printed[1::2]]
+    assert codes == [command.code for command in commands], output[-3000:]
+    return texts
 
 
 def test_an_effect_of_a_package_goes_all_the_way(site: Path, tmp_path: Path) -> None:
     words = ("make", "experiment=demo", *FAST, "dataset.dir=data")
-    run(site, tmp_path, *words, "noise.drifting_snow.density=0.1")
+    snowy = (*words, "noise.drifting_snow.density=0.1")
+    run(site, tmp_path, Command(snowy))
     manifest = json.loads((tmp_path / "data/manifest.json").read_text())
     (stated,) = manifest["config"]["extensions"]
     assert (stated["kind"], stated["name"]) == ("effect", "drifting_snow")
@@ -83,32 +123,38 @@ def test_an_effect_of_a_package_goes_all_the_way(site: Path, tmp_path: Path) -> 
         assert set(table["noise.drifting_snow.density"]) == {0.1}
         assert (table["points.drifting_snow"] > 0).all()
     shards = {path: path.stat().st_mtime_ns for path in (tmp_path / "data").glob("*/*.h5")}
-    again = run(site, tmp_path, *words, "noise.drifting_snow.density=0.1")
+    again, status, plain = run(
+        site, tmp_path, Command(snowy), Command(("status", "data")), Command(words, code=2)
+    )
     assert "data" in again
     assert {path: path.stat().st_mtime_ns for path in shards} == shards, "made again"
-    assert "4 of 4 pairs" in run(site, tmp_path, "status", "data")
+    assert "4 of 4 pairs" in status
+    assert "noise.drifting_snow" in plain
     source = site / "mine/snow.py"
     before = source.read_text()
     source.write_text(before + "\n# another version\n")
-    told = run(site, tmp_path, *words, "noise.drifting_snow.density=0.1", code=2)
+    (told,) = run(site, tmp_path, Command(snowy, code=2))
+    source.write_text(before)
     assert "another configuration" in told
     assert "extensions" in told
-    source.write_text(before)
-    plain = run(site, tmp_path, *words, code=2)
-    assert "noise.drifting_snow" in plain
 
 
 def test_typing_errors_and_help_know_the_package(site: Path, tmp_path: Path) -> None:
     words = ("make", "experiment=demo", *FAST)
-    told = run(site, tmp_path, *words, "noise.drifting_snw.density=1", code=2)
-    assert "did you mean noise.drifting_snow.density?" in told
-    told = run(site, tmp_path, *words, "noise.drifting_snow.densty=1", code=2)
-    assert "noise.drifting_snow.densty: unknown key" in told
-    told = run(site, tmp_path, "make", "scenes=npz_foldr", code=2)
-    assert "did you mean scenes=npz_folder" in told
-    assert "drifting_snow (mine-extensions 1.5)" in run(site, tmp_path, "make", "--help")
-    told = run(site, tmp_path, "evaluate", "dataset=x", "baselines=[row_medan]", code=2)
-    assert "x: no such folder" in told or "did you mean row_median?" in told
+    effect, key, preset, help_text, method = run(
+        site,
+        tmp_path,
+        Command((*words, "noise.drifting_snw.density=1"), code=2),
+        Command((*words, "noise.drifting_snow.densty=1"), code=2),
+        Command(("make", "scenes=npz_foldr"), code=2),
+        Command(("make", "--help")),
+        Command(("evaluate", "dataset=x", "baselines=[row_medan]"), code=2),
+    )
+    assert "did you mean noise.drifting_snow.density?" in effect
+    assert "noise.drifting_snow.densty: unknown key" in key
+    assert "did you mean scenes=npz_folder" in preset
+    assert "drifting_snow (mine-extensions 1.5)" in help_text
+    assert "x: no such folder" in method or "did you mean row_median?" in method
 
 
 def test_a_reader_and_a_preset_make_pairs_that_a_method_judges(site: Path, tmp_path: Path) -> None:
@@ -124,20 +170,23 @@ def test_a_reader_and_a_preset_make_pairs_that_a_method_judges(site: Path, tmp_p
         "sonar=mine_hf", "render=analytic", "scheduler.workers=2", "dataset.preview_pairs=0",
         "dataset.dir=data", "split.test=[two]",
     )  # fmt: skip
-    told = run(site, tmp_path, *words, code=1)
-    assert "1 of 5 frames" in told
+    evaluate = ("evaluate", "dataset=data", "baselines=[row_median]", "models=[]", "out=report")
+    made, failed, rerun, _ = run(
+        site,
+        tmp_path,
+        Command(words, code=1),
+        Command(("status", "data", "--failed"), code=1),
+        Command(("status", "data", "--rerun", "scheduler=serial"), code=1),
+        Command(evaluate),
+    )
+    assert "1 of 5 frames" in made
     with simnfnd.PairDataset(tmp_path / "data", "all", trusted=True) as pairs:
         assert len(pairs) == 4
         assert pairs.form.config["sonar"]["beams"] == 256
         (stated,) = pairs.form.config["extensions"]
         assert (stated["kind"], stated["name"]) == ("reader", "npz_folder")
-    assert "bad: cannot be read" in run(site, tmp_path, "status", "data", "--failed", code=1)
-    told = run(site, tmp_path, "status", "data", "--rerun", "scheduler=serial", code=1)
-    assert "0 of 1 frames work now" in told
-    told = run(
-        site, tmp_path, "evaluate", "dataset=data", "baselines=[row_median]", "models=[]",
-        "out=report",
-    )  # fmt: skip
+    assert "bad: cannot be read" in failed
+    assert "0 of 1 frames work now" in rerun
     assert any("row_median" in path.read_text() for path in tmp_path.rglob("*.csv"))
 
 
@@ -172,7 +221,7 @@ def test_what_a_script_defines_itself_is_refused_by_workers(site: Path, tmp_path
         "except Exception as error:\n    print(error)\n"
         "print(make_dataset(*words, 'scheduler=serial', out='data').pairs)\n"
     )
-    told = run(tmp_path / "nothing", tmp_path, "-c", code)
+    told = run_python(tmp_path / "nothing", tmp_path, code)
     assert "effect drifting_snow: is defined in the script or notebook itself" in told
     assert "4" in told.splitlines()
 
@@ -194,6 +243,10 @@ def test_names_that_are_taken_or_broken_are_told(site: Path, tmp_path: Path) -> 
     write_package(broken)
     (broken / "mine/snow.py").write_text("import nothing_of_that_name\n")
     words = ("make", "experiment=demo", *FAST)
-    told = run(broken, tmp_path, *words, "noise.drifting_snow.density=0.1", code=2)
+    told, _ = run(
+        broken,
+        tmp_path,
+        Command((*words, "noise.drifting_snow.density=0.1"), code=2),
+        Command((*words, "dataset.dir=data")),
+    )
     assert re.search(r"effect drifting_snow: mine-extensions 1\.5 cannot be loaded", told)
-    run(broken, tmp_path, *words, "dataset.dir=data")
