@@ -82,7 +82,7 @@ class ObservedFrame:
 
 
 class PairMaker:
-    """Makes pairs of renders; a `sample.PairSource`.  Needs no renderer."""
+    """Makes pairs of renders; a `dataset.schema.PairSource`.  Needs no renderer."""
 
     def __init__(
         self,
@@ -148,7 +148,7 @@ class PairMaker:
         return observed
 
     def expect(self, keys: Mapping[str, str]) -> None:
-        """Keys of renders that are in the cache; see `sample.PairSource`."""
+        """Keys of renders that are in the cache; see `dataset.schema.PairSource`."""
         if isinstance(self.views, CachedViews):
             self.views.expect(keys)
 

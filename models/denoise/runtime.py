@@ -259,7 +259,7 @@ class TorchNetwork:
 
 
 def polar_grid(maps: Maps) -> tuple[Positions, Positions, Maps] | None:
-    """From a fan to range by bearing and back, in NumPy, as `models.networks.polar` does it.
+    """From a fan to range by bearing and back, in NumPy, as `models.networks.sonarnet` does it.
 
     Returns rows and columns (H, W), in pixels, of the grid's cells in the fan, and of the fan's
     pixels in the grid; and range and bearing of the cells, near range first.
