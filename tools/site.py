@@ -47,6 +47,8 @@ SHOWN = {
     path.relative_to(ROOT).as_posix(): f"reference/{path.relative_to(ROOT).as_posix()}"
     for path in sorted((ROOT / "conf").rglob("*.yaml"))
 }  # fmt: skip
+# Where a checkout has what a page is written from -> that page.
+WRITTEN = {"simnfnd/verbs.py": "reference/commands.md", "conf": "reference/keys.md"}
 _LINK = re.compile(r"(\]\()([^)\s]+)(\))")
 _FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
@@ -74,6 +76,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Turn links to files of the checkout into links to the pages that show them."""
     place = page.file.src_uri
+    pages = SHOWN | WRITTEN
     sources = {shown: source for source, shown in SHOWN.items() if shown != "index.md"}
     # Where a shown file stands in the checkout: its links start there.
     origin = sources.get(place, f"docs/{place}")
@@ -83,8 +86,8 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         if not target or "://" in target or target.startswith("mailto:"):
             return match.group(0)
         wanted = posixpath.normpath(posixpath.join(posixpath.dirname(origin), target))
-        if wanted in SHOWN:
-            found = SHOWN[wanted]
+        if wanted in pages:
+            found = pages[wanted]
         elif wanted.startswith("docs/"):
             found = wanted.removeprefix("docs/")
         elif (ROOT / wanted).exists():

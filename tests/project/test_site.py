@@ -76,6 +76,18 @@ def test_every_page_verb_key_and_name_is_shown(site: Path) -> None:
         assert f'id="{name.replace("/", "")}"' in keys, name
 
 
+def test_links_of_the_docs_are_there_in_a_checkout() -> None:
+    link = re.compile(r"\]\(([^)\s#]+)")
+    fence = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+    pages = [*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md")]
+    assert len(pages) > 40
+    for page in pages:
+        text = fence.sub("", page.read_text(encoding="utf-8"))
+        targets = [target for target in link.findall(text) if not re.match(r"[a-z]+:", target)]
+        missing = [target for target in targets if not (page.parent / target).exists()]
+        assert missing == [], page
+
+
 def shown(document: nbformat.NotebookNode) -> list[list[str]]:
     """For each cell of code: what kinds of things it shows; text may come in pieces."""
     code = [cell for cell in document.cells if cell.cell_type == "code"]
