@@ -51,7 +51,7 @@ def rerun(ref: FrameRef) -> str:
 
 
 class FakeSource:
-    """`factory.dataset.schema.PairSource` that draws a seeded fan with a bright arc and its shadow."""
+    """`dataset.schema.PairSource` that draws a seeded fan with a bright arc and its shadow."""
 
     def __init__(self, config: FakeConfig) -> None:
         self.config = config
