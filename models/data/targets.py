@@ -19,7 +19,7 @@ from .pairs import Image, Sample
 
 _AREA_PX = 56 * 56  # of an image for each target
 _SEMI_MINOR_PX, _ELONGATION = (1.3, 5.0), (1.0, 4.0)
-_CONTRAST = (0.5, 6.0)  # standard deviations of the grain of a single frame
+_CONTRAST = (1.0, 6.0)  # standard deviations of the grain of a single frame
 _DARK_SHARE = 0.15  # of the targets that are darker than what is around them
 _SOFTNESS = (1.0, 3.0)  # exponent of the profile: a Gaussian, to nearly a flat top
 _GRAIN_SIGMA_PX, _AROUND_SIGMA_PX = 3.0, 8.0
