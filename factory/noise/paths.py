@@ -1,4 +1,4 @@
-"""Echoes that come another way: mirrored by planes, through sidelobes and channels, from others."""
+"""Echoes on indirect paths: multipath, sidelobes, crosstalk between channels, other sonars."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..imaging.scatterers import vertical_table
 from ..imaging.signal import Floats, Ping, Signal, mixing, sounds
 from ..settings import STRICT
 
-# Beyond so many widths a spoke is not there.
-_REACH = 4
+# A spoke is cut off this many standard deviations from its centre.
+_SPOKE_REACH = 4
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -46,10 +46,11 @@ class BottomMultipathSettings(EffectSettings):
 
 
 class Plane(NamedTuple):
-    """A level mirror.
+    """A level plane that mirrors sound: the sea surface or a flat bottom.
 
-    height_m: above the sonar, negative below.  loss_db: lost at each reflection.
-    tilt_deg: how far the sonar looks down, so that the plane lies level.
+    height_m: above the sonar, negative below.
+    loss_db: intensity lost at each reflection, dB.
+    tilt_deg: how far the sonar looks down; the plane stays level.
     """
 
     height_m: float
@@ -58,11 +59,12 @@ class Plane(NamedTuple):
 
 
 def _add_mirrored_echoes(signal: Signal, ping: Ping, plane: Plane) -> Signal:
-    """The signal with the echoes that come by way of a plane.
+    """Return a copy of the signal with the echoes that a plane reflects added.
 
-    With r the way to a point and r' that from the mirrored sonar, a path that touches the plane
-    once comes in at range (r + r') / 2, twice in phase, one that touches it both ways at r' (Urick
-    1983, ch. 5; Allen & Berkley, J. Acoust. Soc. Am. 65 (1979), 943, for the method).
+    Let r be the range of a point from the sonar and r' its range from the sonar's mirror image.
+    Paths that touch the plane once, on the way out or on the way back, arrive in phase at range
+    (r + r') / 2; the path that touches it on both ways arrives at r' (Urick 1983, ch. 5; image
+    method: Allen & Berkley, J. Acoust. Soc. Am. 65 (1979), 943).
     """
     from ..imaging import kernels  # loads numba
 
@@ -70,30 +72,36 @@ def _add_mirrored_echoes(signal: Signal, ping: Ping, plane: Plane) -> Signal:
     if not (has_power or signal.field.size):
         return signal
 
-    field = signal.field.copy()
-    # With speckle there is no power; what is there is the frame's, and no effect may change it.
-    power = signal.power.copy() if has_power else np.empty(0, np.float32)
-    planes = (2 * len(signal.field), signal.power.size)
+    mirrored_field = signal.field.copy()
+    # Speckle leaves no mean power.  The loop skips an empty array, and the signal keeps its zeros.
+    mirrored_power = signal.power.copy() if has_power else np.empty(0, np.float32)
+    planes_by_bins = (2 * len(signal.field), signal.power.size)
+    direct_echoes = (signal.power.reshape(-1), signal.field.reshape(planes_by_bins))
+    mirrored_echoes = (mirrored_power.reshape(-1), mirrored_field.reshape(planes_by_bins))
+
+    surface_bins, surface_points_m = ping.scatterers.surface
     tilt_rad = np.deg2rad(plane.tilt_deg)
+    height_and_tilt = (plane.height_m, float(np.cos(tilt_rad)), float(np.sin(tilt_rad)))
+    reflected_intensity = 10 ** (-plane.loss_db / 10)
+    nepers_per_m = np.log(10) / 10 * ping.absorption_db_per_m
+    bins_per_m = 1 / ping.bin_m
     kernels.mirror(
-        *ping.scatterers.surface,
+        surface_bins,
+        surface_points_m,
         ping.sonar.mount.axes(),
-        (plane.height_m, float(np.cos(tilt_rad)), float(np.sin(tilt_rad))),
+        height_and_tilt,
         vertical_table(ping.sonar),
-        10 ** (-plane.loss_db / 10),
-        np.log(10) / 10 * ping.absorption_db_per_m,
-        1 / ping.bin_m,
+        reflected_intensity,
+        nepers_per_m,
+        bins_per_m,
         ping.sonar.beams,
-        (
-            (signal.power.reshape(-1), signal.field.reshape(planes)),
-            (power.reshape(-1), field.reshape(planes)),
-        ),
+        (direct_echoes, mirrored_echoes),
     )
-    return Signal(power if has_power else signal.power, field)
+    return Signal(mirrored_power if has_power else signal.power, mirrored_field)
 
 
 def _expect_mirrored_echoes(state: Expected, ping: Ping, plane: Plane) -> None:
-    """Each ghost is as wide as what it mirrors."""
+    """Add the mirrored intensities to the expected echoes, fluctuating and steady, in place."""
     for intensity in (state.echo, state.steady):
         no_field = np.empty((0, 2, *intensity.shape), np.float32)
         mirrored = _add_mirrored_echoes(Signal(intensity, no_field), ping, plane)
@@ -103,28 +111,28 @@ def _expect_mirrored_echoes(state: Expected, ping: Ping, plane: Plane) -> None:
 def surface_multipath(
     signal: Signal, ping: Ping, rng: Rng, *, loss_db: float, tilt_deg: float
 ) -> Signal:
-    """Echoes by way of the sea surface, water.depth_m above the sonar."""
+    """Add the echoes that the sea surface reflects, water.depth_m above the sonar."""
     return _add_mirrored_echoes(signal, ping, Plane(ping.water.depth_m, loss_db, tilt_deg))
 
 
 def expect_surface_multipath(
     state: Expected, ping: Ping, rng: Rng, *, loss_db: float, tilt_deg: float
 ) -> None:
-    """Their intensities."""
+    """Add the intensities of the echoes that the sea surface reflects."""
     _expect_mirrored_echoes(state, ping, Plane(ping.water.depth_m, loss_db, tilt_deg))
 
 
 def bottom_multipath(
     signal: Signal, ping: Ping, rng: Rng, *, altitude_m: float, loss_db: float, tilt_deg: float
 ) -> Signal:
-    """Echoes by way of a level bottom."""
+    """Add the echoes that a level bottom reflects."""
     return _add_mirrored_echoes(signal, ping, Plane(-altitude_m, loss_db, tilt_deg))
 
 
 def expect_bottom_multipath(
     state: Expected, ping: Ping, rng: Rng, *, altitude_m: float, loss_db: float, tilt_deg: float
 ) -> None:
-    """Their intensities."""
+    """Add the intensities of the echoes that the bottom reflects."""
     _expect_mirrored_echoes(state, ping, Plane(-altitude_m, loss_db, tilt_deg))
 
 
@@ -155,34 +163,35 @@ class SidelobeArcsSettings(EffectSettings):
 
 
 def sidelobe_arcs(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Floats:
-    """A strong return leaks into every beam of its range row, with one random phase a row.
+    """Leak the strongest return of each range row into all its beams, with one random phase a row.
 
-    Beam patterns of `sonar.array` have the sidelobes of a perfect array; those of a real one do not
-    fall below -20 to -35 dB of the strongest return, whatever the bearing.
+    Beam patterns of `sonar.array` have the sidelobes of a perfect array.  Those of a real array do
+    not fall below -20 to -35 dB of the strongest return at any bearing.
     """
-    strongest = (field[:, 0] ** 2 + field[:, 1] ** 2).max(axis=-1)
-    leak = np.sqrt(strongest) * np.float32(10 ** (level_db / 20))
-    phase = 2 * np.pi * rng.random(leak.shape, dtype=np.float32)
-    arcs = np.stack([leak * np.cos(phase), leak * np.sin(phase)], axis=1)
+    strongest_intensity = (field[:, 0] ** 2 + field[:, 1] ** 2).max(axis=-1)
+    leak = np.sqrt(strongest_intensity) * np.float32(10 ** (level_db / 20))
+    phase_rad = 2 * np.pi * rng.random(leak.shape, dtype=np.float32)
+    arcs = np.stack([leak * np.cos(phase_rad), leak * np.sin(phase_rad)], axis=1)
     field += arcs[..., None]
     return field
 
 
 def expect_sidelobe_arcs(state: Expected, ping: Ping, rng: Rng, *, level_db: float) -> None:
-    """The leak of each row, which has one phase in all beams.
+    """Add the expected leak of each row to the steady intensity, in place.
 
-    The strongest of n independent exponential values is 1 + 1/2 + ... + 1/n of their mean; a row
-    has as many as its intensity is spread over, in steps of what the device resolves.
+    The strongest of n independent exponential values is on average 1 + 1/2 + ... + 1/n times their
+    mean.  n is the number of resolution cells over which the intensity of a row is spread.
     """
     total = state.total()
     strongest = total.max(axis=1)
-    beams_wide = max(float(1 / np.median(ping.beam_share)), 1)
-    independent = total.sum(axis=1) / np.maximum(strongest, 1e-37) / beams_wide
-    count = np.maximum(independent, 1)
-    # Harmonic numbers less 1, within 0.1.
-    more = np.log(count) - 0.423 * (1 - np.exp(1 - count))
-    fluctuating = 1 - state.steady.max(axis=1) / np.maximum(strongest, 1e-37)
-    leak = strongest * (1 + more * np.clip(fluctuating, 0, 1))
+    nonzero_strongest = np.maximum(strongest, 1e-37)
+    beams_per_cell = max(float(1 / np.median(ping.beam_share)), 1)
+    cell_count = np.maximum(total.sum(axis=1) / nonzero_strongest / beams_per_cell, 1)
+
+    # The harmonic number of the cell count less 1, within 0.1.
+    excess_of_maximum = np.log(cell_count) - 0.423 * (1 - np.exp(1 - cell_count))
+    fluctuating_part = 1 - state.steady.max(axis=1) / nonzero_strongest
+    leak = strongest * (1 + excess_of_maximum * np.clip(fluctuating_part, 0, 1))
     state.steady += (leak * 10 ** (level_db / 10)).astype(np.float32)[:, None]
 
 
@@ -207,8 +216,9 @@ class CrosstalkSettings(EffectSettings):
 def crosstalk(
     field: Floats, ping: Ping, rng: Rng, *, level_db: float, spacing_beams: float
 ) -> Floats:
-    """Channels that are read out side by side leak into each other, to the left and the right."""
-    step, leaks = max(round(spacing_beams), 1), np.float32(10 ** (level_db / 20)) * field
+    """Leak each channel into the channels read out next to it, left and right."""
+    step = max(round(spacing_beams), 1)
+    leaks = np.float32(10 ** (level_db / 20)) * field
     field[..., step:] += leaks[..., :-step]
     field[..., :-step] += leaks[..., step:]
     return field
@@ -217,26 +227,51 @@ def crosstalk(
 def expect_crosstalk(
     state: Expected, ping: Ping, rng: Rng, *, level_db: float, spacing_beams: float
 ) -> None:
-    """Intensities of the leaks, and what they add in phase: beams that overlap are alike."""
-    leak, step = np.float32(10 ** (level_db / 20)), max(round(spacing_beams), 1)
-    middle, alike = ping.sonar.beams // 2, 0.0
-    if middle + step < ping.sonar.beams:
-        one, other = (
-            mixing(ping.sonar)[:, beam].astype(np.float64) for beam in (middle, middle + step)
-        )
-        alike = float(one @ other / np.sqrt((one @ one) * (other @ other)))
-    for plane, correlation in (
-        (state.echo, alike),
-        (state.noise, 0.0),
-        (state.steady, 1.0),
-        (state.textured, alike),
-    ):
-        wide = np.pad(np.sqrt(plane), ((0, 0), (step, step)))
-        left, here, right = wide[:, : -2 * step], wide[:, step:-step], wide[:, 2 * step :]
-        leaked = plane + leak * leak * (left * left + right * right)
-        together = np.float32(2 * float(leak) * float(np.float32(correlation)))
-        in_phase = together * here * (left + right)
-        np.maximum(leaked + in_phase, 0, out=plane)
+    """Add the expected leaks to all intensities, in place.
+
+    Echoes in overlapping beams are correlated, so their leaks add partly in phase.  Receiver noise
+    is independent from beam to beam; the steady intensity adds fully in phase.
+    """
+    leak = np.float32(10 ** (level_db / 20))
+    step = max(round(spacing_beams), 1)
+    beam_correlation = _correlate_beams(ping, step)
+    _add_leaks(state.echo, leak, step, beam_correlation)
+    _add_leaks(state.noise, leak, step, 0.0)
+    _add_leaks(state.steady, leak, step, 1.0)
+    _add_leaks(state.textured, leak, step, beam_correlation)
+
+
+def _correlate_beams(ping: Ping, step: int) -> float:
+    """Return the correlation of speckle in the middle beam and in the beam `step` to its right.
+
+    0 where the fan has no such beam.
+    """
+    middle = ping.sonar.beams // 2
+    if middle + step >= ping.sonar.beams:
+        return 0.0
+
+    beam_mixing = mixing(ping.sonar)
+    weights = beam_mixing[:, middle].astype(np.float64)
+    neighbour_weights = beam_mixing[:, middle + step].astype(np.float64)
+    norm = np.sqrt((weights @ weights) * (neighbour_weights @ neighbour_weights))
+    return float(weights @ neighbour_weights / norm)
+
+
+def _add_leaks(intensity: Floats, leak: np.float32, step: int, correlation: float) -> None:
+    """Add what the beams `step` to the left and right leak into each beam, in place.
+
+    intensity: (range_bins, beams) float32.  leak: factor on amplitudes.
+    correlation: of the complex fields of a beam and of the beam that leaks into it, 0 to 1.
+    """
+    padded_amplitude = np.pad(np.sqrt(intensity), ((0, 0), (step, step)))
+    left = padded_amplitude[:, : -2 * step]
+    middle = padded_amplitude[:, step:-step]
+    right = padded_amplitude[:, 2 * step :]
+
+    with_leaks = intensity + leak * leak * (left * left + right * right)
+    in_phase_factor = np.float32(2 * float(leak) * float(np.float32(correlation)))
+    in_phase = in_phase_factor * middle * (left + right)
+    np.maximum(with_leaks + in_phase, 0, out=intensity)
 
 
 CROSSTALK = Effect(CrosstalkSettings, crosstalk, "beam", "haze", systematic=expect_crosstalk)
@@ -259,37 +294,62 @@ class SpokesSettings(EffectSettings):
     spacing: Literal["random", "regular"] = parameter("random")
 
 
+class Spoke(NamedTuple):
+    """One spoke: noise of n neighbouring beams at all ranges.
+
+    beams: slice of the n beams.
+    noise: (looks, 2, range_bins, n) float32 standard normal values, real and imaginary parts.
+    amplitude: (n,) float32 factor on the noise.
+    """
+
+    beams: slice
+    noise: Floats
+    amplitude: Floats
+
+
 def spokes(field: Floats, ping: Ping, rng: Rng, **parameters: Any) -> Floats:
-    """Noise around single bearings at all ranges, from other sonars and propellers."""
-    for across, noise, amplitude in _each(ping, rng, field.shape[0], **parameters):
-        field[..., across] += noise * amplitude
+    """Add noise at single bearings and all ranges, as from other sonars and propellers."""
+    for spoke in _draw_spokes(ping, rng, field.shape[0], **parameters):
+        field[..., spoke.beams] += spoke.noise * spoke.amplitude
     return field
 
 
 def realise_spokes(state: Expected, ping: Ping, rng: Rng, **parameters: Any) -> None:
-    """The spokes of this sample, with the mean intensity of their noise."""
-    for across, _, amplitude in _each(ping, rng, round(state.looks), **parameters):
-        state.noise[:, across] += 2 * amplitude**2
+    """Add the mean noise intensity of this sample's spokes, in place."""
+    for spoke in _draw_spokes(ping, rng, round(state.looks), **parameters):
+        state.noise[:, spoke.beams] += 2 * spoke.amplitude**2
 
 
-def _each(
-    ping: Ping, rng: Rng, looks: int, *, count: float, level_db: float, width_beams: float,
+def _draw_spokes(
+    ping: Ping,
+    rng: Rng,
+    looks: int,
+    *,
+    count: float,
+    level_db: float,
+    width_beams: float,
     spacing: str = "random",
-) -> Iterator[tuple[slice, Floats, Floats]]:  # fmt: skip
-    """The beams of each spoke, its noise (looks, 2, range_bins, n) and amplitudes (n,)."""
+) -> Iterator[Spoke]:
+    """Draw the spokes of a sample one by one.  Parameters: see `SpokesSettings`."""
     rows, beams = ping.shape
-    width, first_at = max(width_beams, 0.1), 0.0
-    for number in range(round(count)):
+    spoke_count = round(count)
+    width = max(width_beams, 0.1)
+    peak_amplitude = np.sqrt(ping.full_scale / 2) * 10 ** (level_db / 20)
+    first_centre = 0.0
+    for number in range(spoke_count):
+        # Drawn for every spoke, although regular spokes use the first draw alone.
         centre = rng.random() * beams
         if spacing == "regular":
-            first_at = centre if number == 0 else first_at
-            centre = (first_at + number * beams / round(count)) % beams
-        first = max(int(centre - _REACH * width), 0)
-        last = min(int(centre + _REACH * width) + 1, beams)
-        away = (np.arange(first, last) + 0.5 - centre) / width
-        amplitude = np.sqrt(ping.full_scale / 2) * 10 ** (level_db / 20) * np.exp(-(away**2) / 4)
-        noise = rng.standard_normal((looks, 2, rows, last - first), dtype=np.float32)
-        yield slice(first, last), noise, amplitude.astype(np.float32)
+            if number == 0:
+                first_centre = centre
+            centre = (first_centre + number * beams / spoke_count) % beams
+
+        first = max(int(centre - _SPOKE_REACH * width), 0)
+        stop = min(int(centre + _SPOKE_REACH * width) + 1, beams)
+        offset_in_widths = (np.arange(first, stop) + 0.5 - centre) / width
+        amplitude = peak_amplitude * np.exp(-(offset_in_widths**2) / 4)
+        noise = rng.standard_normal((looks, 2, rows, stop - first), dtype=np.float32)
+        yield Spoke(slice(first, stop), noise, amplitude.astype(np.float32))
 
 
 SPOKES = Effect(SpokesSettings, spokes, "picture", "spokes", realised=realise_spokes)
