@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +19,6 @@ from .settings import CoherentSettings
 
 Floats = npt.NDArray[np.float32]
 Matrix = npt.NDArray[np.float64]
-Points = tuple[
-    npt.NDArray[np.int32], Floats, npt.NDArray[np.uint32], Floats, npt.NDArray[np.uint16]
-]
 
 # What factors leave out, as a part of the largest number of a matrix.
 _LEFT_OUT = 1e-6
@@ -40,6 +38,23 @@ class Signal:
 
     power: Floats
     field: Floats
+
+
+class PointEchoes(NamedTuple):
+    """N points that echo coherently, in the order of the arguments of `kernels.scatter`.
+
+    bins: (N,) int32 flat polar bin.
+    amplitudes: (N,) float32 root of the power without absorption.
+    cells: (N,) uint32 name of the world cell whose random coefficient the point has.
+    shares: (N,) float32 factor on amplitudes; (0,): all 1.
+    phases: (N,) uint16 phase of the two-way path, 65536ths of a turn; (0,): all 0.
+    """
+
+    bins: npt.NDArray[np.int32]
+    amplitudes: Floats
+    cells: npt.NDArray[np.uint32]
+    shares: Floats
+    phases: npt.NDArray[np.uint16]
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,11 +216,10 @@ def add_white_noise(field: Floats, rng: np.random.Generator, along: Floats, acro
         kernels.add_white(int(rng.integers(2**32)), gaussian_table(), along, across, look)
 
 
-def scattered(ping: Ping, rng: np.random.Generator, looks: float, points: Points) -> Signal:
-    """Speckle: the complex field of points instead of the mean power of the echoes.
+def scattered(ping: Ping, rng: np.random.Generator, looks: float, points: PointEchoes) -> Signal:
+    """Return speckle: the complex field of points instead of the mean power of the echoes.
 
-    looks: independent fields (rounded).  points: flat polar bin, root of the power without
-    absorption, cell, share and phase of each of N; see `kernels.scatter`.
+    looks: number of independent fields (rounded).
     """
     from . import kernels
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +14,11 @@ from ..errors import FrameError
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected, between
 from ..imaging.moving import static_index
-from ..imaging.scatterers import camera_of, grid_of
+from ..imaging.scatterers import beam_table, camera_of
 from ..imaging.signal import (
     Floats,
     Ping,
+    PointEchoes,
     Signal,
     add_white_noise,
     beamform,
@@ -28,15 +30,17 @@ from ..sonar import array
 
 Words = npt.NDArray[np.uint32]
 Doubles = npt.NDArray[np.float64]
+Phases = npt.NDArray[np.uint16]
 
-# Edge of a world cell over what the device tells apart; power is then within 0.15 dB.
-_CELL = 0.3
+# Edge of a world cell as a fraction of the device's resolution; power is then within 0.15 dB.
+_CELL_OF_RESOLUTION = 0.3
 _MOST_POINTS = 1 << 25
-# Where a beam is to be at least a cell wide, as a part of the farthest range.
-_NEAR = 0.25
-_STEPS, _REACH = 1024, 5.5
-# For the three places of a cell's point in it.
-_SALTS = np.array([0x68BC21EB, 0x02E5BE93, 0x967A889B], np.uint32)
+# Fraction of the farthest range from which on a beam is at least a cell wide.
+_CELL_WIDE_FROM = 0.25
+_QUANTILE_COUNT = 1024
+_QUANTILE_REACH = 5.5  # standard deviations on either side
+# One word for each axis, to draw the place of a cell's point in the cell.
+_AXIS_SALTS = np.array([0x68BC21EB, 0x02E5BE93, 0x967A889B], np.uint32)
 _NEPERS_PER_DB = np.log(10) / 10  # of intensity
 
 
@@ -64,9 +68,11 @@ def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: 
     looks is gamma-distributed, L its shape.  Without poses every frame has a field of its own.
     """
     scene = ping.scatterers
-    names, shares = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
-    points = scene.bins, np.sqrt(scene.powers), names, shares, np.empty(0, np.uint16)
-    return scattered(ping, rng, looks, points)
+    resolution_m = min(ping.bin_m, ping.resolution_m)
+    cells, shares = scene.world_cells(scatterer_m or _CELL_OF_RESOLUTION * resolution_m)
+    no_phases = np.empty(0, np.uint16)
+    echoes = PointEchoes(scene.bins, np.sqrt(scene.powers), cells, shares, no_phases)
+    return scattered(ping, rng, looks, echoes)
 
 
 def expect_speckle(
@@ -110,90 +116,159 @@ class PathSpeckleSettings(EffectSettings):
     scatterer_m: NonNegative = parameter(0, "m")
 
 
+class CellPoints(NamedTuple):
+    """The world's cells as one point each.
+
+    cells: (N,) uint32 names of the cells.
+    powers: (N,) float32 intensity over the source level, without absorption.
+    sonar_m: (3, N) float64 places in sonar axes (x forward, y left, z up), metres.
+    """
+
+    cells: Words
+    powers: Floats
+    sonar_m: Doubles
+
+
 def path_speckle(
     signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float
 ) -> Signal:
-    """Speckle of a sonar that moves: every echo has the phase of the way there and back.
+    """Speckle of a moving sonar: every echo has the phase of its two-way path.
 
-    The cells of the world are points whose echoes turn with their range.  A sonar at rest sees the
-    same speckle, to the byte; one that moves across loses it over about half its aperture, one that
-    turns or moves along keeps it for longer (Goodman, ch. 5).  Needs frames with poses, of a range
-    window that stays the same (sonar.range.auto=false).  Raises FrameError when cells are too many.
+    The cells of the world are points whose echoes turn in phase with their range.  A sonar at rest
+    sees the same speckle in every frame, to the byte.  One that moves across its view loses the
+    speckle over about half its aperture; one that turns or moves along its view keeps it for longer
+    (Goodman, ch. 5).  Needs frames with poses, and a range window that stays the same
+    (sonar.range.auto=false).  Raises FrameError when there are too many cells.
     """
     cell_m = scatterer_m or edge_m(ping)
-    names, powers, sonar_m = _static_points(ping, cell_m)
-    for own in ping.scatterers.moving:
-        moving = own.points(ping.scatterers.powers[own.index], cell_m)
-        names = np.concatenate([names, moving.names])
-        powers = np.concatenate([powers, moving.powers])
-        sonar_m = np.concatenate([sonar_m, _in_sonar_axes(ping, moving.camera_m)], axis=1)
-    ahead, left, up = sonar_m
-    ground = ahead * ahead + left * left
-    range_m = np.sqrt(ground + up * up)
-    on_ground, near_m, bins_per_m, rows, edges, *_ = grid_of(ping.window, ping.sonar)
-    away_m = np.sqrt(ground) if on_ground else range_m
-    row = np.floor((away_m - near_m) * bins_per_m)
-    beam = np.searchsorted(edges, -left / range_m, side="right") - 1
-    beams = ping.sonar.beams
-    seen = (ahead > 0) & (row >= 0) & (row < rows) & (beam >= 0) & (beam < beams)
-    bins = (row[seen].astype(np.int32) * beams + beam[seen]).astype(np.int32)
-    # Wavelengths of the two-way path.
-    turns = range_m[seen] * (2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s())
-    phases = ((turns - np.floor(turns)) * 65536.0).astype(np.uint16)
-    points = bins, np.sqrt(powers[seen]), names[seen], np.empty(0, np.float32), phases
-    return scattered(ping, rng, looks, points)
+    static_points = _place_static_points(ping, cell_m)
+    points = _join([static_points, *_place_moving_points(ping, cell_m)])
+
+    ahead_m, left_m, up_m = points.sonar_m
+    ground_squared = ahead_m * ahead_m + left_m * left_m
+    range_m = np.sqrt(ground_squared + up_m * up_m)
+
+    is_top_view = ping.window.projection == "top_view"
+    distance_m = np.sqrt(ground_squared) if is_top_view else range_m
+    bins_per_m = ping.sonar.range_bins / ping.window.range_span_m
+    row = np.floor((distance_m - ping.window.range_min_m) * bins_per_m)
+    beam_edges, _ = beam_table(ping.sonar)
+    beam = np.searchsorted(beam_edges, -left_m / range_m, side="right") - 1
+
+    rows, beams = ping.shape
+    in_rows = (row >= 0) & (row < rows)
+    in_beams = (beam >= 0) & (beam < beams)
+    in_window = (ahead_m > 0) & in_rows & in_beams
+    bins = (row[in_window].astype(np.int32) * beams + beam[in_window]).astype(np.int32)
+    echoes = PointEchoes(
+        bins,
+        np.sqrt(points.powers[in_window]),
+        points.cells[in_window],
+        np.empty(0, np.float32),
+        _two_way_phases(range_m[in_window], ping),
+    )
+    return scattered(ping, rng, looks, echoes)
 
 
-def _static_points(ping: Ping, cell_m: float) -> tuple[Words, Floats, Doubles]:
-    """The cells of the static scene as one point each: names, powers, (3, N) in sonar axes.
+def _two_way_phases(range_m: Doubles, ping: Ping) -> Phases:
+    """Return the phase of the path to each range and back, (N,) uint16 65536ths of a turn."""
+    wavelengths_per_m = 2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s()
+    turns = range_m * wavelengths_per_m
+    fraction = turns - np.floor(turns)
+    return np.asarray(fraction * 65536.0).astype(np.uint16)
 
-    Raises FrameError when cells are too many.
+
+def _join(parts: list[CellPoints]) -> CellPoints:
+    """Return the points of all parts as one record."""
+    if len(parts) == 1:
+        return parts[0]
+    return CellPoints(
+        np.concatenate([part.cells for part in parts]),
+        np.concatenate([part.powers for part in parts]),
+        np.concatenate([part.sonar_m for part in parts], axis=1),
+    )
+
+
+def _place_moving_points(ping: Ping, cell_m: float) -> list[CellPoints]:
+    """Return the cells of each moving object as one point each."""
+    parts = []
+    for scatterers in ping.scatterers.moving:
+        moving = scatterers.points(ping.scatterers.powers[scatterers.index], cell_m)
+        sonar_m = _in_sonar_axes(ping, moving.camera_m)
+        parts.append(CellPoints(moving.names, moving.powers, sonar_m))
+    return parts
+
+
+def _place_static_points(ping: Ping, cell_m: float) -> CellPoints:
+    """Return the cells of the static scene as one point each, at a random place of the cell.
+
+    Raises FrameError when there are too many cells.
     """
     from ..imaging import kernels  # loads numba
 
     scene = ping.scatterers
-    pose = np.ascontiguousarray(scene.world_from_camera[:3])
-    kept = static_index(scene.moving, len(scene.pixels))
-    where, power = (scene.pixels[kept], scene.parts[kept]), scene.powers[kept]
-    given = (where, power, camera_of(scene.frame), pose, cell_m)
-    nothing = np.empty(0, np.uint32), np.empty(0, np.float32), np.empty((0, 3), np.int32)
-    points = kernels.gather(*given, nothing)
-    if points > _MOST_POINTS:
-        raise FrameError(
-            f"{scene.frame.ref.name}: {points} points for cells of {1000 * cell_m:.2g} mm; set "
-            "noise.path_speckle.scatterer_m to larger ones"
-        )
-    slots = 1 << int(points).bit_length()
-    names, powers = np.zeros(slots, np.uint32), np.zeros(slots, np.float32)
-    table = names, powers, np.empty((slots, 3), np.int32)
-    kernels.gather(*given, table)
-    # Only what lies in the picture, each cell as one point in it, which is the cell's own.
-    kept = np.flatnonzero(powers > 0)
-    names, powers, places = names[kept], powers[kept], table[2][kept]
-    x, y, z = (
-        (places[:, axis] + (kernels.scrambled(names ^ salt) >> np.uint32(8)) * 2.0**-24) * cell_m
-        for axis, salt in enumerate(_SALTS)
+    world_from_camera = np.ascontiguousarray(scene.world_from_camera[:3])
+    static = static_index(scene.moving, len(scene.pixels))
+    scatterers = (
+        (scene.pixels[static], scene.parts[static]),
+        scene.powers[static],
+        camera_of(scene.frame),
+        world_from_camera,
+        cell_m,
     )
-    # World axes to sonar axes (x forward, y left, z up).
-    turn = ping.sonar.mount.rotation_sonar_from_camera()
-    seen_from = turn @ np.linalg.inv(scene.world_from_camera)[:3]
-    seen_from[:, 3] -= turn @ ping.sonar.mount.position_camera_m()
-    rows = [m[0] * x + m[1] * y + m[2] * z + m[3] for m in seen_from]
-    return names, powers, np.stack(rows)
+    # Without a table the loop only counts.
+    point_count = kernels.gather(*scatterers, _cell_table(0))
+    if point_count > _MOST_POINTS:
+        raise FrameError(
+            f"{scene.frame.ref.name}: {point_count} points for cells of {1000 * cell_m:.2g} mm; "
+            "set noise.path_speckle.scatterer_m to larger ones"
+        )
+    slots = 1 << int(point_count).bit_length()
+    table = _cell_table(slots)
+    kernels.gather(*scatterers, table)
+
+    names, all_powers, corners = table
+    has_echo = np.flatnonzero(all_powers > 0)
+    cells = names[has_echo]
+    x, y, z = (
+        (corners[has_echo, axis] + _place_in_cell(cells, salt)) * cell_m
+        for axis, salt in enumerate(_AXIS_SALTS)
+    )
+    mount = ping.sonar.mount
+    sonar_from_camera = mount.rotation_sonar_from_camera()
+    sonar_from_world = sonar_from_camera @ np.linalg.inv(scene.world_from_camera)[:3]
+    sonar_from_world[:, 3] -= sonar_from_camera @ mount.position_camera_m()
+    # Spelled out, for a matrix product of many points may round differently on other processors.
+    sonar_m = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in sonar_from_world]
+    return CellPoints(cells, all_powers[has_echo], np.stack(sonar_m))
+
+
+def _cell_table(slots: int) -> tuple[Words, Floats, npt.NDArray[np.int32]]:
+    """Return an empty hash table as `kernels.gather` fills it: names, powers, cell corners."""
+    names = np.zeros(slots, np.uint32)
+    powers = np.zeros(slots, np.float32)
+    return names, powers, np.empty((slots, 3), np.int32)
+
+
+def _place_in_cell(cells: Words, salt: np.uint32) -> Doubles:
+    """Return where each cell's point lies along one axis, 0 to 1: the top 24 bits of a hash."""
+    from ..imaging import kernels  # loads numba
+
+    return np.asarray((kernels.scrambled(cells ^ salt) >> np.uint32(8)) * 2.0**-24)
 
 
 def _in_sonar_axes(ping: Ping, camera_m: Doubles) -> Doubles:
-    """(3, N) places in sonar axes of (N, 3) places in camera axes."""
+    """Return (3, N) places in sonar axes for (N, 3) places in camera axes, metres."""
     mount = ping.sonar.mount
-    turn = mount.rotation_sonar_from_camera()
+    sonar_from_camera = mount.rotation_sonar_from_camera()
     x, y, z = (camera_m - mount.position_camera_m()).T
-    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in turn])
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in sonar_from_camera])
 
 
 def edge_m(ping: Ping) -> float:
-    """Edge of a cell that suits the device, a power of two, metres: what the device tells apart."""
+    """Return the edge of a cell that suits the device's resolution, a power of two, metres."""
     length_m = max(ping.bin_m, ping.resolution_m)
-    width_m = _NEAR * ping.window.range_max_m * array.beam_width_sine(ping.sonar.array)
+    width_m = _CELL_WIDE_FROM * ping.window.range_max_m * array.beam_width_sine(ping.sonar.array)
     return float(2.0 ** np.floor(np.log2(min(length_m, width_m))))
 
 
@@ -279,37 +354,45 @@ def texture(field: Floats, ping: Ping, rng: Rng, *, shape: float, patch_m: float
 
 
 def gamma_of_normal(normal: Floats, shape: float) -> Floats:
-    """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
-    steps = np.float32((_STEPS - 1) / (2 * _REACH))
-    reach = np.float32(_REACH)
-    return between(_quantiles(shape), (np.clip(normal, -reach, reach) + reach) * steps)
+    """Return Gamma(nu, 1 / nu) values (mean 1) at the quantiles of standard normal ones."""
+    steps_per_sigma = np.float32((_QUANTILE_COUNT - 1) / (2 * _QUANTILE_REACH))
+    reach = np.float32(_QUANTILE_REACH)
+    position = (np.clip(normal, -reach, reach) + reach) * steps_per_sigma
+    return between(_quantiles(shape), position)
 
 
 @lru_cache(maxsize=64)
 def _quantiles(shape: float) -> Floats:
+    """Return the gamma distribution's quantiles at equal steps of a standard normal variable."""
     from scipy import special  # slow to import
 
-    normal = np.linspace(-_REACH, _REACH, _STEPS)
+    normal = np.linspace(-_QUANTILE_REACH, _QUANTILE_REACH, _QUANTILE_COUNT)
     return np.asarray(special.gammaincinv(shape, special.ndtr(normal)) / shape, np.float32)
 
 
 def expect_texture(state: Expected, ping: Ping, rng: Rng, *, shape: float, patch_m: float) -> None:
-    """What is in the bins that a surface fills varies."""
+    """Mark the expected intensity of bins that a surface fills as textured."""
     state.shape = shape
     total = (state.echo + state.steady).reshape(-1)
     filled, _ = ping.scatterers.surface
     state.textured.reshape(-1)[filled] = total[filled]
 
 
-def texture_here(state: Expected, ping: Ping, rng: Rng, **given: float) -> None:
-    """The patches as they are: a property of the ground, which stays when speckle goes."""
-    patches = texture(np.ones(ping.shape, np.float32), ping, rng, **given) ** 2
+def realise_texture(state: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
+    """Apply this sample's patches: a property of the ground, which stays when speckle goes."""
+    patches = texture(np.ones(ping.shape, np.float32), ping, rng, **parameters) ** 2
     state.echo *= patches
     state.steady *= patches
 
 
 TEXTURE = Effect(
-    TextureSettings, texture, "beam", None, "world", expected=expect_texture, realised=texture_here
+    TextureSettings,
+    texture,
+    "beam",
+    None,
+    "world",
+    expected=expect_texture,
+    realised=realise_texture,
 )
 
 
@@ -336,7 +419,10 @@ def scintillation(field: Floats, ping: Ping, rng: Rng, *, sigma_db: float) -> Fl
 
 
 def expect_scintillation(state: Expected, ping: Ping, rng: Rng, *, sigma_db: float) -> None:
-    """A display of levels shows the median; one of powers shows a little more."""
+    """Add the variance of the log-intensity.
+
+    A logarithmic display shows the median of the fluctuation, one of powers slightly more.
+    """
     state.scintillation_nepers2 += (sigma_db * _NEPERS_PER_DB) ** 2
 
 
