@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -70,8 +70,14 @@ _TARGET = (
 )
 
 
+# Start of a key's entry in the docstring of noise settings: `key: ` or `key, key: `.
+_DOCUMENTED_KEYS = re.compile(r"(?<=\.) ((?:[a-z_]+, )*[a-z_]+): ")
+
+
 def columns(noise: NoiseSettings, formation: Formation = "pointwise") -> tuple[Column, ...]:
-    """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty.
+    """Return the columns of the sample table.
+
+    A parameter that was not drawn, because its effect is off, is NaN or empty in the rows.
 
     formation: acoustics.formation; pointwise images have one scale for clean and noisy.
     """
@@ -80,15 +86,19 @@ def columns(noise: NoiseSettings, formation: Formation = "pointwise") -> tuple[C
 
 
 def _described(column: Column) -> Column:
-    """A parameter of noise says what the docstring of its settings says of the key."""
-    kind, _, rest = column.name.partition(".")
+    """Return the column of a noise parameter with the description of its settings key.
+
+    Other columns, and those that have a description, are returned as they are.
+    """
+    kind, _, effect_and_parameter = column.name.partition(".")
     if kind != "noise" or column.description:
         return column
-    effect, _, parameter = rest.partition(".")
-    text = " ".join((EFFECTS[effect].settings.__doc__ or "").split())
-    _, *told = re.split(r"(?<=\.) ((?:[a-z_]+, )*[a-z_]+): ", text)
-    for names, meaning in zip(told[::2], told[1::2], strict=True):
-        if parameter in names.split(", "):
+
+    effect, _, parameter = effect_and_parameter.partition(".")
+    docstring = " ".join((EFFECTS[effect].settings.__doc__ or "").split())
+    _, *entries = _DOCUMENTED_KEYS.split(docstring)
+    for keys, meaning in zip(entries[::2], entries[1::2], strict=True):
+        if parameter in keys.split(", "):
             return replace(column, description=meaning.rstrip("."))
     return column
 
@@ -102,9 +112,9 @@ def record(
     draws: Draws,
     formation: Formation = "pointwise",
 ) -> Row:
-    """The row of one sample."""
-    names = (ref.location, ref.scene, ref.frame, variant)
-    seed_key = "".join(f"{word:08x}" for word in seeds.spawn_key(*names))
+    """Return the row of one sample, without the columns of `dataset.columns`."""
+    key_words = seeds.spawn_key(ref.location, ref.scene, ref.frame, variant)
+    seed_key = "".join(f"{word:08x}" for word in key_words)
     pixel_m = window.range_span_m / sonar.range_bins
     if sonar.image.layout != "polar":
         pixel_m = window.range_max_m * pixel_size(sonar, window.near_fraction)
@@ -132,33 +142,55 @@ def _row(columns: Sequence[Column], *values: float | str) -> Row:
     return {column.name: value for column, value in zip(columns, values, strict=True)}
 
 
-def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
-    """Row and column axes.
+class ImageAxes(NamedTuple):
+    """The axes of an image: along its rows from the top, along its columns from the left."""
 
-    With one fixed range window they are metres (and degrees of azimuth for polar pictures).  With
-    an automatic one, or several, every sample has its own scale: the axes count from 0 to 1 or in
+    rows: Axis
+    columns: Axis
+
+
+def image_axes(sonar: SonarSettings) -> ImageAxes:
+    """Return the row and column axes of the images.
+
+    With one fixed range window they are metres (and degrees of azimuth for polar images).  With an
+    automatic window, or several, every sample has its own scale: the axes count from 0 to 1 or in
     pixels, which `range_min_m`, `range_max_m`, `metres_per_pixel` of the table turn into metres.
     """
-    rows, columns_ = (np.arange(size) + 0.5 for size in sonar.shape())
-    near, far = sonar.range.min_m, sonar.range.max_m
     if sonar.image.layout == "polar":
-        fraction = rows / sonar.range_bins
-        down = Axis("range", "1", fraction, "0 at range_min_m, 1 at range_max_m")
-        if sonar.range.fixed:
-            down = Axis("range", "m", near + fraction * (far - near))
-        bearings = np.rad2deg(sonar.beam_centres_rad())
-        return down, Axis("azimuth", "deg", bearings, "0 is straight ahead")
-    right = columns_ - sonar.image.width_px / 2
+        return _polar_axes(sonar)
+    return _fan_axes(sonar)
+
+
+def _polar_axes(sonar: SonarSettings) -> ImageAxes:
+    row_count, _ = sonar.shape()
+    fraction = (np.arange(row_count) + 0.5) / sonar.range_bins
+    azimuth = Axis("azimuth", "deg", np.rad2deg(sonar.beam_centres_rad()), "0 is straight ahead")
     if not sonar.range.fixed:
-        return (
-            Axis("ahead", "px", rows, "distance below range_max_m straight ahead"),
-            Axis("right", "px", right, "distance to the right of the sonar's axis"),
+        return ImageAxes(
+            Axis("range", "1", fraction, "0 at range_min_m, 1 at range_max_m"), azimuth
         )
-    pixel_m = far * pixel_size(sonar, near / far)
-    return Axis("ahead", "m", far - rows * pixel_m), Axis("right", "m", right * pixel_m)
+    near_m = sonar.range.min_m
+    far_m = sonar.range.max_m
+    return ImageAxes(Axis("range", "m", near_m + fraction * (far_m - near_m)), azimuth)
 
 
-# --- what is asked for
+def _fan_axes(sonar: SonarSettings) -> ImageAxes:
+    row_count, column_count = sonar.shape()
+    row_px = np.arange(row_count) + 0.5
+    right_px = np.arange(column_count) + 0.5 - sonar.image.width_px / 2
+    if not sonar.range.fixed:
+        return ImageAxes(
+            Axis("ahead", "px", row_px, "distance below range_max_m straight ahead"),
+            Axis("right", "px", right_px, "distance to the right of the sonar's axis"),
+        )
+    far_m = sonar.range.max_m
+    pixel_m = far_m * pixel_size(sonar, sonar.range.min_m / far_m)
+    return ImageAxes(
+        Axis("ahead", "m", far_m - row_px * pixel_m), Axis("right", "m", right_px * pixel_m)
+    )
+
+
+# --- columns of `dataset.columns`
 
 # NaN where the recording does not say.
 _POSE = (
@@ -216,55 +248,65 @@ _LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 
 
 def requested(names: Sequence[str]) -> tuple[Column, ...]:
-    """The columns that `dataset.columns` asks for."""
-    return tuple(column for name in names for column in _REQUESTED[name][0])
+    """Return the columns that `dataset.columns` asks for."""
+    return tuple(column for name in names for column in _REQUESTABLE[name].columns)
 
 
 def requested_row(lit: LitSurface, config: FactoryConfig) -> Row:
-    """The values of `requested` for a frame as the sonar sees it."""
-    rows = (_REQUESTED[name][1](lit, config) for name in config.dataset.columns)
-    return {name: value for row in rows for name, value in row.items()}
+    """Return the values of `requested` for a frame as the sonar sees it."""
+    row: Row = {}
+    for name in config.dataset.columns:
+        row |= _REQUESTABLE[name].row(lit, config)
+    return row
 
 
 def pose_row(frame: Frame, mount: Mount) -> Row:
-    """The values of `pose` for a frame and the sonar mounted at its camera."""
+    """Return the values of `pose` for a frame and the sonar mounted at its camera.
+
+    NaN where the recording has no time, pose or altitude.
+    """
     row: Row = dict.fromkeys((column.name for column in _POSE), float("nan"))
     if frame.time_s is not None:
         row["time_s"] = frame.time_s
     if frame.world_from_camera is None:
         return row
-    camera = np.asarray(frame.world_from_camera, np.float64)
+
+    world_from_camera = np.asarray(frame.world_from_camera, np.float64)
     camera_from_sonar = np.eye(4)
     camera_from_sonar[:3, :3] = mount.rotation_sonar_from_camera().T
     camera_from_sonar[:3, 3] = mount.position_camera_m()
-    sonar = np.asarray(camera @ camera_from_sonar)
-    numbers = [
-        number
-        for pose in (camera, sonar)
-        for number in (*pose[:3, 3].tolist(), *_quaternion(pose[:3, :3]).tolist())
-    ]
-    row |= _row(_POSE[: len(numbers)], *numbers)
-    forward, left = sonar[:3, 0], sonar[:3, 1]
+    world_from_sonar = np.asarray(world_from_camera @ camera_from_sonar)
+    pose_values = [*_position_and_quaternion(world_from_camera)]
+    pose_values += _position_and_quaternion(world_from_sonar)
+    row |= _row(_POSE[: len(pose_values)], *pose_values)
+
+    forward = world_from_sonar[:3, 0]
+    left = world_from_sonar[:3, 1]
     row["sonar.tilt_deg"] = float(np.rad2deg(np.arcsin(np.clip(-forward[2], -1, 1))))
     row["sonar.heading_deg"] = float(np.rad2deg(np.arctan2(forward[1], forward[0])))
     row["sonar.roll_deg"] = float(np.rad2deg(np.arcsin(np.clip(left[2], -1, 1))))
     if frame.altitude_m is not None:
-        row["sonar.altitude_m"] = float(frame.altitude_m + sonar[2, 3] - camera[2, 3])
+        sonar_up_m = world_from_sonar[2, 3]
+        camera_up_m = world_from_camera[2, 3]
+        row["sonar.altitude_m"] = float(frame.altitude_m + sonar_up_m - camera_up_m)
     return row
 
 
-def _quaternion(rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(4,) unit quaternion (x, y, z, w) of a rotation matrix, w not negative."""
+def _position_and_quaternion(pose: npt.NDArray[np.float64]) -> list[float]:
+    """Return x, y, z (metres) and the unit quaternion x, y, z, w of a (4, 4) pose, w >= 0."""
     from scipy.spatial.transform import Rotation  # slow to import
 
-    found = np.asarray(Rotation.from_matrix(rotation).as_quat(), np.float64)
-    return -found if found[3] < 0 else found
+    quaternion = np.asarray(Rotation.from_matrix(pose[:3, :3]).as_quat(), np.float64)
+    if quaternion[3] < 0:
+        quaternion = -quaternion
+    return [*pose[:3, 3].tolist(), *quaternion.tolist()]
 
 
 def _lens_row(frame: Frame) -> Row:
     lens = frame.intrinsics
-    numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion, 0.0, 0.0, 0.0, 0.0)
-    return _row(_LENS, *map(float, numbers[: len(_LENS)]))
+    no_distortion = (0.0, 0.0, 0.0, 0.0)
+    values = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion, *no_distortion)
+    return _row(_LENS, *map(float, values[: len(_LENS)]))
 
 
 def _calibration_row(config: FactoryConfig) -> Row:
@@ -282,62 +324,97 @@ def _calibration_row(config: FactoryConfig) -> Row:
 
 
 def _boxes_row(lit: LitSurface, classes: Sequence[str]) -> Row:
-    """Raises FrameError for a frame without boxes."""
+    """Return the value of `boxes`: the frame's objects as JSON, those with most echoes first.
+
+    Objects with the fewest echoes are left out where the text would exceed the column.
+    Raises FrameError for a frame without boxes.
+    """
     frame = lit.frame
     if frame.boxes is None or frame.instance is None:
         raise FrameError(f"{frame.ref.name}: has no boxes; leave boxes out of dataset.columns")
+
+    instance_of_pixel = frame.instance.ravel()
     echoes, pixel, _ = lit.insonified
-    heard = echoes.strength > 0
-    number = frame.instance.ravel()
-    of, range_m = number[pixel[heard]], echoes.range_m[heard]
-    bearing_deg = np.rad2deg(echoes.azimuth_rad[heard])
-    dark = number[(lit.rendered.surface & (lit.rendered.radiance <= 0)).ravel()]
-    found: list[tuple[int, dict[str, object]]] = []
+    has_echo = echoes.strength > 0
+    instance_of_echo = instance_of_pixel[pixel[has_echo]]
+    range_m = echoes.range_m[has_echo]
+    bearing_deg = np.rad2deg(echoes.azimuth_rad[has_echo])
+    is_shadowed = lit.rendered.surface & (lit.rendered.radiance <= 0)
+    instance_of_shadow = instance_of_pixel[is_shadowed.ravel()]
+
+    echo_counts: list[int] = []
+    entries: list[dict[str, object]] = []
     for instance, label, *box, alone_px, hidden_px in frame.boxes.tolist():
-        own = of == instance
-        heard_px, dark_px = int(own.sum()), hidden_px + np.count_nonzero(dark == instance)
-        entry = {
-            "instance": int(instance),
-            "class": classes[int(label)],
-            **_of_sonar(np.array(box), lit),
-            "range_m": _limits(range_m[own]),
-            "bearing_deg": _limits(bearing_deg[own]),
-            "insonified": round(min(heard_px / max(alone_px, 1), 1.0), 3),
-            "shadowed": round(min(dark_px / max(alone_px, 1), 1.0), 3),
-        }
-        found.append((-heard_px, entry))
-    kept = [entry for _, entry in sorted(found, key=lambda one: one[0])]
-    while len(text := json.dumps(kept, separators=(",", ":"))) > _MOST_BYTES:
-        kept.pop()
+        is_own = instance_of_echo == instance
+        echo_count = int(is_own.sum())
+        shadow_px = hidden_px + np.count_nonzero(instance_of_shadow == instance)
+        outline_px = max(alone_px, 1)
+        echo_counts.append(echo_count)
+        entries.append(
+            {
+                "instance": int(instance),
+                "class": classes[int(label)],
+                **_box_in_sonar_axes(np.array(box), lit),
+                "range_m": _limits(range_m[is_own]),
+                "bearing_deg": _limits(bearing_deg[is_own]),
+                "insonified": round(min(echo_count / outline_px, 1.0), 3),
+                "shadowed": round(min(shadow_px / outline_px, 1.0), 3),
+            }
+        )
+
+    most_echoes_first = sorted(range(len(entries)), key=lambda index: -echo_counts[index])
+    entries = [entries[index] for index in most_echoes_first]
+    while len(text := json.dumps(entries, separators=(",", ":"))) > _MOST_BYTES:
+        entries.pop()
     return {"boxes": text}
 
 
 def _limits(values: npt.NDArray[np.float32]) -> list[float] | None:
-    return [round(float(v), 3) for v in (values.min(), values.max())] if len(values) else None
+    """Return the smallest and largest value to 3 decimals, None for no values."""
+    if not len(values):
+        return None
+    return [round(float(limit), 3) for limit in (values.min(), values.max())]
 
 
-def _of_sonar(box: npt.NDArray[np.float64], lit: LitSurface) -> dict[str, object]:
-    """Centre, size and yaw of a box in the camera's axes, see `Frame.boxes`, in the sonar's."""
-    mount, (c, s) = lit.sonar.mount, (np.cos(box[6]), np.sin(box[6]))
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    corners = box[:3] + (signs * box[3:6] / 2) @ turn.T
-    seen = (corners @ _LEVEL - mount.position_camera_m()) @ mount.rotation_sonar_from_camera().T
-    *numbers, yaw = oriented(seen)
-    centre, size = ([round(float(v), 3) for v in numbers[k : k + 3]] for k in (0, 3))
-    return {"centre_m": centre, "size_m": size, "yaw_deg": round(float(np.rad2deg(yaw)), 1)}
+def _box_in_sonar_axes(box: npt.NDArray[np.float64], lit: LitSurface) -> dict[str, object]:
+    """Return centre, size and yaw, in the sonar's axes, of a box in the camera's.
+
+    box: (7,) centre, size (metres) and yaw (radians); see `Frame.boxes`.
+    """
+    mount = lit.sonar.mount
+    cosine = np.cos(box[6])
+    sine = np.sin(box[6])
+    yaw_rotation = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+    corner_signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners_level_m = box[:3] + (corner_signs * box[3:6] / 2) @ yaw_rotation.T
+
+    corners_camera_m = corners_level_m @ _LEVEL - mount.position_camera_m()
+    corners_sonar_m = corners_camera_m @ mount.rotation_sonar_from_camera().T
+    *centre_and_size_m, yaw_rad = oriented(corners_sonar_m)
+    rounded_m = [round(float(length_m), 3) for length_m in centre_and_size_m]
+    return {
+        "centre_m": rounded_m[:3],
+        "size_m": rounded_m[3:],
+        "yaw_deg": round(float(np.rad2deg(yaw_rad)), 1),
+    }
 
 
-# What `dataset.columns` can ask for: columns, and their values for a frame as the sonar sees it.
-_REQUESTED: dict[str, tuple[tuple[Column, ...], Callable[[LitSurface, FactoryConfig], Row]]] = {
-    "pose": (_POSE, lambda lit, config: pose_row(lit.frame, config.sonar.mount)),
-    "intrinsics": (_LENS, lambda lit, _: _lens_row(lit.frame)),
-    "calibration": (_CALIBRATION, lambda _, config: _calibration_row(config)),
-    "boxes": (
+class Requestable(NamedTuple):
+    """Columns that `dataset.columns` can ask for, and their values for a frame."""
+
+    columns: tuple[Column, ...]
+    row: Callable[[LitSurface, FactoryConfig], Row]
+
+
+_REQUESTABLE: dict[str, Requestable] = {
+    "pose": Requestable(_POSE, lambda lit, config: pose_row(lit.frame, config.sonar.mount)),
+    "intrinsics": Requestable(_LENS, lambda lit, _: _lens_row(lit.frame)),
+    "calibration": Requestable(_CALIBRATION, lambda _, config: _calibration_row(config)),
+    "boxes": Requestable(
         _BOXES,
         lambda lit, config: _boxes_row(lit, class_names(config.scenes.own_classes())),
     ),
-    "tracks": (TRACKS, lambda lit, config: tracks_row(lit, config.sonar.frequency_khz)),
+    "tracks": Requestable(TRACKS, lambda lit, config: tracks_row(lit, config.sonar.frequency_khz)),
 }
 
 
@@ -388,17 +465,24 @@ class Camera:
         if not self._requested:
             return {}
         frame = self._reader.load(ref)
-        size = frame.depth_m.shape
-        # Procedural frames are as large as the settings say, and take long to make.
-        first = self._first if self._config.scenes.kind != "seabed" else (ref, size)
-        if size != first[1]:
-            own, other = ("x".join(map(str, reversed(one))) for one in (size, first[1]))
-            raise FrameError(
-                f"{ref.name}: its picture is {own}, that of {first[0].name} {other}; "
-                "make one dataset of each size (scenes, frames.only), or leave "
-                f"{', '.join(sorted(self._requested))} out of dataset.layers"
-            )
+        # Procedural frames all have the size of the settings, and take long to make.
+        if self._config.scenes.kind != "seabed":
+            self._check_size(ref, frame.depth_m.shape)
         return camera_images(frame, self._requested)
+
+    def _check_size(self, ref: FrameRef, size: tuple[int, ...]) -> None:
+        """Raise FrameError unless the frame is as large, (H, W), as the dataset's first."""
+        first_ref, first_size = self._first
+        if size == first_size:
+            return
+
+        size_text = "x".join(map(str, reversed(size)))
+        first_size_text = "x".join(map(str, reversed(first_size)))
+        raise FrameError(
+            f"{ref.name}: its picture is {size_text}, that of {first_ref.name} {first_size_text}; "
+            "make one dataset of each size (scenes, frames.only), or leave "
+            f"{', '.join(sorted(self._requested))} out of dataset.layers"
+        )
 
     @cached_property
     def _reader(self) -> Reader:
@@ -408,8 +492,8 @@ class Camera:
 
     @cached_property
     def _first(self) -> tuple[FrameRef, tuple[int, ...]]:
-        """The first frame that can be read, and its (H, W); of all processes the same."""
+        """The first readable frame and its (H, W), the same in all processes."""
         for ref in self._chosen(self._reader.discover().frames, self._config):
             with suppress(FrameError):
                 return ref, self._reader.load(ref).depth_m.shape
-        raise FactoryError("dataset.layers: no frame of the recordings can be read")  # one was
+        raise FactoryError("dataset.layers: no frame of the recordings can be read")
