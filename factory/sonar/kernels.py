@@ -54,9 +54,14 @@ def _nearest_beam(bin_: Any, azimuth_rad: Any, edges_rad: Any, columns: Any) -> 
 
 @compiled()
 def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -> None:
-    """A row of the picture: P = z K^-1 (u, v, 1)^T, seen from the sonar, in polar form."""
-    depth_m, across, down = pixels[0][row], pixels[3], pixels[4][row]
-    rotation, position_m = pixels[5], pixels[6]
+    """Put slant range, azimuth and elevation of a row of pixels into the last three, (W,) each.
+
+    A pixel's point is P = z K^-1 (u, v, 1)^T in camera axes; these are its coordinates seen from
+    the sonar.  pixels: see `_PIXELS`.
+    """
+    depths_m, _, _, across, downs, rotation, position_m = pixels
+    depth_m = depths_m[row]
+    down = downs[row]
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
@@ -67,10 +72,10 @@ def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -
         forward = r00 * a + r01 * b + r02 * c
         left = r10 * a + r11 * b + r12 * c
         above = r20 * a + r21 * b + r22 * c
-        ground2 = forward * forward + left * left
-        slant_m[column] = np.sqrt(ground2 + above * above)
+        ground_squared = forward * forward + left * left
+        slant_m[column] = np.sqrt(ground_squared + above * above)
         right_rad[column] = atan2(-left, forward)
-        up_rad[column] = atan2(above, np.sqrt(ground2))
+        up_rad[column] = atan2(above, np.sqrt(ground_squared))
 
 
 @compiled(f"UniTuple(float64, 3)({_PIXELS}, float32, float32, boolean, float32, float32, {_OUT})")
@@ -189,18 +194,23 @@ def thin(echoes: Any, lot: Any, rate: Any, kept: Any) -> Any:
 
 
 @compiled(f"void(UniTuple({FLOATS}, 3), {_GRID}, {FLOATS}, int32[::1])")
-def bin_of_each(places: Any, grid: Any, edges_rad: Any, bins: Any) -> None:
-    """The cell of each echo, with the nearest of tabled beams where there are `edges_rad`.
+def bin_of_each(coordinates: Any, grid: Any, edges_rad: Any, bins: Any) -> None:
+    """Put the flat cell of each echo into `bins`; rows * columns outside the grid.
 
-    places: range, azimuth and elevation.
+    coordinates: range, azimuth and elevation, (N,) each.  grid: see `polar.EvenCells`.
+    edges_rad: azimuths between tabled beams, which replace the grid's even columns; (0,): none.
     """
-    range_m, azimuth_rad, elevation_rad = places
-    for at in range(len(bins)):
-        bins[at] = _cell(range_m[at], azimuth_rad[at], elevation_rad[at], grid)
-    if len(edges_rad) > 0:
-        for at in range(len(bins)):
-            if bins[at] != grid[3] * grid[6]:
-                bins[at] = _nearest_beam(bins[at], azimuth_rad[at], edges_rad, grid[6])
+    range_m, azimuth_rad, elevation_rad = coordinates
+    _, _, _, rows, _, _, columns = grid
+    outside = rows * columns
+    for echo in range(len(bins)):
+        bins[echo] = _cell(range_m[echo], azimuth_rad[echo], elevation_rad[echo], grid)
+
+    if len(edges_rad) == 0:
+        return
+    for echo in range(len(bins)):
+        if bins[echo] != outside:
+            bins[echo] = _nearest_beam(bins[echo], azimuth_rad[echo], edges_rad, columns)
 
 
 @compiled(f"void(int32[::1], {FLOATS}, boolean, {_OUT})")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, reduce
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +14,41 @@ from .window import Window
 
 Polar = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
-Grid = tuple[tuple[bool, np.float32, np.float32, int, np.float32, np.float32, int], Polar]
 
 # Bins smaller than the pixel grid of the camera leave pinholes up to this far from an echo.
-_PINHOLE_ROWS, _PINHOLE_BEAMS = 2, 1
+_PINHOLE_ROWS = 2
+_PINHOLE_BEAMS = 1
+
+
+class EvenCells(NamedTuple):
+    """Cells that divide ranges and azimuths evenly, in the order of `kernels._GRID`.
+
+    Compiled loops get it as a plain tuple: their machine code is kept on disk by the types of its
+    members, and would not notice a new order.
+
+    top_view: whether distances are along the ground, and not slant ranges.
+    near_m, span_m: nearest distance and extent of the rows, metres.
+    left_rad: azimuth of the left edge.
+    columns_per_rad: columns of a radian of azimuth.
+    """
+
+    top_view: bool
+    near_m: np.float32
+    span_m: np.float32
+    rows: int
+    left_rad: np.float32
+    columns_per_rad: np.float32
+    columns: int
+
+
+class Grid(NamedTuple):
+    """Cells of echoes; `edges_rad` replaces the columns of `cells` where beams are tabled.
+
+    edges_rad: (beams - 1,) float32 azimuths between neighbouring beams; (0,) for uniform beams.
+    """
+
+    cells: EvenCells
+    edges_rad: Polar
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,16 +79,22 @@ class Echoes:
         """(N, 3) Cartesian coordinates in sonar axes, metres."""
         range_m = self.range_m.astype(np.float64)
         ground_m = range_m * np.cos(self.elevation_rad)
-        forward, right = ground_m * np.cos(self.azimuth_rad), ground_m * np.sin(self.azimuth_rad)
-        return np.stack([forward, -right, range_m * np.sin(self.elevation_rad)], axis=1)
+        forward_m = ground_m * np.cos(self.azimuth_rad)
+        right_m = ground_m * np.sin(self.azimuth_rad)
+        up_m = range_m * np.sin(self.elevation_rad)
+        return np.stack([forward_m, -right_m, up_m], axis=1)
 
 
 def from_xyz(points_m: npt.NDArray[np.floating], strength: npt.NDArray[np.floating]) -> Echoes:
-    """Polar echoes from (N, 3) Cartesian points in sonar axes and their (N,) strengths."""
+    """Return echoes at (N, 3) Cartesian points in sonar axes, metres, with (N,) strengths."""
     x, y, z = np.asarray(points_m).reshape(-1, 3).T
     ground_m = np.hypot(x, y)
-    places = np.hypot(ground_m, z), np.arctan2(-y, x), np.arctan2(z, ground_m)
-    return Echoes(*(np.asarray(values, np.float32) for values in (*places, strength)))
+    return Echoes(
+        range_m=np.asarray(np.hypot(ground_m, z), np.float32),
+        azimuth_rad=np.asarray(np.arctan2(-y, x), np.float32),
+        elevation_rad=np.asarray(np.arctan2(z, ground_m), np.float32),
+        strength=np.asarray(strength, np.float32),
+    )
 
 
 def in_plane(
@@ -64,91 +102,119 @@ def in_plane(
     azimuth_rad: npt.NDArray[np.floating],
     strength: npt.NDArray[np.floating],
 ) -> Echoes:
-    """Echoes at elevation 0: noise is placed in the picture, where elevation is lost anyway."""
-    given = range_m, azimuth_rad, np.zeros(len(range_m)), strength
-    return Echoes(*(np.asarray(values, np.float32) for values in given))
+    """Return echoes at elevation 0, for noise that is placed in the image, which has none."""
+    return Echoes(
+        range_m=np.asarray(range_m, np.float32),
+        azimuth_rad=np.asarray(azimuth_rad, np.float32),
+        elevation_rad=np.zeros(len(range_m), np.float32),
+        strength=np.asarray(strength, np.float32),
+    )
 
 
 def bin_index(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.int32]:
-    """(N,) int32 flat index range_bin * beams + beam of each echo.
+    """Return the (N,) int32 flat index range_bin * beams + beam of each echo.
 
     range_bin = floor((distance - range_min) / range_span * range_bins), distance by the window's
     projection.  Uniform beams: floor((azimuth + hfov/2) * beams / hfov).  Tabled beams: the nearest
     direction.  range_bins * beams for an echo outside the window or sector.
     """
-    return _cells(echoes, grid(window, sonar))
+    return _cell_of_each(echoes, grid(window, sonar))
 
 
 def grid(window: Window, sonar: SonarSettings) -> Grid:
-    """The bins of a picture, and the edges of tabled beams, as `kernels` want them."""
-    half = np.float32(np.deg2rad(sonar.hfov_deg) / 2)
-    edges = np.empty(0, np.float32)
-    if sonar.beam_azimuths_deg is not None:
-        centres = sonar.beam_centres_rad()
-        edges = ((centres[1:] + centres[:-1]) / 2).astype(np.float32)
-    beams_per_rad = np.float32(sonar.beams / (2 * half))
-    return (*_ranges(window), sonar.range_bins, -half, beams_per_rad, sonar.beams), edges
-
-
-def _ranges(window: Window) -> tuple[bool, np.float32, np.float32]:
-    near_m, span_m = np.float32(window.range_min_m), np.float32(window.range_span_m)
-    return window.projection == "top_view", near_m, span_m
+    """Return the polar bins of an image, with the edges of tabled beams."""
+    half_hfov_rad = np.float32(np.deg2rad(sonar.hfov_deg) / 2)
+    cells = EvenCells(
+        top_view=window.projection == "top_view",
+        near_m=np.float32(window.range_min_m),
+        span_m=np.float32(window.range_span_m),
+        rows=sonar.range_bins,
+        left_rad=-half_hfov_rad,
+        columns_per_rad=np.float32(sonar.beams / (2 * half_hfov_rad)),
+        columns=sonar.beams,
+    )
+    if sonar.beam_azimuths_deg is None:
+        return Grid(cells, np.empty(0, np.float32))
+    centres_rad = sonar.beam_centres_rad()
+    return Grid(cells, ((centres_rad[1:] + centres_rad[:-1]) / 2).astype(np.float32))
 
 
 def density(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDArray[np.int32]:
-    """(rows, columns) int32 number of insonified echoes in each cell of the window.
+    """Return the (rows, columns) int32 number of insonified echoes in each cell of the window.
 
     The cells divide the range window and the sector that the camera saw evenly.
     """
-    left_rad = np.float32(window.azimuth_min_rad)
-    per_rad = np.float32(columns / max(window.azimuth_span_rad, 1e-9))
-    bins = (*_ranges(window), rows, left_rad, per_rad, columns), np.empty(0, np.float32)
-    cells = _cells(echoes, bins)[echoes.strength > 0]
-    count = np.bincount(cells, minlength=rows * columns + 1)
-    return count[:-1].astype(np.int32).reshape(rows, columns)
+    cells = EvenCells(
+        top_view=window.projection == "top_view",
+        near_m=np.float32(window.range_min_m),
+        span_m=np.float32(window.range_span_m),
+        rows=rows,
+        left_rad=np.float32(window.azimuth_min_rad),
+        columns_per_rad=np.float32(columns / max(window.azimuth_span_rad, 1e-9)),
+        columns=columns,
+    )
+    cell_of_each = _cell_of_each(echoes, Grid(cells, np.empty(0, np.float32)))
+    is_insonified = echoes.strength > 0
+    echo_count = np.bincount(cell_of_each[is_insonified], minlength=rows * columns + 1)
+    # The last cell holds the echoes outside the window.
+    return echo_count[:-1].astype(np.int32).reshape(rows, columns)
 
 
-def _cells(echoes: Echoes, bins: Grid) -> npt.NDArray[np.int32]:
+def _cell_of_each(echoes: Echoes, grid: Grid) -> npt.NDArray[np.int32]:
+    """Return the (N,) int32 flat cell of each echo, rows * columns outside the grid."""
     from . import kernels  # loads numba
 
-    cells = np.empty(len(echoes), np.int32)
-    places = (echoes.range_m, echoes.azimuth_rad, echoes.elevation_rad)
-    kernels.bin_of_each(tuple(map(np.ascontiguousarray, places)), *bins, cells)
-    return cells
+    cell_of_each = np.empty(len(echoes), np.int32)
+    coordinates = (
+        np.ascontiguousarray(echoes.range_m),
+        np.ascontiguousarray(echoes.azimuth_rad),
+        np.ascontiguousarray(echoes.elevation_rad),
+    )
+    kernels.bin_of_each(coordinates, tuple(grid.cells), grid.edges_rad, cell_of_each)
+    return cell_of_each
 
 
 def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echoes) -> Polar:
-    """(range_bins, beams) float32 echo level: mean, max or sum of the strengths in each bin.
+    """Return the echo level of each bin: the mean, max or sum of its echoes' strengths.
 
-    more: further echoes of the same cloud, which then need not be joined.
+    more: further echoes of the same cloud, which saves joining them.
+    Returns (range_bins, beams) float32.
     """
     from . import kernels  # loads numba
 
     level = np.zeros(sonar.range_bins * sonar.beams + 1, np.float32)
-    count, how = np.zeros(level.size, np.intp), sonar.accumulate
+    echo_count = np.zeros(level.size, np.intp)
+    is_mean = sonar.accumulate == "mean"
+    is_max = sonar.accumulate == "max"
     for part in (echoes, *more):
-        bins, strength = bin_index(part, window, sonar), np.ascontiguousarray(part.strength)
-        kernels.gather(bins, strength, how == "max", level)
-        if how == "mean":
-            count += np.bincount(bins[strength > 0], minlength=level.size)
-    if how == "mean":
-        level /= np.maximum(count, 1)
+        bins = bin_index(part, window, sonar)
+        strength = np.ascontiguousarray(part.strength)
+        kernels.gather(bins, strength, is_max, level)
+        if is_mean:
+            echo_count += np.bincount(bins[strength > 0], minlength=level.size)
+    if is_mean:
+        level /= np.maximum(echo_count, 1)
+    # The last cell holds the echoes outside the window.
     return level[:-1].reshape(sonar.range_bins, sonar.beams)
 
 
 def spread_points(level: Polar, sonar: SonarSettings) -> Polar:
-    """Blur by the device's point-spread; echo energy is kept except at the picture's border."""
+    """Return the image blurred by the device's point-spread.
+
+    Keeps the echo energy, except for what is spread beyond the border of the image.
+    """
     from . import kernels  # loads numba
 
     blurred = np.empty(level.shape, np.float32)
-    down, across = gaussian(sonar.point_spread.range_bins), gaussian(sonar.point_spread.beams)
+    down = gaussian(sonar.point_spread.range_bins)
+    across = gaussian(sonar.point_spread.beams)
     kernels.blur(np.ascontiguousarray(level, dtype=np.float32), down, across, blurred)
     return blurred
 
 
 @cache
 def gaussian(sigma: float) -> npt.NDArray[np.float32]:
-    """(2 n + 1,) float32 weights of a Gaussian of `sigma` cells, cut at three sigma; sum 1."""
+    """Return (2 n + 1,) float32 Gaussian weights of `sigma` cells, cut at 3 sigma; sum 1."""
     reach = int(3 * sigma + 0.5)
     step = np.arange(-reach, reach + 1)
     weight = np.exp(-0.5 * (step / sigma) ** 2) if sigma > 0 else np.ones(1)
@@ -156,31 +222,40 @@ def gaussian(sigma: float) -> npt.NDArray[np.float32]:
 
 
 def covered(hit: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """(range_bins, beams) bool: bins that some insonified surface fills.
+    """Return (range_bins, beams) bool: bins that some insonified surface fills.
 
-    hit: (range_bins, beams) bool, bins that hold an echo of the full-density cloud.  Bins smaller
-    than the pixel grid of the camera leave pinholes that are no shadow: they are closed.
+    Closes pinholes, which are no shadow: bins without an echo because they are smaller than the
+    pixel grid of the camera.
+
+    hit: (range_bins, beams) bool, bins that hold an echo of the full-density cloud.
     """
-    size = 2 * _PINHOLE_ROWS + 1, 2 * _PINHOLE_BEAMS + 1
-    # A dilation that reaches beyond the picture, and an erosion of all of that.
-    grown = _boxes(np.logical_or, np.pad(hit, [(side - 1, side - 1) for side in size]), *size)
-    return _boxes(np.logical_and, grown, *size)
+    box_rows = 2 * _PINHOLE_ROWS + 1
+    box_beams = 2 * _PINHOLE_BEAMS + 1
+    # Dilated beyond the border and then eroded, so that the border does not erode the surface.
+    padded = np.pad(hit, [(box_rows - 1, box_rows - 1), (box_beams - 1, box_beams - 1)])
+    dilated = _reduce_boxes(np.logical_or, padded, box_rows, box_beams)
+    return _reduce_boxes(np.logical_and, dilated, box_rows, box_beams)
 
 
-def _boxes(how: np.ufunc, mask: Mask, down: int, across: int) -> Mask:
-    """All that lies in the (down, across) box from each place on, of those that lie within."""
-    height, width = mask.shape[0] - down + 1, mask.shape[1] - across + 1
-    rows = reduce(how, (mask[i : i + height] for i in range(down)))
-    return np.asarray(reduce(how, (rows[:, j : j + width] for j in range(across))))
+def _reduce_boxes(combine: np.ufunc, mask: Mask, box_rows: int, box_columns: int) -> Mask:
+    """Combine the values of each box that lies within the mask.
+
+    Returns (height - box_rows + 1, width - box_columns + 1) bool, by the box's top left corner.
+    """
+    height = mask.shape[0] - box_rows + 1
+    width = mask.shape[1] - box_columns + 1
+    of_columns = reduce(combine, (mask[row : row + height] for row in range(box_rows)))
+    shifted = (of_columns[:, column : column + width] for column in range(box_columns))
+    return np.asarray(reduce(combine, shifted))
 
 
 def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:
-    """(beams,) bool: beams within the part of the sector that the camera saw."""
-    centres = sonar.beam_centres_rad()
-    half = np.deg2rad(sonar.hfov_deg) / sonar.beams / 2
-    return np.asarray(
-        (centres + half > window.azimuth_min_rad) & (centres - half < window.azimuth_max_rad)
-    )
+    """Return (beams,) bool: beams within the part of the sector that the camera saw."""
+    centres_rad = sonar.beam_centres_rad()
+    half_beam_rad = np.deg2rad(sonar.hfov_deg) / sonar.beams / 2
+    ends_after_left_edge = centres_rad + half_beam_rad > window.azimuth_min_rad
+    begins_before_right_edge = centres_rad - half_beam_rad < window.azimuth_max_rad
+    return np.asarray(ends_after_left_edge & begins_before_right_edge)
 
 
 def where_seen(picture: Polar, window: Window, sonar: SonarSettings) -> Polar:

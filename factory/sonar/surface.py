@@ -87,14 +87,22 @@ def insonified(
     from . import kernels  # loads numba
 
     size = frame.depth_m.size + 1
-    made = tuple(np.empty(size, np.float32) for _ in range(4))
+    echo_values = tuple(np.empty(size, np.float32) for _ in range(4))
     pixel = np.empty(size, np.int32)
     hit = np.zeros(sonar.range_bins * sonar.beams + 1, np.bool_)
     half_vfov_rad = np.float32(np.deg2rad(sonar.vfov_deg) / 2)
-    (bins, edges_rad), gain_power = polar.grid(window, sonar), sonar.tvg_db_per_decade / 10
-    pixels = _pixels(frame, rendered, sonar)
-    count = kernels.insonified(pixels, half_vfov_rad, bins, edges_rad, gain_power, made, pixel, hit)
-    echoes = Echoes(*(values[:count] for values in made))
+    grid = polar.grid(window, sonar)
+    count = kernels.insonified(
+        _pixels(frame, rendered, sonar),
+        half_vfov_rad,
+        tuple(grid.cells),
+        grid.edges_rad,
+        sonar.tvg_db_per_decade / 10,
+        echo_values,
+        pixel,
+        hit,
+    )
+    echoes = Echoes(*(values[:count] for values in echo_values))
     in_bins = hit[:-1].reshape(sonar.range_bins, sonar.beams)
     return Insonified(echoes, pixel[:count], in_bins)
 
