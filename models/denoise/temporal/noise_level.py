@@ -9,7 +9,7 @@ import numpy as np
 
 from .motion import Floats, Grey
 
-_LEVELS = 32  # classes of grey value
+_LEVELS = 32  # classes of grey value, even in its root: a dark image has several, too
 _MIN_PIXELS = 20  # of a class in one frame
 _MIN_SIGMA = 0.0015
 _NORMAL = 1.4826  # from the median of absolute values to a standard deviation
@@ -27,7 +27,8 @@ class NoiseByLevel:
     def add(self, deviation: Grey, grey: Grey) -> None:
         """Measure deviations, (h, w), at pixels of grey values in 0..1, (h, w)."""
         sampled_grey = grey[::_STRIDE, ::_STRIDE]
-        level = np.minimum(sampled_grey * _LEVELS, _LEVELS - 1).astype(np.int32).ravel()
+        root = np.sqrt(np.clip(sampled_grey, 0, 1))
+        level = np.minimum(root * _LEVELS, _LEVELS - 1).astype(np.int32).ravel()
         magnitude = np.abs(deviation[::_STRIDE, ::_STRIDE]).ravel()
         order = np.argsort(level, kind="stable")
         magnitude = magnitude[order]
@@ -54,7 +55,8 @@ class NoiseByLevel:
         power = power / np.convolve(np.pad(pixels, 2, mode="edge"), _KERNEL, "valid")
         fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
         table = np.maximum(fine, _MIN_SIGMA).astype(np.float32)
-        return cv2.LUT(np.clip(grey * 255, 0, 255).astype(np.uint8), table)
+        root = np.sqrt(np.clip(grey, 0, 1))
+        return cv2.LUT((root * 255).astype(np.uint8), table)
 
 
 class RunningSpread:
