@@ -55,6 +55,7 @@ class PairsData(DataSettings):
 class RenderedData(DataSettings):
     """What is made of the renders of a dataset at every visit."""
 
+    make: tuple[str, ...]
     pack: str | None
     fewer: Share
     scales: Annotated[tuple[Annotated[float, Field(gt=0, le=16)], ...], Field(min_length=1)]
@@ -72,7 +73,6 @@ class MixedData(RenderedData):
     """`data=mixed`: drawn devices, the paper's points and recordings beside each other."""
 
     kind: Literal["mixed"]
-    make: tuple[str, ...]
     experiment: str
     recordings: tuple[str, ...]
     recordings_share: Share

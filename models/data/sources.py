@@ -76,7 +76,7 @@ def _dataset_folder(settings: ModelsSettings) -> str:
     data = settings.data
     if settings.dataset["dir"] is not None:
         return settings.dataset["dir"]
-    if not isinstance(data, MixedData) or not data.make:
+    if not isinstance(data, RenderedData) or not data.make:
         raise FactoryError(
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
         )
@@ -131,7 +131,8 @@ def renders_of(
         raise FactoryError(
             f"data={data.kind}: none of the {len(training)} training frames of {dataset} has its "
             f"render in {config.cache.folder}; make the dataset again with this version (its "
-            "command keeps the renders), or give data.pack=FILE"
+            "command keeps the renders; where data.make makes it, delete the folder), or give "
+            "data.pack=FILE"
         )
     missing = len(training) - len(ready)
     print(f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else ""))
