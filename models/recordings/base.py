@@ -253,12 +253,12 @@ def swapped(picture: Samples) -> Samples:
 
 def untinted(image: Samples) -> Samples:
     """(H, W) of a grey image, (H, W, 3) uint8 or uint16, of nearly equal channels; others as is."""
-    middle = image[..., 1:2].astype(np.int32)
-    tint = np.abs(image - middle).max()
-    if tint > MOST_TINT * (1 if image.dtype == np.uint8 else 257):
-        return image
     import cv2  # sonars' own recordings do without
 
+    blue, green, red = cv2.split(image)
+    tint = max(cv2.norm(blue, green, cv2.NORM_INF), cv2.norm(red, green, cv2.NORM_INF))
+    if tint > MOST_TINT * (1 if image.dtype == np.uint8 else 257):
+        return image
     return np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
