@@ -114,20 +114,12 @@ class Manifest:
 
 def save_manifest(directory: Path, manifest: Manifest) -> None:
     """Write manifest.json atomically; equal manifests give equal bytes."""
-    by_split = {split: manifest.of_split(split) for split in SPLITS}
     document = {
         "schema": SCHEMA,
         "generator": manifest.generator,
         "config_hash": manifest.config_hash,
         "config": manifest.config,
-        "totals": {
-            split: {
-                "samples": sum(shard.samples for shard in shards),
-                "shards": len(shards),
-                "bytes": sum(shard.bytes for shard in shards),
-            }
-            for split, shards in by_split.items()
-        },
+        "totals": _totals(manifest.shards.values()),
         **({"index_sha256": manifest.index_sha256} if manifest.index_sha256 else {}),
         "shards": [asdict(manifest.shards[path]) for path in sorted(manifest.shards)],
     }
@@ -175,6 +167,35 @@ def load_manifest(directory: Path) -> Manifest | None:
         if info is not None:
             found[name] = info
     return read if found == read.shards else replace(read, shards=found, index_sha256="")
+
+
+def _totals(shards: Iterable[ShardInfo]) -> dict[str, dict[str, int]]:
+    """Samples, shards and bytes of each split."""
+    totals = {split: {"samples": 0, "shards": 0, "bytes": 0} for split in SPLITS}
+    for shard in shards:
+        counts = totals[shard.split]
+        counts["samples"] += shard.samples
+        counts["shards"] += 1
+        counts["bytes"] += shard.bytes
+    return totals
+
+
+def totals_problem(directory: Path) -> str | None:
+    """What is wrong with `totals` of a manifest.json that `load_manifest` has read, or None."""
+    document = parse_json(read_regular(directory / MANIFEST_NAME, _MAX_BYTES))
+    stated = document.get("totals")
+    counted = _totals(ShardInfo.of(item) for item in document["shards"])
+    for split, counts in counted.items():
+        claims = stated.get(split) if isinstance(stated, dict) else None
+        for key, count in counts.items():
+            claim = claims.get(key) if isinstance(claims, dict) else None
+            if type(claim) is not int or claim != count:
+                shown = "absent" if claim is None else str(claim)[:40]
+                return (
+                    f"totals.{split}.{key} is {shown}, the listed shards have {count}; run the "
+                    "command that made the dataset again"
+                )
+    return None
 
 
 def damage(directory: Path, info: ShardInfo) -> str | None:

@@ -2,12 +2,15 @@
 
 HDF5 is a large C library, and a damaged file can make it crash, hang or ask for all memory there
 is.  `shard_facts` therefore runs in a process that may die of it, and index.h5 is not opened.
+What a validator cannot see is listed in docs/trust.md.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
+import unicodedata
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +18,27 @@ from typing import Any
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
 from ..errors import FactoryError
-from ..files import sha256_of
+from ..files import is_temporary, sha256_of
 from ..isolated import LASTING
 from ..labels import classes_of
+from ..storage.copies import Store, url_of
+from .folder import CARD_NAME, PREVIEW_NAME, STATUS_NAME, WORK_NAME
 from .layout import check_texts, config_of, echo_names, image_axes, inside, optional_layers
-from .manifest import INDEX_NAME, MANIFEST_NAME, Manifest, damage, load_manifest
+from .manifest import (
+    CONFIG_NAME,
+    FAILURES_NAME,
+    INDEX_NAME,
+    MANIFEST_NAME,
+    Manifest,
+    damage,
+    load_manifest,
+    totals_problem,
+)
 from .reader import ImageStack, reading
-from .schema import REQUIRED_COLUMNS, SPLITS, layers
+from .schema import CHECKSUMS, REQUIRED_COLUMNS, SPLITS, Layer, config_hash, layers
 
 _LIMIT_S = 60.0
 # Slower than any disk: a shard that takes longer is not read but stuck.
@@ -31,18 +46,31 @@ _BYTES_PER_S = 1e6
 # A table that is wrong in every row is reported a few times, not a thousand times.
 _MOST_PROBLEMS = 8
 
+_OUTCOME = re.compile(r"(train|test)/shard-\d+\.json")
+_STATUS = re.compile(STATUS_NAME.replace(".", r"(\.[\w-]+)?\."))
+_COMING = (".lock", ".origin", WORK_NAME)
+# Written by every run.
+_EXPECTED_NAMES = (INDEX_NAME, CONFIG_NAME, CARD_NAME)
+_KNOWN_NAMES = frozenset({MANIFEST_NAME, PREVIEW_NAME, FAILURES_NAME, *_EXPECTED_NAMES})
+# The location of every procedural scene: each scene is a place of its own.
+_PROCEDURAL = "seabed"
+
 Facts = dict[str, Any]
 """What a shard says of itself.
 
 problems: what is wrong; with any, nothing else need be there.  config_hash, split.
 form: what all shards share, as text.  samples: location, scene, frame and variant of each.
-noisy, clean: digests of the pictures, in hexadecimal, when they were read.
+unchanged: rows whose noisy image is their clean image, by their checksums.
+noisy, clean: digests of the images, in hexadecimal, when they were read.
 """
 
 
 @dataclass(frozen=True)
 class Report:
-    """What validation found, a line each that says error or note and where; and what it checked."""
+    """What validation found, and what it checked.
+
+    findings: a line each that begins with error, warning or note and says where.
+    """
 
     findings: tuple[str, ...]
     samples: int
@@ -55,9 +83,9 @@ class Report:
 
 
 def validate(directory: Path, deep: bool = False) -> Report:
-    """Check a dataset: manifest, SHA-256, schema, counts, duplicates, leaks from train to test.
+    """Check a dataset: manifest, files, SHA-256, schema, counts, duplicates, leaks between splits.
 
-    deep: read every picture, too (NaN, value ranges, damaged chunks, equal pictures).
+    deep: read every image, too (NaN, value ranges, damaged chunks, equal images).
     Files are opened in an isolated process, which may crash or hang without harm.
     Raises FactoryError when there is no readable manifest.json.
     """
@@ -67,12 +95,17 @@ def validate(directory: Path, deep: bool = False) -> Report:
     if manifest is None:
         raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
     facts = {path: _facts_of(directory, manifest, path, deep) for path in sorted(manifest.shards)}
-    findings = [
-        *(f"error: {path}: {one}" for path, found in facts.items() for one in found["problems"]),
-        *_of_index(directory, manifest),
-        *(f"error: {problem}" for problem in _of_all(facts)),
-    ]
-    return Report(tuple(findings), manifest.samples(), len(manifest.shards))
+    findings = (
+        *_shard_problems(facts),
+        *_manifest_problems(directory, manifest),
+        *_index_problems(directory, manifest),
+        *_file_problems(directory, manifest),
+        *_form_problems(facts),
+        *_duplicates(facts),
+        *_leaks(facts),
+        *_unchanged_samples(facts),
+    )
+    return Report(findings, manifest.samples(), len(manifest.shards))
 
 
 def _facts_of(directory: Path, manifest: Manifest, path: str, deep: bool) -> Facts:
@@ -87,22 +120,53 @@ def _facts_of(directory: Path, manifest: Manifest, path: str, deep: bool) -> Fac
     except FactoryError as error:
         return {"problems": [str(error)]}
     if not facts["problems"]:
-        if (count := len(facts["samples"])) != info.samples:
-            facts["problems"].append(f"{count} samples, the manifest says {info.samples}")
+        sample_count = len(facts["samples"])
+        stated_hash = facts["config_hash"]
+        if sample_count != info.samples:
+            facts["problems"].append(f"{sample_count} samples, the manifest says {info.samples}")
         if facts["split"] != info.split:
             facts["problems"].append(f"says that its split is {facts['split']!r}")
-        if (hash_ := facts["config_hash"]) not in manifest.config_hashes:
-            facts["problems"].append(f"is of another configuration ({hash_[:40]!r})")
+        if stated_hash not in manifest.config_hashes:
+            facts["problems"].append(f"is of another configuration ({stated_hash[:40]!r})")
+        elif info.config_hash not in ("", stated_hash):
+            facts["problems"].append(
+                f"its config_hash is {stated_hash!r}, the manifest says {info.config_hash[:40]!r}"
+            )
     return facts
 
 
-def _of_index(directory: Path, manifest: Manifest) -> Iterator[str]:
+# --- one kind of finding each
+
+
+def _shard_problems(facts: Mapping[str, Facts]) -> Iterator[str]:
+    for path, shard in facts.items():
+        for problem in shard["problems"]:
+            yield f"error: {path}: {problem}"
+
+
+def _manifest_problems(directory: Path, manifest: Manifest) -> Iterator[str]:
+    """Totals that are not those of the shards, and a manifest of nothing."""
+    if problem := totals_problem(directory):
+        yield f"error: {MANIFEST_NAME}: {problem}"
+    if not manifest.samples():
+        yield (
+            f"error: {MANIFEST_NAME}: no samples; {FAILURES_NAME} says why frames gave none, if "
+            "any were tried"
+        )
+
+
+def _index_problems(directory: Path, manifest: Manifest) -> Iterator[str]:
     path = directory / INDEX_NAME
     if not os.path.lexists(path):
-        yield f"note: {INDEX_NAME}: absent; the command that made the dataset writes it"
-    elif not inside(directory, path):
+        return
+    if not inside(directory, path):
         yield f"error: {INDEX_NAME}: no regular file inside the dataset's folder; not read"
-    elif manifest.index_sha256 not in ("", sha256_of(path)):
+    elif not manifest.index_sha256:
+        yield (
+            f"error: {INDEX_NAME}: the manifest has no SHA-256 of it, so it may show anything; "
+            "remove it, or run the command that made the dataset again"
+        )
+    elif manifest.index_sha256 != sha256_of(path):
         yield (
             f"error: {INDEX_NAME}: its SHA-256 is not that of the manifest; remove it and run the "
             "command that made the dataset again, which writes it anew and makes nothing else that "
@@ -110,42 +174,143 @@ def _of_index(directory: Path, manifest: Manifest) -> Iterator[str]:
         )
 
 
-def _of_all(facts: Mapping[str, Facts]) -> Iterator[str]:
-    """Shards of another form; samples of one name or noisy picture; what a test would know.
+def _file_problems(directory: Path, manifest: Manifest) -> Iterator[str]:
+    """Files that the manifest does not know, and those that every dataset has but this one."""
+    names = _file_names(directory)
+    for name in _EXPECTED_NAMES:
+        if name not in names:
+            yield f"note: {name}: absent; the command that made the dataset writes it"
+    stray_shards = []
+    unfinished = []
+    others = []
+    for name in names:
+        top = name.partition("/")[0]
+        if name in manifest.shards or name in _KNOWN_NAMES or top.startswith(_COMING):
+            continue
+        if name.endswith(".h5") and top in SPLITS:
+            stray_shards.append(name)
+        elif _OUTCOME.fullmatch(name) or is_temporary(name.rpartition("/")[2]):
+            unfinished.append(name)
+        elif not _STATUS.fullmatch(name):
+            others.append(name)
+    yield from _listed(
+        "error",
+        stray_shards,
+        f"not listed in {MANIFEST_NAME}; remove it, or run the command that made the dataset again",
+    )
+    yield from _listed(
+        "note",
+        unfinished,
+        "of a run that has not ended; run the command that made the dataset again",
+    )
+    yield from _listed("note", others, "not part of the dataset; not read")
 
-    Those are scenes and clean pictures that are in train and in test.
+
+def _file_names(directory: Path) -> list[str]:
+    """Names of all files below a dataset's folder, or of the objects at the URL of a copy.
+
+    A folder that is neither train nor test is named with a slash at its end, and not entered.
     """
-    first = next((path for path, found in facts.items() if "form" in found), "")
-    places: dict[Hashable, str] = {}
-    scenes: dict[str, set[str]] = {split: set() for split in SPLITS}
-    clean: dict[str, set[str]] = {split: set() for split in SPLITS}
-    for path, found in facts.items():
-        form = found.get("form")
-        if form and form != facts[first]["form"]:
-            yield f"{path}: has another form than {first}: {form[:300]}"
-        for row, key in enumerate(map(tuple, found.get("samples", ()))):
-            place = places.setdefault(key, here := f"{path} sample {row}")
-            if place != here:
+    if url := url_of(directory):
+        return sorted(Store(url).sizes())
+    names = []
+    for entry in directory.iterdir():
+        if not entry.is_dir():
+            names.append(entry.name)
+        elif entry.name not in SPLITS or entry.is_symlink():
+            names.append(f"{entry.name}/")
+        else:
+            names += [f"{entry.name}/{inner.name}" for inner in entry.iterdir()]
+    return sorted(names)
+
+
+def _listed(level: str, names: list[str], problem: str) -> Iterator[str]:
+    for name in names[:_MOST_PROBLEMS]:
+        yield f"{level}: {_printable(name)}: {problem}"
+    if len(names) > _MOST_PROBLEMS:
+        yield f"{level}: {len(names) - _MOST_PROBLEMS} more files: {problem}"
+
+
+def _printable(name: str) -> str:
+    """A file name in one line that no terminal takes for a command."""
+    return "".join(letter if letter.isprintable() else "?" for letter in name)[:200]
+
+
+def _form_problems(facts: Mapping[str, Facts]) -> Iterator[str]:
+    forms = {path: shard["form"] for path, shard in facts.items() if "form" in shard}
+    first = next(iter(forms), "")
+    for path, form in forms.items():
+        if form != forms[first]:
+            yield f"error: {path}: has another form than {first}: {form[:300]}"
+
+
+def _duplicates(facts: Mapping[str, Facts]) -> Iterator[str]:
+    """Samples of one name, and of one noisy image."""
+    owners: dict[Hashable, str] = {}
+    for path, shard in facts.items():
+        for row, key in enumerate(map(tuple, shard.get("samples", ()))):
+            place = f"{path} sample {row}"
+            owner = owners.setdefault(key, place)
+            if owner != place:
                 name = f"{'/'.join(filter(None, key[:3]))} variant {key[3]}"
-                yield f"{path}: sample {row} is {name} again, as {place}"
-        for row, digest in enumerate(found.get("noisy", ())):
-            place = places.setdefault(digest, here := f"{path} sample {row}")
-            if place != here:
-                yield f"{path}: sample {row} has the same noisy picture as {place}"
+                yield f"error: {path}: sample {row} is {name} again, as {owner}"
+        for row, digest in enumerate(shard.get("noisy", ())):
+            place = f"{path} sample {row}"
+            owner = owners.setdefault(digest, place)
+            if owner != place:
+                yield f"error: {path}: sample {row} has the same noisy picture as {owner}"
+
+
+def _leaks(facts: Mapping[str, Facts]) -> Iterator[str]:
+    """What a model that trained on the one split knows of the other.
+
+    Scenes and clean images in both are errors.  Scenes of one location that are apart by name may
+    still show the same ground: that is for people to judge.
+    """
+    scenes: dict[str, set[str]] = {split: set() for split in SPLITS}
+    locations: dict[str, set[str]] = {split: set() for split in SPLITS}
+    clean: dict[str, set[str]] = {split: set() for split in SPLITS}
+    for path, shard in facts.items():
         split = path.partition("/")[0]
-        scenes[split].update("/".join(key[:2]) for key in found.get("samples", ()))
-        clean[split].update(found.get("clean", ()))
-    if both := sorted(set.intersection(*scenes.values())):
-        yield f"{MANIFEST_NAME}: {len(both)} scene(s) both train and test: {', '.join(both[:3])}"
-    if both := sorted(set.intersection(*clean.values())):
-        yield f"{MANIFEST_NAME}: {len(both)} clean picture(s) are in train and in test"
+        for location, scene, *_ in shard.get("samples", ()):
+            scenes[split].add(_place_name(f"{location}/{scene}"))
+            locations[split].add(_place_name(location))
+        clean[split].update(shard.get("clean", ()))
+    if shared := sorted(set.intersection(*scenes.values())):
+        yield (
+            f"error: {MANIFEST_NAME}: {len(shared)} scene(s) both train and test: "
+            f"{', '.join(shared[:3])}"
+        )
+    if shared := sorted(set.intersection(*clean.values())):
+        yield f"error: {MANIFEST_NAME}: {len(shared)} clean picture(s) are in train and in test"
+    if shared := sorted(set.intersection(*locations.values()) - {"", _PROCEDURAL}):
+        yield (
+            f"note: {MANIFEST_NAME}: scenes of {len(shared)} location(s) train and test: "
+            f"{', '.join(shared[:3])}; make sure that they do not show the same ground"
+        )
+
+
+def _place_name(name: str) -> str:
+    """One spelling for names that differ in case or composition of letters alone."""
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _unchanged_samples(facts: Mapping[str, Facts]) -> Iterator[str]:
+    places = []
+    for path, shard in facts.items():
+        places += [f"{path} sample {row}" for row in shard.get("unchanged", ())]
+    if places:
+        yield (
+            f"warning: {MANIFEST_NAME}: noisy and clean are the same image in {len(places)} "
+            f"sample(s), the first of them {places[0]}; was noise meant to be off?"
+        )
 
 
 # --- in the isolated process
 
 
 def shard_facts(path: Path, deep: bool) -> Facts:
-    """Check one shard; `deep` reads every picture."""
+    """Check one shard; `deep` reads every image."""
     try:
         with reading(path) as file:
             check_texts(file)
@@ -155,42 +320,76 @@ def shard_facts(path: Path, deep: bool) -> Facts:
 
 
 def _facts(file: h5py.File, deep: bool) -> Facts:
-    noisy, table = file["noisy"], file["meta"][()]
-    known = layers(str(noisy.dtype), optional_layers(file), classes_of(config_of(file)))
-    sizes = [f"{layer.name} {file[layer.name].shape[1:]}" for layer in known if layer.of_camera]
-    axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
-    problems = [
-        f"/meta: column {name} has infinite values"
-        for name in table.dtype.names
-        if table.dtype[name].kind == "f" and np.isinf(table[name]).any()
-    ]
+    noisy = file["noisy"]
+    table = file["meta"][()]
+    checksums = file[CHECKSUMS][()]
+    config = config_of(file)
+    known_layers = layers(str(noisy.dtype), optional_layers(file), classes_of(config))
+    stated_hash = str(file.attrs["config_hash"])
+    problems = _table_problems(table)
+    if config_hash(config) != stated_hash:
+        problems.append(
+            f"its config does not give its config_hash {stated_hash[:40]!r}; generate it again"
+        )
     digests: dict[str, list[str]] = {"noisy": [], "clean": []}
-    stacks = {layer: ImageStack(file[layer.name]) for layer in known}
-    for row in range(len(table)) if deep else ():
-        for layer, stack in stacks.items():
-            try:
-                picture = stack[row]
-            except FactoryError as error:
-                problems.append(str(error))
-                continue
-            if problem := layer.value_problem(picture):
-                problems.append(f"sample {row}: /{layer.name} {problem}")
-            if layer.name in digests:
-                content = hashlib.blake2b(picture.tobytes(), digest_size=16)
-                digests[layer.name].append(content.hexdigest())
-        if len(problems) >= _MOST_PROBLEMS:
-            break
-    names = ", ".join((*(layer.name for layer in known), *echo_names(file)))
-    shapes = " ".join((str(noisy.shape[1:]), *sizes))
-    form = f"{shapes} {noisy.dtype}, layers {names}, axes {axes}, "
+    if deep:
+        problems += _image_problems(file, known_layers, digests)
     return {
         "problems": problems[:_MOST_PROBLEMS],
-        "config_hash": str(file.attrs["config_hash"])[:200],
+        "config_hash": stated_hash[:200],
         "split": str(file.attrs["split"]),
-        "form": f"{form}columns {', '.join(table.dtype.names)}"[:4000],
+        "form": _form(file, known_layers, table.dtype.names),
         "samples": [
             [*(row[name].decode() for name in REQUIRED_COLUMNS[:3]), int(row["variant"])]
             for row in table
         ],
+        "unchanged": np.flatnonzero(checksums["noisy"] == checksums["clean"]).tolist(),
         **({} if problems else digests),
     }
+
+
+def _table_problems(table: npt.NDArray[np.void]) -> list[str]:
+    if not len(table):
+        return ["holds no sample; generate it again"]
+    real_columns = [name for name in table.dtype.names or () if table.dtype[name].kind == "f"]
+    return [
+        f"/meta: column {name} has infinite values"
+        for name in real_columns
+        if np.isinf(table[name]).any()
+    ]
+
+
+def _image_problems(
+    file: h5py.File, known_layers: tuple[Layer, ...], digests: dict[str, list[str]]
+) -> list[str]:
+    """What is wrong with the images of a shard; fills `digests` of the layers that it names."""
+    problems: list[str] = []
+    stacks = {layer: ImageStack(file[layer.name]) for layer in known_layers}
+    for row in range(len(file["noisy"])):
+        for layer, stack in stacks.items():
+            try:
+                image = stack[row]
+            except FactoryError as error:
+                problems.append(str(error))
+                continue
+            if problem := layer.value_problem(image):
+                problems.append(f"sample {row}: /{layer.name} {problem}")
+            if layer.name in digests:
+                content = hashlib.blake2b(image.tobytes(), digest_size=16)
+                digests[layer.name].append(content.hexdigest())
+        if len(problems) >= _MOST_PROBLEMS:
+            break
+    return problems
+
+
+def _form(file: h5py.File, known_layers: tuple[Layer, ...], columns: tuple[str, ...]) -> str:
+    """What all shards of a dataset have in common: sizes, types, layers, axes, columns."""
+    noisy = file["noisy"]
+    camera_sizes = [
+        f"{layer.name} {file[layer.name].shape[1:]}" for layer in known_layers if layer.of_camera
+    ]
+    shapes = " ".join((str(noisy.shape[1:]), *camera_sizes))
+    names = ", ".join((*(layer.name for layer in known_layers), *echo_names(file)))
+    axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
+    form = f"{shapes} {noisy.dtype}, layers {names}, axes {axes}, columns {', '.join(columns)}"
+    return form[:4000]

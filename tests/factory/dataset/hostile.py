@@ -96,6 +96,9 @@ def admit(root: Path) -> None:
             size = file.stat().st_size
             if size >= info.samples:
                 manifest = manifest.with_shard(replace(info, bytes=size, sha256=sha256_of(file)))
+    index = root / "index.h5"
+    if index.is_file():
+        manifest = replace(manifest, index_sha256=sha256_of(index))
     save_manifest(root, manifest)
 
 

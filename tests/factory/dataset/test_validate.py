@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -131,6 +133,120 @@ def test_what_is_not_as_the_manifest_says_is_found(folder: Path) -> None:
 def test_a_shard_of_another_form_is_found(folder: Path) -> None:
     add(folder, "train/shard-00002.h5", some_pairs(1, "delta"))
     assert "train/shard-00002.h5: has another form than" in errors(validate(folder, False))
+
+
+def edit_manifest(folder: Path, **changes: Any) -> None:
+    """Change values of manifest.json as a text editor would; None removes a key."""
+    path = folder / "manifest.json"
+    document = {**json.loads(path.read_text()), **changes}
+    path.write_text(
+        json.dumps({key: value for key, value in document.items() if value is not None})
+    )
+
+
+@pytest.mark.parametrize("key", ["samples", "shards", "bytes"])
+def test_totals_are_those_of_the_listed_shards(folder: Path, key: str) -> None:
+    totals = json.loads((folder / "manifest.json").read_text())["totals"]
+    assert not validate(folder).errors
+    totals["test"][key] += 1
+    edit_manifest(folder, totals=totals)
+    (error,) = validate(folder).errors
+    assert error.startswith(f"error: manifest.json: totals.test.{key} ")
+    edit_manifest(folder, totals=None)
+    (error,) = validate(folder).errors
+    assert error.startswith("error: manifest.json: totals.train.samples ")
+
+
+def test_every_listed_shard_is_opened(folder: Path) -> None:
+    for relative in ("train/shard-00000.h5", "train/shard-00001.h5", "test/shard-00000.h5"):
+        content = (folder / relative).read_bytes()
+        (folder / relative).unlink()
+        (error,) = validate(folder).errors
+        assert error.startswith(f"error: {relative}: absent")
+        (folder / relative).write_bytes(content)
+
+
+def test_stray_and_missing_files_are_named(folder: Path) -> None:
+    shutil.copy(folder / "train/shard-00000.h5", folder / "test/shard-00009.h5")
+    shutil.copy(folder / "train/shard-00000.h5", folder / "train/copy of 0.h5")
+    (folder / "train/shard-00001.json").write_text("{}")
+    (folder / "train/notes\x1b[2J.txt").write_text("mine")
+    (folder / "old").mkdir()
+    (folder / "config.yaml").unlink(missing_ok=True)
+    report = validate(folder)
+    named = [tuple(finding.split(": ")[:2]) for finding in report.findings]
+    assert ("error", "test/shard-00009.h5") in named
+    assert ("error", "train/copy of 0.h5") in named
+    assert ("note", "train/shard-00001.json") in named
+    assert ("note", "train/notes?[2J.txt") in named
+    assert ("note", "old/") in named
+    assert ("note", "config.yaml") in named
+    assert len(report.errors) == 2
+
+
+def test_an_index_without_its_hash_is_refused(folder: Path) -> None:
+    edit_manifest(folder, index_sha256=None)
+    (error,) = validate(folder).errors
+    assert error.startswith("error: index.h5: ")
+    (folder / "index.h5").unlink()
+    assert not validate(folder).errors
+
+
+def test_a_dataset_without_samples_is_not_valid(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    save_manifest(empty, replace(manifest, shards={}, index_sha256=""))
+    assert main(["validate", str(empty)]) == 1
+    assert capsys.readouterr().out.splitlines()[-1].startswith("invalid: ")
+
+
+def test_a_shard_whose_config_contradicts_its_hash_is_refused(folder: Path) -> None:
+    relative = "train/shard-00001.h5"
+    with h5py.File(folder / relative, "r+") as file:
+        file.attrs["config"] = '{"seed":8}'
+        reseal(file)
+    admit(folder)
+    (error,) = validate(folder).errors
+    assert error.startswith(f"error: {relative}: ")
+    assert "config_hash" in error
+
+
+def test_a_shard_of_another_part_than_the_manifest_says_is_refused(folder: Path) -> None:
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    relative = "train/shard-00001.h5"
+    info = replace(manifest.shards[relative], config_hash="0" * 16)
+    save_manifest(folder, manifest.with_shard(info))
+    admit(folder)
+    (error,) = validate(folder).errors
+    assert error.startswith(f"error: {relative}: its config_hash is ")
+
+
+def test_a_place_in_both_splits_is_refused_however_it_is_written(folder: Path) -> None:
+    add(folder, "test/shard-00001.h5", layered("ALPHA", 10))
+    (error,) = validate(folder).errors
+    assert error.startswith("error: manifest.json: 1 scene(s) both train and test: reef/alpha")
+
+
+def test_scenes_of_one_location_in_both_splits_are_noted(folder: Path) -> None:
+    report = validate(folder)
+    assert not report.errors
+    assert [line for line in report.findings if "1 location(s)" in line and "reef" in line]
+
+
+def test_pairs_without_noise_are_warned_about(folder: Path) -> None:
+    pairs = layered("delta")
+    pairs[1] = replace(pairs[1], noisy=pairs[1].clean)
+    add(folder, "train/shard-00002.h5", pairs)
+    report = validate(folder)
+    assert not report.errors
+    (warning,) = (line for line in report.findings if line.startswith("warning: "))
+    assert "1 sample(s)" in warning
+    assert "train/shard-00002.h5 sample 1" in warning
 
 
 @pytest.mark.parametrize("kind", sorted(OBJECTS))

@@ -14,7 +14,7 @@ from scipy import ndimage
 from simnfnd.factory import pairs
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.dataset.schema import Pair, Provenance, layers
+from simnfnd.factory.dataset.schema import Pair, Provenance, config_hash, layers
 from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
@@ -168,7 +168,7 @@ def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("received")
     write_shard(
         folder, "train/shard-00000.h5", [pair], maker.axes(), maker.columns(),
-        Provenance({}, "0" * 16, "tests"), settings.dataset,
+        Provenance({}, config_hash({}), "tests"), settings.dataset,
     )  # fmt: skip
     return folder, settings, pair
 

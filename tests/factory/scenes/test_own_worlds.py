@@ -19,6 +19,7 @@ from simnfnd.command import main
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig, from_mapping, plain
 from simnfnd.factory.dataset.schema import config_hash
+from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
 from simnfnd.factory.identity import identity
@@ -218,7 +219,8 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
         *("dataset.preview_pairs=0", f"cache.dir={tmp_path}/cache"),
     ]
     assert main(["make", *words, f"dataset.dir={out}"]) == 0
-    assert main(["validate", str(out), "--deep"]) == 0
+    (out / "status.0of2.json").write_text("{}")  # of a slice
+    assert validate(out, deep=True).findings == ()
     export(out, "coco", tmp_path / "coco")
     document = json.loads((tmp_path / "coco/annotations/instances_train.json").read_text())
     assert document["categories"][-1] == {"id": 21, "name": "target", "supercategory": "object"}
