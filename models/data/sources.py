@@ -72,7 +72,10 @@ def open_data(settings: ModelsSettings) -> Data:
 
 
 def _dataset_folder(settings: ModelsSettings) -> str:
-    """The dataset that is named, or that `data.make` makes (or finds made already)."""
+    """The dataset that is named, or that `data.make` makes (or finds made already).
+
+    Trainings with the same words share it.
+    """
     data = settings.data
     if settings.dataset["dir"] is not None:
         return settings.dataset["dir"]
@@ -83,7 +86,8 @@ def _dataset_folder(settings: ModelsSettings) -> str:
     # Loads the scheduler, which a dataset that exists does without.
     from ...factory.cli.generate import run
 
-    folder = f"outputs/{settings.name}-renders"
+    digest = hashlib.blake2b("\n".join(data.make).encode(), digest_size=4).hexdigest()
+    folder = f"outputs/renders-{digest}"
     words = (*data.make, f"dataset.dir={folder}")
     run(compose_config(words), words)
     return folder
