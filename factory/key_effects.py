@@ -17,6 +17,7 @@ from .imaging.settings import CoherentSettings
 from .noise.registry import EFFECTS, blocks
 from .scenes import has_labels
 from .scenes.mesh import MeshSettings
+from .scenes.pack import PackSettings
 from .scenes.seabed import SeabedSettings
 
 if TYPE_CHECKING:
@@ -199,6 +200,14 @@ def _routes(config: FactoryConfig, route: str) -> bool:
     )
 
 
+def _is_timed(config: FactoryConfig) -> bool:
+    """Whether frames have a time; a pack's may."""
+    scenes = config.scenes
+    if isinstance(scenes, SeabedSettings):
+        return scenes.is_recording
+    return isinstance(scenes, MeshSettings | PackSettings)
+
+
 def _share_is_above_0(name: str) -> Callable[[FactoryConfig], bool]:
     def acts(config: FactoryConfig) -> bool:
         if config.devices is None:
@@ -297,6 +306,11 @@ _RULES = (
         ("acoustics.standing",),
         lambda config: _acts(config, "speckle", "path_speckle"),
         "set noise.speckle.enabled=true",
+    ),
+    Rule(
+        ("noise.drifting_volume.correlation_s", "noise.drifting_volume.drift_m_s"),
+        _is_timed,
+        "frames have no time: set scenes.frame_rate_hz",
     ),
     Rule(
         ("acoustics.reflectivity_db.[!B]*", "acoustics.reflectivity_db.B[!a]*"),

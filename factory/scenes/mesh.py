@@ -86,6 +86,11 @@ class MeshSettings(SceneSettings):
     camera_altitude_m: Annotated[float, Field(gt=0)] | None = None
     camera_tilt_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse half a sector."""
+        if (self.hfov_deg is None) != (self.vfov_deg is None):
+            raise ValueError("give hfov_deg and vfov_deg, or neither")
+
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
         return self.classes
@@ -240,13 +245,15 @@ class MeshReader:
         side = rng.choice([-1, 1])
         distance_m += target.reach_m * target.is_part
         around = target.centre + distance_m * _level(np.linspace(0, 2 * np.pi, 9)[1:])
-        level_m = self._level_above(around, target) + height_m
+        ground_m = self._level_above(around, target)
+        level_m = ground_m + height_m
 
         def orbit(travelled_m: float) -> Pose:
             angle = heading_rad + travelled_m / (side * distance_m)
             eye = self._clear(target.centre + distance_m * _level(angle), level_m)
             down_deg = np.rad2deg(np.arctan2(eye[2] - target.centre[2], distance_m))
-            return self._standing(eye, float(np.rad2deg(angle + np.pi)), float(down_deg))
+            heading_deg = float(np.rad2deg(angle + np.pi))
+            return self._standing(eye, heading_deg, float(down_deg), ground_m)
 
         return orbit
 
@@ -259,12 +266,15 @@ class MeshReader:
         aside = aside_m * _level(heading_rad + np.pi / 2)
         along = target.centre + np.linspace(-1, 1, 9)[:, None] * ahead * target.reach_m + aside
         tilt_rad = np.deg2rad(rng.uniform(*self._settings.tilt_deg))
-        level_m = self._level_above(along, target) + height_m
+        ground_m = self._level_above(along, target)
+        level_m = ground_m + height_m
+        heading_deg = float(np.rad2deg(heading_rad))
+        tilt_deg = float(np.rad2deg(tilt_rad))
 
         def transect(travelled_m: float) -> Pose:
             place = target.centre + (travelled_m - target.reach_m) * ahead + aside
             eye = self._clear(place, level_m)
-            return self._standing(eye, float(np.rad2deg(heading_rad)), float(np.rad2deg(tilt_rad)))
+            return self._standing(eye, heading_deg, tilt_deg, ground_m)
 
         return transect
 
@@ -273,13 +283,20 @@ class MeshReader:
         measured = [height for height in map(self._ground_m, places) if height is not None]
         return float(np.median(measured)) if measured else float(target.centre[2])
 
-    def _standing(self, eye: Points, heading_deg: float, tilt_deg: float) -> Pose:
-        """The pose at a place of a path, as `camera_altitude_m` and `camera_tilt_deg` say."""
+    def _standing(
+        self, eye: Points, heading_deg: float, tilt_deg: float, path_ground_m: float
+    ) -> Pose:
+        """The pose at a place of a path, as `camera_altitude_m` and `camera_tilt_deg` say.
+
+        path_ground_m: height of the ground along the path, which counts where none lies below.
+        """
         settings = self._settings
         if settings.camera_tilt_deg is not None:
             tilt_deg = settings.camera_tilt_deg
-        ground_m = self._ground_m(eye) if settings.camera_altitude_m is not None else None
-        if settings.camera_altitude_m is not None and ground_m is not None:
+        if settings.camera_altitude_m is not None:
+            ground_m = self._ground_m(eye)
+            if ground_m is None:
+                ground_m = path_ground_m
             eye = np.array([*eye[:2], ground_m + settings.camera_altitude_m])
         return pose(eye, heading_deg, tilt_deg, 0.0)
 

@@ -7,10 +7,12 @@ import json
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.named_keys import named_keys
@@ -25,6 +27,7 @@ from simnfnd.factory.render.view import View, view_of
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scheduler.plan import plan_shards
 from simnfnd.factory.selection import choose_frames, split_frames
+from simnfnd.factory.small_files import load_yaml
 from simnfnd.factory.views import Views
 from tests.project_files import ROOT
 
@@ -47,6 +50,7 @@ BASES: dict[str, tuple[str, ...]] = {
         "sonar.range.max_m=4", "water.depth_m=1", "dataset.layers=[intensity_db,segmentation]",
         "sonar.array.horizontal.window=taylor",
     ),
+    "recording": (*PHYSICAL[:-2], "noise=recording", "scenes.frame_rate_hz=0.5"),
     "drawn devices": (
         "experiment=any_sonar", *SMALL[:5], "sonar.image.width_px=72", "sonar.image.height_px=72",
         "noise.range_arc.count=1", "noise.spokes.count=2", "noise.beam_gain.dead=2",
@@ -57,8 +61,25 @@ BASES: dict[str, tuple[str, ...]] = {
         *(f"devices.{name}_share=0.5" for name in ("enlarged", "auto_range", "standing")),
     ),
 }  # fmt: skip
+RECORDED: dict[str, tuple[str, ...]] = {
+    "orbit": ("scenes=mesh", "scenes.file=bed.obj"),
+    "transect": ("scenes=mesh", "scenes.file=bed.obj", "scenes.route=transect"),
+    "list": ("scenes=csv_list", "scenes.file=frames.csv", "scenes.intrinsics=[96,96,48,32]"),
+    "flsea": ("scenes=flsea", "scenes.root=flsea"),
+}
+"""Scenes of files; they are looked at with `SEEN`, and their keys of `scenes` alone are changed."""
+SEEN = (
+    *("noise=none", "resample.rate=1", "sonar.beams=24", "sonar.range_bins=24"),
+    *("sonar.image.width_px=32", "sonar.image.height_px=32", "dataset.layers=[rgb,depth]"),
+)
+SMALL_VIEWS = (
+    *("scenes.width=96", "scenes.height=64", "scenes.paths=1", "scenes.views_per_path=2"),
+    "dataset.layers=[rgb,depth,segmentation]",
+)
 PAIRS = {"drawn devices": (1, 14)}
 """Frames, and variants of each, that are looked at; of the others (2, 1)."""
+KEYS_OF_BASE = {"recording": "noise.drifting_volume.*"}
+"""Of these bases, only these keys are changed."""
 SCENE_GROUPS = ("scenes", "frames", "split", "render", "dataset")
 """Groups that need to be changed in one base alone."""
 
@@ -78,6 +99,10 @@ NO_IMAGES = (
 """Keys that change no image."""
 CHOICES = ("scenes.kind", "acoustics.formation", "resample.kind", "devices")
 """What chooses a group, whose keys are then others."""
+CONF_GROUPS = (
+    *("scenes", "render", "noise", "resample", "sonar", "water", "acoustics", "devices"),
+    *("dataset", "cache", "scheduler"),
+)
 
 OTHER: dict[str, Any] = {
     "scenes.hfov_deg": 60.0,
@@ -116,6 +141,32 @@ OTHER: dict[str, Any] = {
     "acoustics.target": "restored",
     "acoustics.reflectivity_db": {"Background": -25.0, "Wall": 0.0, "Boulder": 0.0},
     "acoustics.lambert_exponents": {"Wall": 5.0, "Boulder": 5.0, "Background": 4.0},
+}
+_OF_MESHES: dict[str, Any] = {
+    "scenes.file": "tall.obj",
+    "scenes.up": "y",
+    "scenes.scale": 1.1,
+    "scenes.classes": [{"class": "Target", "parts": "*"}],
+    "scenes.poses": "poses.txt",
+    "scenes.route": "orbit",
+    "scenes.paths": 2,
+    "scenes.views_per_path": 3,
+    "scenes.height_m": [0.6, 0.8],
+    "scenes.distance_m": [1.2, 1.4],
+    "scenes.tilt_deg": [50.0, 55.0],
+    "scenes.speed_m_s": 0.8,
+}
+OTHER_OF_RECORDED: dict[str, dict[str, Any]] = {
+    "orbit": {**_OF_MESHES, "scenes.route": "transect"},
+    "transect": _OF_MESHES,
+    "list": {
+        "scenes.file": "fewer.csv",
+        "scenes.intrinsics": [80.0, 80.0, 48.0, 32.0],
+        "scenes.depth_scale": 900.0,
+        "scenes.invalid_below_m": 2.5,
+        "scenes.invalid_above_m": 3.5,
+    },
+    "flsea": {"scenes.root": "flsea/canyons", "scenes.scenes": ["u_canyon"]},
 }
 ROUNDED = ("*.looks", "*.count", "*.dead", "*.spacing_beams", "devices.beams", "devices.*_px")
 WORDS = (
@@ -222,6 +273,7 @@ def keys_of_base(name: str) -> list[tuple[str, Any]]:
         (key, value)
         for key, value in leaves(values)
         if not any(fnmatchcase(key, pattern) for pattern in passed_over)
+        and fnmatchcase(key, KEYS_OF_BASE.get(name, "*"))
     ]
 
 
@@ -250,6 +302,93 @@ def test_every_key_changes_bytes_or_is_refused(name: str) -> None:
     assert not [refusal for refusal in refusals if "given: " in refusal]
 
 
+@pytest.fixture
+def recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The files that `RECORDED` and `OTHER_OF_RECORDED` name, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    x, y = np.meshgrid(np.linspace(-6, 6, 20), np.linspace(-6, 6, 20))
+    for name, height in (("bed", 0.3), ("tall", 0.6)):
+        z = height * np.sin(3 * x) * np.cos(2 * y)
+        vertices = [
+            f"v {a:.4f} {b:.4f} {c:.4f}" for a, b, c in zip(x.flat, y.flat, z.flat, strict=True)
+        ]
+        corners = [20 * row + column + 1 for row in range(19) for column in range(19)]
+        faces = [f"f {i} {i + 1} {i + 21} {i + 20}" for i in corners]
+        Path(f"{name}.obj").write_text("\n".join((*vertices, *faces)))
+    Path("poses.txt").write_text("0 -4 0 1.5 -0.5 0.5 -0.5 0.5\n")
+
+    rng = np.random.default_rng(5)
+    rows, columns = np.mgrid[0:64, 0:96]
+    lines = []
+    for number, folder in enumerate(("canyons/u_canyon", "red_sea/sub_pier")):
+        rgb = rng.integers(0, 255, (64, 96, 3), np.uint8)
+        depth_m = (4.2 - rows / 30 + 0.05 * np.sin(columns / 5 + number)).astype(np.float32)
+        places = [Path("flsea") / folder / kind for kind in ("imgs", "depth")]
+        for place in places:
+            place.mkdir(parents=True)
+        tifffile.imwrite(places[0] / "16233.tiff", rgb)
+        tifffile.imwrite(places[1] / "16233_SeaErra_abs_depth.tif", depth_m)
+        tifffile.imwrite(f"{number}.tiff", rgb)
+        np.save(f"{number}.npy", np.rint(depth_m * 1000).astype(np.uint16))
+        lines.append(f"{number}.tiff,{number}.npy,scene-{number}")
+    Path("frames.csv").write_text("\n".join(lines))
+    Path("fewer.csv").write_text(lines[0])
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_every_key_of_recorded_scenes_changes_bytes_or_is_refused(
+    name: str, recordings: None
+) -> None:
+    views = SMALL_VIEWS if "scenes=mesh" in RECORDED[name] else ()
+    base = compose_config((*RECORDED[name], *SEEN, *views))
+    expected = list(parts_of(base))
+    assert any(isinstance(part, list) and len(part) > 3 for part in expected[1:])
+    values = plain(base)
+    ignored: list[str] = []
+    for key, value in leaves(values["scenes"], "scenes."):
+        if key in (*CHOICES, *NO_IMAGES):
+            continue
+        other = OTHER_OF_RECORDED[name].get(key, OTHER.get(key))
+        if other is None:
+            other = another(key, value)
+        try:
+            config = from_mapping(replaced(values, key, other))
+        except FactoryError:
+            continue
+        if reason_without_effect(config, key, [key]):
+            continue
+        if list(parts_of(config)) == expected:
+            ignored.append(f"{key}={other}")
+    assert not ignored
+
+
+def test_no_key_of_a_group_is_left_out() -> None:
+    """Of all keys that files of `conf` list, each is changed above or in a short list."""
+    changed = {key for name in BASES for key, _ in keys_of_base(name)}
+    changed.update(key for keys in OTHER_OF_RECORDED.values() for key in keys)
+    listed: dict[str, str] = {}
+    root = load_yaml(ROOT / "conf/factory.yaml")
+    files = [
+        path for group in CONF_GROUPS for path in sorted((ROOT / "conf" / group).glob("*.yaml"))
+    ]
+    for path in files:
+        values = load_yaml(path)
+        is_global = path.read_text().startswith("# @package _global_")
+        for key, _ in leaves(values, "" if is_global else f"{path.parent.name}."):
+            listed[key] = path.name
+    for key, _ in leaves({name: root[name] for name in root if name not in ("defaults", "hydra")}):
+        listed[key] = "factory.yaml"
+    assert len(listed) > 150
+    left_out = [
+        f"{name}: {key}"
+        for key, name in listed.items()
+        if key not in changed
+        and not key.endswith(".defaults")
+        and not any(fnmatchcase(key, pattern) for pattern in (*CHOICES, *NO_IMAGES))
+    ]
+    assert not left_out
+
+
 @pytest.mark.parametrize(
     ("words", "key"),
     [
@@ -264,6 +403,10 @@ def test_every_key_changes_bytes_or_is_refused(name: str) -> None:
         (("experiment=physical", "sonar.point_spread.beams=1"), "sonar.point_spread.beams"),
         (("experiment=any_sonar", "sonar.beams=64"), "sonar.beams"),
         (("experiment=any_sonar", "acoustics=pointwise"), "acoustics"),
+        (
+            ("experiment=physical", "noise=recording", "noise.drifting_volume.correlation_s=2"),
+            "noise.drifting_volume.correlation_s",
+        ),
         (("split.test=[seabed-0000]", "split.test_fraction=0.5"), "split.test_fraction"),
     ],
 )
