@@ -69,7 +69,8 @@ def realism(words: Sequence[str]) -> int:
 
 def fit(words: Sequence[str]) -> int:
     """`simnfnd evaluate fit REAL [KEY=VALUE ...] [-- WORDS OF simnfnd make]`."""
-    own, recipe = list(words), []
+    own = list(words)
+    recipe = []
     if "--" in own:
         place = own.index("--")
         recipe = [f"recipe={_listed(own[place + 1 :])}"]

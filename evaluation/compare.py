@@ -62,7 +62,8 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
 
     Raises FactoryError when a folder is no report, has no such row, or the pairs are not the same.
     """
-    (name_a, one), (name_b, other) = _row(a, row_a), _row(b, row_b)
+    name_a, one = _row(a, row_a)
+    name_b, other = _row(b, row_b)
     common = one.index.intersection(other.index, sort=True)
     if common.empty:
         raise FactoryError(
@@ -90,7 +91,8 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
 
 def _line(name: str, result: Paired, p_holm: float | None) -> dict[str, Any]:
     """A metric; better only where the interval excludes zero and Holm's p is below 0.05."""
-    item, better = result.difference, METRIC_NAMES[name].better
+    item = result.difference
+    better = METRIC_NAMES[name].better
     verdict = "no difference shown"
     if not better or not item.count:
         verdict = "not ranked" if item.count else "no figures"

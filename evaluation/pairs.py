@@ -90,15 +90,18 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
 
     Raises FactoryError when `root` is no dataset.
     """
-    pairs, manifest = PairDataset(root, split), load_manifest(root)
-    digests, counts = {}, dict.fromkeys(pairs.splits, 0)
+    pairs = PairDataset(root, split)
+    manifest = load_manifest(root)
+    digests = {}
+    counts = dict.fromkeys(pairs.splits, 0)
     for path in pairs.paths:
         name = path.relative_to(root).as_posix()
         digests[path] = name, manifest.shards[name].sha256 if manifest else sha256_of(path)
     found = []
     for one in pairs.names():
         name, digest = digests[one.path]
-        place, key = (str(one.path), one.row), f"{digest[:24]}:{one.row}"
+        place = (str(one.path), one.row)
+        key = f"{digest[:24]}:{one.row}"
         identity = one.location, one.scene, one.frame, one.variant
         found.append(Item(name, place, one.split, counts[one.split], key, *identity))
         counts[one.split] += 1

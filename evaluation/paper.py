@@ -114,7 +114,8 @@ def steps_of(plan: Plan) -> Iterator[list[str]]:
         ablation["olddata_l1"] = [*_olddata(plan.real), "loss=l1"]
     trainings = {**ablation, _RIVAL: [dataset, f"model={_RIVAL}", "loss=l1"]}
     for name, words in trainings.items():
-        check, patch = min(plan.steps, 200), 64 if plan.quick else 128
+        check = min(plan.steps, 200)
+        patch = 64 if plan.quick else 128
         yield [
             "train", *words, f"name={name}", f"out={quote(str(plan.out / name))}",
             f"train.steps={plan.steps}", f"train.check_every={check}", f"data.patch={patch}",

@@ -149,7 +149,8 @@ def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
     table = root / GEOMETRY_FILE
     if table.is_file():
         return _with_table(table, paths), ()
-    shots, counts = [], dict.fromkeys(MDD_GEOMETRIES, 0)
+    shots = []
+    counts = dict.fromkeys(MDD_GEOMETRIES, 0)
     for path in paths:
         name = mdd_geometry(frame_of(path, 0)[0])
         if name is None:
@@ -185,12 +186,14 @@ def outline(picture: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     A dark picture has black pixels inside, too: its outline is what counts.
     """
     lit = picture > 0
-    left, right = np.maximum.accumulate(lit, 1), np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
+    left = np.maximum.accumulate(lit, 1)
+    right = np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
     return np.asarray(left & right)
 
 
 def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
-    lines, number = dict[str, FanGeometry](), 1
+    lines = dict[str, FanGeometry]()
+    number = 1
     try:
         with table.open(newline="", encoding="utf-8-sig") as file:
             for row in csv.DictReader(file):
@@ -211,7 +214,8 @@ def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
 def _line(row: Mapping[str, str | None]) -> tuple[str, FanGeometry]:
     """The picture's name and geometry in a line of geometry.csv; ValueError says what is wrong."""
     known = {key: text.strip() for key, text in row.items() if key and text and text.strip()}
-    name, layout = known.pop("file", None), known.pop("layout", "")
+    name = known.pop("file", None)
+    layout = known.pop("layout", "")
     if name is None or layout not in ("fan", "polar"):
         raise ValueError("no column 'file', or layout is neither fan nor polar")
     values = {key: float(text) for key, text in known.items()}

@@ -187,7 +187,8 @@ class Parameter:
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        (low, high), (least, most) = self.limits, self.spreads
+        low, high = self.limits
+        least, most = self.spreads
         if self.choices is not None:
             if not self.choices or not math.isnan(low + high) or most:
                 raise ValueError("choices: at least one, and neither low, high nor spread beside")

@@ -35,7 +35,8 @@ from .settings import EvaluationSettings
 
 SCHEMA = "simnfnd-tuned/1"
 
-_SLOW, _SLOWER = ("bm3d",), 4  # of these one frame of four has to do
+_SLOW = ("bm3d",)  # filters that are tuned on fewer frames
+_SLOWER = 4  # of which they see one in so many
 _BEST = 2  # points that are compared on whole frames
 _LEAST_SIDE = 96  # pixels of the middle of a frame
 
@@ -116,7 +117,8 @@ def run_tasks(
 
 def on_pairs(task: Task) -> dict[str, Any] | str:
     """The default, the best, and the best after levels, as in the file; or why not."""
-    baseline, known = method_of(task.baseline), dict[tuple[float, ...], Point]()
+    baseline = method_of(task.baseline)
+    known = dict[tuple[float, ...], Point]()
 
     def measured(point: Parameters) -> Point:
         key = tuple(point.values())
@@ -192,7 +194,8 @@ def validation_items(settings: EvaluationSettings) -> list[Item]:
         raise FactoryError(
             'tune shares the validation split of models: pip install "simnfnd[train]"'
         ) from error
-    root, tuning = Path(settings.dataset.dir), settings.tuning
+    root = Path(settings.dataset.dir)
+    tuning = settings.tuning
     _, held = hold_out(read_table(root, "train").samples, tuning.validation, settings.seed)
     places = {(str(sample.path), sample.row) for sample in spread(held, tuning.pairs)}
     return [item for item in items_of(root, "train") if item.place in places]
@@ -240,7 +243,8 @@ def _line(name: str, known: dict[str, Any], lost: dict[str, str]) -> str:
     if name in lost:
         return f"{name}: lost ({lost[name]})"
     entry = known[name]
-    best, levels = entry["tuned"], entry["tuned_levels"]
+    best = entry["tuned"]
+    levels = entry["tuned_levels"]
     return (
         f"{name}: {entry['default']['psnr']:.2f} dB by default, {best['psnr']:.2f} tuned"
         f"{shown(best['parameters'])}, {levels['psnr_levels']:.2f} with levels"
@@ -281,16 +285,19 @@ def _along(
     start: Parameters, name: str, axis: Sequence[float], value: Callable[[Parameters], float]
 ) -> Parameters:
     """The best value of one parameter, from the present one outwards until two falls."""
-    best, top = start, value(start)
+    best = start
+    top = value(start)
     above = [one for one in axis if one > start[name]]
     below = [one for one in reversed(axis) if one < start[name]]
     for outwards in (above, below):
-        last, falls = value(start), 0
+        last = value(start)
+        falls = 0
         for one in outwards:
             point = {**start, name: one}
             now = value(point)
             if now > top + _LEAST:
-                best, top = point, now
+                best = point
+                top = now
             falls = falls + 1 if now < last else 0
             last = now
             if falls == 2:
@@ -305,9 +312,11 @@ def _finer(
     if not all(isinstance(one, float) for one in axis) or start[name] not in axis:
         return start
     place = axis.index(start[name])
-    best, top = start, value(start)
+    best = start
+    top = value(start)
     for neighbour in (*axis[max(place - 1, 0) : place], *axis[place + 1 : place + 2]):
         point = {**start, name: float(f"{math.sqrt(start[name] * neighbour):.3g}")}
         if (now := value(point)) > top + _LEAST:
-            best, top = point, now
+            best = point
+            top = now
     return best

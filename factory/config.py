@@ -274,7 +274,8 @@ def _refuse_keys_of_the_other_formation(acoustics: Mapping[str, Any]) -> None:
 
 def _scenes_as_the_sonar_needs(config: FactoryConfig) -> Scenes:
     """The settings of the scenes with a camera that sees the sonar's sector."""
-    scenes, sonar = config.scenes, config.sonar
+    scenes = config.scenes
+    sonar = config.sonar
     if not isinstance(scenes, SeabedSettings | MeshSettings):
         return scenes
     if scenes.hfov_deg is None and sonar.hfov_deg > HFOV_DEG:
@@ -282,7 +283,8 @@ def _scenes_as_the_sonar_needs(config: FactoryConfig) -> Scenes:
     scenes = replace(scenes, boxes=scenes.boxes or "boxes" in config.dataset.columns)
     if sonar.altitude_m is None and sonar.tilt_deg is None:
         return scenes
-    altitude_m, tilt_deg = scenes.camera_altitude_m, scenes.camera_tilt_deg
+    altitude_m = scenes.camera_altitude_m
+    tilt_deg = scenes.camera_tilt_deg
     if sonar.tilt_deg is not None:
         tilt_deg = sonar.mount.camera_tilt_deg(sonar.tilt_deg)
         if tilt_deg is None:

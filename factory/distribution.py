@@ -56,7 +56,8 @@ def parse(value: Any, low: float = -math.inf, high: float = math.inf) -> Distrib
     Raises ValueError when the form is unknown or a number lies outside [low, high].
     """
     if isinstance(value, Distribution):
-        kind, numbers = value.kind, value.values
+        kind = value.kind
+        numbers = value.values
     elif isinstance(value, Mapping):
         present = {str(kind): given for kind, given in value.items() if given is not None}
         if len(present) > 1:
@@ -71,7 +72,8 @@ def parse(value: Any, low: float = -math.inf, high: float = math.inf) -> Distrib
             raise ValueError(f"{kind} takes a list; write {_FORMS}")
         numbers = tuple(_number(item) for item in given)
     else:
-        kind, numbers = "number", (_number(value),)
+        kind = "number"
+        numbers = (_number(value),)
     if kind in ("uniform", "normal") and len(numbers) != 2:
         raise ValueError(f"{kind} takes two numbers, got {len(numbers)}")
     if kind == "choice" and not numbers:

@@ -15,18 +15,32 @@ import numpy as np
 from .compiled import compiled
 
 _F = np.float32
-_ONE, _ZERO, _TINY = _F(1), _F(0), _F(1e-30)
-_PI, _HALF_PI = _F(np.pi), _F(np.pi / 2)
-_A2, _A4, _A6, _A8 = _F(-0.3333314528), _F(0.1999355085), _F(-0.1420889944), _F(0.1065626393)
-_A10, _A12, _A14, _A16 = _F(-0.07528964), _F(0.0429096138), _F(-0.0161657367), _F(0.0028662257)
+_ONE = _F(1)
+_ZERO = _F(0)
+_TINY = _F(1e-30)
+_PI = _F(np.pi)
+_HALF_PI = _F(np.pi / 2)
+_A2 = _F(-0.3333314528)
+_A4 = _F(0.1999355085)
+_A6 = _F(-0.1420889944)
+_A8 = _F(0.1065626393)
+_A10 = _F(-0.07528964)
+_A12 = _F(0.0429096138)
+_A14 = _F(-0.0161657367)
+_A16 = _F(0.0028662257)
 _C = tuple(_F((-1) ** k / math.factorial(2 * k)) for k in range(7))
-_L3, _L5, _L7, _L9 = _F(1 / 3), _F(1 / 5), _F(1 / 7), _F(1 / 9)
-_LN2, _ROOT2 = _F(np.log(2)), _F(np.sqrt(2))
+_L3 = _F(1 / 3)
+_L5 = _F(1 / 5)
+_L7 = _F(1 / 7)
+_L9 = _F(1 / 9)
+_LN2 = _F(np.log(2))
+_ROOT2 = _F(np.sqrt(2))
 
 _S = tuple(
     _F((-1) ** k * (2 * np.pi) ** j / math.factorial(j)) for k, j in enumerate(range(1, 12, 2))
 )
-_HALF, _ROUND = _F(0.5), _F(12582912)  # added and taken off again, it rounds to whole numbers
+_HALF = _F(0.5)
+_ROUND = _F(12582912)  # adding and subtracting it rounds to whole numbers
 _LOG2E = _F(1 / np.log(2))
 _E = tuple(_F(np.log(2) ** k / math.factorial(k)) for k in range(7))
 
@@ -37,7 +51,8 @@ _OUT = "float32[::1]"
 @compiled()
 def atan2(y: Any, x: Any) -> Any:
     """Angle of (x, y), float32, radians."""
-    across, along = np.abs(y), np.abs(x)
+    across = np.abs(y)
+    along = np.abs(x)
     small = across if across < along else along
     large = along if across < along else across
     t = small / (large + _TINY)
@@ -105,7 +120,8 @@ def half_normal(lot: Any, size: Any) -> None:
         x = lot[at]
         w = -log((_ONE - x) * (_ONE + x))
         w = w if w > _ZERO else _ZERO
-        u, v = w - _F(2.5), np.sqrt(w) - _F(3)
+        u = w - _F(2.5)
+        v = np.sqrt(w) - _F(3)
         near = _F(3.43273939e-07) + u * _F(2.81022636e-08)
         near = _F(-4.39150654e-06) + u * (_F(-3.5233877e-06) + u * near)
         near = _F(-0.00125372503) + u * (_F(0.00021858087) + u * near)
@@ -135,12 +151,14 @@ def ranked(values: Any, ranks: Any, found: Any) -> None:
     lower = np.zeros(1 << 16, np.int64)
     counted = -1
     for number in range(len(ranks)):
-        left, half = ranks[number], 0
+        left = ranks[number]
+        half = 0
         while left >= upper[half]:
             left -= upper[half]
             half += 1
         if half != counted:
-            counted, lower[:] = half, 0
+            counted = half
+            lower[:] = 0
             for at in range(len(bits)):
                 if bits[at] >> 16 == half:
                     lower[bits[at] & 0xFFFF] += 1

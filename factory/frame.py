@@ -195,7 +195,8 @@ def checked(frame: Frame, *, bad_depth: str = "reject") -> Frame:
 
     bad_depth: "reject" refuses NaN, infinite and negative depths; "mask" makes them invalid (0).
     """
-    name, depth_m = frame.ref.name, frame.depth_m
+    name = frame.ref.name
+    depth_m = frame.depth_m
     if frame.rgb.ndim != 3 or frame.rgb.shape[2] != 3 or frame.rgb.dtype != np.uint8:
         raise FrameError(
             f"{name}: colour image must be (H, W, 3) uint8, got {frame.rgb.shape} {frame.rgb.dtype}"
@@ -212,7 +213,8 @@ def checked(frame: Frame, *, bad_depth: str = "reject") -> Frame:
         raise FrameError(f"{name}: {misfit}")
     # Two looks tell that nothing is wrong, as nearly always; NaN compares false.
     if not (depth_m.size > 0 and depth_m.min() >= 0 and depth_m.max() < np.inf):
-        nan, infinite = np.isnan(depth_m), np.isinf(depth_m)
+        nan = np.isnan(depth_m)
+        infinite = np.isinf(depth_m)
         negative = ~infinite & (depth_m < 0)
         bad = nan | infinite | negative
         if bad_depth == "reject" and bad.any():

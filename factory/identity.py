@@ -115,7 +115,8 @@ def _render_identity(config: FactoryConfig) -> dict[str, Any]:
 
 def _scenes_identity(config: FactoryConfig, values: Mapping[str, Any]) -> dict[str, Any]:
     """The user's files count by their content, and not by where they lie."""
-    settings, scenes = config.scenes, dict(values)
+    settings = config.scenes
+    scenes = dict(values)
     scenes |= {"depth_kind": "z", "bad_depth": scenes.get("bad_depth", "reject")}
     scenes |= _GONE_SCENES.get(settings.kind, {})
     for key in ("root", "file"):

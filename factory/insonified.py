@@ -44,7 +44,8 @@ def thin_pairs(directory: Path, sonar: SonarSettings) -> tuple[int, int]:
     sonar: of all of them.  Variants of a frame share its shadows.
     """
     thin = total = 0
-    share, frame = 0.0, None
+    share = 0.0
+    frame = None
     for path in sorted(directory.glob("*/shard-*.h5")):
         with h5py.File(path) as shard:
             for number, row in enumerate(shard["meta"][()]):

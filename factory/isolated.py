@@ -102,7 +102,8 @@ class IsolatedProcess:
 
     def close(self, patience_s: float = 0) -> int | None:
         """Kill the process, unless it ends before; its exit code.  The next call starts another."""
-        child, self._child = self._child, None
+        child = self._child
+        self._child = None
         if child is None:
             return None
         with suppress(subprocess.TimeoutExpired):

@@ -96,7 +96,8 @@ class PairMaker:
 
         kept_frames: how many observed frames stay in memory, where frames come again and again.
         """
-        self.config, self.views = config, views
+        self.config = config
+        self.views = views
         self._kept_frames = kept_frames
         self._observed: OrderedDict[FrameRef, ObservedFrame] = OrderedDict()
         self._recordings = Recordings(config.scenes, config.seed)

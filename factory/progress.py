@@ -97,7 +97,8 @@ class Lines:
     """When a line is due in a file: the first at once, then ever more rarely up to a limit."""
 
     def __init__(self) -> None:
-        self._begun, self._next = time.monotonic(), 0.0
+        self._begun = time.monotonic()
+        self._next = 0.0
 
     def due(self) -> bool:
         """Whether to write one now; if so, the next is due some time later."""

@@ -310,7 +310,9 @@ def _lens_row(frame: Frame) -> Row:
 
 
 def _calibration_row(config: FactoryConfig) -> Row:
-    sonar, water, acoustics = config.sonar, config.water, config.acoustics
+    sonar = config.sonar
+    water = config.water
+    acoustics = config.acoustics
     assert isinstance(acoustics, CoherentSettings)  # the configuration refuses others
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
     return _row(
@@ -453,7 +455,8 @@ class Camera:
 
     def __init__(self, config: FactoryConfig, chosen: Choose) -> None:
         """Reads nothing where `dataset.layers` asks for none.  chosen: frames of those found."""
-        self._config, self._chosen = config, chosen
+        self._config = config
+        self._chosen = chosen
         self._requested = CAMERA_LAYERS.intersection(config.dataset.layers)
 
     def layers(self, ref: FrameRef) -> Mapping[str, npt.NDArray[np.generic]]:

@@ -44,7 +44,8 @@ def split_frames(
     frames: tuple[FrameRef, ...], config: FactoryConfig
 ) -> dict[str, tuple[FrameRef, ...]]:
     """Train and test frames; a scene is in one of them, never in both."""
-    scenes, patterns = _scenes(frames), config.split.test
+    scenes = _scenes(frames)
+    patterns = config.split.test
     if patterns:
         testing = [one for one in scenes if any(_matches(one, pattern) for pattern in patterns)]
     else:
@@ -62,7 +63,8 @@ def split_warnings(
 
     A split that is empty because it was asked for (no limit above 0, `frames.only`) is none.
     """
-    settings, limits = config.split, config.dataset.limits
+    settings = config.split
+    limits = config.dataset.limits
     if config.frames.only is not None:
         return ()
     scenes = _scenes([ref for refs in splits.values() for ref in refs])

@@ -63,10 +63,12 @@ def _place(steps: tuple[int | str, ...], values: Any) -> tuple[list[str], Any]:
 
     The others name the choice of a union or a validator.
     """
-    keys, beside = [], values
+    keys = []
+    beside = values
     for step in steps:
         listed = isinstance(values, list | tuple) and isinstance(step, int) and step < len(values)
         if listed or (isinstance(values, Mapping) and step in values):
-            beside, values = values, values[step]
+            beside = values
+            values = values[step]
             keys.append(str(step))
     return keys, beside

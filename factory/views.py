@@ -52,7 +52,8 @@ class Cache:
     """The entries below one folder; any number of processes may use it at once."""
 
     def __init__(self, settings: CacheSettings) -> None:
-        self.folder, self._max_bytes = settings.folder, settings.max_bytes
+        self.folder = settings.folder
+        self._max_bytes = settings.max_bytes
         self._total: int | None = None
 
     def path(self, key: str) -> Path:
@@ -85,7 +86,8 @@ class Cache:
 
     def put(self, key: str, view: View) -> int:
         """Store an entry; returns its bytes.  Raises FactoryError when there is no room."""
-        content, path = encode(view), self.path(key)
+        content = encode(view)
+        path = self.path(key)
         with explain_os_errors(path.parent, "cache.dir"):
             path.parent.mkdir(parents=True, exist_ok=True)
         # Its checksums tell what a power cut left half done, so waiting for the disk is needless.
@@ -143,7 +145,8 @@ _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
 @cache
 def _code_version(kind: str) -> str:
     """Stands for the source files and the library that a renderer consists of."""
-    root, digest = Path(__file__).parent, hashlib.blake2b(digest_size=8)
+    root = Path(__file__).parent
+    digest = hashlib.blake2b(digest_size=8)
     for place in (root / name for name in RENDER_CODE):
         files = sorted(place.rglob("*.py")) + sorted(place.rglob("*.yaml"))
         for path in files or [place]:

@@ -112,7 +112,8 @@ def _adapt(chosen: Any, lessons: Lessons, paths: Sequence[Path], start: Path, ou
     trained = load_weights(start)
     network = trained.network.to(device)
     lesson = Lesson(lessons, chosen.seed, network.extras)
-    rate, steps = chosen.learning_rate, chosen.steps
+    rate = chosen.learning_rate
+    steps = chosen.steps
     best = tune(network, lesson, steps, rate, device)
     noisy = lesson.figure(lesson.judging)
     before = best["before"]

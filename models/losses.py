@@ -16,7 +16,8 @@ from ..factory.settings import STRICT
 NotNegative = Annotated[float, Field(ge=0)]
 _PSNR_FLOOR = 1e-4  # added to the mean squares in `decibels`: below it, 40 dB, gains count little
 _EQUAL = 1e-10  # mean squared difference of pictures that count as equal: 100 dB
-_NOTHING, _WHOLE = 0.3, 0.8  # factors on a change from which on it is left out, or made whole
+_NOTHING = 0.3  # factor on a change up to which the change is left out
+_WHOLE = 0.8  # factor on a change from which the change is made whole
 _CLEAN = 1e-4  # in `blend` the noise of a picture has at least this mean square, 40 dB
 
 

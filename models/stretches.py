@@ -88,7 +88,9 @@ def read_clips(
                 f"{item.source}: belongs to a dataset; `simnfnd train` learns from these, and "
                 "`simnfnd adapt` from recordings, videos and pictures"
             )
-    found, sources, counts = Found(), sequences(items), []
+    found = Found()
+    sources = sequences(items)
+    counts = []
     found.paths = [item.source for item in items]
     for source in sources:
         try:
@@ -207,7 +209,8 @@ def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
         for kept, still in _stills(shots)
     ]
     if len(known) == 1:
-        (kept, whole), count = known[0], max(1, len(known[0][0]) // 5)
+        kept, whole = known[0]
+        count = max(1, len(known[0][0]) // 5)
         # Targets of the frames that are learned from must not know the others.
         learning = [still for _, still in _stills(kept[:-count])]
         last = {name: getattr(whole, name)[-count:] for name in ("frames", "targets", "laid")}
@@ -239,7 +242,8 @@ def _stretches(clip: Clip) -> list[list[Shot]]:
 
 def _groups(clip: Clip, numbers: list[int], alike: float) -> list[list[int]]:
     shots = [clip.shots[i] for i in numbers]
-    greys, sectors = [shot.grey for shot in shots], [shot.sector for shot in shots]
+    greys = [shot.grey for shot in shots]
+    sectors = [shot.sector for shot in shots]
     found = []
     for group in find_groups(greys, sectors, least=LEAST, alike=alike):
         own = sorted(numbers[i] for i in group.numbers)

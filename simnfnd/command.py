@@ -67,7 +67,8 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
 
     Raises FactoryError, one line, for words that are none.
     """
-    name, rest = words[0], list(words[1:])
+    name = words[0]
+    rest = list(words[1:])
     own = [one for one in VERBS if one.startswith(f"{name} ")]
     second = bool(rest and own) and not _is_option(rest[0])
     if second:

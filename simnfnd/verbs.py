@@ -26,8 +26,11 @@ class Verb(NamedTuple):
     hydra: bool = False
 
 
-MAKE, LOOK, PASS_ON = "Make datasets", "Look at datasets", "Pass datasets on"
-DENOISE, JUDGE = "Denoise", "Judge"
+MAKE = "Make datasets"
+LOOK = "Look at datasets"
+PASS_ON = "Pass datasets on"
+DENOISE = "Denoise"
+JUDGE = "Judge"
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
 _NETWORK = ("onnxruntime", "safetensors", *_SONAR)

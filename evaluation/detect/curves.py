@@ -12,7 +12,11 @@ _COLOURS = (
     "#d1478c", "#5b6b7a", "#4d4fc4", "#7a9a01",
 )  # fmt: skip
 _DASHES = ("", "6 3", "2 2")
-_SIDE, _LEFT, _TOP, _BOTTOM, _LEGEND = 320, 56, 28, 48, 20
+_SIDE = 320
+_LEFT = 56
+_TOP = 28
+_BOTTOM = 48
+_LEGEND = 20
 """Pixels: side of the plot, margins, height of a line of the legend."""
 
 

@@ -21,7 +21,8 @@ from .targets import Frames, Track, blurred, ellipse
 
 Values = npt.NDArray[np.float64]
 
-_GAP_PX, _RING_PX = 3.0, 10.0
+_GAP_PX = 3.0
+_RING_PX = 10.0
 """Inner and outer edge of the ring around a target, added to its semi-axes."""
 _REACH_PX = 14  # beyond the longer semi-axis, of the crop that a target is measured in
 _NEAR = 7  # frames nearer in time have no part in the mean that is subtracted

@@ -249,7 +249,8 @@ def _mean(draws: Values) -> Values:
 
 def _estimate(draws: Values) -> Estimate:
     """Of the first draw, which is no draw, and the others."""
-    value, resampled = draws[0], draws[1:]
+    value = draws[0]
+    resampled = draws[1:]
     known = resampled[np.isfinite(resampled)]
     if np.isnan(value) or not len(known):
         return Estimate(float(value), np.nan, np.nan)

@@ -16,7 +16,8 @@ Pixels = npt.NDArray[np.uint8]
 
 _REACH_PX = 24  # of a crop around its target
 _TIMES = 3  # enlargement
-_GAP_PX, _CAPTION_PX = 6, 34
+_GAP_PX = 6
+_CAPTION_PX = 34
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _MARK = (60, 200, 255)  # BGR
 _TEXT = (235, 235, 235)

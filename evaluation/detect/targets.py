@@ -22,7 +22,9 @@ from ..metrics.measure import Gray
 Frames = npt.NDArray[np.float32]
 """(N, H, W) in 0..1."""
 
-_SCENE_PX, _GRAIN_PX, _GRAIN_LEVEL_PX = 4.0, 3.0, 8.0
+_SCENE_PX = 4.0
+_GRAIN_PX = 3.0
+_GRAIN_LEVEL_PX = 8.0
 """Sigmas of the blurs that give the scene, what is left as grain, and the level of the grain."""
 _TINY = 1e-3 / 255  # grain of an even area
 _APART_PX = 45.0  # least distance between two tracks

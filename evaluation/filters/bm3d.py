@@ -18,10 +18,15 @@ from ..metrics.measure import Gray
 
 Floats = npt.NDArray[np.float32]
 
-_BLOCK, _STEP, _REACH = 8, 3, 19
-_HARD, _STACK_HARD, _STACK_WIENER = 2.7, 16, 32
+_BLOCK = 8
+_STEP = 3
+_REACH = 19
+_HARD = 2.7
+_STACK_HARD = 16
+_STACK_WIENER = 32
 # Mean squared difference of blocks that are alike, up to a sigma of 40 and above.
-_ALIKE_HARD, _ALIKE_WIENER = (2500 / 255**2, 5000 / 255**2), (400 / 255**2, 3500 / 255**2)
+_ALIKE_HARD = (2500 / 255**2, 5000 / 255**2)
+_ALIKE_WIENER = (400 / 255**2, 3500 / 255**2)
 _LOUD = 40 / 255
 _COARSE = 2.0  # threshold in units of sigma before comparing blocks of a loud picture
 
@@ -40,7 +45,8 @@ def bm3d(image: Gray, sigma: float) -> Gray:
 
     def filtered(compared: Floats, pilot: Floats, tau: float, stack: int, wiener: bool) -> Floats:
         """One pass over (R, C, 64) coefficients -> (R + 7, C + 7) picture."""
-        limit, noise = np.float32(tau * _BLOCK**2), np.float32(sigma)
+        limit = np.float32(tau * _BLOCK**2)
+        noise = np.float32(sigma)
         total, weights = _filter(
             noisy, compared, pilot, noise, limit, stack, wiener, _dct(), window
         )
@@ -79,7 +85,8 @@ def _hadamard(values, count):  # type: ignore[no-untyped-def]
             for i in range(start, start + half):
                 for k in range(values.shape[1]):
                     a, b = values[i, k], values[i + half, k]
-                    values[i, k], values[i + half, k] = a + b, a - b
+                    values[i, k] = a + b
+                    values[i + half, k] = a - b
         half *= 2
     scale = np.float32(1 / np.sqrt(count))
     for i in range(count):
@@ -114,7 +121,8 @@ def _alike(compared, row, column, tau, places, distances):  # type: ignore[no-un
                 places[i, 0], places[i, 1] = places[i - 1, 0], places[i - 1, 1]
                 i -= 1
             distances[i] = distance
-            places[i, 0], places[i, 1] = r, c
+            places[i, 0] = r
+            places[i, 1] = c
             found = min(found + 1, room)
     count = 1
     while 2 * count <= found:

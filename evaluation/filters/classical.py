@@ -90,7 +90,8 @@ def _details(smooth: Floats, strength: float, level: int, levels: int) -> Floats
     """Split off one level, shrink its details, go on with the rest and put both together."""
     if level == levels:
         return smooth
-    step, threshold = 2**level, np.float32(strength / 2 ** (level + 1))
+    step = 2**level
+    threshold = np.float32(strength / 2 ** (level + 1))
     low, high = _split(smooth, step, 0)
     bands = [*_split(low, step, 1), *_split(high, step, 1)]
     rest = _details(bands[0], strength, level + 1, levels)
@@ -129,7 +130,8 @@ def frost(image: Gray, size: int, damping: float) -> Gray:
     radius = size // 2
     height, width = image.shape
     around = np.pad(image.astype(np.float64), radius, mode="edge")
-    total, weights = np.zeros((height, width)), np.zeros((height, width))
+    total = np.zeros((height, width))
+    weights = np.zeros((height, width))
     for row in range(size):
         for column in range(size):
             distance = np.hypot(row - radius, column - radius)

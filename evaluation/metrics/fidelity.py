@@ -39,7 +39,8 @@ MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 MS_SSIM_SMALLEST = 176
 """Pixels a side: the 11-pixel window must still fit into the fifth scale."""
 
-_STEP, _THIRD = np.array([1.0, 0.0, -1.0]), np.full(3, 1 / 3)
+_STEP = np.array([1.0, 0.0, -1.0])
+_THIRD = np.full(3, 1 / 3)
 
 
 class MetricError(FactoryError, ValueError):
@@ -52,7 +53,8 @@ def checked_pair(
     """Both images as float64, or MetricError that says why they cannot be compared."""
     if not (math.isfinite(data_range) and data_range > 0):
         raise MetricError(f"data_range must be a positive number, got {data_range}")
-    a, b = np.asarray(reference, np.float64), np.asarray(image, np.float64)
+    a = np.asarray(reference, np.float64)
+    b = np.asarray(image, np.float64)
     if a.shape != b.shape:
         raise MetricError(f"images differ in shape: {a.shape} against {b.shape}")
     if a.ndim != 2:
@@ -100,10 +102,12 @@ class Reference:
 
     def ms_ssim(self, image: Values) -> float:
         """See the function of this name."""
-        reference, product = self, 1.0
+        reference = self
+        product = 1.0
         for scale, weight in enumerate(MS_SSIM_WEIGHTS):
             if scale:
-                reference, image = reference._halved, _halved(image)
+                reference = reference._halved
+                image = _halved(image)
             luminance, structure = reference._ssim.terms(image)
             last = scale == len(MS_SSIM_WEIGHTS) - 1
             terms = luminance * structure if last else structure
@@ -112,7 +116,8 @@ class Reference:
 
     def gms_map(self, image: Values, *, pooled: bool = True) -> Values:
         """(H, W) or (ceil(H/2), ceil(W/2)) gradient magnitude similarity."""
-        own, other = self._own_gradients[pooled], self._gradients(image, pooled)
+        own = self._own_gradients[pooled]
+        other = self._gradients(image, pooled)
         return np.asarray((2 * own * other + GMSD_C) / (other * other + (own * own + GMSD_C)))
 
     def edges_kept(self, image: Values, mask: Mask | None = None) -> float:
@@ -122,7 +127,8 @@ class Reference:
         if mask is not None:
             inside = checked_mask(mask & inside, image)
         own, other = (one[inside] for one in (self._laplacian, cv2.Laplacian(image, cv2.CV_64F)))
-        own, other = own - own.mean(), other - other.mean()
+        own = own - own.mean()
+        other = other - other.mean()
         norm = math.sqrt(float(own @ own) * float(other @ other))
         # A flat picture leaves rounding errors of the Laplacian, which are no edges.
         least = 1e-16 * self.data_range**2 * own.size
@@ -261,9 +267,11 @@ def shadow_iou(
     shadow: (H, W) bool, the truth.  A pixel of `image` is shadow when it is <= `threshold`, inside
     `sector` (default: everywhere).  1.0 when neither has any shadow.
     """
-    truth, dark = shadow, image <= threshold
+    truth = shadow
+    dark = image <= threshold
     if sector is not None:
-        truth, dark = truth & sector, dark & sector
+        truth = truth & sector
+        dark = dark & sector
     union = int((truth | dark).sum())
     return 1.0 if union == 0 else int((truth & dark).sum()) / union
 

@@ -69,7 +69,8 @@ def fit_levels(pairs: Iterable[tuple[Floats, Floats]]) -> Levels:
     """
     sums = np.zeros(5)
     for image, clean in pairs:
-        x, y = image.astype(np.float64).ravel(), clean.astype(np.float64).ravel()
+        x = image.astype(np.float64).ravel()
+        y = clean.astype(np.float64).ravel()
         sums += np.array([x.size, x.sum(), y.sum(), x @ x, x @ y])
     mean_x, mean_y, mean_xx, mean_xy = sums[1:] / sums[0]
     variance = mean_xx - mean_x**2
@@ -94,10 +95,12 @@ class Scene:
 
         Raises MetricError where it cannot be measured.
         """
-        pair, reference = self.pair, self.reference
+        pair = self.pair
+        reference = self.reference
         _, values = metrics.checked_pair(pair.clean, image, 1.0, smallest=metrics.SSIM_SMALLEST)
         squared = np.square(reference.image - values)
-        similarity, gradients = reference.ssim_map(values), reference.gms_map(values)
+        similarity = reference.ssim_map(values)
+        gradients = reference.gms_map(values)
         large = min(values.shape) >= metrics.MS_SSIM_SMALLEST
         return {
             "psnr": metrics.decibels(float(squared.mean()), 1.0),
@@ -144,7 +147,8 @@ def homogeneous_zones(
         return cut.transpose(0, 2, 1, 3).reshape(rows * columns, SIDE * SIDE)
 
     values = blocks(image.astype(np.float64))
-    mean, deviation = values.mean(axis=1), values.std(axis=1)
+    mean = values.mean(axis=1)
+    deviation = values.std(axis=1)
     (usable,) = np.nonzero(blocks(sector).all(axis=1) & (mean > 0.05 * data_range))
     if not usable.size:
         return np.empty((0, 2), dtype=np.int64)
@@ -163,9 +167,11 @@ def enl(image: Image, zones: Zones) -> float:
     if not len(zones):
         return math.nan
     offsets = np.arange(SIDE)
-    rows, columns = zones[:, :1] + offsets, zones[:, 1:] + offsets
+    rows = zones[:, :1] + offsets
+    columns = zones[:, 1:] + offsets
     blocks = image[rows[:, :, None], columns[:, None, :]].reshape(len(zones), -1).astype(float)
-    squared, variance = blocks.mean(axis=1) ** 2, blocks.var(axis=1)
+    squared = blocks.mean(axis=1) ** 2
+    variance = blocks.var(axis=1)
     # The variance of a constant is rounding alone.
     some = variance > 1e-20 * squared
     looks: Values = np.where(some, squared / np.where(some, variance, 1.0), math.inf)
@@ -179,7 +185,8 @@ def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
     inf when both are constant and differ.
     """
     gray = np.asarray(image, dtype=np.float64)
-    one, other = gray[bright], gray[dark]
+    one = gray[bright]
+    other = gray[dark]
     if not one.size or not other.size:
         return math.nan
     difference = abs(float(one.mean() - other.mean()))

@@ -84,7 +84,8 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     _, stretch, limit = task
     recording = len(stretch.shots) > 1 and len({shot.path for shot in stretch.shots}) == 1
     notes = []
-    tracker, copy_finder = FanTracker(), CopyFinder()
+    tracker = FanTracker()
+    copy_finder = CopyFinder()
     copies = 0
     shots: list[Shot] = []
     fans: list[FanGeometry | None] = []

@@ -36,7 +36,8 @@ from .groups import Group, nearest
 if TYPE_CHECKING:
     import pandas as pd
 
-AWAY, FAR = 3, 15
+AWAY = 3
+FAR = 15
 """Frames up to so far from one are a denoiser's; those beyond, up to so far, make the reference."""
 LEAST_FRAMES = 12
 WEIGHTS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
@@ -49,7 +50,11 @@ _LIT = 8 / 255
 _MOVED_SHARE = 0.05  # of the scene, the part that changes most in time, is left out
 _WINDOW = 0.6  # of the height and width, in `moving`
 _FASTEST = (4.0, 3.0)  # pixels a frame, down and right
-_SWIMS, _LENGTH, _WIDTH, _LEVEL, _GRAIN = 6.0, 12.0, 3.5, 0.75, 0.09
+_SWIMS = 6.0
+_LENGTH = 12.0
+_WIDTH = 3.5
+_LEVEL = 0.75
+_GRAIN = 0.09
 _WAKE_PX = 10
 
 
@@ -73,7 +78,8 @@ class Judged:
 
     def score(self, number: int, made: Gray) -> dict[str, float]:
         """PSNR (dB) and SSIM of a frame that was made, where its mask is."""
-        mask, truth = self.masks[number], self.references[number]
+        mask = self.masks[number]
+        truth = self.references[number]
         levels = fit_levels([(made[mask], truth[mask])]) if self.levels else Levels(1, 0)
         made = levels(made)
         return {
@@ -143,7 +149,8 @@ def _references(frames: Gray) -> tuple[Gray, Mask]:
     """For each frame the mean of those far away, and where the scene is lit and stands still."""
     count = len(frames)
     lit = cv2.GaussianBlur(frames.mean(axis=0), (0, 0), 2) > _LIT
-    references, masks = np.empty_like(frames), np.empty(frames.shape, bool)
+    references = np.empty_like(frames)
+    masks = np.empty(frames.shape, bool)
     for number in range(count):
         apart = np.abs(np.arange(count) - number)
         references[number] = frames[(apart > AWAY) & (apart <= FAR)].mean(axis=0)
@@ -160,8 +167,10 @@ def _moving(static: Judged, rng: np.random.Generator) -> Judged:
     """A window of part of the frame on a smooth random way, whole pixels a frame."""
     count, *sides = static.frames.shape
     size = np.array([int(side * _WINDOW) // 8 * 8 for side in sides])
-    room, fastest = np.array(sides) - size, np.array(_FASTEST)
-    place, speed = room / 2, rng.uniform(-1, 1, 2) * fastest
+    room = np.array(sides) - size
+    fastest = np.array(_FASTEST)
+    place = room / 2
+    speed = rng.uniform(-1, 1, 2) * fastest
     windows = []
     for _ in range(count):
         top, left = np.rint(place).astype(int)
@@ -180,14 +189,16 @@ def _ghost(static: Judged, rng: np.random.Generator) -> Judged:
     """A bright body with a grain of its own, weaving down the middle of the frame."""
     _, height, width = static.frames.shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
-    frames, references = static.frames.copy(), static.references.copy()
+    frames = static.frames.copy()
+    references = static.references.copy()
     masks = np.zeros_like(static.masks)
     wake = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _WAKE_PX + 1,) * 2)
     for number in range(len(frames)):
         swum = _SWIMS * number
         right = x - (0.5 + 0.12 * np.sin(swum / (0.12 * width))) * width
         down = y - (0.35 * height + (0.8 * swum) % (0.4 * height))
-        along, across = 0.34 * right + 0.94 * down, 0.94 * right - 0.34 * down
+        along = 0.34 * right + 0.94 * down
+        across = 0.94 * right - 0.34 * down
         body = np.exp(-(((along / _LENGTH) ** 2 + (across / _WIDTH) ** 2) ** 2)).astype(np.float32)
         grain = cv2.GaussianBlur(rng.normal(0, 1, (height, width)).astype(np.float32), (0, 0), 0.7)
         seen = _LEVEL + _GRAIN * grain / grain.std()
@@ -214,7 +225,8 @@ def judged_in_time(
         for number in range(len(recordings))
         for method in networks
     )
-    rows, notes = [], []
+    rows = []
+    notes = []
     with progress_bar(total=len(waiting), unit="recording", desc="in time") as bar:
         for (number, _, method, *_), result in pool.run(_judged, waiting, lambda _: _LIMIT_S):
             bar.update()
@@ -257,13 +269,15 @@ def _judged(
     """Recording, kind, row, frames, PSNR and SSIM of each row; and what was tuned on what."""
     number, recordings, method, device, most = task
     group = recordings[number]
-    frames, others = _frames(group, most), [one for one in recordings if one is not group]
+    frames = _frames(group, most)
+    others = [one for one in recordings if one is not group]
     tuning = [next(kinds_of(_frames(one, most))) for one in others]
     tuned_on = ", ".join(one.name for one in others)
     if not others:
         # Of a single recording the half that comes first, and the whole is judged: said so.
         half = frames[: max(len(frames) // 2, LEAST_FRAMES)]
-        tuning, tuned_on = [next(kinds_of(half))], f"the first {len(half)} frames of itself"
+        tuning = [next(kinds_of(half))]
+        tuned_on = f"the first {len(half)} frames of itself"
     weight = tuned_weight(tuning)
     denoiser = network(method.weights or "", device)
     rows = []

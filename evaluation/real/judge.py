@@ -129,7 +129,9 @@ def _found(
             if isinstance(one, TaskLost):
                 one = [], [], [f"{stretch.name}: lost ({one.reason})"]
             searched[number] = one
-    groups, shots, notes = list[Group](), list[Shot](), list[str]()
+    groups = list[Group]()
+    shots = list[Shot]()
+    notes = list[str]()
     for _, (found, seen, said) in sorted(searched.items()):
         groups += found
         shots += seen
@@ -185,7 +187,8 @@ def _measured(
     pool: TaskPool,
 ) -> tuple[Measured, dict[int, Judged]]:
     """Every row on every picture, fold after fold; and number -> picture of those to look at."""
-    every, shown = Measured(), dict[int, Judged]()
+    every = Measured()
+    shown = dict[int, Judged]()
 
     def pictures(fold: int) -> Iterator[tuple[int, Judged]]:
         first = 0
@@ -299,7 +302,8 @@ def _about(groups: Sequence[Group], parts: Sequence[Part]) -> list[str]:
 
 
 _CALM = 15  # of the median that decides what is dark, pixels
-_DARKEST, _BRIGHTER = 0.1, 0.5  # shares of the sector
+_DARKEST = 0.1  # share of the sector
+_BRIGHTER = 0.5  # share of the sector
 
 
 def score(picture: Gray, reference: Gray, where: Mask) -> tuple[float, float]:
@@ -337,7 +341,8 @@ def scene_of(noisy: Gray, sector: Mask, name: str) -> Scene:
     inner = cv2.erode(sector.astype(np.uint8), np.ones((_CALM, _CALM), np.uint8)).astype(bool)
     inner = inner if inner.any() else sector
     low, high = np.quantile(calm[inner], (_DARKEST, _BRIGHTER))
-    dark, bright = inner & (calm <= low), inner & (calm > max(low, high))
+    dark = inner & (calm <= low)
+    bright = inner & (calm > max(low, high))
     return Scene(
         noisy, sector, dark, bright, homogeneous_zones(noisy, data_range=1.0, sector=sector)
     )

@@ -75,7 +75,8 @@ def write(settings: RealSettings, notes: Sequence[str], outcome: Outcome) -> str
     """
     about = "; ".join([f"{len(outcome.files)} pictures judged", *notes]) + "."
     rules = (TRUTH, RULE) if outcome.groups else (RULE,)
-    table, verdict = table_of(outcome.rows), _verdict(outcome)
+    table = table_of(outcome.rows)
+    verdict = _verdict(outcome)
     title = "Figures" if outcome.groups else "Figures without a truth"
     sections = [Section(title, [table], [verdict])]
     if not outcome.in_time.empty:
@@ -135,7 +136,8 @@ def _words(row: Mapping[str, Any]) -> str:
 
 def _cell(row: Mapping[str, Any], name: str) -> str:
     """A figure as text, with its interval where it has one."""
-    digits, signed = COLUMNS[name].digits, name in _SIGNED
+    digits = COLUMNS[name].digits
+    signed = name in _SIGNED
     text = written(row["means"].get(name), digits, signed)
     if name in _WITH_INTERVAL and name in row["intervals"]:
         low, high = row["intervals"][name]
@@ -151,7 +153,8 @@ def _verdict(outcome: Outcome) -> str:
 
 def _examples(outcome: Outcome) -> list[Example]:
     """What the rows made of some pictures."""
-    truth, measured = "mean of the other frames", outcome.measured
+    truth = "mean of the other frames"
+    measured = outcome.measured
     found = []
     for number, judged in sorted(outcome.shown.items()):
         name = judged.shot.name

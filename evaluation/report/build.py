@@ -22,7 +22,9 @@ from .content import best_forms, content_of, shown_rows, verdict
 from .document import Example, Section, write_report
 from .tables import Content
 
-PAGE_NAME, REPORT_NAME, RESULTS_NAME = "report.html", "report.json", "results.csv"
+PAGE_NAME = "report.html"
+REPORT_NAME = "report.json"
+RESULTS_NAME = "results.csv"
 
 _CHUNK = 4  # pairs in a task
 _SHOWN = 10  # methods beside noisy and clean in the viewer
@@ -119,7 +121,8 @@ def write_results(path: Path, measured: Measured, items: Sequence[Item]) -> None
 
 def sections_of(content: Content) -> list[Section]:
     """The report for people."""
-    facts, rows = content["facts"], content["rows"]
+    facts = content["facts"]
+    rows = content["rows"]
     best = best_forms(rows)
     more = len(rows) - len(best)
     note = f"Of each method its best form here; {more} more in report.md." if more else ""

@@ -77,7 +77,8 @@ def content_of(
 
     found = []
     for method in methods:
-        label, lost = method.label, measured.lost.get(method.label)
+        label = method.label
+        lost = measured.lost.get(method.label)
         seconds = math.nan if lost else float(np.median(figures[SECONDS][label]))
         noisy = lost is not None or method.kind == "noisy"
         metrics = [] if lost else [name for name in figures if name != SECONDS]

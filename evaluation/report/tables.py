@@ -116,7 +116,8 @@ def leaderboard(rows: Sequence[Content]) -> pd.DataFrame:
         if row["lost"] is not None:
             lines.append([title, f"lost: {row['lost']}", *[""] * (len(head) - 2)])
             continue
-        psnr, gain = row["metrics"]["psnr"], row["against_noisy"].get("psnr")
+        psnr = row["metrics"]["psnr"]
+        gain = row["against_noisy"].get("psnr")
         cells = [title, written(psnr["mean"], 2), interval(psnr, 2), "", "", ""]
         if gain is not None:
             both = f"{written(gain['mean'], 2, True)} ({interval(gain, 2, True)})"

@@ -110,13 +110,15 @@ def config_line(error: Exception, name: str) -> str:
     if found := re.search(
         r"Could not find '([^'/]+)/([^']+)' Available options in '.*?': (.*)", text
     ):
-        group, choice = found[1], found[2]
+        group = found[1]
+        choice = found[2]
         choices = re.sub("Config search path.*", "", found[3]).split()
         near = [f"{group}={one}" for one in difflib.get_close_matches(choice, choices, n=2)]
         hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(choices)}"
         return f"{group}={choice}: no such choice; {hint}"
     if found := re.search(r"Could not (?:override|delete from config\.) '([^']+)'", text):
-        key, keys = found[1], sorted(_keys(name))
+        key = found[1]
+        keys = sorted(_keys(name))
         if key in keys:
             if formation := formation_of(key):
                 return f"{key}: set acoustics={formation}, whose setting it is, or leave it out"

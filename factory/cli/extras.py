@@ -78,7 +78,8 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
     # Imports numpy and pydantic, which `simnfnd --help` does without.
     from ..renderer_choice import renderer_of
 
-    image, drawn = config.sonar.image, config.devices is not None
+    image = config.sonar.image
+    drawn = config.devices is not None
     renderer = ""
     choice = renderer_of(config)
     if config.scenes.kind != "pack":

@@ -59,7 +59,8 @@ def form_of(kind: Any) -> Form:
     if hasattr(kind, "__metadata__"):  # Annotated
         return form_of(get_args(kind)[0])
 
-    origin, arguments = get_origin(kind), get_args(kind)
+    origin = get_origin(kind)
+    arguments = get_args(kind)
     if origin is Literal:
         return Form(words=frozenset(map(str, arguments)))
     if origin in (Union, types.UnionType):

@@ -16,7 +16,8 @@ from ..small_files import load_yaml, one_line, read_regular
 from .manifest import CONFIG_NAME, MANIFEST_NAME, PARTS, Manifest, load_manifest, save_manifest
 from .schema import DATASET_NAME, SCHEMA, SPLITS, Provenance, plain_values
 
-CARD_NAME, PREVIEW_NAME = "README.md", "preview.png"
+CARD_NAME = "README.md"
+PREVIEW_NAME = "preview.png"
 # Of workers that crashed; gone after a run that ended by itself.
 WORK_NAME = ".work"
 STATUS_NAME = "status.json"
@@ -68,7 +69,9 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
 
 def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     """The folder's manifest when it is of this very dataset, None when it has none any more."""
-    manifest, same, changes = load_manifest(directory), False, ""
+    manifest = load_manifest(directory)
+    same = False
+    changes = ""
     if manifest:
         same = manifest.config_hash == provenance.config_hash
         changes = differences(manifest.config, provenance.config)
@@ -131,7 +134,8 @@ def dataset_settings(directory: Path) -> dict[str, Any]:
         raise FactoryError(f"{path}: {reason}") from error
     block = values.get("dataset") if isinstance(values, dict) else None
     block = block if isinstance(block, dict) else {}
-    name, licence = block.get("name") or "dataset", block.get("licence")
+    name = block.get("name") or "dataset"
+    licence = block.get("licence")
     problem = "" if isinstance(licence, str | None) else f"licence {str(licence)[:40]!r} is no text"
     if not (isinstance(name, str) and DATASET_NAME.fullmatch(name)):
         problem = f"name {str(name)[:40]!r} is not letters, digits, dot, dash, underscore"

@@ -54,7 +54,9 @@ with suppress(ImportError):
 
 ECHO_PLACE = "echoes/place"
 
-_LZF, _ZSTD, _FLETCHER32 = 32000, 32015, 3
+_LZF = 32000
+_ZSTD = 32015
+_FLETCHER32 = 3
 _CODECS = {1: "gzip", _LZF: "lzf", _ZSTD: "zstd"}
 
 
@@ -104,7 +106,8 @@ def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
 
 def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
     # By its name: HDF5 dies of some numbers that stand in place of a reference.
-    name, size = str(stack.dims[dimension].label), stack.shape[dimension]
+    name = str(stack.dims[dimension].label)
+    size = stack.shape[dimension]
     scale = dataset_inside(stack.file, f"axes/{name}")
     if scale.shape != (size,) or scale.dtype.kind not in "iuf":
         raise FactoryError(f"/axes/{name} does not have the {size} numbers of {stack.name}")
@@ -174,7 +177,8 @@ def check_shard(file: h5py.File) -> None:
             )
     config_of(file)
     noisy = dataset_inside(file, "noisy", chunks=True)
-    shape, dtype = noisy.shape, str(noisy.dtype)
+    shape = noisy.shape
+    dtype = str(noisy.dtype)
     if len(shape) != 3 or dtype not in VALUE_RANGES:
         raise FactoryError(
             f"/noisy is {shape} {dtype}; expected samples, rows and columns of "
@@ -206,12 +210,15 @@ def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> N
 
 def _check_chunks(stack: h5py.Dataset) -> None:
     """Each sample has a chunk inside the file; HDF5 aborts over sizes that cannot be."""
-    name, (samples, *picture) = stack.name, stack.shape
-    (codec, ending), file_bytes = _filters(stack), stack.file.id.get_filesize()
+    name = stack.name
+    (samples, *picture) = stack.shape
+    codec, ending = _filters(stack)
+    file_bytes = stack.file.id.get_filesize()
     full = prod(picture) * stack.dtype.itemsize + ending
     # What cannot be made smaller grows by far less than that.
     least, most = (full, full) if codec == "none" else (ending + 1, full + full // 16 + 4096)
-    origin, found = (0,) * len(picture), 0
+    origin = (0,) * len(picture)
+    found = 0
 
     def check_chunk(chunk: Any) -> None:
         nonlocal found
@@ -315,7 +322,8 @@ def _check_contents(file: h5py.File) -> None:
         raise FactoryError(
             "its checksums are absent; generate the shard again (versions before 0.3 wrote none)"
         )
-    table, names = dataset_inside(file, CHECKSUMS), _summed(file)
+    table = dataset_inside(file, CHECKSUMS)
+    names = _summed(file)
     columns = table.dtype.names or ()
     numbers = all(table.dtype[name] == np.dtype("<u4") for name in columns)
     if table.shape != file["meta"].shape or sorted(columns) != sorted(names) or not numbers:

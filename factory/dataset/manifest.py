@@ -99,7 +99,8 @@ class Manifest:
     @property
     def config_hashes(self) -> frozenset[str]:
         """Hashes that its shards may state: its own, or those of datasets that went into it."""
-        found, waiting = {self.config_hash}, [self.config]
+        found = {self.config_hash}
+        waiting = [self.config]
         for listed in (config.get(key) for config in waiting for key in PARTS):
             several = listed if isinstance(listed, list) else []
             parts = [part for part in several if isinstance(part, dict)]
@@ -251,7 +252,8 @@ def outcomes(
         with suppress(OSError, ValueError, KeyError, TypeError):
             document = parse_json(read_regular(path))
             info = ShardInfo.of(document["shard"]) if document["shard"] else None
-            failures, name = _lines(document["failures"]), document["path"]
+            failures = _lines(document["failures"])
+            name = document["path"]
             known = document["schema"] == SCHEMA and name == f"{path.parent.name}/{path.stem}.h5"
             if known and config_hash in (None, document["config_hash"]):
                 found[name] = info, failures

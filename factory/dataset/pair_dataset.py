@@ -107,7 +107,8 @@ class PairDataset:
         trusted: bool = False,
     ) -> None:
         self.folder = local_folder(folder)
-        self.split, self.scaled = split, scaled
+        self.split = split
+        self.scaled = scaled
         known_layers("uint8", layers or ())
         if layers is not None and not 0 < len(set(layers)) == len(layers):
             raise FactoryError(f"layers={list(layers)}: name at least one, and none twice")
@@ -209,7 +210,8 @@ class PairDataset:
     def form(self) -> Form:
         """Of the dataset."""
         with reading(self.paths[0]) as file:
-            table, columns = file["meta"], []
+            table = file["meta"]
+            columns = []
             about = {key: str(value) for key, value in table.attrs.items()}
             for name in table.dtype.names:
                 told = (about.get(f"{name}.{what}", "") for what in ("units", "description"))
@@ -271,7 +273,8 @@ class PairDataset:
     def table(self, path: Path) -> npt.NDArray[np.void]:
         """The sample table of one shard.  Raises FactoryError when its form is not the first's."""
         with reading(path) as file:
-            shape, rows = file["noisy"].shape[1:], np.asarray(file["meta"][()])
+            shape = file["noisy"].shape[1:]
+            rows = np.asarray(file["meta"][()])
         if (shape, rows.dtype) != (self.shape, self.form.table):
             raise FactoryError(f"{path}: its sizes or columns differ from {self.paths[0]}'s")
         return rows

@@ -22,13 +22,18 @@ from .pair_dataset import PairDataset, SampleName
 from .reader import ImageStack, reading, value_range
 from .schema import CORE
 
-_BACKGROUND, _TEXT, _FAINT = "#0d1117", "#e6edf3", "#8b949e"
+_BACKGROUND = "#0d1117"
+_TEXT = "#e6edf3"
+_FAINT = "#8b949e"
 # Black over amber to near white, as imaging sonars show echoes; shadows in the opposite hue.
 _ECHO = ("#000000", "#fffdf2", "#b26c1e")
 _SHADOW = ("#000000", "#39a0c8")
 
-_PANEL, _GAP = 340, 12  # pixels: a panel's width, and between panels
-_OVER, _HEAD, _EDGE = 56, 78, 30
+_PANEL = 340  # width of a panel, pixels
+_GAP = 12  # pixels between panels
+_OVER = 56
+_HEAD = 78
+_EDGE = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +115,8 @@ def load(name: SampleName) -> Shown:
     """One sample with its images read."""
     with reading(name.path) as file:
         images = {panel: ImageStack(file[panel])[name.row] for panel in CORE}
-        record, full_scale = file["meta"][name.row], value_range(file)
+        record = file["meta"][name.row]
+        full_scale = value_range(file)
     place = " / ".join(part for part in (name.location, name.scene, name.frame) if part)
     heading = f"{name.split}   {place}   variant {name.variant}"
     if {"range_min_m", "range_max_m"} <= set(record.dtype.names):
@@ -135,7 +141,8 @@ def draw(shown: Sequence[Shown], title: str, note: str, wide: int = 2) -> bytes:
     write((sheet.width - _EDGE, _HEAD // 2), note, _FAINT, 18, "rm")
     for number, sample in enumerate(shown):
         row, column = divmod(number, wide)
-        left, top = column * block[0] + _EDGE, _HEAD + row * block[1] + _OVER
+        left = column * block[0] + _EDGE
+        top = _HEAD + row * block[1] + _OVER
         write((left, top - 24), sample.heading, _TEXT, 18, "lb")
         for name, image in sample.images.items():
             write((left, top - 4), name, _FAINT, 15, "lb")

@@ -18,7 +18,8 @@ Values = npt.NDArray[np.float64]
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
 
-SIGMA_PX, RADIUS_PX = 1.5, 5
+SIGMA_PX = 1.5
+RADIUS_PX = 5
 """Of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
 
 
@@ -80,7 +81,8 @@ def _gradient(image: Values) -> Values:
     image = np.pad(image, ((0, height % 2), (0, width % 2)))
     image = image.reshape(len(image) // 2, 2, -1, 2).mean(axis=(1, 3))
     edge = np.pad(image, 1)
-    across, down = edge[:, 2:] - edge[:, :-2], edge[2:] - edge[:-2]
+    across = edge[:, 2:] - edge[:, :-2]
+    down = edge[2:] - edge[:-2]
     across = (across[:-2] + across[1:-1] + across[2:]) / 3
     down = (down[:, :-2] + down[:, 1:-1] + down[:, 2:]) / 3
     return np.asarray(np.hypot(across, down))
@@ -136,7 +138,8 @@ class SsimReference:
 
     def __init__(self, image: Values, data_range: float) -> None:
         self.image = image
-        self._c1, self._c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
+        self._c1 = (0.01 * data_range) ** 2
+        self._c2 = (0.03 * data_range) ** 2
         self._mean = window(image)
         self._mean_squared = self._mean * self._mean
         self._variance = window(image * image) - self._mean_squared

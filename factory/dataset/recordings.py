@@ -157,7 +157,8 @@ def parse_tracks(text: bytes, where: str) -> tuple[Track, ...]:
 def _is_track(entry: object) -> bool:
     if not isinstance(entry, dict) or not isinstance(entry.get("class"), str):
         return False
-    box, occluded = entry.get("box"), entry.get("occluded")
+    box = entry.get("box")
+    occluded = entry.get("occluded")
     is_box = box is None or (
         isinstance(box, list) and len(box) == 4 and all(isinstance(n, int) for n in box)
     )

@@ -250,13 +250,15 @@ def _virtual(
     By h5py's lower floor, where a time stamp can be left out and one extent serves all shards of a
     size: h5py.VirtualLayout takes ten times as long.
     """
-    name, shape = str(like.name).lstrip("/"), like.shape[1:]
+    name = str(like.name).lstrip("/")
+    shape = like.shape[1:]
     layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     layout.set_layout(h5py.h5d.VIRTUAL)
     layout.set_obj_track_times(False)
     place = h5py.h5s.create_simple((sum(shard.samples for shard in shards), *shape))
     whole: dict[int, h5py.h5s.SpaceID] = {}
-    start, origin = 0, (0,) * len(shape)
+    start = 0
+    origin = (0,) * len(shape)
     for shard in shards:
         size = (shard.samples, *shape)
         whole.setdefault(shard.samples, h5py.h5s.create_simple(size))

@@ -235,7 +235,8 @@ def write_huggingface(pairs: PairDataset, folder: Path) -> str:
             "--to webdataset"
         )
     (folder / "data").mkdir()
-    schema, files = _schema(pairs), 0
+    schema = _schema(pairs)
+    files = 0
     for name, found in _files(pairs, "{}-{:05d}-of-{:05d}.parquet"):
         files += 1
         # PNG bytes do not get smaller, so compression is for the table alone.
@@ -283,7 +284,8 @@ def _schema(pairs: PairDataset) -> Any:
             }
             columns[named(layer)] = values, feature
     if {"instance", "segmentation"} <= set(pairs.layers):
-        number, integer = pyarrow.int32(), {"_type": "Value", "dtype": "int32"}
+        number = pyarrow.int32()
+        integer = {"_type": "Value", "dtype": "int32"}
         one = {"bbox": pyarrow.list_(number), "category": pyarrow.int64(), "area": number}
         names = {"_type": "ClassLabel", "names": list(classes_of(pairs.form.config))}
         kinds = {"bbox": {"_type": "List", "feature": integer}, "category": names, "area": integer}
@@ -326,7 +328,8 @@ class Shown:
 
 def shown_in(sample: Sample, classes: tuple[str, ...], directory: Path) -> Iterator[Shown]:
     """The pixels of each number in /instance, by the label that most of them have."""
-    numbers, labels = sample.images["instance"], sample.images["segmentation"]
+    numbers = sample.images["instance"]
+    labels = sample.images["segmentation"]
     for number in np.unique(numbers[numbers > 0]):
         mask = numbers == number
         label = int(np.bincount(labels[mask]).argmax())
@@ -373,7 +376,8 @@ def write_coco(pairs: PairDataset, folder: Path) -> str:
     Categories have the numbers of the classes (`simnfnd.factory.labels`), from 1.  clean/SPLIT
     holds the ideal pictures.  Format: https://cocodataset.org/#format-data.
     """
-    (height, width), counts = pairs.shape, Counter[str]()
+    height, width = pairs.shape
+    counts = Counter[str]()
     (folder / "annotations").mkdir()
     for split in pairs.splits:
         images: list[dict[str, Any]] = []
@@ -424,7 +428,8 @@ def write_yolo(pairs: PairDataset, folder: Path) -> str:
     for each part; holes, which the format does not know, are filled.  Format:
     https://docs.ultralytics.com/datasets/segment.
     """
-    splits, counts = tuple(pairs.splits), Counter[str]()
+    splits = tuple(pairs.splits)
+    counts = Counter[str]()
     for split in splits:
         (folder / "labels" / split).mkdir(parents=True)
         for key, found in _objects(pairs, folder, split, counts):

@@ -117,7 +117,8 @@ def _messages(
 
 def polar_grid(sonar: SonarSettings, geometry: FanGeometry) -> PolarGrid:
     """The ranges and bearings that the device measures in the window of an image."""
-    near, far = geometry.range_min_m, geometry.range_max_m
+    near = geometry.range_min_m
+    far = geometry.range_max_m
     assert near is not None
     assert far is not None
     steps = (np.arange(sonar.range_bins) + 0.5) / sonar.range_bins

@@ -47,7 +47,8 @@ class CoherentScene(Ping):
     @property
     def filled(self) -> npt.NDArray[np.bool_]:
         """(range_bins, beams) bool: bins in which insonified surface lies."""
-        (rows, beams), samples = self.shape, self.surface.sonar.samples_per_bin
+        rows, beams = self.shape
+        samples = self.surface.sonar.samples_per_bin
         by_bin = self.scatterers.in_beam.reshape(rows // samples, samples, beams)
         return np.asarray(by_bin.any(axis=1))
 
@@ -70,7 +71,8 @@ class CoherentSample(Sample):
     @property
     def clean(self) -> Floats:
         """See `Sample`."""
-        ping, acoustics = self.scene, self.scene.acoustics
+        ping = self.scene
+        acoustics = self.scene.acoustics
         effects = self.effects
         if acoustics.target == "restored":
             effects = [effect for effect in effects if effect.effect.systematic is None]

@@ -25,7 +25,11 @@ from .effect import DrawnEffect
 from .signal import Ping, averaged, sounds
 
 # The table of expected grey values: levels over full scale, dB, and their fluctuation.
-_BEYOND_DB, _STEPS_PER_DB, _VARIANCES, _QUANTILES, _SHIFTS = 30.0, 2, 9, 512, 33
+_BEYOND_DB = 30.0
+_STEPS_PER_DB = 2
+_VARIANCES = 9
+_QUANTILES = 512
+_SHIFTS = 33
 _DARKEST_DB = -120.0
 _FAINTEST = np.float32(1e-37)  # far below every level that is shown, and no subnormal number
 
@@ -112,7 +116,8 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     full_scale /= float(np.exp(power * state.scintillation_nepers2 / 2))
     if not (sounds(state.echo) or sounds(state.noise)):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
-    one, total = np.float32(1), state.total() + _FAINTEST
+    one = np.float32(1)
+    total = state.total() + _FAINTEST
     level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))
     # What texture does to the level goes by the variance that it brings.
     part = np.minimum(state.textured / total, one)
@@ -132,7 +137,8 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
 def between(table: Floats, place: Floats, first: npt.NDArray[np.intp] | int = 0) -> Floats:
     """Values of a table at fractional places, linear in between; first: where it begins."""
     step = np.minimum(place.astype(np.intp), len(table) - 2)
-    low, high = np.take(table, first + step), np.take(table, first + step + 1)
+    low = np.take(table, first + step)
+    high = np.take(table, first + step + 1)
     return np.asarray(low + (place - step.astype(np.float32)) * (high - low), np.float32)
 
 

@@ -17,14 +17,25 @@ Doubles = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int32]
 Words = npt.NDArray[np.uint32]
 
-_A, _B = np.uint32(0x85EBCA6B), np.uint32(0xC2B2AE35)
-_1, _2, _3, _8 = np.uint32(1), np.uint32(2), np.uint32(3), np.uint32(8)
+_A = np.uint32(0x85EBCA6B)
+_B = np.uint32(0xC2B2AE35)
+_1 = np.uint32(1)
+_2 = np.uint32(2)
+_3 = np.uint32(3)
+_8 = np.uint32(8)
 _9, _13, _16, _GOLDEN = (np.uint32(v) for v in (9, 13, 16, 0x9E3779B9))
-_STEPS_X, _STEPS_Y, _STEPS_Z = np.uint32(73856093), np.uint32(19349663), np.uint32(83492791)
-_ZERO, _ONE, _TWO, _FOUR = np.float32(0), np.float32(1), np.float32(2), np.float32(4)
+_STEPS_X = np.uint32(73856093)
+_STEPS_Y = np.uint32(19349663)
+_STEPS_Z = np.uint32(83492791)
+_ZERO = np.float32(0)
+_ONE = np.float32(1)
+_TWO = np.float32(2)
+_FOUR = np.float32(4)
 _TINY = np.float32(1e-6)
 
-_NOTHING, _HALF, _BLOCK = np.uint64(0), np.int32(1), 1024
+_NOTHING = np.uint64(0)
+_HALF = np.int32(1)
+_BLOCK = 1024
 
 _TABLE = "Array(float32, 1, 'C', readonly=True)"
 _MATRIX = "Array(float32, 2, 'C', readonly=True)"
@@ -50,7 +61,9 @@ mixed = compiled()(scrambled)
 @compiled()
 def _corner(x: Any, y: Any, z: Any) -> Any:
     """32 bits for a cube of a lattice, given by three whole numbers of any sign; not yet mixed."""
-    first, second, third = np.uint32(np.int64(x)), np.uint32(np.int64(y)), np.uint32(np.int64(z))
+    first = np.uint32(np.int64(x))
+    second = np.uint32(np.int64(y))
+    third = np.uint32(np.int64(z))
     return np.uint32(first * _STEPS_X + second * _STEPS_Y + third * _STEPS_Z)
 
 
@@ -64,7 +77,10 @@ def products(rows: Floats, matrix: Floats, out: Floats) -> None:
     Four rows by four sources at a time: each number that is loaded or stored serves four products.
     """
     for row in range(0, rows.shape[0], 4):
-        first, second, third, fourth = out[row], out[row + 1], out[row + 2], out[row + 3]
+        first = out[row]
+        second = out[row + 1]
+        third = out[row + 2]
+        fourth = out[row + 3]
         for at in range(matrix.shape[1]):
             first[at] = second[at] = third[at] = fourth[at] = 0
         for i in range(0, matrix.shape[0], 4):
@@ -75,14 +91,35 @@ def products(rows: Floats, matrix: Floats, out: Floats) -> None:
                 silent = silent and not (four[0] or four[1] or four[2] or four[3])
             if silent:
                 continue
-            m0, m1, m2, m3 = matrix[i], matrix[i + 1], matrix[i + 2], matrix[i + 3]
-            a, b, c, d = rows[row], rows[row + 1], rows[row + 2], rows[row + 3]
-            a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]
-            b0, b1, b2, b3 = b[i], b[i + 1], b[i + 2], b[i + 3]
-            c0, c1, c2, c3 = c[i], c[i + 1], c[i + 2], c[i + 3]
-            d0, d1, d2, d3 = d[i], d[i + 1], d[i + 2], d[i + 3]
+            m0 = matrix[i]
+            m1 = matrix[i + 1]
+            m2 = matrix[i + 2]
+            m3 = matrix[i + 3]
+            a = rows[row]
+            b = rows[row + 1]
+            c = rows[row + 2]
+            d = rows[row + 3]
+            a0 = a[i]
+            a1 = a[i + 1]
+            a2 = a[i + 2]
+            a3 = a[i + 3]
+            b0 = b[i]
+            b1 = b[i + 1]
+            b2 = b[i + 2]
+            b3 = b[i + 3]
+            c0 = c[i]
+            c1 = c[i + 1]
+            c2 = c[i + 2]
+            c3 = c[i + 3]
+            d0 = d[i]
+            d1 = d[i + 1]
+            d2 = d[i + 2]
+            d3 = d[i + 3]
             for at in range(matrix.shape[1]):
-                w0, w1, w2, w3 = m0[at], m1[at], m2[at], m3[at]
+                w0 = m0[at]
+                w1 = m1[at]
+                w2 = m2[at]
+                w3 = m3[at]
                 first[at] += a0 * w0 + a1 * w1 + a2 * w2 + a3 * w3
                 second[at] += b0 * w0 + b1 * w1 + b2 * w2 + b3 * w3
                 third[at] += c0 * w0 + c1 * w1 + c2 * w2 + c3 * w3
@@ -101,7 +138,9 @@ def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Fl
         for beam in range(beams):  # several at a time, unlike what is looked up
             place = np.uint32(row * beams + beam)
             drawn[beam] = mixed(np.uint32(mixed(place) ^ key)) >> _16
-        real, imaginary, level = planes[0, row], planes[1, row], along[row]
+        real = planes[0, row]
+        imaginary = planes[1, row]
+        level = along[row]
         for beam in range(beams):
             amplitude = level * across[beam]
             real[beam] += amplitude * table[drawn[beam], 0]
@@ -113,7 +152,9 @@ def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Fl
 # A pixel at grazing incidence is at most so many scatterers.
 _MOST_PARTS = 32
 # When neighbours are one surface, as in `render.kernels.joints`: parts of the depth, and of a step.
-_SMALL_STEP, _LARGE_STEP, _SLOPE_CHANGE = np.float32(0.02), np.float32(0.1), np.float32(3)
+_SMALL_STEP = np.float32(0.02)
+_LARGE_STEP = np.float32(0.1)
+_SLOPE_CHANGE = np.float32(3)
 
 
 @compiled()
@@ -134,16 +175,33 @@ def _row(
     ground_up: the sonar's upward axis in camera axes where ranges count along the ground, else 0.
     """
     # Local names: the compiler then knows that what it writes changes none of them.
-    a0, a1, a2 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    b0, b1, b2 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    c0, c1, c2 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    g0, g1, g2 = ground_up[0], ground_up[1], ground_up[2]
-    px, py, pz = position_m[0], position_m[1], position_m[2]
-    bearing, sine, start, value = made[0], made[1], made[2], made[3]
+    a0 = rotation[0, 0]
+    a1 = rotation[0, 1]
+    a2 = rotation[0, 2]
+    b0 = rotation[1, 0]
+    b1 = rotation[1, 1]
+    b2 = rotation[1, 2]
+    c0 = rotation[2, 0]
+    c1 = rotation[2, 1]
+    c2 = rotation[2, 2]
+    g0 = ground_up[0]
+    g1 = ground_up[1]
+    g2 = ground_up[2]
+    px = position_m[0]
+    py = position_m[1]
+    pz = position_m[2]
+    bearing = made[0]
+    sine = made[1]
+    start = made[2]
+    value = made[3]
     for column in range(depth_m.shape[0]):
-        a, z = across[column], depth_m[column]
-        x_, y_, z_ = a * z - px, b * z - py, z - pz
-        x, y = a0 * x_ + a1 * y_ + a2 * z_, b0 * x_ + b1 * y_ + b2 * z_
+        a = across[column]
+        z = depth_m[column]
+        x_ = a * z - px
+        y_ = b * z - py
+        z_ = z - pz
+        x = a0 * x_ + a1 * y_ + a2 * z_
+        y = b0 * x_ + b1 * y_ + b2 * z_
         up = c0 * x_ + c1 * y_ + c2 * z_
         per_range = _ONE / np.sqrt(x * x + y * y + up * up)
         bearing[column] = -y * per_range if x > 0 else np.float32(np.inf)
@@ -183,18 +241,27 @@ def place(
     scatterers: out, (at least pixels,) each, bin, power, pixel and part: how far towards the pixel
     below, 0 to 1.  row_end: (H,) out, how many scatterers there are up to the end of each row.
     """
-    (depth_m, across, down), (rotation, position_m) = camera, sonar
+    depth_m, across, down = camera
+    rotation, position_m = sonar
     ground_range, from_m, per_m, rows, edges, first_beam, per_sine = grid
-    near_m, bins_per_m, beam_scale = np.float32(from_m), np.float32(per_m), np.float32(per_sine)
-    (power, owner, in_beam), (bin_of, power_of, pixel_of, part_of) = bins, scatterers
+    near_m = np.float32(from_m)
+    bins_per_m = np.float32(per_m)
+    beam_scale = np.float32(per_sine)
+    power, owner, in_beam = bins
+    bin_of, power_of, pixel_of, part_of = scatterers
     height, width = depth_m.shape
     beams = edges.shape[0] - 1
-    low, high, most_guess = edges[0], edges[beams], np.float32(first_beam.shape[0] - 1)
+    low = edges[0]
+    high = edges[beams]
+    most_guess = np.float32(first_beam.shape[0] - 1)
     half_steps = np.float32(0.5 * (pattern.shape[0] - 1))
-    last_step, last_label = np.float32(pattern.shape[0] - 2), reflectivity.shape[0] - 1
-    beyond, last_row = np.float32(rows), np.float32(rows - 1)
+    last_step = np.float32(pattern.shape[0] - 2)
+    last_label = reflectivity.shape[0] - 1
+    beyond = np.float32(rows)
+    last_row = np.float32(rows - 1)
     ground_up = rotation[2] if ground_range else np.zeros(3, np.float32)
-    made, count = np.empty((2, 4, width), np.float32), 0
+    made = np.empty((2, 4, width), np.float32)
+    count = 0
     for row in range(-1, height):
         under = min(row + 1, height - 1)
         _row(
@@ -206,20 +273,25 @@ def place(
         bearings, sines, starts, values = made[row & 1]
         below = made[(row + 1) & 1, 2]
         for column in range(width):
-            value, bearing, z = values[column], bearings[column], depth_m[row, column]
+            value = values[column]
+            bearing = bearings[column]
+            z = depth_m[row, column]
             if not (value > _ZERO and low <= bearing and bearing < high):
                 continue
             # The ground far away is a run of large steps; an outline is a single one.
             start = end = starts[column]
             z_below = depth_m[under, column]
-            nearer_m, step_m = min(z, z_below), z_below - z
-            size_m, first_m = abs(step_m), z - depth_m[max(row - 1, 0), column]
+            nearer_m = min(z, z_below)
+            step_m = z_below - z
+            size_m = abs(step_m)
+            first_m = z - depth_m[max(row - 1, 0), column]
             next_m = depth_m[min(row + 2, height - 1), column] - z_below
             run_m = max(first_m, next_m) if step_m > 0 else -min(first_m, next_m)
             sloping = size_m < _LARGE_STEP * nearer_m and size_m < _SLOPE_CHANGE * run_m
             if size_m < _SMALL_STEP * nearer_m or sloping:
                 end = below[column]
-            near, far = min(start, end), max(start, end)
+            near = min(start, end)
+            far = max(start, end)
             if not (far >= _ZERO and near < beyond):
                 continue
             beam = first_beam[_bounded((bearing - low) * beam_scale, most_guess)]
@@ -228,19 +300,22 @@ def place(
             central = abs(sines[column]) <= widest_sine
             along = (sines[column] + _ONE) * half_steps
             step = _bounded(along, last_step)
-            lower, upper = pattern[step], pattern[step + 1]
+            lower = pattern[step]
+            upper = pattern[step + 1]
             value *= lower + (along - np.float32(step)) * (upper - lower)
             label = np.int64(labels[row, column]) if labels.shape[0] else 0
             value *= reflectivity[min(label, last_label)]
             if factor.shape[0]:
                 value *= factor[row, column]
-            pixel, span = row * width + column, far - near
+            pixel = row * width + column
+            span = far - near
             # A number of 0 to 1 that belongs to the pixel.
             where = np.float32(np.int32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8))
             where *= np.float32(2.0**-24)
             if span <= _ONE and near >= _ZERO and far < beyond:
                 # Most pixels: one bin, or parts of two.
-                first, last = _bounded(near, last_row), _bounded(far, last_row)
+                first = _bounded(near, last_row)
+                last = _bounded(far, last_row)
                 inside = min((np.float32(last) - near) / max(span, _TINY), _ONE)
                 share = inside if last > first else _ONE
                 nearest = first * beams + beam
@@ -250,7 +325,8 @@ def place(
                 if central:
                     in_beam[nearest] = True
                 bin_of[count] = _bounded(start + where * (end - start), last_row) * beams + beam
-                power_of[count], pixel_of[count] = value, pixel
+                power_of[count] = value
+                pixel_of[count] = pixel
                 part_of[count] = where if end != start else _ZERO
                 count += 1
                 continue
@@ -268,7 +344,8 @@ def place(
                 bin_row = int(np.floor(start + part * (end - start)))
                 if 0 <= bin_row < rows:
                     bin_of[count] = bin_row * beams + beam
-                    power_of[count], pixel_of[count] = value / np.float32(many), pixel
+                    power_of[count] = value / np.float32(many)
+                    pixel_of[count] = pixel
                     part_of[count] = part if end != start else _ZERO
                     count += 1
         row_end[row] = count
@@ -291,46 +368,64 @@ def cells(
     name_of, place_of: (N,) out, the cell of each as a number that looks random, and where to look
     for it in a table (neighbours are close together).
     """
-    (pixels, parts), (depth_m, across, down) = scatterers, camera
+    pixels, parts = scatterers
+    depth_m, across, down = camera
     height, width = depth_m.shape
     m = world_from_camera / cell_m
     m00, m01, m02, m03 = m[0]
     m10, m11, m12, m13 = m[1]
     m20, m21, m22, m23 = m[2]
     # Whole cells apart, for 32 bits are converted faster than 64, and must be enough.
-    w0, w1, w2 = np.floor(m03), np.floor(m13), np.floor(m23)
-    m03, m13, m23 = m03 - w0, m13 - w1, m23 - w2
-    i0, i1, i2 = np.int32(np.int64(w0)), np.int32(np.int64(w1)), np.int32(np.int64(w2))
-    xs, ys, zs = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
-    us, vs = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.int32)
+    w0 = np.floor(m03)
+    w1 = np.floor(m13)
+    w2 = np.floor(m23)
+    m03 = m03 - w0
+    m13 = m13 - w1
+    m23 = m23 - w2
+    i0 = np.int32(np.int64(w0))
+    i1 = np.int32(np.int64(w1))
+    i2 = np.int32(np.int64(w2))
+    xs = np.empty(_BLOCK)
+    ys = np.empty(_BLOCK)
+    zs = np.empty(_BLOCK)
+    us = np.empty(_BLOCK, np.int32)
+    vs = np.empty(_BLOCK, np.int32)
     ws = np.empty(_BLOCK, np.int32)
     stop = 0
     for row in range(height):
         below = min(row + 1, height - 1)
-        here_m, below_m = depth_m[row], depth_m[below]
-        down_here, down_below = np.float64(down[row]), np.float64(down[below])
+        here_m = depth_m[row]
+        below_m = depth_m[below]
+        down_here = np.float64(down[row])
+        down_below = np.float64(down[below])
         before = np.int32(row * width)
         start, stop = stop, int(row_end[row])
         # A block at a time: first what a processor does for many at once, then what it cannot.
         for begin in range(start, stop, _BLOCK):
             size = min(_BLOCK, stop - begin)
-            some, some_parts = pixels[begin : begin + size], parts[begin : begin + size]
+            some = pixels[begin : begin + size]
+            some_parts = parts[begin : begin + size]
             for i in range(size):
                 column = np.uint32(some[i] - before)
-                z, part = np.float64(here_m[column]), np.float64(some_parts[i])
+                z = np.float64(here_m[column])
+                part = np.float64(some_parts[i])
                 y = down_here * z
                 z_below = np.float64(below_m[column])
                 ys[i] = y + part * (down_below * z_below - y)
                 zs[i] = z + part * (z_below - z)
                 xs[i] = np.float64(across[column]) * zs[i]
             for i in range(size):
-                x, y, z = xs[i], ys[i], zs[i]
+                x = xs[i]
+                y = ys[i]
+                z = zs[i]
                 us[i] = np.int32(np.floor(m00 * x + m01 * y + m02 * z + m03))
                 vs[i] = np.int32(np.floor(m10 * x + m11 * y + m12 * z + m13))
                 ws[i] = np.int32(np.floor(m20 * x + m21 * y + m22 * z + m23))
-            names, places = name_of[begin : begin + size], place_of[begin : begin + size]
+            names = name_of[begin : begin + size]
+            places = place_of[begin : begin + size]
             for i in range(size):
-                first, second = np.int32(us[i] + i0), np.int32(vs[i] + i1)
+                first = np.int32(us[i] + i0)
+                second = np.int32(vs[i] + i1)
                 third = np.int32(ws[i] + i2)
                 names[i] = mixed(_corner(first, second, third))
                 # Eight cells, a cube, lie side by side: one line of the processor's memory.
@@ -352,7 +447,8 @@ def count_cells(
     table: (slots, 2), slots a power of two; sorted_: (N, 2), both overwritten.
     Returns False where a part does not fit the table; share_of then says nothing.
     """
-    mask, last = np.uint32(table.shape[0] - 1), np.uint32(parts - 1)
+    mask = np.uint32(table.shape[0] - 1)
+    last = np.uint32(parts - 1)
     shift = np.uint32(0)
     while np.uint32(1) << shift <= mask:
         shift += np.uint32(1)
@@ -371,12 +467,14 @@ def count_cells(
         among = np.uint32((place >> shift) & last)
         at = np.uint32(free[among])
         free[among] += 1
-        sorted_[at, 0], sorted_[at, 1] = name_of[point], place & mask
+        sorted_[at, 0] = name_of[point]
+        sorted_[at, 1] = place & mask
     for part in range(parts):
         table[:] = 0
         for i in range(ends[part], ends[part + 1]):
             at = np.uint32(i)
-            name, slot = sorted_[at, 0], sorted_[at, 1]
+            name = sorted_[at, 0]
+            slot = sorted_[at, 1]
             # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
             # two branches.  Whether a cell is new is unpredictable, and a wrong guess costs much.
             while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
@@ -413,13 +511,18 @@ def scatter(
     """
     table, turns = tables
     for i in range(bin_of.shape[0]):
-        at, lot = bin_of[i], mixed(np.uint32(name_of[i] ^ key)) >> _16
-        real, imaginary = table[lot, 0], table[lot, 1]
+        at = bin_of[i]
+        lot = mixed(np.uint32(name_of[i] ^ key)) >> _16
+        real = table[lot, 0]
+        imaginary = table[lot, 1]
         if share_of.shape[0]:
-            real, imaginary = share_of[i] * real, share_of[i] * imaginary
-        real, imaginary = root_of[i] * real, root_of[i] * imaginary
+            real = share_of[i] * real
+            imaginary = share_of[i] * imaginary
+        real = root_of[i] * real
+        imaginary = root_of[i] * imaginary
         if phase_of.shape[0]:
-            c, s = turns[phase_of[i], 0], turns[phase_of[i], 1]
+            c = turns[phase_of[i], 0]
+            s = turns[phase_of[i], 1]
             real, imaginary = real * c + imaginary * s, imaginary * c - real * s
         bins[at, 0] += real
         bins[at, 1] += imaginary
@@ -428,7 +531,8 @@ def scatter(
 # A pixel is one surface with its right neighbour up to this step, a part of the depth.
 _STEP = 0.05
 # Points of a pixel across and down, at most.
-_MOST_ACROSS, _MOST_DOWN = 16, 8
+_MOST_ACROSS = 16
+_MOST_DOWN = 8
 
 
 @compiled(
@@ -446,14 +550,17 @@ def gather(
     cells: out, their number (looks random, not 0), power (slots,) and place (slots, 3); the first
     two are zeros, slots a power of two, more than there are cells.  Of no slots it only counts.
     """
-    (pixels, parts), (depth_m, across, down) = scatterers, camera
+    pixels, parts = scatterers
+    depth_m, across, down = camera
     name_of, power_of, place_of = cells
     height, width = depth_m.shape
     mask = np.uint32(max(name_of.shape[0] - 1, 0))
     filling = name_of.shape[0] > 0
     m = world_from_camera / cell_m
-    half_m, count = 0.5 * cell_m, np.int64(0)
-    first, size = 0, pixels.shape[0]
+    half_m = 0.5 * cell_m
+    count = np.int64(0)
+    first = 0
+    size = pixels.shape[0]
     while first < size:
         pixel = pixels[first]
         last = first + 1
@@ -461,18 +568,21 @@ def gather(
             last += 1
         row, column = pixel // width, pixel % width
         z = np.float64(depth_m[row, column])
-        x, y = np.float64(across[column]) * z, np.float64(down[row]) * z
+        x = np.float64(across[column]) * z
+        y = np.float64(down[row]) * z
         dx = dy = dz = np.float64(0)
         if parts[first] != 0 and row + 1 < height:
             below = np.float64(depth_m[row + 1, column])
             dx = np.float64(across[column]) * below - x
-            dy, dz = np.float64(down[row + 1]) * below - y, below - z
+            dy = np.float64(down[row + 1]) * below - y
+            dz = below - z
         ex = ey = ez = np.float64(0)
         if column + 1 < width:
             right = np.float64(depth_m[row, column + 1])
             if abs(right - z) < _STEP * z:
                 ex = np.float64(across[column + 1]) * right - x
-                ey, ez = np.float64(down[row]) * right - y, right - z
+                ey = np.float64(down[row]) * right - y
+                ez = right - z
         many = last - first
         sideways = int(np.ceil(np.sqrt(ex * ex + ey * ey + ez * ez) / half_m))
         downward = int(np.ceil(np.sqrt(dx * dx + dy * dy + dz * dz) / many / half_m))
@@ -485,7 +595,9 @@ def gather(
                 v = (number + (b + 0.5) / downward) / many
                 for a in range(sideways):
                     u = (a + 0.5) / sideways - 0.5
-                    px, py, pz = x + v * dx + u * ex, y + v * dy + u * ey, z + v * dz + u * ez
+                    px = x + v * dx + u * ex
+                    py = y + v * dy + u * ey
+                    pz = z + v * dz + u * ez
                     i = np.floor(m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz + m[0, 3])
                     j = np.floor(m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3])
                     k = np.floor(m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + m[2, 3])
@@ -495,7 +607,8 @@ def gather(
                         slot = np.uint32(slot + _1) & mask
                     if name_of[slot] == 0:
                         name_of[slot] = name
-                        place_of[slot, 0], place_of[slot, 1] = np.int32(i), np.int32(j)
+                        place_of[slot, 0] = np.int32(i)
+                        place_of[slot, 1] = np.int32(j)
                         place_of[slot, 2] = np.int32(k)
                     power_of[slot] += share
         first = last
@@ -519,14 +632,23 @@ def lattice(
     """
     m = lattice_from_camera
     for i in range(points_m.shape[1]):
-        a, b, c = points_m[0, i], points_m[1, i], points_m[2, i]
+        a = points_m[0, i]
+        b = points_m[1, i]
+        c = points_m[2, i]
         p = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
         q = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
         r = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
-        x, y, z = np.floor(p), np.floor(q), np.floor(r)
-        u, v, w = _smooth(np.float32(p - x)), _smooth(np.float32(q - y)), _smooth(np.float32(r - z))
-        u_, v_, w_ = _ONE - u, _ONE - v, _ONE - w
-        corner, level = _corner(np.int32(x), np.int32(y), np.int32(z)), _ZERO
+        x = np.floor(p)
+        y = np.floor(q)
+        z = np.floor(r)
+        u = _smooth(np.float32(p - x))
+        v = _smooth(np.float32(q - y))
+        w = _smooth(np.float32(r - z))
+        u_ = _ONE - u
+        v_ = _ONE - v
+        w_ = _ONE - w
+        corner = _corner(np.int32(x), np.int32(y), np.int32(z))
+        level = _ZERO
         for above in range(2):
             side = _ZERO
             for beyond in range(2):
@@ -564,9 +686,11 @@ def mirror(
     way.  echoes: (bins,) intensities and (fields, bins) amplitudes, and the same again, which are
     added to, but (0,) intensities where all are 0.
     """
-    (m, position_m), (height_m, cosine, sine) = sonar, level
+    m, position_m = sonar
+    height_m, cosine, sine = level
     (power, planes), (power_out, planes_out) = echoes
-    bins, steps = power.shape[0], np.float32((pattern.shape[0] - 1) / 2)
+    bins = power.shape[0]
+    steps = np.float32((pattern.shape[0] - 1) / 2)
     # What absorption leaves of the longer way, in steps of a range bin, linear in between.
     left = np.empty(2 * (bins // beams) + 2, np.float32)
     for step in range(left.shape[0]):
@@ -574,11 +698,13 @@ def mirror(
     most = np.float32(left.shape[0] - 2)
     for i in range(sources.shape[0]):
         u = points_m[0, i] - position_m[0]
-        v, w = points_m[1, i] - position_m[1], points_m[2, i] - position_m[2]
+        v = points_m[1, i] - position_m[1]
+        w = points_m[2, i] - position_m[2]
         x = m[0, 0] * u + m[0, 1] * v + m[0, 2] * w
         y = m[1, 0] * u + m[1, 1] * v + m[1, 2] * w
         z = m[2, 0] * u + m[2, 1] * v + m[2, 2] * w
-        ahead, up = x * cosine + z * sine, z * cosine - x * sine
+        ahead = x * cosine + z * sine
+        up = z * cosine - x * sine
         up_image = _TWO * height_m - up
         flat2 = ahead * ahead + y * y
         r = max(np.sqrt(flat2 + up * up), _NEAREST_M)
@@ -591,7 +717,8 @@ def mirror(
         spread = r / (r + longer)
         away = min(longer * bins_per_m, most)
         whole = int(away)
-        lower, upper = left[whole], left[whole + 1]
+        lower = left[whole]
+        upper = left[whole + 1]
         once = np.sqrt(towards) / max(straight, _FAINTEST) * spread * spread
         once *= lower + (away - np.float32(whole)) * (upper - lower)
         source = np.int64(sources[i])

@@ -27,7 +27,9 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
         segmentation (which brings instance); other names are ignored.
     Raises FrameError when labels are requested of a frame that has none.
     """
-    frame, sonar, made = surface.frame, surface.sonar, dict[str, Picture]()
+    frame = surface.frame
+    sonar = surface.sonar
+    made = dict[str, Picture]()
     shape = sonar.range_bins, sonar.beams
     if "valid_azimuth" in requested:
         beams = polar.seen_beams(surface.window, sonar)

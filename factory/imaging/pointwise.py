@@ -59,7 +59,9 @@ class PointwiseScene:
 
     def level(self, echoes: Sequence[Echoes]) -> Floats:
         """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""
-        (scene, *added), window, sonar = echoes, self.surface.window, self.surface.sonar
+        (scene, *added) = echoes
+        window = self.surface.window
+        sonar = self.surface.sonar
         level = polar.spread_points(polar.accumulate(scene, window, sonar, *added), sonar)
         level[:, ~polar.seen_beams(window, sonar)] = 0
         return level

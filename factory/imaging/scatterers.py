@@ -111,7 +111,8 @@ def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Flo
     """(N,) float32: see `world_cells`; the arguments are what `kernels.cells` gives."""
     from . import kernels  # loads numba
 
-    made, work = np.empty(len(names), np.float32), np.empty((len(names), 2), np.uint32)
+    made = np.empty(len(names), np.float32)
+    work = np.empty((len(names), 2), np.uint32)
     slots = 1 << (2 + len(names).bit_length())
     parts = max(slots // _SLOTS, 1)
     while not kernels.count_cells(
@@ -130,9 +131,13 @@ def scatterers(
     """
     from . import kernels  # loads numba
 
-    frame, sonar, window = surface.frame, surface.sonar, surface.window
-    shape, most = (sonar.range_bins, sonar.beams), 2 * frame.depth_m.size
-    power, owner = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+    frame = surface.frame
+    sonar = surface.sonar
+    window = surface.window
+    shape = (sonar.range_bins, sonar.beams)
+    most = 2 * frame.depth_m.size
+    power = np.zeros(shape, np.float32)
+    owner = np.full(shape, -1, np.int32)
     in_beam = np.zeros(shape, np.bool_)
     bins, pixels = np.empty((2, most), np.int32)
     powers, parts = np.empty((2, most), np.float32)
@@ -176,7 +181,8 @@ def grid_of(window: Window, sonar: SonarSettings) -> tuple[Any, ...]:
 
 def _factor(surface: LitSurface, exponents: npt.NDArray[np.float64]) -> Floats:
     """(H, W): what the render lacks for other exponents than 2 or a sonar elsewhere, or (0, 0)."""
-    frame, mount = surface.frame, surface.sonar.mount
+    frame = surface.frame
+    mount = surface.sonar.mount
     if (exponents == 2).all() and mount.colocated:
         return np.empty((0, 0), np.float32)
     if frame.segmentation is None or (exponents == exponents[0]).all():

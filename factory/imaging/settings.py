@@ -67,7 +67,8 @@ class CoherentSettings:
 
         The user's classes are those in `reflectivity_db` that are not in CLASSES, in order.
         """
-        echo_db, usual = self.reflectivity_db, self.lambert_exponent
+        echo_db = self.reflectivity_db
+        usual = self.lambert_exponent
         ground_db = echo_db.get("Background", -25.0)
         return [
             (10 ** (echo_db.get(name, ground_db) / 10), self.lambert_exponents.get(name, usual))
@@ -116,7 +117,8 @@ def with_materials(
     classes: those of `labels.class_names`.  own: what they say wins over the keys, and what
     `acoustics.materials` says over both.  Raises FactoryError.
     """
-    echo_db, exponents = dict(acoustics.reflectivity_db), dict(acoustics.lambert_exponents)
+    echo_db = dict(acoustics.reflectivity_db)
+    exponents = dict(acoustics.lambert_exponents)
     said: dict[str, tuple[float | None, float | None]] = {}
     for one in own:
         here = one.reflectivity_db, one.lambert_exponent
@@ -142,7 +144,8 @@ def with_materials(
 
 def _listed(path: Path) -> list[OwnClass]:
     """The lines of a file."""
-    key, expected = f"acoustics.materials={path}", "expected class,reflectivity_db,lambert_exponent"
+    key = f"acoustics.materials={path}"
+    expected = "expected class,reflectivity_db,lambert_exponent"
     try:
         lines = read_regular(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:

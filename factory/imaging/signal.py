@@ -227,7 +227,8 @@ def scattered(ping: Ping, rng: np.random.Generator, looks: float, points: PointE
     amplitude = np.sqrt(ping.scatterers.loss)[:, None]
     field = np.empty((max(round(looks), 1), 2, rows, beams), np.float32)
     for look in field:
-        bins, key = np.zeros((rows * beams, 2), np.float32), int(rng.integers(2**32))
+        bins = np.zeros((rows * beams, 2), np.float32)
+        key = int(rng.integers(2**32))
         kernels.scatter(*points, key, (gaussian_table(), _turns()), bins)
         np.multiply(bins.reshape(rows, beams, 2).transpose(2, 0, 1), amplitude, out=look)
     return Signal(np.zeros(ping.shape, np.float32), field)
@@ -312,7 +313,8 @@ def _halves(matrix: Matrix) -> list[Matrix]:
         return [matrix]
     middle = (len(matrix) + 1) // 2  # of an odd number that beam is its own mirror
     matrix = (matrix + turned) / 2
-    upper, lower = matrix[:middle, :middle], matrix[::-1][:middle, :middle]
+    upper = matrix[:middle, :middle]
+    lower = matrix[::-1][:middle, :middle]
     return [(upper + lower) / 2, (upper - lower) / 2]
 
 
@@ -326,7 +328,8 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
     kernel: range response.  power: whether the planes are intensities, and not amplitudes.
     """
     rows, beams = planes.shape[-2:]
-    parts, out = matrices(sonar, power), np.empty_like(planes)
+    parts = matrices(sonar, power)
+    out = np.empty_like(planes)
     pairs = beams // 2 if len(parts) == 2 else 0
     for plane, made in zip(
         planes.reshape(-1, rows, beams), out.reshape(-1, rows, beams), strict=True
@@ -338,7 +341,8 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
         for part, (into, *out_of) in zip(folded, parts, strict=True):
             found = _times(part, into)
             mixed.append(_times(along_range(found, kernel), out_of[0]) if out_of else found)
-        alike, unlike = mixed[0][:rows], mixed[-1][:rows, :pairs]
+        alike = mixed[0][:rows]
+        unlike = mixed[-1][:rows, :pairs]
         made[:, :pairs] = alike[:, :pairs] + unlike
         made[:, beams - pairs :] = (alike[:, :pairs] - unlike)[:, ::-1]
         made[:, pairs : beams - pairs] = alike[:, pairs : beams - pairs]
@@ -349,10 +353,12 @@ def along_range(plane: Floats, kernel: Floats) -> Floats:
     """Rows of (rows, n) correlated with `kernel`; nothing comes from beyond the ends."""
     if len(kernel) == 1:
         return plane
-    rows, half = len(plane), len(kernel) // 2
+    rows = len(plane)
+    half = len(kernel) // 2
     out = np.zeros_like(plane)
     for tap, weight in enumerate(kernel):
-        first, last = max(half - tap, 0), min(rows, rows + half - tap)
+        first = max(half - tap, 0)
+        last = min(rows, rows + half - tap)
         if first < last:
             out[first:last] += weight * plane[first + tap - half : last + tap - half]
     return out
@@ -362,8 +368,10 @@ def _fold(plane: Floats, pairs: int, width: int) -> list[Floats]:
     """Sums (the middle beam as it is) and differences of mirrored beams, filled up with zeros."""
     rows, beams = plane.shape
     sums, differences = (np.zeros((rows + -rows % 4, width), np.float32) for _ in range(2))
-    left, right = plane[:, :pairs], plane[:, beams - pairs :][:, ::-1]
-    sums[:rows, :pairs], differences[:rows, :pairs] = left + right, left - right
+    left = plane[:, :pairs]
+    right = plane[:, beams - pairs :][:, ::-1]
+    sums[:rows, :pairs] = left + right
+    differences[:rows, :pairs] = left - right
     sums[:rows, pairs : beams - pairs] = plane[:, pairs : beams - pairs]
     return [sums, differences] if pairs else [sums]
 

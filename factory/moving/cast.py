@@ -24,7 +24,8 @@ from .fish import SwimmingWave, fish_mesh, love_target_strength_db
 Points = npt.NDArray[np.float64]
 
 # Of a school: how members differ in length and heading, and how they drift about their places.
-_LENGTH_SPREAD, _HEADING_SPREAD_DEG = 0.12, 6.0
+_LENGTH_SPREAD = 0.12
+_HEADING_SPREAD_DEG = 6.0
 _WANDER_SHARE = 0.25
 _WANDER_S = (2.0, 5.0)
 _FLAT = 0.5

@@ -134,7 +134,8 @@ def compose(
         if drawn is None:
             continue
         drawn_bodies[number] = drawn
-        pixel, near_m = drawn.pixel[drawn.inside], drawn.depth_m[drawn.inside]
+        pixel = drawn.pixel[drawn.inside]
+        near_m = drawn.depth_m[drawn.inside]
         behind = depth_m[pixel]
         nearer = (behind <= 0) | (near_m < behind)
         shown = pixel[nearer]
@@ -188,13 +189,16 @@ def _draw(
     height, width = frame.depth_m.shape
     columns = vertices_m[:, 0] / vertices_m[:, 2] * lens.fx + lens.cx
     rows = vertices_m[:, 1] / vertices_m[:, 2] * lens.fy + lens.cy
-    left, right = int(np.floor(columns.min())), int(np.ceil(columns.max()))
-    top, bottom = int(np.floor(rows.min())), int(np.ceil(rows.max()))
+    left = int(np.floor(columns.min()))
+    right = int(np.ceil(columns.max()))
+    top = int(np.floor(rows.min()))
+    bottom = int(np.ceil(rows.max()))
     is_outside = right < 0 or left >= width or bottom < 0 or top >= height
     if is_outside or max(right - left, bottom - top) > _LARGEST_PX:
         return None
     shape = bottom - top + 1, right - left + 1
-    inverse, which = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+    inverse = np.zeros(shape, np.float32)
+    which = np.full(shape, -1, np.int32)
     camera = np.array([lens.fx, lens.fy, lens.cx - left, lens.cy - top])
     whole = np.array([[0, 0, len(vertices_m), len(solid.triangles)]], np.int64)
     points = np.ascontiguousarray(vertices_m, np.float32)

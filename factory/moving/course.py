@@ -44,13 +44,15 @@ class Origin:
 
     def ground_m(self, x: float, y: float) -> float:
         """Height of the ground at a world place; of the nearest one where it is not known."""
-        ground, step_m = self._surroundings.ground_m, self._surroundings.step_m
+        ground = self._surroundings.ground_m
+        step_m = self._surroundings.step_m
         middle = (len(ground) - 1) / 2
         last = len(ground) - 1.001
         column = min(max((x - self.position_m[0]) / step_m + middle, 0.0), last)
         row = min(max((y - self.position_m[1]) / step_m + middle, 0.0), last)
         left, top = int(column), int(row)
-        right_share, lower_share = column - left, row - top
+        right_share = column - left
+        lower_share = row - top
         cell = ground[top : top + 2, left : left + 2].astype(np.float64)
         upper = cell[0, 0] + right_share * (cell[0, 1] - cell[0, 0])
         lower = cell[1, 0] + right_share * (cell[1, 1] - cell[1, 0])
@@ -149,7 +151,8 @@ class RecordedPath:
 
 def velocity_m_s(course: Course, time_s: float) -> Points:
     """(3,) over ground, in world axes; NaN where the object is not there just before or after."""
-    before, after = course.at(time_s - _STEP_S), course.at(time_s + _STEP_S)
+    before = course.at(time_s - _STEP_S)
+    after = course.at(time_s + _STEP_S)
     here = course.at(time_s)
     first, last = before or here, after or here
     if first is None or last is None:

@@ -11,7 +11,8 @@ from ..scenes.seabed.meshes import Mesh, grid_triangles, join, mesh
 
 Points = npt.NDArray[np.float64]
 
-_STATIONS, _AROUND = 28, 14
+_STATIONS = 28
+_AROUND = 14
 _WIDTH = 0.55
 """Width of the body over its height."""
 _STEM = 0.82

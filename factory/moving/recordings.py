@@ -56,7 +56,8 @@ class Recordings:
 
     def __init__(self, settings: SceneSettings, seed: int) -> None:
         """Draws nothing before the first moment."""
-        self._settings, self._seed = settings, seed
+        self._settings = settings
+        self._seed = seed
         self._static = StaticScene("")
         self._cast: tuple[tuple[str, str], tuple[Actor, ...]] = (("", ""), ())
 

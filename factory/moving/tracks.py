@@ -86,7 +86,8 @@ class _Heard(NamedTuple):
 
 
 def _heard(lit: LitSurface, moving: MovingPixels) -> _Heard:
-    frame, sonar = lit.frame, lit.sonar
+    frame = lit.frame
+    sonar = lit.sonar
     depth_m, across, down = camera_of(frame)
     row, column = np.divmod(moving.pixel, depth_m.shape[1])
     z = depth_m.reshape(-1)[moving.pixel].astype(np.float64)
@@ -133,7 +134,8 @@ def _motion(body: PosedBody, lit: LitSurface) -> dict[str, Any]:
 
 def _echo(lit: LitSurface, heard: _Heard, own: npt.NDArray[np.int64]) -> dict[str, Any]:
     """Range and bearing of the echo, weighted by its strength, and the box around it."""
-    echoes, sonar = heard.echoes, lit.sonar
+    echoes = heard.echoes
+    sonar = lit.sonar
     if not len(own):
         return {"range_m": None, "bearing_deg": None, "box": None}
     mask = np.zeros(sonar.range_bins * sonar.beams, np.bool_)

@@ -48,7 +48,8 @@ def range_spreading(scene: Echoes, window: Window, rng: Rng, *, mode: str, alpha
         offset = np.abs(rng.standard_normal((len(scene), 3))) * (alpha * scene.range_m[:, None])
         forward, right, down = offset.T
         return from_xyz(scene.xyz_m() + np.stack([forward, -right, -down], axis=1), scene.strength)
-    strength, delay = scene.strength, np.empty(len(scene), np.float32)
+    strength = scene.strength
+    delay = np.empty(len(scene), np.float32)
     if mode == "radial":  # |N(0, 1)| by the inverse of its distribution
         elementary.half_normal(rng.random(len(scene), dtype=np.float32), delay)
     else:

@@ -256,7 +256,8 @@ def saturation(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Float
 
 def expect_saturation(state: Expected, ping: Ping, rng: Rng, *, level_db: float) -> None:
     """No expected intensity above the limit; single values above it are not taken from the mean."""
-    limit, total = _limit(ping, level_db), state.total()
+    limit = _limit(ping, level_db)
+    total = state.total()
     if (total > limit).any():
         state.scale(np.minimum(limit / np.maximum(total, 1e-37), 1))
 

@@ -47,7 +47,8 @@ class Mount:
         a camera tilted by t.
         """
         pitch, yaw = np.deg2rad([self.pitch_deg, self.yaw_deg])
-        ahead, down = np.cos(yaw) * np.cos(pitch), np.sin(pitch)
+        ahead = np.cos(yaw) * np.cos(pitch)
+        down = np.sin(pitch)
         sine = np.sin(np.deg2rad(sonar_tilt_deg)) / np.hypot(ahead, down)
         if abs(sine) > 1:
             return None
@@ -77,7 +78,8 @@ class Mount:
 
     def axes(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Both of them in single precision, as compiled loops want them."""
-        turn, position_m = self.rotation_sonar_from_camera(), self.position_camera_m()
+        turn = self.rotation_sonar_from_camera()
+        position_m = self.position_camera_m()
         return np.ascontiguousarray(turn, np.float32), position_m.astype(np.float32)
 
 

@@ -19,7 +19,10 @@ _ROW = "Array(float32, 1, 'C', readonly=True)"
 _OUT = "float32[:, ::1]"
 
 # What a pixel is joined to.  RISING is of the pixel on its right and the one below it.
-RIGHT, DOWN, FALLING, RISING = 1, 2, 4, 8
+RIGHT = 1
+DOWN = 2
+FALLING = 4
+RISING = 8
 
 # A step between neighbours is large when over this part of the edge ratio.  At the default ratio
 # that is 2 % of the depth, more than the steps in which structured-light cameras measure.
@@ -27,7 +30,8 @@ _LARGE_STEP = 0.2
 # A large step belongs to a slope when at most this many times the step before or after it.  The
 # limb of a sphere, the steepest smooth outline there is, ends in steps of 1 : 2.4.
 _SLOPE_CHANGE = np.float32(3)
-_ZERO, _LEAST_M2 = np.float32(0), np.float32(1e-12)
+_ZERO = np.float32(0)
+_LEAST_M2 = np.float32(1e-12)
 
 
 @compiled()
@@ -39,9 +43,12 @@ def _depth_at(depth_m: Any, row: Any, column: Any) -> Any:
 
 @compiled()
 def _joined(depth_m: Any, at: Any, step_to: Any, limit: Any, small: Any) -> Any:
-    (row, column), (down, across) = at, step_to
-    first, second = depth_m[row, column], depth_m[row + down, column + across]
-    step, nearer = abs(second - first), min(first, second)
+    row, column = at
+    down, across = step_to
+    first = depth_m[row, column]
+    second = depth_m[row + down, column + across]
+    step = abs(second - first)
+    nearer = min(first, second)
     if not step < limit * nearer:
         return False
     if step <= small * nearer:
@@ -66,12 +73,14 @@ def joints(depth_m: Any, edge_ratio: Any) -> Any:
     stays whole, while a low object's outline, where one step sticks out, is an edge.
     """
     height, width = depth_m.shape
-    limit, small = np.float32(edge_ratio), np.float32(_LARGE_STEP * edge_ratio)
+    limit = np.float32(edge_ratio)
+    small = np.float32(_LARGE_STEP * edge_ratio)
     bits = np.zeros((height, width), np.uint8)
     for row in range(height):
         for column in range(width):
             found = 0
-            here, inner = (row, column), column + 1 < width
+            here = (row, column)
+            inner = column + 1 < width
             if inner and _joined(depth_m, here, (0, 1), limit, small):
                 found |= RIGHT
             if row + 1 < height:
@@ -94,35 +103,60 @@ def _normals(grid: Any, row: Any, found: Any) -> None:
     without any.  row: without the border.
     """
     depth_m, bits, across, down = grid
-    z, above, below = depth_m[row + 1], depth_m[row], depth_m[row + 2]
-    here, over = bits[row + 1], bits[row]
-    drop_above, drop, drop_below = down[row], down[row + 1], down[row + 2]
-    nx, ny, nz, lx, ly, lz = found[0], found[1], found[2], found[3], found[4], found[5]
+    z = depth_m[row + 1]
+    above = depth_m[row]
+    below = depth_m[row + 2]
+    here = bits[row + 1]
+    over = bits[row]
+    drop_above = down[row]
+    drop = down[row + 1]
+    drop_below = down[row + 2]
+    nx = found[0]
+    ny = found[1]
+    nz = found[2]
+    lx = found[3]
+    ly = found[4]
+    lz = found[5]
     for j in range(len(nx)):  # factors instead of branches: several columns at a time
-        k, side, depth = j + 1, across[j + 1], z[j + 1]
-        to_right, to_left = np.float32(here[k] & 1), np.float32(here[j] & 1)
-        to_below, to_above = np.float32((here[k] >> 1) & 1), np.float32((over[k] >> 1) & 1)
+        k = j + 1
+        side = across[j + 1]
+        depth = z[j + 1]
+        to_right = np.float32(here[k] & 1)
+        to_left = np.float32(here[j] & 1)
+        to_below = np.float32((here[k] >> 1) & 1)
+        to_above = np.float32((over[k] >> 1) & 1)
         x, y = np.float32(side * depth), np.float32(drop * depth)
-        there, other = z[j + 2], z[j]
+        there = z[j + 2]
+        other = z[j]
         ax = (np.float32(across[j + 2] * there) - x) * to_right
         ax += (x - np.float32(across[j] * other)) * to_left
         ay = (np.float32(drop * there) - y) * to_right + (y - np.float32(drop * other)) * to_left
         az = (there - depth) * to_right + (depth - other) * to_left
-        there, other = below[k], above[k]
+        there = below[k]
+        other = above[k]
         dx = (np.float32(side * there) - x) * to_below + (x - np.float32(side * other)) * to_above
         dy = (np.float32(drop_below * there) - y) * to_below
         dy += (y - np.float32(drop_above * other)) * to_above
         dz = (there - depth) * to_below + (depth - other) * to_above
-        nx[j], ny[j], nz[j] = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
-        lx[j], ly[j], lz[j] = ax + dx, ay + dy, az + dz
+        nx[j] = dy * az - dz * ay
+        ny[j] = dz * ax - dx * az
+        nz[j] = dx * ay - dy * ax
+        lx[j] = ax + dx
+        ly[j] = ay + dy
+        lz[j] = az + dz
     for j in range(len(nx)):
         if nx[j] == 0 and ny[j] == 0 and nz[j] == 0:
             along = np.sqrt(lx[j] * lx[j] + ly[j] * ly[j] + lz[j] * lz[j])
             if along > 0:
-                x, y = np.float32(across[j + 1] * z[j + 1]), np.float32(drop * z[j + 1])
-                ex, ey, ez = lx[j] / along, ly[j] / along, lz[j] / along
+                x = np.float32(across[j + 1] * z[j + 1])
+                y = np.float32(drop * z[j + 1])
+                ex = lx[j] / along
+                ey = ly[j] / along
+                ez = lz[j] / along
                 towards = x * ex + y * ey + z[j + 1] * ez
-                nx[j], ny[j], nz[j] = towards * ex - x, towards * ey - y, towards * ez - z[j + 1]
+                nx[j] = towards * ex - x
+                ny[j] = towards * ey - y
+                nz[j] = towards * ez - z[j + 1]
     for j in range(len(nx)):
         length = np.sqrt(nx[j] * nx[j] + ny[j] * ny[j] + nz[j] * nz[j])
         some = length > 0
@@ -134,7 +168,9 @@ def _normals(grid: Any, row: Any, found: Any) -> None:
 @compiled(f"void({_GRID}, int64, float32[:, :, ::1], float32[:, :, ::1])")
 def orient(grid: Any, stride: Any, points_m: Any, normals: Any) -> None:
     """Fill points and normals (h, w, 3) of every `stride`-th pixel."""
-    depth_m, across, down = grid[0], grid[2], grid[3]
+    depth_m = grid[0]
+    across = grid[2]
+    down = grid[3]
     found = np.empty((6, depth_m.shape[1] - 2), np.float32)
     for i in range(points_m.shape[0]):
         row = i * stride
@@ -142,7 +178,8 @@ def orient(grid: Any, stride: Any, points_m: Any, normals: Any) -> None:
         for j in range(points_m.shape[1]):
             column = j * stride
             z = depth_m[row + 1, column + 1]
-            points_m[i, j, 0], points_m[i, j, 1] = across[column + 1] * z, down[row + 1] * z
+            points_m[i, j, 0] = across[column + 1] * z
+            points_m[i, j, 1] = down[row + 1] * z
             points_m[i, j, 2] = z
             for k in range(3):
                 normals[i, j, k] = found[k, column]
@@ -162,11 +199,16 @@ def facing(grid: Any, sonar_m: Any, filled: Any) -> None:
         _normals(grid, row, found)
         for column in range(width):
             z = grid[0][row + 1, column + 1]
-            nx, ny, nz = found[0, column], found[1, column], found[2, column]
-            x, y = np.float32(grid[2][column + 1] * z), np.float32(grid[3][row + 1] * z)
+            nx = found[0, column]
+            ny = found[1, column]
+            nz = found[2, column]
+            x = np.float32(grid[2][column + 1] * z)
+            y = np.float32(grid[3][row + 1] * z)
             camera_m2 = max(x * x + y * y + z * z, _LEAST_M2)
             to_camera[row, column] = -(nx * x + ny * y + nz * z) / np.sqrt(camera_m2)
-            tx, ty, tz = sonar_m[0] - x, sonar_m[1] - y, sonar_m[2] - z
+            tx = sonar_m[0] - x
+            ty = sonar_m[1] - y
+            tz = sonar_m[2] - z
             sonar_m2 = max(tx * tx + ty * ty + tz * tz, _LEAST_M2)
             to_sonar[row, column] = (nx * tx + ny * ty + nz * tz) / np.sqrt(sonar_m2)
             nearer[row, column] = camera_m2 / sonar_m2
@@ -179,17 +221,27 @@ def shade(grid: Any, mask: Any, albedo: Any, sonar_m: Any) -> Any:
     Lambert's and the inverse-square law: albedo * max(cos(incidence), 0) / range^2.
     """
     height, width = mask.shape
-    radiance, found = np.empty((height, width), np.float32), np.empty((6, width), np.float32)
-    sonar_x, sonar_y, sonar_z = sonar_m[0], sonar_m[1], sonar_m[2]
-    nx, ny, nz = found[0], found[1], found[2]
+    radiance = np.empty((height, width), np.float32)
+    found = np.empty((6, width), np.float32)
+    sonar_x = sonar_m[0]
+    sonar_y = sonar_m[1]
+    sonar_z = sonar_m[2]
+    nx = found[0]
+    ny = found[1]
+    nz = found[2]
     for row in range(height):
         _normals(grid, row, found)
-        depth_m, across, drop = grid[0][row + 1], grid[2], grid[3][row + 1]
-        shine, inside, strength = radiance[row], mask[row], albedo[row]
+        depth_m = grid[0][row + 1]
+        across = grid[2]
+        drop = grid[3][row + 1]
+        shine = radiance[row]
+        inside = mask[row]
+        strength = albedo[row]
         for column in range(width):
             z = depth_m[column + 1]
             tx = sonar_x - np.float32(across[column + 1] * z)
-            ty, tz = sonar_y - np.float32(drop * z), sonar_z - z
+            ty = sonar_y - np.float32(drop * z)
+            tz = sonar_z - z
             square_m2 = tx * tx + ty * ty + tz * tz
             facing_m = nx[column] * tx + ny[column] * ty + nz[column] * tz
             value = strength[column] * facing_m / (square_m2 * np.sqrt(square_m2))
@@ -219,15 +271,22 @@ def apply_traced(
                 continue
             left = column // stride
             u = np.float32((column - left * stride) / stride)
-            here, lit, dark, total = depth_m[row, column], 0.0, 0.0, 0.0
+            here = depth_m[row, column]
+            lit = 0.0
+            dark = 0.0
+            total = 0.0
             for corner in range(4):
-                down, across = corner >> 1, corner & 1
-                i, j = min(above + down, h - 1), min(left + across, w - 1)
+                down = corner >> 1
+                across = corner & 1
+                i = min(above + down, h - 1)
+                j = min(left + across, w - 1)
                 there = depth_m[i * stride, j * stride]
-                step, most = abs(there - here), limit * min(there, here)
+                step = abs(there - here)
+                most = limit * min(there, here)
                 if not (known[i, j] and step < most):
                     continue
-                vertical, horizontal = v if down else 1 - v, u if across else 1 - u
+                vertical = v if down else 1 - v
+                horizontal = u if across else 1 - u
                 # Never nothing: a pixel of an edge may have one neighbour alone.
                 weight = np.float32(vertical * horizontal + 1e-6) * (1 - step / most)
                 if ratio[i, j] > 0:
@@ -258,7 +317,8 @@ def box_mean(values: Any, side: Any) -> Any:
             total += float(values[row, column])
         along[row, 0] = total
         for column in range(1, width):
-            coming, going = column + reach, column - reach - 1
+            coming = column + reach
+            going = column - reach - 1
             new = float(values[row, coming]) if coming < width else 0.0
             old = float(values[row, going]) if going >= 0 else 0.0
             total += new - old
@@ -274,7 +334,8 @@ def box_mean(values: Any, side: Any) -> Any:
             totals[column] += along[row, column]
     share = 1.0 / (side * side)
     for row in range(height):
-        coming, going = row + reach, row - reach
+        coming = row + reach
+        going = row - reach
         for column in range(width):
             sum_here = totals[column] + (along[coming, column] if coming < height else 0.0)
             means[row, column] = np.float32(sum_here * share)
@@ -319,7 +380,8 @@ def rounded(
 
     0 for values that are not above 0, else (level - first) / step.
     """
-    least, most = np.float32(1), np.float32(65_534)
+    least = np.float32(1)
+    most = np.float32(65_534)
     for row in range(len(values)):
         for column in range(values.shape[1]):
             level = min(max(np.rint((levels[row, column] - first) / step), least), most)

@@ -59,7 +59,8 @@ class ClosedFormRenderer:
 
     def _shadow(self, pixels: Pixels, sonar_m: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         """(H, W) bool: surface pixels that the mesh hides from the sonar."""
-        surface, open3d = pixels.surface(), self._open3d
+        surface = pixels.surface()
+        open3d = self._open3d
         mesh = surface_mesh(pixels, surface)
         scene = open3d.t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(
@@ -172,7 +173,9 @@ def _fill_points(mesh: Any, surface: Surface) -> None:
 # hardly overlap: a tenth less time than with half a pixel.
 _RADIUS_PX = 0.2
 
-_ALBEDO, _NORMAL, _RADIUS = "albedo", "surface_normal", "sphere_radius"
+_ALBEDO = "albedo"
+_NORMAL = "surface_normal"
+_RADIUS = "sphere_radius"
 
 
 def _set(mesh: Any, name: str, values: npt.NDArray[Any]) -> None:
@@ -186,9 +189,11 @@ def _set(mesh: Any, name: str, values: npt.NDArray[Any]) -> None:
 def _material(bpy: Any, normals: bool) -> Any:
     """A Lambert surface with the albedo of the vertices, and their normals where asked."""
     material = bpy.data.materials.new("sonar")
-    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes = material.node_tree.nodes
+    links = material.node_tree.links
     nodes.clear()
-    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    diffuse = nodes.new("ShaderNodeBsdfDiffuse")
+    output = nodes.new("ShaderNodeOutputMaterial")
     diffuse.inputs["Roughness"].default_value = 0
     links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
     wired = [(_ALBEDO, "Fac", "Color"), (_NORMAL, "Vector", "Normal")]
@@ -257,11 +262,13 @@ def _stage(bpy: Any) -> tuple[Any, Any, Any]:
     the scene.  World axes are therefore the camera axes of `simnfnd.factory.frame`.
     """
     scene = bpy.data.scenes.new("sonar")
-    render, cycles = scene.render, scene.cycles
+    render = scene.render
+    cycles = scene.cycles
     render.engine = "CYCLES"
     render.resolution_percentage = 100
     render.film_transparent = True  # alpha becomes the mask of what the camera's rays hit
-    render.threads_mode, render.threads = "FIXED", 1
+    render.threads_mode = "FIXED"
+    render.threads = 1
     render.use_compositing = render.use_sequencer = False
 
     cycles.device = "CPU"
@@ -281,8 +288,10 @@ def _stage(bpy: Any) -> tuple[Any, Any, Any]:
 
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     camera.matrix_world = ((1, 0, 0, 0), (0, -1, 0, 0), (0, 0, -1, 0), (0, 0, 0, 1))
-    camera.data.sensor_fit, camera.data.sensor_width = "HORIZONTAL", _SENSOR_WIDTH_MM
-    camera.data.clip_start, camera.data.clip_end = 1e-4, 1e6
+    camera.data.sensor_fit = "HORIZONTAL"
+    camera.data.sensor_width = _SENSOR_WIDTH_MM
+    camera.data.clip_start = 1e-4
+    camera.data.clip_end = 1e6
     scene.collection.objects.link(camera)
     scene.camera = camera
 
@@ -297,7 +306,8 @@ def _stage(bpy: Any) -> tuple[Any, Any, Any]:
 def _aim(scene: Any, lens: Any, intrinsics: Intrinsics, height: int, width: int) -> None:
     """Give the camera of a scene these intrinsics and image size, pixel for pixel."""
     render = scene.render
-    render.resolution_x, render.resolution_y = width, height
+    render.resolution_x = width
+    render.resolution_y = height
     # Blender has one focal length; unequal ones are pixels that are not square.
     render.pixel_aspect_x = max(1.0, intrinsics.fy / intrinsics.fx)
     render.pixel_aspect_y = max(1.0, intrinsics.fx / intrinsics.fy)

@@ -78,7 +78,8 @@ class Pixels:
 
     def surface(self) -> Surface:
         """Points and normals of the traced pixels; the normals are those of full resolution."""
-        camera, stride = self.intrinsics, self.stride
+        camera = self.intrinsics
+        stride = self.stride
         mask = np.ascontiguousarray(self.mask[::stride, ::stride])
         points_m = np.empty((*mask.shape, 3), np.float32)
         normals = np.empty_like(points_m)
@@ -157,9 +158,11 @@ def albedo(
     side = max(3, round(luminance.shape[0] * _WINDOW) | 1)
     weight = valid.astype(np.float32)
     # Two box filters are close to a smooth tent.
-    total, share = luminance * weight, weight
+    total = luminance * weight
+    share = weight
     for _ in range(2):
-        total, share = kernels.box_mean(total, side), kernels.box_mean(share, side)
+        total = kernels.box_mean(total, side)
+        share = kernels.box_mean(share, side)
     limits = np.float32(MEAN_ALBEDO), np.float32(_DARKEST_FLATTENED)
     flat = kernels.flattened(luminance, total, share, np.ascontiguousarray(valid), *limits)
     return np.asarray(flat)
@@ -206,11 +209,15 @@ class Quads:
 
         Wound so that the faces look at the camera.
         """
-        found, width = [], self.falls.shape[1] + 1
+        found = []
+        width = self.falls.shape[1] + 1
         for chosen in (upper, lower):
             rows, columns = np.nonzero(chosen)
             a = rows * width + columns
-            b, c, d, falls = a + 1, a + width, a + width + 1, self.falls[rows, columns]
+            b = a + 1
+            c = a + width
+            d = a + width + 1
+            falls = self.falls[rows, columns]
             if chosen is upper:
                 corners = [a, np.where(falls, d, c), b]
             else:
@@ -242,9 +249,14 @@ def cut_quads(joints: npt.NDArray[np.uint8]) -> Quads:
     """
     across, down = (joints & bit != 0 for bit in (kernels.RIGHT, kernels.DOWN))
     falling, rising = (joints[:-1, :-1] & bit != 0 for bit in (kernels.FALLING, kernels.RISING))
-    top, bottom, left, right = across[:-1, :-1], across[1:, :-1], down[:-1, :-1], down[:-1, 1:]
-    acb, dbc = top & left & rising, bottom & right & rising
-    adb, dac = top & right & falling, bottom & left & falling
+    top = across[:-1, :-1]
+    bottom = across[1:, :-1]
+    left = down[:-1, :-1]
+    right = down[:-1, 1:]
+    acb = top & left & rising
+    dbc = bottom & right & rising
+    adb = top & right & falling
+    dac = bottom & left & falling
     falls = (adb & dac & ~(acb & dbc)) | ((adb | dac) & ~(acb | dbc))
     return Quads(falls, np.where(falls, adb, acb), np.where(falls, dac, dbc))
 
@@ -268,7 +280,8 @@ def surface_mesh(pixels: Pixels, surface: Surface) -> SurfaceMesh:
     Frames without surface give empty arrays.
     """
     # One pixel of nothing all around gives the image border its rim too.
-    joints, width = pixels.grid[1], pixels.mask.shape[1]
+    joints = pixels.grid[1]
+    width = pixels.mask.shape[1]
     quads = cut_quads(joints)
     mask = quads.mask()
     pixel = np.flatnonzero(pixels.mask)
@@ -297,11 +310,14 @@ def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Plac
     """
     near_surface = mask[:-1, :-1] | mask[:-1, 1:] | mask[1:, :-1] | mask[1:, 1:]
     missing = quads.triangles(near_surface & ~quads.upper, near_surface & ~quads.lower)
-    measured, bits, width = mask.ravel(), joints.ravel(), mask.shape[1]
+    measured = mask.ravel()
+    bits = joints.ravel()
+    width = mask.shape[1]
     x, y, z = np.concatenate([np.roll(missing, -turn, axis=1) for turn in range(3)]).T
 
     def meets(p: Places, q: Places) -> Flags:
-        first, apart = np.minimum(p, q), np.abs(p - q)
+        first = np.minimum(p, q)
+        apart = np.abs(p - q)
         rising = apart == width - 1  # noted at the pixel on the left of the upper one
         bit = np.select(
             [apart == 1, apart == width, rising], [kernels.RIGHT, kernels.DOWN, kernels.RISING],
@@ -309,7 +325,9 @@ def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Plac
         )  # fmt: skip
         return np.asarray(measured[p] & measured[q] & (bits[first - rising] & bit != 0))
 
-    xy, yz, zx = meets(x, y), meets(y, z), meets(z, x)
+    xy = meets(x, y)
+    yz = meets(y, z)
+    zx = meets(z, x)
     alone = measured[x] & ~xy & ~zx
     # An edge of the grid that ends the surface: the rim takes the same edge, vertex for vertex,
     # and nothing overlaps, so that no ray finds a crack and no shadow ray hits a double.
@@ -329,7 +347,8 @@ def _on_tangent_planes(
 ) -> npt.NDArray[np.float32]:
     """(N, 3) float32 points at (2, N) rows and columns, on the tangent planes of `owner` (N,)."""
     point_m = surface.points_m.reshape(-1, 3)[owner].astype(np.float64)
-    normal, camera = surface.normals.reshape(-1, 3)[owner], surface.intrinsics
+    normal = surface.normals.reshape(-1, 3)[owner]
+    camera = surface.intrinsics
     ray = np.ones((len(owner), 3))
     ray[:, 0] = (places[1] - camera.cx) / camera.fx
     ray[:, 1] = (places[0] - camera.cy) / camera.fy

@@ -49,7 +49,8 @@ class Steps(NamedTuple):
     step: float
 
 
-DEPTH, RADIANCE = Steps(1e-3, 2e-4), Steps(1e-9, 5e-4)
+DEPTH = Steps(1e-3, 2e-4)
+RADIANCE = Steps(1e-9, 5e-4)
 _PRECISION = {"depth_step": DEPTH.step, "radiance_step": RADIANCE.step, "block": 1, "codec": "zstd"}
 
 
@@ -138,7 +139,8 @@ def decode(content: bytes) -> View:
         pixels = height * width
         if not (height >= 1 <= width and pixels <= MOST_PIXELS):
             raise ValueError(f"a picture of {pixels} pixels; at most {MOST_PIXELS} go")
-        parts, start = [], start + length
+        parts = []
+        start = start + length
         sizes = [2 * pixels, 2 * pixels, *([pixels, 2 * pixels] if head["labelled"] else [])]
         for packed, size in zip(head["parts"], sizes, strict=True):
             parts.append(_decompressed(content[start : start + packed], size))
@@ -219,8 +221,10 @@ def rounded(values: npt.NDArray[np.float32], steps: Steps) -> tuple[Codes, npt.N
     from . import kernels  # loads numba
 
     values = np.ascontiguousarray(values)
-    codes, looked_up = np.empty(values.shape, np.uint16), np.empty(values.shape, np.float32)
-    first, width = np.float32(math.log(steps.low) - steps.step), np.float32(steps.step)
+    codes = np.empty(values.shape, np.uint16)
+    looked_up = np.empty(values.shape, np.float32)
+    first = np.float32(math.log(steps.low) - steps.step)
+    width = np.float32(steps.step)
     levels = np.empty((32, values.shape[1]), np.float32)
     # A few rows at a time stay in the processor's cache.
     for start in range(0, len(values), len(levels)):

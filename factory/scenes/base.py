@@ -173,7 +173,8 @@ def text_lines(path: Path) -> list[tuple[int, str]]:
 
 def numbers_in(path: Path, numbered_line: tuple[int, str], names: Iterable[str]) -> list[float]:
     """The finite numbers of a line, one for each name.  Raises FactoryError that names the line."""
-    (number, line), expected = numbered_line, list(names)
+    number, line = numbered_line
+    expected = list(names)
     try:
         found = [float(word) for word in line.replace(",", " ").split()]
     except ValueError:

@@ -174,7 +174,8 @@ def _named(folder: Path, rows: list[tuple[str, str, str]]) -> list[FrameRef]:
             name = _dashed(rgb)
         if paths[scene, name] > 1 and stems[scene, Path(rgb).stem] > 1:
             name = f"{_dashed(rgb, keep_suffix=True)}-{_dashed(depth)}"
-        unique, number = name, 2
+        unique = name
+        number = 2
         while (scene, unique) in frames:
             unique = f"{name}-{number}"
             number += 1

@@ -69,11 +69,13 @@ class FlseaReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        given, asked = f"scenes.root={self.settings.root}", self.settings.scenes or tuple(SCENES)
+        given = f"scenes.root={self.settings.root}"
+        asked = self.settings.scenes or tuple(SCENES)
         root = os.path.abspath(Path(self.settings.root).expanduser())
         if not os.path.isdir(root):
             raise FactoryError(f"{given}: no such folder; set scenes.root to {_EXPECTED}")
-        there, skipped = _scene_folders(Path(root)), Counter[str]()
+        there = _scene_folders(Path(root))
+        skipped = Counter[str]()
         folders = {scene: there[scene] for scene in SCENES if scene in asked and scene in there}
         frames = [ref for item in folders.items() for ref in _frames(*item, skipped)]
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
@@ -89,14 +91,16 @@ class FlseaReader:
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth = map(Path, ref.paths)
-        rgb, depth_m = read_rgb(image), read_depth(depth)
+        rgb = read_rgb(image)
+        depth_m = read_depth(depth)
         lens = _scaled(BUILT_IN[ref.location], rgb.shape[1], rgb.shape[0])
         return read_frame(ref, rgb, depth_m, lens, self.settings.bad_depth)
 
 
 def _scaled(lens: Intrinsics, width: int, height: int) -> Intrinsics:
     """The lens for images of another size: pixel centres are at whole numbers."""
-    x, y = width / CALIBRATED_SIZE[0], height / CALIBRATED_SIZE[1]
+    x = width / CALIBRATED_SIZE[0]
+    y = height / CALIBRATED_SIZE[1]
     if (x, y) == (1.0, 1.0):
         return lens
     centre = (lens.cx + 0.5) * x - 0.5, (lens.cy + 0.5) * y - 0.5
@@ -115,7 +119,9 @@ def _scene_folders(root: Path) -> dict[str, Path]:
 
 def _frames(scene: str, folder: Path, skipped: Counter[str]) -> list[FrameRef]:
     """The scene's images that have a depth map, by time stamp; the others are counted."""
-    depths, images, frames = set(_visible_files(folder / "depth")), dict[str, str](), []
+    depths = set(_visible_files(folder / "depth"))
+    images = dict[str, str]()
+    frames = []
     for name in _visible_files(folder / "imgs"):
         stem, suffix = os.path.splitext(name)
         if suffix.lower() in _IMAGE_SUFFIXES:

@@ -50,10 +50,12 @@ def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
     ValueError for what is no JSON object.
     """
     content = path.read_bytes()
-    text, chunk = content, b""
+    text = content
+    chunk = b""
     if content[:4] == b"glTF":
         end = 20 + int.from_bytes(content[12:16], "little")
-        text, chunk = content[20:end], content[end + 8 :]
+        text = content[20:end]
+        chunk = content[end + 8 :]
     values = text.count(b",") + text.count(b"{") + text.count(b"[")
     if values > _MOST_VALUES:
         raise FactoryError(f"its JSON has {values:,} values; at most {_MOST_VALUES:,} are read")

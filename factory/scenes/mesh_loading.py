@@ -140,7 +140,9 @@ def _is_inside_out(solid: Mesh) -> bool:
     """Whether it is closed and its faces look inwards; light comes from outside."""
     corners = solid.vertices.astype(np.float64)[solid.triangles]
     corners -= corners.mean(axis=(0, 1))
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    a = corners[:, 0]
+    b = corners[:, 1]
+    c = corners[:, 2]
     outward = np.cross(b - a, c - a)
     # The areas of a closed surface, as vectors, add up to nothing.
     area = np.linalg.norm(outward, axis=1).sum()
@@ -157,7 +159,8 @@ def _read(path: Path, suffix: str, folder: Path) -> Loaded:
     if suffix in (".ply", ".stl"):
         return Loaded([_read_single(open3d.io, path)], np.zeros(3))
     if suffix == ".blend":
-        source, path = path, folder / "scene.glb"
+        source = path
+        path = folder / "scene.glb"
         export_blend(source, path)
     return _read_gltf(open3d.io, path, folder)
 

@@ -44,7 +44,11 @@ def paint(
 
 def _quartered(triangles: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """(4 T, 3, N): each of the (T, 3, N) triangles cut at the middles of its sides."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    a = triangles[:, 0]
+    b = triangles[:, 1]
+    c = triangles[:, 2]
+    ab = (a + b) / 2
+    bc = (b + c) / 2
+    ca = (c + a) / 2
     pieces = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     return np.concatenate([np.stack(piece, axis=1) for piece in pieces])

@@ -131,7 +131,9 @@ def publishing(
     if url is None:
         yield None
         return
-    store, ended, token = Store(url), threading.Event(), secrets.token_hex(16)
+    store = Store(url)
+    ended = threading.Event()
+    token = secrets.token_hex(16)
     one = Publication(Path(os.path.abspath(folder)), store, _name(part), token, apart)
 
     def beat() -> None:

@@ -43,8 +43,11 @@ class Loop:
     """
 
     def __init__(self, job: Job, results: Results, progress: ProgressBar, backend: Backend) -> None:
-        self._job, self._recipe = job, job.recipe
-        self._results, self._progress, self._backend = results, progress, backend
+        self._job = job
+        self._recipe = job.recipe
+        self._results = results
+        self._progress = progress
+        self._backend = backend
         self._ready: deque[ShardAttempt] = deque()
         self._running: dict[Future[Any], tuple[_Work, _Told]] = {}
         self._deaths: Counter[tuple[_Work, int | None]] = Counter()
@@ -82,11 +85,13 @@ class Loop:
     def _submit_what_fits(self) -> None:
         limit_s = self._job.scheduler.frame_timeout_s
         while self._ready and self._free(NOISE):
-            shard, told = self._ready.popleft(), _Told(maxlen=1)
+            shard = self._ready.popleft()
+            told = _Told(maxlen=1)
             task = Task(make_shard, shard, NOISE, limit_s, told.append)
             self._running[self._backend.submit(task)] = shard, told
         while self._preparing and self._free(RENDER):
-            ref, told = self._preparing.popleft(), _Told(maxlen=1)
+            ref = self._preparing.popleft()
+            told = _Told(maxlen=1)
             task = Task(prepare_frame, (ref, self._recipe), RENDER, limit_s, told.append)
             self._running[self._backend.submit(task)] = ref, told
 
@@ -112,11 +117,14 @@ class Loop:
         reason = str(error)
         if isinstance(error, TimeoutError):
             limit_s = self._job.scheduler.frame_timeout_s
-            kind, reason = "timeout", f"took longer than scheduler.frame_timeout_s={limit_s:g}"
+            kind = "timeout"
+            reason = f"took longer than scheduler.frame_timeout_s={limit_s:g}"
         if isinstance(work, FrameRef):
-            refs, path = [work], ""
+            refs = [work]
+            path = ""
         else:
-            refs, path = [ref for ref, _ in work.task.items], work.task.path
+            refs = [ref for ref, _ in work.task.items]
+            path = work.task.path
         failures: dict[str, Failure] = {}
         if told:
             in_hand = told[-1][0]

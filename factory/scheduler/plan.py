@@ -140,7 +140,8 @@ def plan_shards(
     """
     tasks: list[ShardTask] = []
     for split in SPLITS:
-        refs, limit = refs_by_split.get(split, ()), (limits or {}).get(split)
+        refs = refs_by_split.get(split, ())
+        limit = (limits or {}).get(split)
         samples = len(refs) * variants
         samples = samples if limit is None else min(limit, samples)
         frames = -(-samples // variants)

@@ -35,12 +35,19 @@ class ProgressBar:
     def __init__(self, job: Job, total: int, settled: int) -> None:
         """total: planned samples.  settled: of them, those that need no work from the first."""
         self.frames = {"total": 0, "rendered": 0, "from_cache": 0, "failed": 0}
-        self.settled, self.lost, self.lost_frames = settled, 0, 0
+        self.settled = settled
+        self.lost = 0
+        self.lost_frames = 0
         part = f".{job.shard.part}." if job.shard.part else "."
         self._path = job.directory / STATUS_NAME.replace(".", part)
-        self._total, self._first, self._pairs, self._failed = total, settled, settled, 0
-        self._begun, self._written = time.monotonic(), 0.0
-        self._lines, self._shown = Lines(), ""
+        self._total = total
+        self._first = settled
+        self._pairs = settled
+        self._failed = 0
+        self._begun = time.monotonic()
+        self._written = 0.0
+        self._lines = Lines()
+        self._shown = ""
         self._reporter = job.reporter
         self._bar: tqdm[Any] | None = None
         if self._reporter.progress is None and sys.stderr.isatty():

@@ -50,7 +50,8 @@ class Results:
 
     def __init__(self, job: Job, manifest: Manifest) -> None:
         """Compare plan, results and disk; say which shards are damaged."""
-        self._job, self._manifest = job, manifest
+        self._job = job
+        self._manifest = manifest
         tasks = {task.path: task for task in job.own_tasks}
         there = [info for path, info in manifest.shards.items() if path in tasks]
         with ThreadPoolExecutor() as pool:

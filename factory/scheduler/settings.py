@@ -14,9 +14,11 @@ MAX_AUTO_WORKERS = 48
 # The rest is for the system's file cache and for other programs.
 _MEMORY_SHARE = 0.8
 # Measured of one that adds noise, and of one that holds Blender and a scene.
-WORKER_GB, RENDERER_GB = 0.3, 1.0
+WORKER_GB = 0.3
+RENDERER_GB = 1.0
 
-RENDER, NOISE = "render", "noise"
+RENDER = "render"
+NOISE = "noise"
 
 
 class Crew(NamedTuple):
@@ -80,7 +82,8 @@ class SchedulerSettings:
 
         Raises FactoryError when the limits of this process allow none.
         """
-        memory_gb, cores = available_memory_bytes() / 1e9 * _MEMORY_SHARE, usable_cores()
+        memory_gb = available_memory_bytes() / 1e9 * _MEMORY_SHARE
+        cores = usable_cores()
         total = max(1, min(cores, int(memory_gb / WORKER_GB), MAX_AUTO_WORKERS))
         total = min(total if self.workers == "auto" else self.workers, max(shards, frames))
         if self.backend == "local":

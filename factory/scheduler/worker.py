@@ -98,18 +98,23 @@ class _Shard:
     """Goes through the frames of one attempt and tells of each."""
 
     def __init__(self, attempt: ShardAttempt, recipe: Recipe) -> None:
-        self._attempt, self._task, self._recipe = attempt, attempt.task, recipe
+        self._attempt = attempt
+        self._task = attempt.task
+        self._recipe = recipe
         self._source: PairSource = _build(recipe.source, recipe)
         self._source.expect(attempt.keys)
         self._keys = dict(attempt.keys)
-        self._axes, self._columns = self._source.axes(), self._source.columns()
+        self._axes = self._source.axes()
+        self._columns = self._source.columns()
         self._samples = 0
         self._failures: list[Failure] = []
 
     def result(self) -> ShardResult:
         """Write the shard, or say why it is not to be written."""
-        task, recipe = self._task, self._recipe
-        todo, asked = enumerate(task.items), self._attempt.lacking
+        task = self._task
+        recipe = self._recipe
+        todo = enumerate(task.items)
+        asked = self._attempt.lacking
         lacking = [item for item in todo if item[1][0].name in asked]
         failures = [failure for item in lacking if (failure := self._made(*item)[1])]
         if lacking and len(failures) == len(lacking):

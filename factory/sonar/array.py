@@ -245,7 +245,10 @@ class WaterSettings:
         sulphate and the water itself, each a relaxation with a strength, a pressure factor and a
         frequency.
         """
-        t, s, d, f2 = self.temperature_c, self.salinity_psu, self.depth_m, frequency_khz**2
+        t = self.temperature_c
+        s = self.salinity_psu
+        d = self.depth_m
+        f2 = frequency_khz**2
         speed = self.sound_speed_m_s()
 
         boric = 8.86 / speed * 10 ** (0.78 * self.ph - 5)

@@ -90,7 +90,8 @@ def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
     row = np.clip(row, 0, sonar.range_bins - 1)
     row0 = np.minimum(row.astype(np.int32), sonar.range_bins - 2)
     beam0 = np.minimum(beam.astype(np.int32), sonar.beams - 2)
-    pixels, corner = np.flatnonzero(inside), row0 * sonar.beams + beam0
+    pixels = np.flatnonzero(inside)
+    corner = row0 * sonar.beams + beam0
     between = (row - row0).astype(np.float32), (beam - beam0).astype(np.float32)
     places = pixels.astype(np.int32), corner.astype(np.int32), *between
     return FanTable(*places, inside, sonar.beams)
@@ -112,11 +113,13 @@ def rasterised(
 
     Returns (H, W) float32 in 0..1, rounded to 8 bits.  noisy: whether JPEG leaves its traces.
     """
-    image, (height, width) = sonar.image, sonar.shape()
+    image = sonar.image
+    height, width = sonar.shape()
     found = grey
     if image.layout == "fan":
         factor = max(min(image.enlarged, _LARGEST_PX / max(height, width)), 1.0)
-        rows, columns = round(height * factor), round(width * factor)
+        rows = round(height * factor)
+        columns = round(width * factor)
         large = replace(sonar, image=replace(image, height_px=rows, width_px=columns))
         table = fan_table(large, window.near_fraction)
         found = table.nearest(grey) if image.sampling == "nearest" else table.bilinear(grey)

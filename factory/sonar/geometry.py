@@ -74,7 +74,8 @@ class FanGeometry:
 
         azimuth_min_rad, azimuth_max_rad: the part of the sector that the camera saw.
         """
-        half, image = math.radians(sonar.hfov_deg) / 2, sonar.image
+        half = math.radians(sonar.hfov_deg) / 2
+        image = sonar.image
         near_fraction = range_min_m / range_max_m
         seen = max(azimuth_min_rad, -half), min(azimuth_max_rad, half)
         given = (image.layout, near_fraction, 2 * half, *seen, range_min_m, range_max_m)
@@ -118,7 +119,9 @@ class FanGeometry:
 
         `with_size` says how many rows and columns there are.
         """
-        near, far, half = range_min_m, range_max_m, sector_rad / 2
+        near = range_min_m
+        far = range_max_m
+        half = sector_rad / 2
         near_fraction = 0.0 if near is None or far is None else near / far
         return cls("polar", near_fraction, sector_rad, -half, half, near, far)
 
@@ -147,7 +150,8 @@ class FanGeometry:
     def turned(self, rows: int, columns: int) -> FanGeometry:
         """The geometry after `quarter_turns` of a picture of this size: far range on top."""
         x, y = self.apex_x_px, self.apex_y_px
-        last_row, last_column = rows - 1, columns - 1
+        last_row = rows - 1
+        last_column = columns - 1
         apex = ((x, y), (y, last_column - x), (last_column - x, last_row - y), (last_row - y, x))
         apex_x_px, apex_y_px = apex[self.quarter_turns % 4]
         return replace(self, apex_x_px=apex_x_px, apex_y_px=apex_y_px, quarter_turns=0)

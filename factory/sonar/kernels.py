@@ -62,13 +62,23 @@ def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -
     depths_m, _, _, across, downs, rotation, position_m = pixels
     depth_m = depths_m[row]
     down = downs[row]
-    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    x0, y0, z0 = position_m[0], position_m[1], position_m[2]
+    r00 = rotation[0, 0]
+    r01 = rotation[0, 1]
+    r02 = rotation[0, 2]
+    r10 = rotation[1, 0]
+    r11 = rotation[1, 1]
+    r12 = rotation[1, 2]
+    r20 = rotation[2, 0]
+    r21 = rotation[2, 1]
+    r22 = rotation[2, 2]
+    x0 = position_m[0]
+    y0 = position_m[1]
+    z0 = position_m[2]
     for column in range(len(depth_m)):
         z = depth_m[column]
-        a, b, c = across[column] * z - x0, down * z - y0, z - z0
+        a = across[column] * z - x0
+        b = down * z - y0
+        c = z - z0
         forward = r00 * a + r01 * b + r02 * c
         left = r10 * a + r11 * b + r12 * c
         above = r20 * a + r21 * b + r22 * c
@@ -87,16 +97,23 @@ def survey(
 
     Returns their number and the smallest and largest azimuth within, lit or not.
     """
-    radiance, surface = pixels[1], pixels[2]
+    radiance = pixels[1]
+    surface = pixels[2]
     height, width = surface.shape
-    away, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
-    lit, least, most = np.uint64(0), _F(np.inf), _F(-np.inf)
-    inside, kept = np.empty(width, np.bool_), np.empty(width, np.uint8)
+    away = np.empty(width, _F)
+    right = np.empty(width, _F)
+    up = np.empty(width, _F)
+    lit = np.uint64(0)
+    least = _F(np.inf)
+    most = _F(-np.inf)
+    inside = np.empty(width, np.bool_)
+    kept = np.empty(width, np.uint8)
     for row in range(height):
         _project(pixels, row, away, right, up)
         for column in range(width):
             away[column] = _distance(away[column], up[column], top_view)
-        there, light = surface[row], radiance[row]
+        there = surface[row]
+        light = radiance[row]
         for column in range(width):
             within = (
                 there[column]
@@ -105,7 +122,8 @@ def survey(
                 & (np.abs(right[column]) <= half_hfov_rad)
                 & (np.abs(up[column]) <= half_vfov_rad)
             )
-            inside[column], kept[column] = within, within & (light[column] > _ZERO)
+            inside[column] = within
+            kept[column] = within & (light[column] > _ZERO)
         for column in range(width):
             azimuth = right[column]
             least = azimuth if inside[column] & (azimuth < least) else least
@@ -130,14 +148,20 @@ def insonified(
     echoes: range, azimuth, elevation, strength = radiance * range ** gain_power.  hit: set for the
     bins where an echo falls.
     """
-    (range_m, azimuth_rad, elevation_rad, strength), columns = echoes, grid[6]
-    radiance, surface = pixels[1], pixels[2]
+    range_m, azimuth_rad, elevation_rad, strength = echoes
+    columns = grid[6]
+    radiance = pixels[1]
+    surface = pixels[2]
     height, width = surface.shape
     nowhere = len(hit) - 1
-    slant, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
-    level, bins = np.empty(width, _F), np.empty(width, np.int32)
+    slant = np.empty(width, _F)
+    right = np.empty(width, _F)
+    up = np.empty(width, _F)
+    level = np.empty(width, _F)
+    bins = np.empty(width, np.int32)
     # Without a sign, as below: else every access asks whether it is negative.
-    tabled, count = len(edges_rad) > 0, np.uint64(0)
+    tabled = len(edges_rad) > 0
+    count = np.uint64(0)
     kept = np.empty(width, np.uint8)
     for row in range(height):
         _project(pixels, row, slant, right, up)
@@ -151,7 +175,8 @@ def insonified(
         elif gain_power:
             for column in range(width):
                 level[column] *= _F(float(slant[column]) ** gain_power)
-        there, light = surface[row], radiance[row]
+        there = surface[row]
+        light = radiance[row]
         for column in range(width):
             lit = (
                 there[column]
@@ -235,7 +260,8 @@ def _add(values: Any, weight: Any, total: Any) -> None:
 def blur(level: Any, down: Any, across: Any, blurred: Any) -> None:
     """Correlate with two odd kernels, along rows and columns; nothing lies outside."""
     rows, columns = level.shape
-    reach, side = len(down) // 2, len(across) // 2
+    reach = len(down) // 2
+    side = len(across) // 2
     wide = np.zeros(columns + 2 * side, _F)
     line = wide[side : side + columns]
     for row in range(rows):
@@ -250,10 +276,13 @@ def blur(level: Any, down: Any, across: Any, blurred: Any) -> None:
 @compiled(f"void({_PICTURE}, {_PLACES}, {_PLACES}, {FLOATS}, {FLOATS}, {_OUT})")
 def bilinear(polar: Any, pixel: Any, corner: Any, down: Any, across: Any, fan: Any) -> None:
     """fan[pixel] = the four bins from `corner` on, mixed by the fractions down and across."""
-    flat, columns = polar.ravel(), polar.shape[1]
+    flat = polar.ravel()
+    columns = polar.shape[1]
     one = _F(1)
     for at in range(len(pixel)):
-        bin_, u, v = corner[at], down[at], across[at]
+        bin_ = corner[at]
+        u = down[at]
+        v = across[at]
         near = flat[bin_] * (one - v) + flat[bin_ + 1] * v
         far = flat[bin_ + columns] * (one - v) + flat[bin_ + columns + 1] * v
         fan[pixel[at]] = near * (one - u) + far * u

@@ -71,11 +71,13 @@ def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
     """What the window of a picture is fitted to."""
     from . import kernels  # loads numba
 
-    lit_m, limits = np.empty(frame.depth_m.size + 1, np.float32), sonar.range
+    lit_m = np.empty(frame.depth_m.size + 1, np.float32)
+    limits = sonar.range
     half_hfov, half_vfov, near_m, far_m = map(
         np.float32, (*np.deg2rad([sonar.hfov_deg, sonar.vfov_deg]) / 2, limits.min_m, limits.max_m)
     )
-    pixels, top_view = _pixels(frame, rendered, sonar), sonar.projection == "top_view"
+    pixels = _pixels(frame, rendered, sonar)
+    top_view = sonar.projection == "top_view"
     lit, *edges_rad = kernels.survey(pixels, half_hfov, half_vfov, top_view, near_m, far_m, lit_m)
     return Extent(lit_m[: int(lit)], *edges_rad)
 

@@ -88,7 +88,8 @@ def fit_window(surface: Extent, sonar: SonarSettings) -> Window:
             "no echo inside the sonar's sector; check sonar.hfov_deg, sonar.vfov_deg, sonar.mount "
             "and sonar.range"
         )
-    near, far = sonar.range.min_m, sonar.range.max_m
+    near = sonar.range.min_m
+    far = sonar.range.max_m
     if sonar.range.auto:
         low, high = quantiles(surface.lit_m, _QUANTILES)
         far = min(far, high * 1.05)

@@ -111,7 +111,9 @@ def configured(config: Config, device: Device, *, any_size: bool) -> Config:
 
     any_size: whether pictures may differ in size and layout; else they keep `sonar.image`.
     """
-    drawn, sonar, image = device.values, config.sonar, config.sonar.image
+    drawn = device.values
+    sonar = config.sonar
+    image = config.sonar.image
     points = device.formation == "pointwise"
     height = round(drawn["height_px"]) if any_size else image.height_px
     polar = any_size and drawn["polar_share"] and not points
@@ -177,7 +179,9 @@ def resolved(config: Config, device: Device, window: Window, *, any_size: bool) 
     """The same, with what the device resolves in its window, and a fan as wide as its sector."""
     if device.formation == "pointwise":
         return config
-    drawn, sonar, image = device.values, config.sonar, config.sonar.image
+    drawn = device.values
+    sonar = config.sonar
+    image = config.sonar.image
     resolution_m = window.range_span_m / sonar.range_bins * drawn["resolution_bins"]
     bandwidth_khz = float(np.clip(_SOUND_SPEED_M_S / (2000 * resolution_m), 1, 2000))
     width_deg = sonar.hfov_deg / sonar.beams * drawn["beamwidth_beams"]
@@ -204,7 +208,8 @@ def fitted(config: Config, device: Device, scene: PointwiseScene | CoherentScene
 
 def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
     """The paper's pictures: the view from above, a bin and a beam for each pixel."""
-    image, hfov_deg = sonar.image, max(sonar.hfov_deg, _POINTS_HFOV_DEG)
+    image = sonar.image
+    hfov_deg = max(sonar.hfov_deg, _POINTS_HFOV_DEG)
     if any_size:
         side = min(image.height_px, _LARGEST_POINTS_PX)
         image = replace(image, layout="fan", height_px=side, width_px=side)
@@ -222,7 +227,8 @@ def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
         # Decibels of an energy: half as many as of an amplitude.
         return replace(transfer, dynamic_range_db=range_db / 2)
     if drawn["log_share"]:
-        soft, reference = bool(drawn["soft_share"]), drawn["log_reference"]
+        soft = bool(drawn["soft_share"])
+        reference = drawn["log_reference"]
         black = min(drawn["black"], _DARKEST * reference) if soft else 0.0
         transfer = replace(transfer, kind="soft_log" if soft else "log", black=black)
         return replace(transfer, percentile=50.0, reference=reference, dynamic_range_db=range_db)
@@ -232,7 +238,8 @@ def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
 
 def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
     """The effects of the device's formation that are on in this picture."""
-    points, drawn = device.formation == "pointwise", device.values
+    points = device.formation == "pointwise"
+    drawn = device.values
     changed: dict[str, EffectSettings] = {}
     for name, block in blocks(noise).items():
         effect = EFFECTS[name]

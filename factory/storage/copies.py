@@ -32,7 +32,9 @@ _SMALL = re.compile(
     r"|(train|test)/shard-\d+\.json"
 )
 _MOST_SMALL_BYTES = 1 << 28
-_FOLDER, _LIMIT, _KEPT_BYTES = "SIMNFND_CLOUD_CACHE", "SIMNFND_CLOUD_CACHE_BYTES", 10_000_000_000
+_FOLDER = "SIMNFND_CLOUD_CACHE"
+_LIMIT = "SIMNFND_CLOUD_CACHE_BYTES"
+_KEPT_BYTES = 10_000_000_000
 
 
 def is_url(name: object) -> bool:

@@ -51,7 +51,10 @@ class Crops(Dataset[Batch]):
     def __init__(
         self, source: Source, data: DataSettings, seed: int, extras: Sequence[str] = ()
     ) -> None:
-        self.source, self.data, self.seed, self.extras = source, data, seed, tuple(extras)
+        self.source = source
+        self.data = data
+        self.seed = seed
+        self.extras = tuple(extras)
 
     def __getitem__(self, visit: Visit) -> Batch:
         sample = self.source.sample(visit.image, visit.round)
@@ -80,12 +83,14 @@ def crop(
     extras: Sequence[str] = (),
 ) -> Batch:
     """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not."""
-    (top, left), (height, width) = corner, shape
+    top, left = corner
+    height, width = shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
     planes = {"noisy": sample.noisy, "clean": sample.clean}
     # Crops of a batch have the same planes.
-    shadow, frames = sample.shadow, sample.frames
+    shadow = sample.shadow
+    frames = sample.frames
     planes["shadow"] = np.full_like(sample.noisy, np.nan) if shadow is None else shadow
     if "frames" in extras:
         planes["frames"] = np.zeros_like(sample.noisy) if frames is None else frames

@@ -58,7 +58,8 @@ def _fan(row: Mapping[str, str]) -> FanGeometry:
     squeeze = float(row.get("squeeze") or _MDD_SQUEEZE.get(row.get("config", ""), 1.0))
     half = math.atan(float(row["edge_slope"]) / squeeze)
     apex_y = float(row["apex_y"])
-    far, near = apex_y - float(row["top_row"]), apex_y - float(row["bottom_row"])
+    far = apex_y - float(row["top_row"])
+    near = apex_y - float(row["bottom_row"])
     if not far > near >= 0:
         raise ValueError(
             f"{row['file']}: apex_y must not lie above bottom_row, and that must lie below top_row"

@@ -92,8 +92,10 @@ class OldDataSource(Source):
         self, samples: tuple[SampleRef, ...], data: OldData, noise: NoiseSettings, seed: int
     ) -> None:
         """Raises FactoryError when an image is not in the table `data.geometry`."""
-        self.images, self.noise = samples, noise
-        self.weaker, self.seed = data.weaker, seed
+        self.images = samples
+        self.noise = noise
+        self.weaker = data.weaker
+        self.seed = seed
         self.fans = {} if data.geometry == "polar" else read_fans(data.geometry)
         pictures = (one for one in samples if self.fans and not is_recording(one.path))
         unknown = [one.frame for one in pictures if one.frame not in self.fans]

@@ -159,7 +159,8 @@ def _order(seed: int, round_: int, frames: int) -> npt.NDArray[np.int64]:
 def _place_among_ranks(rank: int | None, ranks: int | None) -> tuple[int, int]:
     distributed = torch.distributed
     if rank is None and distributed.is_available() and distributed.is_initialized():
-        rank, ranks = distributed.get_rank(), distributed.get_world_size()
+        rank = distributed.get_rank()
+        ranks = distributed.get_world_size()
     elif rank is None:
         rank = int(os.environ.get("RANK", "0"))
         ranks = int(os.environ.get("WORLD_SIZE", "1"))

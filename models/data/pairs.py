@@ -119,7 +119,8 @@ def read_table(dataset: str | Path, split: Split) -> PairTable:
     """List the pairs of a split.  FactoryError: no dataset, another schema, mixed image sizes."""
     with PairDataset(dataset, split) as pairs:
         # The first shard is open for these, and need not be fetched again for its table.
-        shape, sonar = pairs.shape, recorded_sonar(pairs.form.config)
+        shape = pairs.shape
+        sonar = recorded_sonar(pairs.form.config)
         samples = tuple(
             SampleRef(
                 *pairs.place(index),
@@ -183,7 +184,10 @@ class PairSource(Source):
         weaker: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.images, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
+        self.images = tuple(samples)
+        self.sonar = sonar
+        self.weaker = weaker
+        self.seed = seed
         if url_of(samples[0].path.parent.parent) is not None:
             self.places = [sample.path for sample in samples]
         self._open = OpenShards()
@@ -192,7 +196,8 @@ class PairSource(Source):
         """See `Source`."""
         ref = self.images[index]
         stored = self._open.read(ref.path, ("noisy", "clean", "shadow"), ref.row)
-        noisy, clean = in_unit_range(stored[0]), in_unit_range(stored[1])
+        noisy = in_unit_range(stored[0])
+        clean = in_unit_range(stored[1])
         if visit is not None:
             strength = weakened(self.weaker, self.seed, index, visit)
             if strength < 1:

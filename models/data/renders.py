@@ -47,8 +47,10 @@ class RenderedSource(Source):
         self, config: FactoryConfig, frames: tuple[FrameRef, ...], data: RenderedData, seed: int
     ) -> None:
         """config: how pairs are made.  frames: whose renders are at hand."""
-        self.config, self.images = replace(config, seed=seed), frames
-        self.data, self.seed = data, seed
+        self.config = replace(config, seed=seed)
+        self.images = frames
+        self.data = data
+        self.seed = seed
 
 
 class RenderSource(RenderedSource):
@@ -67,9 +69,12 @@ class RenderSource(RenderedSource):
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        scale, number, noise = 1.0, 0, None
+        scale = 1.0
+        number = 0
+        noise = None
         if visit is not None:
-            scale, number = self.scale_of(index, visit), visit
+            scale = self.scale_of(index, visit)
+            number = visit
             noise = self.noise_of(index, visit)
         maker = self._makers[scale]
         try:

@@ -81,7 +81,9 @@ class SequenceSource(Source):
         self, folder: Path, windows: tuple[WindowRef, ...], data: SequencesData, seed: int
     ) -> None:
         """folder: of a dataset with the layer `static`."""
-        self.images, self.data, self.seed = windows, data, seed
+        self.images = windows
+        self.data = data
+        self.seed = seed
         self._pairs = PairDataset(folder, "train", layers=_LAYERS, scaled=True, trusted=True)
         self._sonar = recorded_sonar(self._pairs.form.config)
         self._standing = lru_cache(maxsize=_HELD_RECORDINGS)(self._standing_scene)
@@ -118,7 +120,8 @@ class SequenceSource(Source):
         rng = stream(self.seed, "sequences", index, visit)
         found = []
         for _ in range(self.data.crops):
-            top, left = int(rng.integers(height - side + 1)), int(rng.integers(width - side + 1))
+            top = int(rng.integers(height - side + 1))
+            left = int(rng.integers(width - side + 1))
             if rng.random() < self.data.targets:
                 top, left = _around_target(window, side, rng, (top, left))
             found.append(window.cropped(top, left, side))

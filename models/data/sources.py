@@ -37,7 +37,8 @@ def open_data(settings: ModelsSettings) -> Data:
 
     Raises FactoryError: nothing there, another schema, images smaller than a patch, one frame only.
     """
-    data, seed = settings.data, settings.seed
+    data = settings.data
+    seed = settings.seed
     if isinstance(data, OldData):
         return _of_images(data, seed)
     folder = local_folder(_dataset_folder(settings))

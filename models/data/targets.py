@@ -18,11 +18,13 @@ import numpy.typing as npt
 from .pairs import Image, Sample
 
 _AREA_PX = 56 * 56  # of an image for each target
-_SEMI_MINOR_PX, _ELONGATION = (1.3, 5.0), (1.0, 4.0)
+_SEMI_MINOR_PX = (1.3, 5.0)
+_ELONGATION = (1.0, 4.0)
 _CONTRAST = (1.0, 6.0)  # standard deviations of the grain of a single frame
 _DARK_SHARE = 0.15  # of the targets that are darker than what is around them
 _SOFTNESS = (1.0, 3.0)  # exponent of the profile: a Gaussian, to nearly a flat top
-_GRAIN_SIGMA_PX, _AROUND_SIGMA_PX = 3.0, 8.0
+_GRAIN_SIGMA_PX = 3.0
+_AROUND_SIGMA_PX = 8.0
 _BLACK = 0.01  # grey value around a target that no echo reaches
 
 
@@ -86,12 +88,15 @@ def _profiles(targets: Sequence[Target], shape: tuple[int, ...]) -> Image:
     total = np.zeros(shape, np.float32)
     for target in targets:
         reach = int(2.5 * target.semi_major_px) + 2
-        top, left = max(0, int(target.row) - reach), max(0, int(target.column) - reach)
+        top = max(0, int(target.row) - reach)
+        left = max(0, int(target.column) - reach)
         bottom = min(height, int(target.row) + reach + 1)
         right = min(width, int(target.column) + reach + 1)
         rows, columns = np.mgrid[top:bottom, left:right]
-        down, across = rows - target.row, columns - target.column
-        cosine, sine = np.cos(target.angle_rad), np.sin(target.angle_rad)
+        down = rows - target.row
+        across = columns - target.column
+        cosine = np.cos(target.angle_rad)
+        sine = np.sin(target.angle_rad)
         major = (across * cosine + down * sine) / target.semi_major_px
         minor = (down * cosine - across * sine) / target.semi_minor_px
         profile = np.exp(-((major**2 + minor**2) ** target.softness))

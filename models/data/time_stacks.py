@@ -32,13 +32,16 @@ _MOST = 7  # frames that are averaged, at most; of short recordings half of them
 _MOVED = 0.045  # difference of smoothed means that says that something moved
 _SINGLE = 0.4  # part of the visits of a recording that show a single frame
 _UNEVEN = 0.45  # part of the means with uneven weights
-_OFF, _OFF_PX = 0.25, 0.5  # part of the means with frames that lie beside, and by how much
+_OFF = 0.25  # part of the means that contain misaligned frames
+_OFF_PX = 0.5  # standard deviation of their misalignment
 _TAUGHT = 0.5  # of the target of a recording's single frame, what a teacher makes of it
 _AS_RECORDED = 0.4  # part of the visits of a recording that are not shown at another size and gain
-_SCALES, _GAINS = (0.55, 1.15), (0.5, 1.3)
+_SCALES = (0.55, 1.15)
+_GAINS = (0.5, 1.3)
 _LOUD = 0.12  # part of the pictures that get a loud beam
 # Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight.
-_FEWEST, _FULL = 0.15, 0.7
+_FEWEST = 0.15
+_FULL = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +80,8 @@ class Stack:
 
     def _target(self, members: Sequence[int]) -> Image:
         """The mean of frames around the members, NaN where something moved."""
-        near, far = members[0] - _AROUND, members[-1] + _AROUND + 1
+        near = members[0] - _AROUND
+        far = members[-1] + _AROUND + 1
         inside = [i for i in range(max(0, near), min(len(self.frames), far)) if i not in members]
         target = self.frames[inside].mean(axis=0, dtype=np.float32) / np.float32(255)
         own = self.frames[list(members)].mean(axis=0, dtype=np.float32) / np.float32(255)
@@ -118,7 +122,8 @@ def _shown(ref: SampleRef) -> tuple[Image, FanGeometry | None]:
     grey, geometry = read_sample(ref)
     if geometry is None:
         given = presentation_of(grey, find_geometry(grey))
-        grey, geometry = given.shown(grey), given.geometry
+        grey = given.shown(grey)
+        geometry = given.geometry
     return grey, geometry
 
 
@@ -134,14 +139,17 @@ class MixedSource(Source):
     ) -> None:
         """devices: drawn pairs, one for each render.  points: those of the same renders."""
         self.images = self.devices = devices
-        self.points, self.stacks = points, tuple(stacks)
-        self.data, self.seed = data, seed
+        self.points = points
+        self.stacks = tuple(stacks)
+        self.data = data
+        self.seed = seed
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
         if visit is None:
             return self.devices.sample(index, None)
-        rng, data = stream(self.seed, "mixed", index, visit), self.data
+        rng = stream(self.seed, "mixed", index, visit)
+        data = self.data
         kind = rng.random()
         if kind < data.points_share:
             return replace(self.points.sample(index, visit), taught=0.0)
@@ -212,7 +220,8 @@ def standing(sample: Sample, rng: np.random.Generator) -> Sample:
 def temporal_noise(rng: np.random.Generator, picture: Image) -> Image:
     """What one frame differs by from what stands still: nothing in black, some grain wide."""
     grain = rng.standard_normal(picture.shape, dtype=np.float32)
-    across, down = rng.uniform(0.2, 1.3), rng.uniform(0.2, 1.1)
+    across = rng.uniform(0.2, 1.3)
+    down = rng.uniform(0.2, 1.1)
     if max(across, down) > 0.25:
         grain = np.asarray(cv2.GaussianBlur(grain, (0, 0), across, sigmaY=down), np.float32)
         grain /= grain.std()
@@ -232,8 +241,10 @@ def with_loud_beam(sample: Sample, rng: np.random.Generator) -> Sample:
     if not inside.any():
         return sample
     dark = np.float32(rng.uniform(0.1, 0.7) if rng.random() < 0.5 else 1)
-    azimuth, radius = maps["azimuth_rad"], maps["range_fraction"]
-    low, high = float(azimuth[inside].min()), float(azimuth[inside].max())
+    azimuth = maps["azimuth_rad"]
+    radius = maps["range_fraction"]
+    low = float(azimuth[inside].min())
+    high = float(azimuth[inside].max())
     middle = 0.0 if low < 0 < high and rng.random() < 0.4 else rng.uniform(low, high)
     beam = np.exp(-0.5 * ((azimuth - middle) / rng.uniform(0.0012, 0.009)) ** 2)
     profile = np.interp(radius, np.linspace(0, 1, 9), rng.uniform(0.5, 1, 9))

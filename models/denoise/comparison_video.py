@@ -21,7 +21,8 @@ from .writers import Picture, side_by_side
 
 SUFFIX = ".mp4"
 _CODECS = ("libopenh264", "libx264", "mpeg4")  # the first that this FFmpeg has
-_MOST_WIDTH, _MOST_HEIGHT = 1920, 1080
+_MOST_WIDTH = 1920
+_MOST_HEIGHT = 1080
 _TICK_S = Fraction(1, 90_000)
 _USUAL_STEP_S = 0.1  # from one image to the next where nobody knows
 _STEPS_S = (1 / 60, 1.0)  # shortest and longest: a pause of the recorder is no pause of the talk
@@ -52,7 +53,8 @@ class ComparisonVideo:
 
     def __init__(self, av: Any, output: Any) -> None:
         """output: an open container of PyAV."""
-        self._av, self._output = av, output
+        self._av = av
+        self._output = output
         self._stream: Any = None
         self._size = (0, 0)
         self._tick = 0
@@ -71,7 +73,8 @@ class ComparisonVideo:
         self._last_time_s = time_s
         fitted = np.ascontiguousarray(_fitted(image, self._size))
         frame = self._av.VideoFrame.from_ndarray(fitted, format="bgr24").reformat(format="yuv420p")
-        frame.pts, frame.time_base = self._tick, _TICK_S
+        frame.pts = self._tick
+        frame.time_base = _TICK_S
         self._output.mux(self._stream.encode(frame))
 
     def finish(self) -> None:

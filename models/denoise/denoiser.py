@@ -29,11 +29,13 @@ Work = Callable[[Gray, Maps], Gray]
 
 _SEVERAL = 1.5
 """From so many frames on average on, grain is the scene's: the picture is not halved first."""
-_LIT, _LIT_SHARE = 0.1, 0.01
+_LIT = 0.1
+_LIT_SHARE = 0.01
 """Grey value, and part of what is around a fan with more: a page, or panels of a screen."""
 _AROUND_PX = 9  # side of the mean that grain is measured against
 _RAMP = 0.05  # of the correlation: from nothing to the whole change of the smaller picture
-_LEAST_LIT, _LEAST_SIDE = 2000, 96
+_LEAST_LIT = 2000
+_LEAST_SIDE = 96
 """Pixels with neighbours to measure grain, and side of a picture that may still be halved."""
 
 
@@ -45,7 +47,8 @@ class Denoiser:
     nothing.  tile, overlap: see `tiled`.
     """
 
-    tile, overlap = 1024, 96
+    tile = 1024
+    overlap = 96
 
     def __init__(
         self, weights: str | Path | None = None, device: str = "auto", *, strength: float = 1.0
@@ -76,8 +79,11 @@ class Denoiser:
         squared weights, where these add up to 1; None: a single frame.
         The weights get the picture by its `presentation_of`, and one of wide grain `by_scales`.
         """
-        given, shape = presentation_of(gray, geometry), gray.shape
-        gray, extras, widest = given.shown(gray), self.runtime.extras, self.runtime.wide_grain
+        given = presentation_of(gray, geometry)
+        shape = gray.shape
+        gray = given.shown(gray)
+        extras = self.runtime.extras
+        widest = self.runtime.wide_grain
         maps: dict[str, Gray] = {}
         if given.geometry is not None and extras:
             found = given.geometry.maps(0, 0, *gray.shape)

@@ -214,8 +214,10 @@ def _denoise_shard(item: Item, job: Job) -> None:
     ):
         of_points = made_of_points(source)
         denoise = job.points() if of_points else job.denoise
-        noisy, clean = ImageStack(source["noisy"]), ImageStack(source["clean"])
-        form, full = source["noisy"], value_range(source)
+        noisy = ImageStack(source["noisy"])
+        clean = ImageStack(source["clean"])
+        form = source["noisy"]
+        full = value_range(source)
         job.bar.total += len(noisy)
         target.attrs["schema"] = SCHEMA
         target.attrs["config_hash"] = source.attrs["config_hash"]
@@ -311,7 +313,8 @@ def _frames(
     def read() -> Iterator[Shot]:
         before = None
         for frame in recording:
-            turned_px, before = _turned_px(frame, before), frame
+            turned_px = _turned_px(frame, before)
+            before = frame
             try:
                 yield job.denoising.shot(
                     frame, frame.samples, partial(place, frame), turned_px, is_tracked=True

@@ -22,7 +22,9 @@ from ..recordings.names import sequences_of
 
 SUFFIXES = (*(suffix for _, suffixes in READERS.values() for suffix in suffixes), *HDF5_SUFFIXES)
 
-FIND, POLAR, NONE = "find", "polar", "none"
+FIND = "find"
+POLAR = "polar"
+NONE = "none"
 _MOST_FOLDERS_SAID = 5
 
 
@@ -165,7 +167,8 @@ def items_below(folder: Path, out: Path) -> list[Item]:
 
 def _item(file: Path, folder: Path) -> Item:
     """A file below a folder: arrays of all formats become .npy files."""
-    relative, suffix = file.relative_to(folder), file.suffix.lower()
+    relative = file.relative_to(folder)
+    suffix = file.suffix.lower()
     is_foreign = suffix in HDF5_SUFFIXES and not is_shard_file(file)
     is_array = suffix in ARRAY_SUFFIXES or is_foreign
     return Item(file, relative.with_suffix(ARRAY_SUFFIX) if is_array else relative)

@@ -88,7 +88,8 @@ class Denoising:
                 f"--frames {frames}: give an odd number up to {MOST_FRAMES}: a picture and as many "
                 "before it as after it"
             )
-        self.frames, self._tally = frames, defaultdict[str, float](float)
+        self.frames = frames
+        self._tally = defaultdict[str, float](float)
         self._strengths: list[str] = []
         self._in_time = partial(
             InTime,
@@ -124,7 +125,8 @@ class Denoising:
         plain = without_alpha(shown)
         painted = find_painted(shown, self._last_map)
         if painted is not None:
-            plain, self._last_map = painted.levels, painted.palette
+            plain = painted.levels
+            self._last_map = painted.palette
             self.maps[painted.palette.name] += 1
         fan = cache(partial(place, plain))
         if is_tracked:

@@ -42,7 +42,8 @@ _LEAST_PIXELS = 1000
 
 _BEYOND = 4.0
 """Spreads from which on a pixel counts to the share: one in 16,000 pixels of normal grain."""
-_LIMIT, _LIMIT_RISE = 6.5, 0.2
+_LIMIT = 6.5
+_LIMIT_RISE = 0.2
 """Spreads that grain does not reach in one image, and their rise with the logarithm of the number
 of images.  Measured on real recordings (docs/recordings.md): with the mean over time as the
 denoised frame, 58 frames of grain reach 6.6."""
@@ -104,7 +105,8 @@ class Removed:
             found.append(_furthest(smooth, inside, around_px))
         furthest = max(found, key=lambda structure: abs(structure.deviation))
         share = max(structure.share for structure in found)
-        row, column = furthest.row * rows, furthest.column * columns
+        row = furthest.row * rows
+        column = furthest.column * columns
         return Structure(row, column, furthest.deviation, share)
 
     @cached_property

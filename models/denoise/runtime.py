@@ -25,7 +25,8 @@ from .pictures import Gray
 Maps = Mapping[str, Gray]
 Positions = Sequence[Gray]
 _SMALLEST = np.float32(1e-6)
-_PROBE_SHAPE, _LEAST_RANGE = (96, 128), 1e-4
+_PROBE_SHAPE = (96, 128)
+_LEAST_RANGE = 1e-4
 _MOST = np.float32(80)  # of a logit, so that its exponential is a number
 
 
@@ -134,7 +135,8 @@ class OnnxNetwork:
         except Exception as error:  # onnxruntime has a class of its own for each reason
             reason = " ".join(str(error).split())[:160]
             raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
-        self._session, self._kept = session, kept
+        self._session = session
+        self._kept = kept
         facts = session.get_modelmeta().custom_metadata_map
         if not {"extras", "stride"} <= facts.keys() or not facts["stride"].isdigit():
             raise FactoryError(
@@ -164,9 +166,11 @@ class OnnxNetwork:
         change, logits, weight = self._session.run(
             ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
         )
-        change, logits = change[0, 0], logits[0, 0]
+        change = change[0, 0]
+        logits = logits[0, 0]
         if grid is not None:
-            change, logits = _sampled(change, in_grid), _sampled(logits, in_grid)
+            change = _sampled(change, in_grid)
+            logits = _sampled(logits, in_grid)
         image = gray + change
         if self._mask:
             image = image / (1 + np.exp(np.minimum(logits, _MOST)))
@@ -191,7 +195,8 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     planes = nothing, nothing, nothing - 1  # which occurs in no known geometry
     if "azimuth_rad" in maps:
         sector = maps.get("sector", np.ones_like(gray))
-        radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
+        radius = maps["range_fraction"]
+        azimuth = maps["azimuth_rad"]
         planes = 2 * radius - 1, azimuth, 1 - sector
         if not is_grid:
             inside = _cells(sector, stride) > 0
@@ -248,11 +253,13 @@ class TorchNetwork:
             name: torch.from_numpy(np.ascontiguousarray(plane))[None, None].to(self._device)
             for name, plane in planes.items()
         }
-        noisy, weight = known.pop("noisy"), 1.0
+        noisy = known.pop("noisy")
+        weight = 1.0
         with torch.inference_mode():
             if self._network.has_heads:
                 output = self._network.with_heads(noisy, **known)
-                image, weight = output.image, float(output.weight[0])
+                image = output.image
+                weight = float(output.weight[0])
             else:
                 image = self._network(noisy, **known)
         return np.asarray(image[0, 0].float().cpu().numpy(), np.float32), weight
@@ -265,15 +272,18 @@ def polar_grid(maps: Maps) -> tuple[Positions, Positions, Maps] | None:
     pixels in the grid; and range and bearing of the cells, near range first.
     None for pictures that are polar already, or too small to tell.
     """
-    radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
+    radius = maps["range_fraction"]
+    azimuth = maps["azimuth_rad"]
     height, width = radius.shape
     if min(height, width) < 2 or (radius == radius[:, :1]).all():
         return None
     inside = maps["sector"] > 0 if "sector" in maps else np.ones(radius.shape, bool)
     if not inside.any():
         inside = np.ones_like(inside)
-    right, ahead = radius * np.sin(azimuth), radius * np.cos(azimuth)
-    first_right, first_ahead = right[:, 0].mean(), ahead[0].mean()
+    right = radius * np.sin(azimuth)
+    ahead = radius * np.cos(azimuth)
+    first_right = right[:, 0].mean()
+    first_ahead = ahead[0].mean()
     right_step = (right[:, -1].mean() - first_right) / np.float32(width - 1)
     ahead_step = (ahead[-1].mean() - first_ahead) / np.float32(height - 1)
     near, far = _extent(radius[inside])
@@ -308,9 +318,12 @@ def _sampled(picture: Gray, at: Positions) -> Gray:
     row, column = (
         np.clip(place, 0, side - 1) for place, side in zip(at, picture.shape, strict=True)
     )
-    top, first = row.astype(np.int64), column.astype(np.int64)
-    lower, right = row - top, column - first
-    bottom, last = np.minimum(top + 1, height - 1), np.minimum(first + 1, width - 1)
+    top = row.astype(np.int64)
+    first = column.astype(np.int64)
+    lower = row - top
+    right = column - first
+    bottom = np.minimum(top + 1, height - 1)
+    last = np.minimum(first + 1, width - 1)
     above = picture[top, first] * (1 - right) + picture[top, last] * right
     below = picture[bottom, first] * (1 - right) + picture[bottom, last] * right
     return np.asarray(above * (1 - lower) + below * lower, np.float32)

@@ -127,7 +127,9 @@ class _StreamWriter:
     def __init__(
         self, av: Any, output: Any, codec: Codec, video: VideoProperties, first: Image
     ) -> None:
-        self._av, self._output, self._video = av, output, video
+        self._av = av
+        self._output = output
+        self._video = video
         self._depth = codec.depth_for(video.bits) or max(codec.grey)
         self._format = (codec.grey if video.is_grey else codec.colour)[self._depth]
         self._size = first.shape[:2]

@@ -78,13 +78,15 @@ class NAFNet(Network):
         super().__init__(stride=2 ** len(settings.encoder))
         channels = settings.width
         self.intro = nn.Conv2d(1, channels, 3, padding=1)
-        self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
+        self.encoders = nn.ModuleList()
+        self.downs = nn.ModuleList()
         for count in settings.encoder:
             self.encoders.append(_blocks(channels, count))
             self.downs.append(nn.Conv2d(channels, 2 * channels, 2, stride=2))
             channels *= 2
         self.middle = _blocks(channels, settings.middle)
-        self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
+        self.ups = nn.ModuleList()
+        self.decoders = nn.ModuleList()
         for count in settings.decoder:
             self.ups.append(
                 nn.Sequential(Pointwise(channels, 2 * channels, bias=False), nn.PixelShuffle(2))

@@ -126,14 +126,16 @@ class Restormer(Network):
 
     def __init__(self, settings: RestormerSettings) -> None:
         super().__init__(stride=2 ** (len(settings.blocks) - 1))
-        width, levels = settings.width, len(settings.blocks)
+        width = settings.width
+        levels = len(settings.blocks)
 
         def stack(channels: int, count: int, level: int) -> nn.Sequential:
             sizes = channels, settings.heads[level], settings.expansion
             return nn.Sequential(*(TransformerBlock(*sizes) for _ in range(count)))
 
         self.embed = nn.Conv2d(1, width, 3, padding=1, bias=False)
-        self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
+        self.encoders = nn.ModuleList()
+        self.downs = nn.ModuleList()
         for level in range(levels - 1):
             channels = width * 2**level
             self.encoders.append(stack(channels, settings.blocks[level], level))

@@ -38,7 +38,8 @@ _TOLD = 32  # features of what is to be removed
 _FRAMES = 4.0  # log2 of the most frames that are averaged
 _HALVED = -math.log(2) / 2  # noise falls by the root of two with twice as many frames
 # Logit of shadow before anything is learned, and outside the sector.
-_FIRST_LOGIT, _OUTSIDE = -2.0, -10.0
+_FIRST_LOGIT = -2.0
+_OUTSIDE = -10.0
 
 
 @settings_class(frozen=True, config=STRICT)
@@ -78,7 +79,8 @@ class SonarNet(Network):
         self.wide_grain = settings.wide_grain
         # Whether known geometries are those of fans; None: seen from the maps.
         self.fan: bool | None = None
-        widths, blocks = settings.widths, settings.blocks
+        widths = settings.widths
+        blocks = settings.blocks
         self.core_stride = 2 ** len(widths)
         planes = 1 + len(_MAPS) + settings.frames
         self.intro = nn.Conv2d(4 * planes, widths[0], 3, padding=1)
@@ -118,7 +120,8 @@ class SonarNet(Network):
         `sector` everything is insonified, without `remove` it is `networks.DEFAULT`.  frames:
         (N, 1, H, W), how many were averaged, as of `networks.averaged`; without it 0, a single one.
         """
-        remove, frames = extras.get("remove"), extras.get("frames")
+        remove = extras.get("remove")
+        frames = extras.get("frames")
         if remove is None:
             usual = torch.from_numpy(vector(DEFAULT)).to(noisy)
             remove = usual.repeat(noisy.shape[0], 1)
@@ -130,7 +133,8 @@ class SonarNet(Network):
         if not has_geometry:
             change, logits, weight = self.core(remove, frames, GridLines(), noisy, *_unknown(noisy))
             return _output(self.gated(noisy + change, logits), logits, weight)
-        range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
+        range_fraction = extras["range_fraction"]
+        azimuth_rad = extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
         grid = None
         if self.settings.polar:
@@ -179,7 +183,9 @@ class SonarNet(Network):
         *encoders, middle = self._conditioned(remove, levels)
         x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
-        noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
+        noisy = planes[0]
+        change = heads[:, :1]
+        logits = heads[:, 1:]
         # The last plane is the sector's complement, or -1 where it is unknown.
         sector = 1 - planes[-1].clamp_min(0)
         denoised = self.gated(noisy + change, logits)
@@ -292,7 +298,8 @@ class GridLines:
         x: (N, C, h, w).  beams: (N, D, beams).  arcs: (N, D, arcs).  added: 1x1, of 2 D channels;
         each line is convolved once, and not each of its cells.
         """
-        weight, depth = added.weight[..., 0], beams.shape[1]
+        weight = added.weight[..., 0]
+        depth = beams.shape[1]
         along = functional.conv1d(beams, weight[:, :depth], added.bias)
         across = functional.conv1d(arcs, weight[:, depth:])
         return x + along[:, :, None, :] + across[:, :, :, None]
@@ -324,13 +331,15 @@ class MapLines:
             least, most = _extent(values, inside > 0)
             return ((values - least) / (most - least) * count).clamp(0, count - 1).long()
 
-        beam, arc = numbered(bearing, shape[1]), numbered(radius, shape[0])
+        beam = numbered(bearing, shape[1])
+        arc = numbered(radius, shape[0])
         return cls(beam, arc, (inside > 0).to(planes.dtype)[:, None], shape)
 
     def means(self, x: Tensor, along: int) -> Tensor:
         """See `GridLines`."""
         numbers, count = (self.beam, self.shape[1]) if along == 2 else (self.arc, self.shape[0])
-        flat, channels = x.float().flatten(2), x.shape[1]
+        flat = x.float().flatten(2)
+        channels = x.shape[1]
         weight = self.weight.float()
         index = numbers[:, None]
         zeros = torch.zeros(x.shape[0], channels, count, device=x.device)
@@ -383,9 +392,11 @@ def polar_grid(
     if not fan:
         return None
     height, width = range_fraction.shape[-2:]
-    radius, azimuth = range_fraction[:, 0], azimuth_rad[:, 0]
+    radius = range_fraction[:, 0]
+    azimuth = azimuth_rad[:, 0]
     # In a fan, right and ahead of the sonar are linear in column and row (see `sonar.fan`).
-    right, ahead = radius * torch.sin(azimuth), radius * torch.cos(azimuth)
+    right = radius * torch.sin(azimuth)
+    ahead = radius * torch.cos(azimuth)
     first_right, last_right, first_ahead, last_ahead = (
         edge.mean(1)[:, None, None]
         for edge in (right[:, :, 0], right[:, :, -1], ahead[:, 0, :], ahead[:, -1, :])
@@ -461,7 +472,9 @@ class BlendHead(nn.Module):
         h and w may be half the size of the pictures after padding.
         sector: 1 where insonified, else 0.
         """
-        features, noisy, change = features.detach(), noisy.detach(), change.detach()
+        features = features.detach()
+        noisy = noisy.detach()
+        change = change.detach()
         height, width = (2 * size for size in features.shape[-2:])
         padding = (0, width - noisy.shape[-1], 0, height - noisy.shape[-2])
         logarithm = torch.log10(noisy.clamp_min(0) + _DARK) + _CENTRE
@@ -484,7 +497,8 @@ class BlendHead(nn.Module):
 
 def _statistics(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
     """(N, 1, H, W) each -> (N, 5): four decimal logarithms and the dark fraction."""
-    noisy, change = noisy.float(), change.float()
+    noisy = noisy.float()
+    change = change.float()
     area = sector.sum(dim=(1, 2, 3)).clamp_min(1)
 
     def mean(x: Tensor) -> Tensor:
@@ -512,6 +526,7 @@ def _step(x: Tensor, sector: Tensor, dim: int) -> Tensor:
     Of slices, which a trace follows at any size.
     """
     size = x.shape[dim] - 1
-    here, there = x.narrow(dim, 0, size), x.narrow(dim, 1, size)
+    here = x.narrow(dim, 0, size)
+    there = x.narrow(dim, 1, size)
     both = (sector.narrow(dim, 0, size) > 0) & (sector.narrow(dim, 1, size) > 0)
     return ((there - here).square() * both).sum(dim=(1, 2, 3))

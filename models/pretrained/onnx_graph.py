@@ -65,7 +65,8 @@ class Graph(nn.Module):
             raise FactoryError(
                 f"--geometry {layout}: this network does not use the geometry; leave it out"
             )
-        self.network, self.layout = network, layout
+        self.network = network
+        self.layout = layout
         self.inputs: tuple[str, ...] = ("noisy", *(_MAPS if layout != "none" else ()))
         self.outputs: tuple[str, ...] = ("denoised", "weight")[: 1 + network.has_heads]
         sizes = {0: "count", 2: "height", 3: "width"}
@@ -153,7 +154,8 @@ def write_onnx(weights: Path, out: Path, layout: Layout | None) -> float:
     """
     import onnxruntime
 
-    trained, bare = load_weights(weights), layout is None
+    trained = load_weights(weights)
+    bare = layout is None
     model = structure(trained.model) if bare else dict(trained.model)
     graph = Graph(trained.network, layout) if layout else RuntimeGraph(trained.network)
     about = {"model": json.dumps(model, sort_keys=True)}
@@ -209,7 +211,8 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
     """The file, its inputs and itself explained; bare: without weights, and nothing of them."""
     import onnx
 
-    content, inputs = io.BytesIO(), tuple(graph.example(*_TRACED).values())
+    content = io.BytesIO()
+    inputs = tuple(graph.example(*_TRACED).values())
     with warnings.catch_warnings(), torch.no_grad():
         # It warns of every choice that it keeps; `compared` sees whether one was wrong.
         warnings.simplefilter("ignore")

@@ -33,7 +33,9 @@ from .base import (
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEAD_BYTES = 4096  # within which a PNG says that it is animated
 _GIF_HEADS = (b"GIF87a", b"GIF89a")
-_EXTENSION, _IMAGE, _END = 0x21, 0x2C, 0x3B
+_EXTENSION = 0x21
+_IMAGE = 0x2C
+_END = 0x3B
 _USUAL_DURATION_S = 0.1  # where a file states none, as browsers do
 
 
@@ -132,7 +134,8 @@ def _frames_of_gif(file: IO[bytes], size: int) -> _Whole:
     if len(packed) < 3:
         return _Whole(0, 0, True)
     file.seek(13 + _colour_bytes(packed[0]))
-    count, end = 0, file.tell()
+    count = 0
+    end = file.tell()
     while True:
         kind = file.read(1)
         if not kind:
@@ -151,7 +154,8 @@ def _frames_of_gif(file: IO[bytes], size: int) -> _Whole:
         if not _skips_pieces(file, size):
             return _Whole(count, end, True)
         if kind[0] == _IMAGE:
-            count, end = count + 1, file.tell()
+            count = count + 1
+            end = file.tell()
 
 
 def _colour_bytes(packed: int) -> int:
@@ -197,7 +201,8 @@ def _frames_of_png(file: IO[bytes]) -> _Whole:
         if kind not in (b"fcTL", b"IEND"):
             continue
         if is_begun:
-            count, end = count + 1, start
+            count = count + 1
+            end = start
         if kind == b"IEND":
             return _Whole(count, end, False)
         is_begun = True
@@ -207,7 +212,8 @@ def _frames_of_png(file: IO[bytes]) -> _Whole:
 def _frames_of_webp(file: IO[bytes]) -> _Whole:
     """Chunks of a RIFF file, each padded to an even length."""
     file.seek(0, 2)
-    size, offset = file.tell(), 12
+    size = file.tell()
+    offset = 12
     file.seek(4)
     stated = 8 + int.from_bytes(file.read(4), "little")
     count = end = 0
@@ -218,7 +224,8 @@ def _frames_of_webp(file: IO[bytes]) -> _Whole:
         if after > size:
             return _Whole(count, end, True)
         if header[:4] == b"ANMF":
-            count, end = count + 1, after
+            count = count + 1
+            end = after
         offset = after
     return _Whole(count, end, stated > size)
 

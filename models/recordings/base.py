@@ -33,12 +33,15 @@ Samples = npt.NDArray[Any]
 
 # Times its size that a stranger's file may unpack to; a small one to `ALWAYS_BYTES`, and none to
 # more than `MOST_BYTES` at once.  Raw sonar pictures are mostly black and pack 5 to 50 times.
-RATIO, ALWAYS_BYTES, MOST_BYTES = 200, 1 << 28, 1 << 31
+RATIO = 200
+ALWAYS_BYTES = 1 << 28
+MOST_BYTES = 1 << 31
 MOST_PIXELS = 1 << 26  # of a picture, whatever it is packed into
 TOO_LARGE = f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
 MOST_TINT = 6
 """Of 255: codecs tint grey images by a few levels, and by others in each frame."""
-MOST_RANGES, MOST_BEAMS = 8192, 4096
+MOST_RANGES = 8192
+MOST_BEAMS = 4096
 MOST_RANGE_M = 2000.0
 
 
@@ -118,11 +121,14 @@ class Recording(ABC):
 
     def __init__(self, path: Path) -> None:
         """Raises FactoryError when it cannot be opened, or holds no whole frame."""
-        self.path, self.warning, self.count = path, "", 0
+        self.path = path
+        self.warning = ""
+        self.count = 0
         self.files: list[Path] = []
         try:
             if not path.is_dir():
-                self._file, self.size = open_regular(path), path.stat().st_size
+                self._file = open_regular(path)
+                self.size = path.stat().st_size
             self._open()
         except OSError as error:
             raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error

@@ -20,8 +20,13 @@ if TYPE_CHECKING:
 
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
-_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
-_MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = 3, 4, 5, 6
+_MESSAGE = 2
+_CHUNK = 5
+_CONNECTION = 7
+_MCAP_SCHEMA = 3
+_MCAP_CHANNEL = 4
+_MCAP_MESSAGE = 5
+_MCAP_CHUNK = 6
 _MOST_FIELDS = 1000
 
 
@@ -125,7 +130,8 @@ def _bag_connection(number: int, fields: dict[str, bytes]) -> Connection:
 
     package, _, name = fields["type"].decode().rpartition("/")
     definition = fields.get("message_definition", b"").decode()
-    callerid, latching = fields.get("callerid"), fields.get("latching")
+    callerid = fields.get("callerid")
+    latching = fields.get("latching")
     return Connection(
         number,
         fields["topic"].decode(),

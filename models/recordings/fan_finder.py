@@ -31,14 +31,17 @@ Bytes = npt.NDArray[np.uint8]
 _SURE = 0.7  # share of the outline that must be seen
 _SURE_ODD = 0.8  # of turned fans, and of fans on screens
 _MOST_BLACK = 48  # of 255: a border lighter than this is no black one
-_LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
+_LEAST_PART = 0.05  # of all pixels: the smallest fan on a screen
+_MOST_PART = 0.9  # the largest
 _LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
-_SURE_SQUEEZE, _MOST_SQUEEZE = 1.95, 2.0
+_SURE_SQUEEZE = 1.95
+_MOST_SQUEEZE = 2.0
 # Of 255: the ground of a screen; a video's is not quite flat, and the wider it may spread, the
 # farther it reaches into a fan's grain.
 _GROUND_SPREADS = 2, 6
-_LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
+_LEAST_HALF_DEG = 2.0
+_MOST_HALF_DEG = 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
 
 
@@ -84,11 +87,13 @@ def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
     beside = grey[(wide > 0) & (near == 0)]
     ringing = min(int(np.quantile(beside, 0.97)), _MOST_BLACK) if beside.size else 0
     if ringing > black and (again := fit_sector(grey > ringing)) is not None:
-        black, sector = ringing, again
+        black = ringing
+        sector = again
     lit = grey > black
     apex_x, apex_y, far, near_px, *tangents, squeeze = sector
     first, last = map(math.atan, tangents)
-    half, other = max(-first, last), min(-first, last)
+    half = max(-first, last)
+    other = min(-first, last)
     if not _LEAST_HALF_DEG <= math.degrees(other) <= math.degrees(half) <= _MOST_HALF_DEG:
         return None
     if abs(math.log(squeeze)) > math.log(_SURE_SQUEEZE):
@@ -159,7 +164,9 @@ class _Places(NamedTuple):
 
 def _outline_sides(fan: FanGeometry) -> tuple[tuple[_Places, _Places], ...]:
     """Points just inside and just outside the left edge, the right edge and the far arc."""
-    count, first, last = _PIECES * 12, fan.azimuth_min_rad, fan.azimuth_max_rad
+    count = _PIECES * 12
+    first = fan.azimuth_min_rad
+    last = fan.azimuth_max_rad
     # Some pixels away from the outline, as shares of the largest range.
     away: Numbers = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
     ranges = np.linspace(fan.near_fraction + 0.03, 0.97, count)[:, None]
@@ -235,7 +242,8 @@ def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
 
 _SIDE = 160  # the picture is made about this large for the first guess
 _NONE = 1e15  # cost of an outline that is no sector
-_LEAST_SPREAD, _LEAST_DISTANCE = 1.0, 0.05  # of the costs and corners of a simplex
+_LEAST_SPREAD = 1.0  # of the costs of a simplex that has converged
+_LEAST_DISTANCE = 0.05  # of its corners
 
 
 def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
@@ -277,7 +285,8 @@ def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, floa
     part = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]) if count > 1 else labels > 0
     if part.mean() < 0.03:
         return None
-    rows, last_column = np.flatnonzero(part.any(axis=1)), part.shape[1] - 1
+    rows = np.flatnonzero(part.any(axis=1))
+    last_column = part.shape[1] - 1
     left, mirrored = (_edge(rows, one.argmax(axis=1)) for one in (part[rows], part[rows, ::-1]))
     if left is None or mirrored is None or left[0] + mirrored[0] <= 1e-3:
         return None
@@ -287,7 +296,8 @@ def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, floa
     ahead = np.flatnonzero(part[:, apex_column - 1 : apex_column + 2].any(axis=1))
     if not len(ahead):
         return None
-    across, along = width / size[0], height / size[1]
+    across = width / size[0]
+    along = height / size[1]
     pair = np.array([rows[len(rows) // 4], rows[-1]], float)
     columns = [(np.polyval(line, pair) + 0.5) * across - 0.5 for line in (left, right)]
     arcs = (np.array([ahead[0], ahead[-1]]) + 0.5) * along - 0.5
@@ -298,7 +308,8 @@ def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, floa
 def _edge(rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> Numbers | None:
     """(columns a row, column in row 0) of the line from the outermost column down."""
     corner = int(np.flatnonzero(columns <= columns.min()).max())
-    y, x = rows[corner + 1 : -1].astype(float), columns[corner + 1 : -1].astype(float)
+    y = rows[corner + 1 : -1].astype(float)
+    x = columns[corner + 1 : -1].astype(float)
     if len(y) < 6:
         return None
     weights = np.ones(len(y))
@@ -322,7 +333,8 @@ def _sector(outline: Sequence[float], rows: tuple[float, float]) -> Sector | Non
     apex_y = upper + (outline[2] - outline[0]) / (left - right)
     apex_x = outline[0] + left * (apex_y - upper)
     squeeze = math.exp(outline[6])
-    far, near = apex_y - outline[4], max(apex_y - outline[5], 0.0)
+    far = apex_y - outline[4]
+    near = max(apex_y - outline[5], 0.0)
     if not (far > near and 1 / _MOST_SQUEEZE < squeeze < _MOST_SQUEEZE):
         return None
     return apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze
@@ -341,8 +353,11 @@ class _Likelihood:
         above = np.zeros((height + 2, self._width), np.int32)
         np.cumsum(lit, axis=0, dtype=np.int32, out=above[1:-1])
         above[-1] = above[-2]
-        self._above, self._height, self._rows = above.ravel(), height, rows
-        self._pixels, self._lit = lit.size, int(above[-1].sum())
+        self._above = above.ravel()
+        self._height = height
+        self._rows = rows
+        self._pixels = lit.size
+        self._lit = int(above[-1].sum())
 
     def learn(self, outline: Numbers) -> bool:
         """Take the shares of lit pixels inside and outside `outline`; False if it parts nothing."""
@@ -371,11 +386,13 @@ class _Likelihood:
         # Pixel r reaches from r - 0.5 to r + 0.5.
         np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
         if whole:
-            rows[0], rows[1] = np.ceil(rows[0] - 0.5), np.floor(rows[1] + 0.5)
+            rows[0] = np.ceil(rows[0] - 0.5)
+            rows[1] = np.floor(rows[1] + 0.5)
         np.minimum(np.maximum(rows, 0.0, out=rows), self._height, out=rows)
         np.minimum(rows[0], rows[1], out=rows[0])  # nothing where last < first
         at = rows.astype(np.int64)
-        part, at = rows - at, at * self._width + columns
+        part = rows - at
+        at = at * self._width + columns
         here = self._above.take(at)
         lit[:] = part * (self._above.take(at + self._width) - here) + here
         # One after the other, so that the sums do not depend on how NumPy splits them.
@@ -525,7 +542,8 @@ def limits(sectors: Numbers, x: Numbers) -> Numbers:
 
 
 _WHITE = 200  # of 255
-_LEAST_DEG, _MOST_DEG = 3.0, 75.0  # a line's angle against the picture's rows
+_LEAST_DEG = 3.0  # smallest angle between a side line and the rows of the image
+_MOST_DEG = 75.0  # largest
 _ALIKE_DEG = 1.0  # by which both angles may differ
 _TRIED = 8  # of the longest lines
 _ARC_SHARE = 0.35  # of an arc within the picture that must be white
@@ -549,7 +567,8 @@ def _find_drawn(grey: Bytes) -> FanGeometry | None:
     longest = (sorted(side, reverse=True)[:_TRIED] for side in sides)
     for (_, down, x1, y1), (_, up, x2, y2) in product(*longest):
         # Where both meet is the sonar.
-        fall, rise = math.tan(math.radians(down)), math.tan(math.radians(up))
+        fall = math.tan(math.radians(down))
+        rise = math.tan(math.radians(up))
         x = (y2 - y1 + fall * x1 - rise * x2) / (fall - rise)
         y = y1 + fall * (x - x1)
         if abs(down + up) > _ALIKE_DEG or not (0 < x < width and height / 2 < y < height):

@@ -27,9 +27,12 @@ _LEAST_INNER = 0.1
 _LEAST_SPREAD = 6  # of 255: ringing of codecs on a flat ground
 _MORE_OUTSIDE = 0.02  # part of the image: text and menus where there was nothing
 _LEAST_INSIDE = 0.2  # of what was lit in the fan when it was found
-_SAME_PX, _SAME_SHARE, _SAME_RAD = 2.0, 0.01, math.radians(0.5)
+_SAME_PX = 2.0
+_SAME_SHARE = 0.01
+_SAME_RAD = math.radians(0.5)
 _THUMBNAIL_PX = 16
-_LEAST_CUT, _CUT_OF_USUAL = 1.0, 4.0
+_LEAST_CUT = 1.0
+_CUT_OF_USUAL = 4.0
 """Mean difference of thumbnails after a cut: of 255, and times the usual one."""
 _SHARE_OF_NEWEST = 0.1  # in the usual difference
 _LONGEST_PAUSE = 32  # frames between two searches where none finds a fan
@@ -100,7 +103,8 @@ class FanTracker:
             seen.shares = np.minimum(seen.shares, _shares(seen, grey))
             return seen.geometry
         self.found += 1
-        self._is_away, self._pause = False, 0
+        self._is_away = False
+        self._pause = 0
         if seen is not None and _is_same(seen.geometry, geometry):
             seen.shares = np.minimum(seen.shares, _shares(seen, grey))
             return seen.geometry
@@ -118,7 +122,8 @@ class FanTracker:
     def _look(self, grey: Bytes) -> None:
         """Notes whether the image differs from the one before as images do after a cut."""
         thumbnail = _thumbnail(grey)
-        before, self._before = self._before, thumbnail
+        before = self._before
+        self._before = thumbnail
         if before is None:
             return
         change = float(np.abs(thumbnail.astype(np.float64) - before).mean())
@@ -136,7 +141,8 @@ def _seen(geometry: FanGeometry, grey: Bytes) -> _Seen:
     spread = max(spread, _LEAST_SPREAD)
     seen = _Seen(geometry, inner, outer, sector, ground, spread, np.zeros(3), 0.0, 0.0)
     seen.shares = _shares(seen, grey)
-    seen.inside, seen.outside = _inside_of(seen, grey), _outside_of(seen, grey)
+    seen.inside = _inside_of(seen, grey)
+    seen.outside = _outside_of(seen, grey)
     return seen
 
 
@@ -153,7 +159,8 @@ def _shares(seen: _Seen, grey: Bytes) -> Shares:
         count = np.maximum(within.sum(axis=2), 1)
         return np.asarray((lit[indices] & within).sum(axis=2) / count, np.float64)
 
-    inner, outer = lit_share(seen.inner), lit_share(seen.outer)
+    inner = lit_share(seen.inner)
+    outer = lit_share(seen.outer)
     ends = (inner > _LEAST_INNER) & (outer < _OUTER_OF_INNER * inner)
     return np.asarray(ends.mean(axis=1), np.float64)
 

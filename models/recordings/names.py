@@ -18,7 +18,8 @@ from pathlib import Path, PurePath
 _NUMBER = re.compile(r"([0-9]+)")
 _EPOCH_UNITS = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
 """Digits of a number of seconds since 1970 -> its unit, seconds."""
-_EARLIEST_S, _LATEST_S = 1e9, 4.1e9  # 2001 and 2099
+_EARLIEST_S = 1e9  # in 2001
+_LATEST_S = 4.1e9  # in 2099
 _DATE_WIDTHS = (
     (14,), (8, 6), (4, 2, 2, 6), (8, 2, 2, 2), (4, 2, 2, 2, 2, 2),
 )  # fmt: skip
@@ -147,7 +148,8 @@ def _counter_of(rows: list[_Row], varying: list[int]) -> int:
     if distinct:
         return distinct[0]
     for place in reversed(range(len(varying))):
-        before, field = varying[:place], varying[place]
+        before = varying[:place]
+        field = varying[place]
         groups = {tuple(row.number(other) for other in before) for row in rows}
         if len(rows) >= 2 * len(groups) and _is_distinct(rows, [*before, field]):
             return field
@@ -208,7 +210,9 @@ def _seconds_of_date(digits: Sequence[str]) -> float | None:
 
 def _seconds_of_clock(digits: Sequence[str]) -> float | None:
     text = "".join(digits)
-    hours, minutes, seconds = int(text[:2]), int(text[2:4]), int(text[4:])
+    hours = int(text[:2])
+    minutes = int(text[2:4])
+    seconds = int(text[4:])
     if hours > 23 or minutes > 59 or seconds > 60:
         return None
     return 3600.0 * hours + 60 * minutes + seconds

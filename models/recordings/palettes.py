@@ -38,18 +38,23 @@ _OTHERS = {
 255 on average), and of chart plotters: black, red, white."""
 _LOOKED_AT = 4000  # pixels from which a map is told
 _FLAT = 0.1  # part of the pixels from which one colour counts as background
-_NEAR, _BLURRED = 12.0, 36.0  # of 255: how far pixels may lie beside a map; JPEG mixes colours
+_NEAR = 12.0  # of 255: how far the colours of pixels may lie from a map
+_BLURRED = 36.0  # the same where JPEG mixed colours
 _ENOUGH = 0.9  # part of the pixels that must be of the map
 _LEAST = 64  # pixels beside the background
 _STEPS = 128  # of the sum of the channels
 _HALF_STEP = 0.5 / 255
-_MIXED, _MIXED_SHARE = 2.0, 0.1  # so far beside a map, of 255, lie so many where colours were mixed
+_MIXED = 2.0  # of 255: colours farther from a map than this were mixed
+_MIXED_SHARE = 0.1  # share of such pixels in an image whose colours were mixed
 _SPECK = 30  # pixels of what mixing leaves
 _STROKE = 7  # pixels: what is as wide as that is a page or a panel, not a line
-_GREY, _COLOURED = 3.0, 6.0  # of 255: what channels of a grey picture, of marks on it differ by
+_GREY = 3.0  # of 255: maximum difference between the channels of a grey image
+_COLOURED = 6.0  # of 255: minimum difference between the channels of coloured marks
 # How near a known map half of the colours lie where others were drawn over it, and part of the
 # pixels that must have colours at all.
-_EXACT, _EXACT_SHARE, _SOME = 1.5, 0.5, 0.2
+_EXACT = 1.5
+_EXACT_SHARE = 0.5
+_SOME = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +90,8 @@ class Palette:
         return np.asarray(np.sqrt(np.square(away).mean(axis=1)))
 
 
-SUM, GREY = "sum", "grey"
+SUM = "sum"
+GREY = "grey"
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +141,14 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
         return None
     # Few colours stand for many pixels.
     codes, place = np.unique(codes, return_inverse=True)
-    colours, size, shape = _uncoded(codes), (_STROKE, _STROKE), picture.shape[:2]
+    colours = _uncoded(codes)
+    size = (_STROKE, _STROKE)
+    shape = picture.shape[:2]
     misses = palette.misses(colours)
     near = misses <= (_COLOURED if palette.name == GREY else _BLURRED)
     levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
-    levels, known = levels[place].reshape(shape), near[place].reshape(shape)
+    levels = levels[place].reshape(shape)
+    known = near[place].reshape(shape)
     if known.all() or not known.any():
         return Painted(picture, palette, levels, known)
     # Specks, lines and letters of no map get the mean of what is known around them, else weights

@@ -105,7 +105,8 @@ class RosBag(Recording):
             )
         if self.count < 1:
             raise FactoryError(f"{self.path}: holds no message on {', '.join(self.topics)}")
-        self._next, self._frames = 0, self._messages(chosen)
+        self._next = 0
+        self._frames = self._messages(chosen)
 
     def _found(self) -> list[Connection]:
         """The connections whose messages are the frames."""
@@ -132,7 +133,8 @@ class RosBag(Recording):
     def _read(self, number: int) -> Frame:
         if number < self._next:
             chosen = [one for one in self._connections if one.id in self._chosen]
-            self._next, self._frames = 0, self._messages(chosen)
+            self._next = 0
+            self._frames = self._messages(chosen)
         for place, (one, time_ns, _, message) in enumerate(self._frames, start=self._next):
             self._next = place + 1
             if place == number:
@@ -158,9 +160,11 @@ class RosBag(Recording):
             os.replace(target, path)
 
     def _write(self, samples: Iterator[Samples], target: Path) -> None:
-        store, damaged = typestore(self.version), f"{self.path}: cannot be copied"
+        store = typestore(self.version)
+        damaged = f"{self.path}: cannot be copied"
         serialized = store.serialize_ros1 if self.version == 1 else store.serialize_cdr
-        kind, number = "md5sum" if self.version == 1 else "rihs01", 0
+        kind = "md5sum" if self.version == 1 else "rihs01"
+        number = 0
         with self._writer(target) as writer:
             added = {}
             for one in self._connections:
@@ -229,7 +233,8 @@ class RosBag(Recording):
 
         Raises FrameError at damage.
         """
-        store, number = typestore(self.version), 0
+        store = typestore(self.version)
+        number = 0
         read = store.deserialize_ros1 if self.version == 1 else store.deserialize_cdr
         with closing(self._reader()) as reader, closing(reader.messages(connections)) as found:
             while True:
@@ -304,14 +309,17 @@ def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any
 
 def _picture(message: Any, what: str) -> Samples:
     """The pixels of an Image, (H, W) or (H, W, channels), in its own memory."""
-    height, width, step = int(message.height), int(message.width), int(message.step)
+    height = int(message.height)
+    width = int(message.width)
+    step = int(message.step)
     if message.encoding not in _ENCODINGS:
         raise FrameError(
             f"{what} has the encoding {str(message.encoding)[:40]!r}, which cannot be denoised "
             f"({', '.join(_ENCODINGS)})"
         )
     kind, channels = _ENCODINGS[message.encoding]
-    dtype, held = np.dtype((">" if message.is_bigendian else "<") + kind), len(message.data)
+    dtype = np.dtype((">" if message.is_bigendian else "<") + kind)
+    held = len(message.data)
     row = width * channels * dtype.itemsize
     if not 0 < height * width <= MOST_PIXELS or row > step or height * step != held:
         raise FrameError(
@@ -325,7 +333,9 @@ def _picture(message: Any, what: str) -> Samples:
 
 def _samples(message: Any, what: str) -> Samples:
     """(ranges, beams) of a ProjectedSonarImage, in its own memory."""
-    image, ranges, beams = message.image, len(message.ranges), int(message.image.beam_count)
+    image = message.image
+    ranges = len(message.ranges)
+    beams = int(message.image.beam_count)
     if image.dtype not in _SONAR_DTYPES:
         raise FrameError(
             f"{what} has samples of type {image.dtype}; uint8 (0), uint16 (2) and float32 (8) can "
@@ -333,7 +343,8 @@ def _samples(message: Any, what: str) -> Samples:
         )
     dtype = np.dtype((">" if image.is_bigendian else "<") + _SONAR_DTYPES[image.dtype])
     fits = 2 <= ranges <= MOST_RANGES and 2 <= beams <= MOST_BEAMS
-    directions, held = len(message.beam_directions), len(image.data)
+    directions = len(message.beam_directions)
+    held = len(image.data)
     if not fits or beams != directions or ranges * beams * dtype.itemsize != held:
         raise FrameError(
             f"{what} says {ranges} ranges, {beams} beams and {directions} directions, and holds "

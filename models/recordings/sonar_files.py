@@ -92,12 +92,14 @@ class _SoundMetricsFile(Recording):
         return self.file_size + number * (self.frame_size + self.beams * self.ranges)
 
     def _header(self, number: int) -> np.void:
-        layout, what = layouts()[self.layout], f"the header of frame {number}"
+        layout = layouts()[self.layout]
+        what = f"the header of frame {number}"
         return self.record_at(self._place(number), layout, what)
 
     def _samples(self, number: int) -> Samples:
         """(ranges, beams) uint8, beams as they are stored."""
-        offset, count = self._place(number) + self.frame_size, self.beams * self.ranges
+        offset = self._place(number) + self.frame_size
+        count = self.beams * self.ranges
         content = self.bytes_at(offset, count, f"frame {number}")
         return np.frombuffer(content, np.uint8).reshape(self.ranges, self.beams)
 
@@ -194,7 +196,8 @@ class DdfFile(_SoundMetricsFile):
         self._count_frames()
 
     def _read(self, number: int) -> Frame:
-        header, samples = self._header(number), self._samples(number)
+        header = self._header(number)
+        samples = self._samples(number)
         samples = samples if self._told["reverse"] else samples[:, ::-1]
         try:  # by the sonar's own clock, taken as UTC, else by that of the computer
             seconds = datetime(*header["date"].tolist()).replace(tzinfo=UTC).timestamp()
@@ -217,7 +220,8 @@ class DdfFile(_SoundMetricsFile):
     def _window(self, header: np.void) -> tuple[float, float]:
         """First and last range, metres."""
         step_m, lengths_m = _WINDOWS[int(header["configflags"]) & 3]
-        high, rate_hz = bool(self._told["resolution"]), float(self._told["samplerate"])
+        high = bool(self._told["resolution"])
+        rate_hz = float(self._told["samplerate"])
         near = step_m * self.within("windowstart", header["windowstart"], 0, 200)
         near *= 1 if high else 2
         code = int(header["windowlength"])
@@ -255,7 +259,9 @@ def _didson_azimuths_rad(beams: int) -> tuple[float, ...]:
 
 
 MAGIC = 0x4F53
-LOG_MAGIC, ITEM_MAGIC, SONAR_ITEM = 0x11223344, 0xAABBCCDD, 10
+LOG_MAGIC = 0x11223344
+ITEM_MAGIC = 0xAABBCCDD
+SONAR_ITEM = 10
 SIMPLE_PING = 0x23
 _SENDS_GAIN = 0x04
 _MOST_BYTES = 1 << 26  # of one message
@@ -277,7 +283,8 @@ class OculusFile(Recording):
         magic = int.from_bytes(self.bytes_at(0, 4, "its first bytes"), "little")
         if magic != LOG_MAGIC and magic & 0xFFFF != MAGIC:
             raise FrameError(f"{self.path}: not a file of raw Oculus messages")
-        self._pings, self._end = list[_Message](), 0
+        self._pings = list[_Message]()
+        self._end = 0
         for one in self._messages(magic == LOG_MAGIC):
             header = _record(self._content(one, 16), "oculus_message")
             if header["id"] == MAGIC and header["kind"] == SIMPLE_PING:
@@ -300,10 +307,12 @@ class OculusFile(Recording):
         while self.size - self._end >= layout.itemsize:
             head = self.record_at(self._end, layout, "a header")
             if is_log:
-                begins, size = self._end + int(head["size"]), int(head["payload"])
+                begins = self._end + int(head["size"])
+                size = int(head["payload"])
                 fits = head["magic"] == ITEM_MAGIC and layout.itemsize <= head["size"] <= 4096
             else:
-                begins, size = self._end, layout.itemsize + int(head["payload"])
+                begins = self._end
+                size = layout.itemsize + int(head["payload"])
                 fits = head["id"] == MAGIC
             if not fits or begins + size > self.size:
                 return
@@ -322,7 +331,8 @@ class OculusFile(Recording):
             return zlib.decompressobj().decompress(content[4:], most)
 
     def _read(self, number: int) -> Frame:
-        one, what = self._pings[number], f"ping {number}"
+        one = self._pings[number]
+        what = f"ping {number}"
         content = self._content(one)
         second = _record(content, "oculus_message")["version"] == 2
         ping = _record(content, "oculus_ping_2" if second else "oculus_ping")
@@ -335,7 +345,8 @@ class OculusFile(Recording):
         bearings = np.frombuffer(content, "<i2", count=beams, offset=ping.nbytes) / 100.0
         if np.any(np.diff(bearings) <= 0) or np.abs(bearings).max() > 90:
             raise FrameError(f"{self.path}: {what} has bearings in disorder; it is damaged")
-        width, start = int(ping["data_size"]) + 1, int(ping["image_offset"])
+        width = int(ping["data_size"]) + 1
+        start = int(ping["image_offset"])
         if width > 2:
             raise FrameError(
                 f"{self.path}: {what} has samples of {8 * width} bits; 8 and 16 can be read"

@@ -50,7 +50,8 @@ def find_groups(
     # One by one: the pictures may be read from files only here.
     near = np.array([_small(*both) for both in zip(pictures, sectors, strict=True)])
     likeness = near @ near.T
-    left, groups = list(range(len(near))), []
+    left = list(range(len(near)))
+    groups = []
     while len(left) >= least:
         # The frame with most frames like it begins, of equal ones that in their middle; what it
         # does not take is tried again.
@@ -130,7 +131,8 @@ def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
     Cubic, the border reflected.
     """
     matrix = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]], np.float64)
-    how, border = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, cv2.BORDER_REFLECT
+    how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    border = cv2.BORDER_REFLECT
     moved = cv2.warpAffine(frame, matrix, frame.shape[1::-1], flags=how, borderMode=border)
     return np.asarray(moved, np.float32)
 

@@ -193,7 +193,8 @@ class VideoFile(Recording):
 
     def __iter__(self) -> Iterator[Frame]:
         """All frames that decode, in order; `warning` says afterwards whether some are missing."""
-        reading, last = _Reading(), None
+        reading = _Reading()
+        last = None
         with self._opened() as (_, stream):
             for number, decoded in enumerate(self._decoded(stream, reading)):
                 last = self._frame(number, decoded, last)

@@ -56,7 +56,8 @@ def fan_of(samples: npt.NDArray[np.floating], beams: Beams) -> tuple[Grey, FanGe
 
     A pixel is as long as a sample where that makes at most `MOST_ROWS` pixels ahead.
     """
-    sonar, window = _sonar(beams, *samples.shape), (beams.range_min_m, beams.range_max_m)
+    sonar = _sonar(beams, *samples.shape)
+    window = (beams.range_min_m, beams.range_max_m)
     geometry = FanGeometry.from_sonar(sonar, *window, *_edges_rad(beams))
     picture = fan_table(sonar, window[0] / window[1]).bilinear(samples)
     # The sector of the beams need not be symmetric, the table's is.
@@ -114,7 +115,9 @@ def frame_picture(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
 
 _SHARE = 99.5  # percentile of the pixels that are not zero
 # Bright pixels below the first make a picture dark; below the second they come to the last.
-_DARK, _DARKER, _WANTED = 0.25, 0.125, 0.5
+_DARK = 0.25
+_DARKER = 0.125
+_WANTED = 0.5
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,8 @@ def presentation_of(grey: Grey, geometry: FanGeometry | None) -> Presentation:
 
     The gain rises without a step as pictures get darker, and no pixel comes above 1.
     """
-    turns, gain = 0 if geometry is None else geometry.quarter_turns, 1.0
+    turns = 0 if geometry is None else geometry.quarter_turns
+    gain = 1.0
     if geometry is not None and turns:
         geometry = geometry.turned(*grey.shape)
     # Most pictures are bright enough, and counting takes a fiftieth of what a percentile does.

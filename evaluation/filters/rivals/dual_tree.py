@@ -34,7 +34,9 @@ _WINDOW_PX = 7  # of the local power, as in the paper on the bivariate filter
 _RAYLEIGH_MEDIAN = float(np.sqrt(np.log(4)))
 """Median magnitude of complex noise over the standard deviation of its real part."""
 
-_A, _B, _C = 0.08838834764832, 0.69587998903400, 0.01122679215254
+_A = 0.08838834764832
+_B = 0.69587998903400
+_C = 0.01122679215254
 _FIRST_LOW = np.array([0, -_A, _A, _B, _B, _A, -_A, _C, _C, 0])
 _FURTHER_LOW = np.array(
     [0.03516384, 0, -0.08832942, 0.23389032, 0.76027237, 0.58751830, 0, -0.11430184, 0, 0]

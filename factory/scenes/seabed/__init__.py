@@ -187,7 +187,8 @@ class SeabedReader:
     def discover(self) -> Discovery:
         """List the frames: scene `seabed-0007` is location number 7, frame `0003` its pose 3."""
         settings = self._settings
-        lines, first = self._movements(), settings.first_location
+        lines = self._movements()
+        first = settings.first_location
         frames = settings.frames_per_location if lines is None else len(lines)
         paths: tuple[str, ...] = () if settings.path is None else (settings.path,)
         # What is wrong with a mesh or a path shows before a worker starts.
@@ -221,9 +222,11 @@ class SeabedReader:
 
         settings = self._settings
         optics = optics_of(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
-        number, movement = int(ref.frame), None
+        number = int(ref.frame)
+        movement = None
         if (lines := self._movements()) is not None:
-            number, movement = 0, lines[number]
+            movement = lines[number]
+            number = 0
         elif settings.frame_rate_hz is not None:
             number = 0
         world = self._world(int(ref.scene.removeprefix("seabed-")))

@@ -22,7 +22,8 @@ from .terrain import Floats, Points
 
 FOCAL_PER_WIDTH = 1168.0 / 968.0
 """Of the FLSea camera, which sees 45 degrees across."""
-HFOV_DEG, VFOV_DEG = 45.0, 29.2
+HFOV_DEG = 45.0
+VFOV_DEG = 29.2
 """What it sees at 968x608 pixels."""
 MOVEMENT = ("surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MARGIN_DEG = 1.0  # beyond each edge of a sonar's sector
@@ -72,7 +73,8 @@ def camera(
     if hfov_deg is None or vfov_deg is None:
         return centred(FOCAL_PER_WIDTH * width, width, height)
     azimuth, elevation = np.deg2rad([hfov_deg / 2 + _MARGIN_DEG, vfov_deg / 2 + _MARGIN_DEG])
-    half_width, half_height = np.tan(azimuth), np.tan(elevation) / np.cos(azimuth)
+    half_width = np.tan(azimuth)
+    half_height = np.tan(elevation) / np.cos(azimuth)
     pixels = width * height * _solid_angle(hfov_deg, vfov_deg) / _solid_angle(HFOV_DEG, VFOV_DEG)
     focal = float(np.sqrt(pixels / (4 * half_width * half_height)))
     columns, rows = (int(np.ceil(2 * half * focal)) for half in (half_width, half_height))
@@ -94,7 +96,8 @@ class Pose:
     def matrix(self) -> Points:
         """(4, 4) world from camera."""
         matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.eye
+        matrix[:3, :3] = self.rotation
+        matrix[:3, 3] = self.eye
         return matrix
 
 
@@ -167,12 +170,19 @@ class ZBuffer:
     ) -> None:
         from .kernels import paint
 
-        self.where, self.optics, self.objects, self._first_object = where, optics, objects, 0
-        shape, lens = (optics.height, optics.width), np.array(optics.lens)
-        self.inverse, self.which = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
-        self.sight, seen = (where.eye, where.rotation, lens), (self.inverse, self.which)
+        self.where = where
+        self.optics = optics
+        self.objects = objects
+        self._first_object = 0
+        shape = (optics.height, optics.width)
+        lens = np.array(optics.lens)
+        self.inverse = np.zeros(shape, np.float32)
+        self.which = np.full(shape, -1, np.int32)
+        self.sight = (where.eye, where.rotation, lens)
+        seen = (self.inverse, self.which)
         if ground is not None:
-            triangles, points = grid_triangles(*ground.shape[:2]), ground.reshape(-1, 3)
+            triangles = grid_triangles(*ground.shape[:2])
+            points = ground.reshape(-1, 3)
             self._first_object = len(triangles)
             whole = np.array([[0, 0, len(points), len(triangles)]], np.int64)
             paint(points, triangles, whole, 0, self.sight, seen)
@@ -183,11 +193,13 @@ class ZBuffer:
 
     def _in_sight(self, reach_m: float) -> npt.NDArray[np.bool_]:
         """(N,) whether the balls around objects touch what the camera sees."""
-        where, radius = self.where, self.objects.balls[:, 3]
+        where = self.where
+        radius = self.objects.balls[:, 3]
         ways = (self.objects.balls[:, :3] - where.eye)[:, None] * where.rotation.T
         x, y, z = ways.sum(axis=2).T
         fx, fy, cx, cy = self.optics.lens
-        right, bottom = self.optics.width - 1 - cx, self.optics.height - 1 - cy
+        right = self.optics.width - 1 - cx
+        bottom = self.optics.height - 1 - cy
         seen = (z > -radius) & (z < reach_m + radius)
         for offset, slope in ((x, right / fx), (-x, cx / fx), (y, bottom / fy), (-y, cy / fy)):
             seen &= offset - slope * z < radius * np.hypot(1, slope)
@@ -211,7 +223,8 @@ class ZBuffer:
 
     def boxes(self, number: npt.NDArray[np.uint16]) -> Points:
         """(N, 11) of the instances in a view, whose pixels are `number`; see `Frame.boxes`."""
-        rows, objects = [], self.objects
+        rows = []
+        objects = self.objects
         for instance in np.unique(number[number > 0]).tolist():
             which = int(np.flatnonzero(objects.instances == instance)[0])
             first, _, last, _ = objects.parts[which]
@@ -254,7 +267,8 @@ def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
     middle = flat.mean(axis=0)
     coarse, _, _ = _narrowest(flat - middle, np.arange(0.0, 90.0))
     yaw_deg, extent, centre = _narrowest(flat - middle, coarse + 0.05 * np.arange(-20, 21))
-    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    low = float(points[:, 2].min())
+    high = float(points[:, 2].max())
     yaw = np.deg2rad((yaw_deg + (0 if extent[0] >= extent[1] else 90) + 90) % 180 - 90)
     x, y = (centre + middle).tolist()
     return x, y, (low + high) / 2, *sorted(extent.tolist(), reverse=True), high - low, float(yaw)
@@ -262,10 +276,12 @@ def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
 
 def _narrowest(flat: Points, yaws_deg: Points) -> tuple[float, Points, Points]:
     """Yaw, extent along and across it, and centre of the least rectangle around (V, 2) points."""
-    cosine, sine = np.cos(np.deg2rad(yaws_deg)), np.sin(np.deg2rad(yaws_deg))
+    cosine = np.cos(np.deg2rad(yaws_deg))
+    sine = np.sin(np.deg2rad(yaws_deg))
     axes = np.array([[cosine, -sine], [sine, cosine]])
     seen = np.tensordot(flat, axes, 1)
-    least, most = seen.min(axis=0), seen.max(axis=0)
+    least = seen.min(axis=0)
+    most = seen.max(axis=0)
     at = int(np.argmin(np.prod(most - least, axis=0)))
     centre = axes[:, :, at] @ (most + least)[:, at] / 2
     return float(yaws_deg[at]), (most - least)[:, at], centre
@@ -278,9 +294,11 @@ def moved(start: Pose, movement: Mapping[str, float]) -> Pose:
     turns left, pitch looks down, roll lowers the right side.
     """
     surge, sway, heave, *turns = (movement.get(name, 0.0) for name in MOVEMENT)
-    ahead, up = start.rotation[:, 2] * (1, 1, 0), np.array([0.0, 0.0, 1.0])
+    ahead = start.rotation[:, 2] * (1, 1, 0)
+    up = np.array([0.0, 0.0, 1.0])
     ahead /= np.linalg.norm(ahead)
-    left, (roll, pitch, yaw) = np.array([-ahead[1], ahead[0], 0.0]), np.deg2rad(turns)
+    left = np.array([-ahead[1], ahead[0], 0.0])
+    roll, pitch, yaw = np.deg2rad(turns)
     turned = _about(up, yaw) @ start.rotation
     # Pitch about the camera's left, roll about its forward axis.
     turned = _about(-turned[:, 0], pitch) @ turned
@@ -295,7 +313,8 @@ def movements(path: Path) -> tuple[dict[str, float], ...]:
     Raises FactoryError that names the file and the line.
     """
     (_, header), *lines = numbered_lines(path) or [(0, "")]
-    names, known = [word.strip() for word in header.split(",")], ("time_s", *MOVEMENT)
+    names = [word.strip() for word in header.split(",")]
+    known = ("time_s", *MOVEMENT)
     if not set(names) <= set(known) or not lines:
         raise FactoryError(
             f"{path}: expected a header of some of {', '.join(known)}, and a line for each frame"

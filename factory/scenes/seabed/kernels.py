@@ -12,13 +12,17 @@ import numpy as np
 from ...compiled import compiled
 from ...elementary import exponential, sine_of_turns
 
-STEPS = 25  # of a standard deviation, in the noise that pictures are painted with
-TEXTURE_M, FINE_M = 3.7, 0.7  # a side of the tile that pictures are painted with twice
+STEPS = 25  # steps per standard deviation of the noise that textures images
+TEXTURE_M = 3.7  # side of the noise tile, which textures images at two scales
+FINE_M = 0.7  # side of the same tile at the finer scale
 
 _F = np.float32
-_ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
+_ZERO = _F(0)
+_HALF = _F(0.5)
+_ONE = _F(1)
 _TURNS = _F(1 / (2 * np.pi))
-_STEP, _BITS = _F(1 / STEPS), np.int32(24)
+_STEP = _F(1 / STEPS)
+_BITS = np.int32(24)
 _BLOCK = 1024
 _NEAR_M = 0.02  # what is nearer to the lens is not seen
 _SHADE_M = _F(0.04)  # how far behind an object its shadow begins
@@ -28,7 +32,8 @@ _U = np.uint64
 _LINE, _ROWS = (f"Array(float32, {n}, 'C', readonly=True)" for n in (1, 2))
 _WHOLES = "Array(int32, 2, 'C', readonly=True)"
 _OWNERS = "Array(uint16, 1, 'C', readonly=True)"
-_PLANE, _VECTORS = "float32[:, ::1]", "float32[:, :, ::1]"
+_PLANE = "float32[:, ::1]"
+_VECTORS = "float32[:, :, ::1]"
 _CAMERA = "Tuple((float64[::1], float64[:, ::1], float64[::1]))"
 _SIGHT = "Tuple((float32[::1], float32[:, ::1], float32[::1]))"
 _SEEN = "Tuple((float32[:, ::1], int32[:, ::1]))"
@@ -44,11 +49,13 @@ def sum_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any) -> Any:
     total = np.zeros(axes.shape[1], np.float32)
     for begin in range(0, axes.shape[1], _BLOCK):
         # Cut out, so that the compiler sees that no index is negative, and does several at a time.
-        x, y = axes[0, begin : begin + _BLOCK], axes[1, begin : begin + _BLOCK]
+        x = axes[0, begin : begin + _BLOCK]
+        y = axes[1, begin : begin + _BLOCK]
         z = axes[axes.shape[0] - 1, begin : begin + _BLOCK]
         part = total[begin : begin + _BLOCK]
         for k in range(len(phases)):
-            start, height = phases[k] * _TURNS, amplitudes[k]
+            start = phases[k] * _TURNS
+            height = amplitudes[k]
             a, b = vectors[k, 0] * _TURNS, vectors[k, 1] * _TURNS
             c = vectors[k, 2] * _TURNS if axes.shape[0] == 3 else _ZERO
             for i in range(len(part)):
@@ -61,11 +68,13 @@ def _tile_at(tile: Any, u_m: Any, v_m: Any, scale: Any) -> Any:
     """Value of a periodic (S, S) tile between its pixels; `scale`: of (u, v) in periods."""
     side = tile.shape[0]
     x, y = u_m * scale, v_m * scale
-    x, y = (x - np.floor(x)) * _F(side), (y - np.floor(y)) * _F(side)
+    x = (x - np.floor(x)) * _F(side)
+    y = (y - np.floor(y)) * _F(side)
     column, row = int(x), int(y)
     right, down = x - _F(column), y - _F(row)
     column, row = column & (side - 1), row & (side - 1)
-    after, below = (column + 1) & (side - 1), (row + 1) & (side - 1)
+    after = (column + 1) & (side - 1)
+    below = (row + 1) & (side - 1)
     upper = tile[row, column] + right * (tile[row, after] - tile[row, column])
     lower = tile[below, column] + right * (tile[below, after] - tile[below, column])
     return upper + down * (lower - upper)
@@ -77,18 +86,29 @@ def normals_of_grid(points: Any) -> Any:
     normals = np.empty_like(points)
     rows, columns = points.shape[:2]
     for row in range(rows):
-        above, below = points[max(row - 1, 0)], points[min(row + 1, rows - 1)]
+        above = points[max(row - 1, 0)]
+        below = points[min(row + 1, rows - 1)]
         for column in range(columns):
-            left, right = points[row, max(column - 1, 0)], points[row, min(column + 1, columns - 1)]
-            dx, rx = below[column, 0] - above[column, 0], right[0] - left[0]
-            dy, ry = below[column, 1] - above[column, 1], right[1] - left[1]
-            dz, rz = below[column, 2] - above[column, 2], right[2] - left[2]
-            x, y, z = ry * dz - rz * dy, rz * dx - rx * dz, rx * dy - ry * dx
+            left = points[row, max(column - 1, 0)]
+            right = points[row, min(column + 1, columns - 1)]
+            dx = below[column, 0] - above[column, 0]
+            rx = right[0] - left[0]
+            dy = below[column, 1] - above[column, 1]
+            ry = right[1] - left[1]
+            dz = below[column, 2] - above[column, 2]
+            rz = right[2] - left[2]
+            x = ry * dz - rz * dy
+            y = rz * dx - rx * dz
+            z = rx * dy - ry * dx
             up = -_ONE if z < 0 else _ONE
-            x, y, z = x * up, y * up, z * up
+            x = x * up
+            y = y * up
+            z = z * up
             length = max(np.sqrt(x * x + y * y + z * z), _F(1e-20))
             normal = normals[row, column]
-            normal[0], normal[1], normal[2] = x / length, y / length, z / length
+            normal[0] = x / length
+            normal[1] = y / length
+            normal[2] = z / length
     return normals
 
 
@@ -105,24 +125,44 @@ def relieve(
     heights: (3,) metres of a standard deviation of rock and sand, and of a ripple's crest.
     Written, too: attributes (R, C, 3), see `Terrain.seen_from`.
     """
-    (rock, gravel, crest), (rock_tile, sand_tile) = shares, tiles
-    rock_m, sand_m, crest_m = heights[0], heights[1], heights[2]
-    coarse, fine = _ONE / _F(9.1), _ONE / _F(2.3)
-    sandy, pebbly = _ONE / _F(6.7), _ONE / _F(1.7)
-    first, second = offset[0], offset[1]
+    rock, gravel, crest = shares
+    rock_tile, sand_tile = tiles
+    rock_m = heights[0]
+    sand_m = heights[1]
+    crest_m = heights[2]
+    coarse = _ONE / _F(9.1)
+    fine = _ONE / _F(2.3)
+    sandy = _ONE / _F(6.7)
+    pebbly = _ONE / _F(1.7)
+    first = offset[0]
+    second = offset[1]
     for row in range(points.shape[0]):
         for column in range(points.shape[1]):
-            point, normal = points[row, column], normals[row, column]
-            x, y, z = point[0], point[1], point[2]
-            bare, pebbles, ripple = rock[row, column], gravel[row, column], crest[row, column]
+            point = points[row, column]
+            normal = normals[row, column]
+            x = point[0]
+            y = point[1]
+            z = point[2]
+            bare = rock[row, column]
+            pebbles = gravel[row, column]
+            ripple = crest[row, column]
             stone = sand = stones = _ZERO
             if bare > 0:
                 # The tile is laid on from the three axes and mixed by the normal.
-                sx, sy, sz = normal[0] ** 2, normal[1] ** 2, normal[2] ** 2
-                sx, sy, sz = sx * sx, sy * sy, sz * sz
+                sx = normal[0] ** 2
+                sy = normal[1] ** 2
+                sz = normal[2] ** 2
+                sx = sx * sx
+                sy = sy * sy
+                sz = sz * sz
                 total = max(sx + sy + sz, _F(1e-12))
-                sx, sy, sz = sx / total, sy / total, sz / total
-                px, py, pz, qy = x + first, y + first, z + second, y + second
+                sx = sx / total
+                sy = sy / total
+                sz = sz / total
+                px = x + first
+                py = y + first
+                pz = z + second
+                qy = y + second
                 stone = sx * _tile_at(rock_tile, py, pz, coarse)
                 stone += sy * _tile_at(rock_tile, px, pz, coarse)
                 stone += sz * _tile_at(rock_tile, px, qy, coarse)
@@ -140,14 +180,17 @@ def relieve(
             tone = _F(0.4) * sand + _F(0.8) * ripple + _HALF * pebbles * stones
             for k in range(3):
                 point[k] += normal[k] * relief
-            attributes[row, column, 0], attributes[row, column, 1] = bare, pebbles
+            attributes[row, column, 0] = bare
+            attributes[row, column, 1] = pebbles
             attributes[row, column, 2] = bare * stone + loose * tone
 
 
 @compiled()
 def _placed(point: Any, eye: Any, axes: Any) -> Any:
     """A point in a camera's own axes: across, down, ahead."""
-    x, y, z = point[0] - eye[0], point[1] - eye[1], point[2] - eye[2]
+    x = point[0] - eye[0]
+    y = point[1] - eye[1]
+    z = point[2] - eye[2]
     return (
         axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z,
         axes[0, 1] * x + axes[1, 1] * y + axes[2, 1] * z,
@@ -165,25 +208,38 @@ def paint(
     world from camera, lens (4,) fx, fy, cx, cy.  seen_so_far: (H, W) one over the depth along the
     optical axis, 0 where nothing was met so far, and (H, W) number of the triangle met.
     """
-    (eye, axes, lens), (inverse, which) = camera, seen_so_far
+    eye, axes, lens = camera
+    inverse, which = seen_so_far
     height, width = inverse.shape
-    fx, fy, middle_x, middle_y = lens[0], lens[1], lens[2], lens[3]
-    step_x, step_y = 1 / fx, 1 / fy
-    left_slope, right_slope = -middle_x * step_x, (width - 1 - middle_x) * step_x
-    top_slope, bottom_slope = -middle_y * step_y, (height - 1 - middle_y) * step_y
+    fx = lens[0]
+    fy = lens[1]
+    middle_x = lens[2]
+    middle_y = lens[3]
+    step_x = 1 / fx
+    step_y = 1 / fy
+    left_slope = -middle_x * step_x
+    right_slope = (width - 1 - middle_x) * step_x
+    top_slope = -middle_y * step_y
+    bottom_slope = (height - 1 - middle_y) * step_y
     across_by_column = (np.arange(width) - middle_x) * step_x
     placed = np.empty((len(points), 3), np.float64)  # in camera axes
     seen = np.empty((len(points), 2), np.float32)  # column and row
     for part in range(len(parts)):
         for k in range(parts[part, 0], parts[part, 2]):
             across, down, depth = _placed(points[k], eye, axes)
-            placed[k, 0], placed[k, 1], placed[k, 2] = across, down, depth
+            placed[k, 0] = across
+            placed[k, 1] = down
+            placed[k, 2] = depth
             over = 1 / max(depth, _NEAR_M)
             seen[k, 0] = across * over * fx + middle_x
             seen[k, 1] = down * over * fy + middle_y
         for k in range(parts[part, 1], parts[part, 3]):
-            a, b, c = _U(triangles[k, 0]), _U(triangles[k, 1]), _U(triangles[k, 2])
-            az, bz, cz = placed[a, 2], placed[b, 2], placed[c, 2]
+            a = _U(triangles[k, 0])
+            b = _U(triangles[k, 1])
+            c = _U(triangles[k, 2])
+            az = placed[a, 2]
+            bz = placed[b, 2]
+            cz = placed[c, 2]
             if min(az, bz, cz) > _NEAR_M:
                 left = min(seen[a, 0], seen[b, 0], seen[c, 0])
                 right = max(seen[a, 0], seen[b, 0], seen[c, 0])
@@ -191,16 +247,25 @@ def paint(
                 bottom = max(seen[a, 1], seen[b, 1], seen[c, 1])
                 if left > width - 1 or right < 0 or top > height - 1 or bottom < 0:
                     continue
-                first, last = max(int(np.ceil(left)), 0), min(int(np.floor(right)), width - 1)
-                upper, lower = max(int(np.ceil(top)), 0), min(int(np.floor(bottom)), height - 1)
+                first = max(int(np.ceil(left)), 0)
+                last = min(int(np.floor(right)), width - 1)
+                upper = max(int(np.ceil(top)), 0)
+                lower = min(int(np.floor(bottom)), height - 1)
                 if first > last or upper > lower:
                     continue
             elif max(az, bz, cz) <= _NEAR_M:
                 continue
             else:
-                first, last, upper, lower = 0, width - 1, 0, height - 1
-            ax, bx, cx = placed[a, 0], placed[b, 0], placed[c, 0]
-            ay, by, cy = placed[a, 1], placed[b, 1], placed[c, 1]
+                first = 0
+                last = width - 1
+                upper = 0
+                lower = height - 1
+            ax = placed[a, 0]
+            bx = placed[b, 0]
+            cx = placed[c, 0]
+            ay = placed[a, 1]
+            by = placed[b, 1]
+            cy = placed[c, 1]
             if last - first == width - 1 and (
                 (ax < left_slope * az and bx < left_slope * bz and cx < left_slope * cz)
                 or (ax > right_slope * az and bx > right_slope * bz and cx > right_slope * cz)
@@ -208,20 +273,30 @@ def paint(
                 or (ay > bottom_slope * az and by > bottom_slope * bz and cy > bottom_slope * cz)
             ):
                 continue  # it reaches behind the lens, but beside the picture
-            ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+            ux = by * cz - bz * cy
+            uy = bz * cx - bx * cz
+            uz = bx * cy - by * cx
             volume = ax * ux + ay * uy + az * uz
             if volume == 0:
                 continue
-            vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
-            wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            vx = cy * az - cz * ay
+            vy = cz * ax - cx * az
+            vz = cx * ay - cy * ax
+            wx = ay * bz - az * by
+            wy = az * bx - ax * bz
+            wz = ax * by - ay * bx
             scale = 1 / volume
             for row in range(upper, lower + 1):
                 y = (row - middle_y) * step_y
-                u0, v0, w0 = uy * y + uz, vy * y + vz, wy * y + wz
+                u0 = uy * y + uz
+                v0 = vy * y + vz
+                w0 = wy * y + wz
                 here = _U(row)
                 for column in range(_U(first), _U(last + 1)):
                     x = across_by_column[column]
-                    u, v, w = (ux * x + u0) * scale, (vx * x + v0) * scale, (wx * x + w0) * scale
+                    u = (ux * x + u0) * scale
+                    v = (vx * x + v0) * scale
+                    w = (wx * x + w0) * scale
                     if u >= 0 and v >= 0 and w >= 0:
                         near = np.float32(u + v + w)
                         if near > inverse[here, column]:
@@ -244,9 +319,14 @@ def _noise(tile: Any, u: Any, v: Any, rate: Any, strength: Any) -> Any:
     column = np.int32((x - np.floor(x)) * _F(side)) & (side - 1)
     row = np.int32((y - np.floor(y)) * _F(side)) & (side - 1)
     word = np.int32(tile[_U(row), _U(column)])
-    broad, grain = _F(np.int32(word << _BITS) >> _BITS), _F(np.int32(word << 16) >> _BITS)
-    cells, speckle = _F(np.int32(word << 8) >> _BITS), _F(word >> _BITS)
-    broad, grain, cells, speckle = broad * _STEP, grain * _STEP, cells * _STEP, speckle * _STEP
+    broad = _F(np.int32(word << _BITS) >> _BITS)
+    grain = _F(np.int32(word << 16) >> _BITS)
+    cells = _F(np.int32(word << 8) >> _BITS)
+    speckle = _F(word >> _BITS)
+    broad = broad * _STEP
+    grain = grain * _STEP
+    cells = cells * _STEP
+    speckle = speckle * _STEP
     return broad * strength, grain * strength, cells * strength, speckle * strength
 
 
@@ -257,7 +337,8 @@ def _ground(noise: Any, detail: Any, close: Any, surface: Any, turf: Any) -> Any
     noise, detail: what the texture says there, broad and fine.  close: 1 nearby, 0 where detail is
     finer than a pixel.  surface: rockiness, share of gravel, relief.
     """
-    (broad, grain, cells, speckle), (bare, stones, tone) = noise, surface
+    broad, grain, cells, speckle = noise
+    bare, stones, tone = surface
     fine_broad, fine_grain, fine_cells, fine_speckle = detail
     rock = _ramp(_F(0.3), _F(0.7), bare + _F(0.22) * grain * close + _F(0.1) * cells)
     gravel = _ramp(_F(0.35), _F(0.65), stones + _F(0.18) * cells)
@@ -282,7 +363,8 @@ def _thing(noise: Any, detail: Any, close: Any, up: Any, finish: Any) -> Any:
 
     up: of its normal.  finish: fouling, silt and bump.
     """
-    (broad, grain, cells, speckle), (fouling, silt, bump) = noise, (finish[0], finish[1], finish[2])
+    broad, grain, cells, speckle = noise
+    fouling, silt, bump = (finish[0], finish[1], finish[2])
     fine_broad, fine_grain, fine_cells, _ = detail
     patchy = _F(0.6) * broad + _HALF * cells + _F(0.4) * fine_broad
     grown = _ramp(_ZERO, _F(0.9), patchy + _F(2.2) * fouling - _F(1.3)) * _F(0.85)
@@ -297,17 +379,28 @@ def _thing(noise: Any, detail: Any, close: Any, up: Any, finish: Any) -> Any:
 @compiled()
 def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
     """Where a ray meets a triangle of a mesh: its side (positive: from behind), normal, paint."""
-    (corners, facings, paints, triangles), (x, y, z) = mesh, ray
-    a, b, c = _U(triangles[number, 0]), _U(triangles[number, 1]), _U(triangles[number, 2])
-    px, py, pz = corners[a, 0] - eye[0], corners[a, 1] - eye[1], corners[a, 2] - eye[2]
-    qx, qy, qz = corners[b, 0] - eye[0], corners[b, 1] - eye[1], corners[b, 2] - eye[2]
-    rx, ry, rz = corners[c, 0] - eye[0], corners[c, 1] - eye[1], corners[c, 2] - eye[2]
+    corners, facings, paints, triangles = mesh
+    x, y, z = ray
+    a = _U(triangles[number, 0])
+    b = _U(triangles[number, 1])
+    c = _U(triangles[number, 2])
+    px = corners[a, 0] - eye[0]
+    py = corners[a, 1] - eye[1]
+    pz = corners[a, 2] - eye[2]
+    qx = corners[b, 0] - eye[0]
+    qy = corners[b, 1] - eye[1]
+    qz = corners[b, 2] - eye[2]
+    rx = corners[c, 0] - eye[0]
+    ry = corners[c, 1] - eye[1]
+    rz = corners[c, 2] - eye[2]
     one = x * (qy * rz - qz * ry) + y * (qz * rx - qx * rz) + z * (qx * ry - qy * rx)
     two = x * (ry * pz - rz * py) + y * (rz * px - rx * pz) + z * (rx * py - ry * px)
     three = x * (py * qz - pz * qy) + y * (pz * qx - px * qz) + z * (px * qy - py * qx)
     facing = one + two + three
     share = _ONE / facing
-    u, v, w = one * share, two * share, three * share
+    u = one * share
+    v = two * share
+    w = three * share
     normal = (
         u * facings[a, 0] + v * facings[b, 0] + w * facings[c, 0],
         u * facings[a, 1] + v * facings[b, 1] + w * facings[c, 1],
@@ -335,9 +428,11 @@ def look(
     water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a camera in the
     sun and its (S, S) picture of the objects.
     """
-    (eye, axes, lens), (inverse, which) = sight, seen
+    eye, axes, lens = sight
+    inverse, which = seen
     sun_eye, sun_axes, sun_lens = sun_sight
-    side, (height, width) = sun_inverse.shape[0], which.shape
+    side = sun_inverse.shape[0]
+    height, width = which.shape
     colour = np.empty(((height + 1) // 2, (width + 1) // 2, 3), np.float32)
     for i in range(colour.shape[0]):
         row = 2 * i
@@ -361,11 +456,19 @@ def look(
             facing, (nx, ny, nz), surface = _met(solid, number, eye, (x, y, z))
             # Thin sheets and inner sides are seen from behind: turn their normals to the camera.
             if not on_ground and facing > 0 and nx * x + ny * y + nz * z > 0:
-                nx, ny, nz = -nx, -ny, -nz
+                nx = -nx
+                ny = -ny
+                nz = -nz
             # The noise tiles are laid on along one axis, by chance in proportion to the normal.
-            ex, ey, ez = eye[0] + depth * x, eye[1] + depth * y, eye[2] + depth * z
-            sx, sy, sz = nx * nx, ny * ny, nz * nz
-            sx, sy, sz = sx * sx, sy * sy, sz * sz
+            ex = eye[0] + depth * x
+            ey = eye[1] + depth * y
+            ez = eye[2] + depth * z
+            sx = nx * nx
+            sy = ny * ny
+            sz = nz * nz
+            sx = sx * sx
+            sy = sy * sy
+            sz = sz * sz
             dither = np.uint32(row * 0x9E3779B1) ^ np.uint32(column * 0x85EBCA77)
             dither = np.uint32((dither ^ (dither >> np.uint32(15))) * np.uint32(0x2C1B3C6D))
             chance = _F(dither >> np.uint32(8)) * _F(2.0**-24) * (sx + sy + sz)
@@ -395,7 +498,8 @@ def look(
                     shine = _ZERO
             sky = (_F(0.55) + _F(0.45) * nz) * (_ONE + _HALF * slope)
             range_m = depth * np.sqrt(_ONE + x0 * x0 + y0 * y0)
-            (sand_shade, gravel_shade, shade), (gravel, share, grown, crust) = shades, shares
+            sand_shade, gravel_shade, shade = shades
+            gravel, share, grown, crust = shares
             for k in range(3):
                 loose = palette[0, k] * sand_shade
                 loose += gravel * (palette[1, k] * gravel_shade - loose)
@@ -423,9 +527,11 @@ def expose(colour: Any, black: Any, gain: Any, gamma: Any, height: int, width: i
     rows, columns = colour.shape[:2]
     most = _F(len(gamma) - 1)
     for row in range(height):
-        above, below = colour[row // 2], colour[min((row + 1) // 2, rows - 1)]
+        above = colour[row // 2]
+        below = colour[min((row + 1) // 2, rows - 1)]
         for column in range(width):
-            left, right = column // 2, min((column + 1) // 2, columns - 1)
+            left = column // 2
+            right = min((column + 1) // 2, columns - 1)
             for k in range(3):
                 total = above[left, k] + above[right, k] + below[left, k] + below[right, k]
                 value = (_F(0.25) * total - black[k]) * gain

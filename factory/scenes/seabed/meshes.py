@@ -61,10 +61,12 @@ def rotation(axes: str, *angles_rad: float) -> Points:
     """(3, 3) product of right-handed turns about axes such as "x" or "zyz", the last one first."""
     matrices = np.tile(np.eye(3), (len(axes), 1, 1))
     for matrix, axis, angle_rad in zip(matrices, axes, angles_rad, strict=True):
-        c, s = np.cos(angle_rad), np.sin(angle_rad)
+        c = np.cos(angle_rad)
+        s = np.sin(angle_rad)
         first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
         matrix[first, first] = matrix[second, second] = c
-        matrix[first, second], matrix[second, first] = -s, s
+        matrix[first, second] = -s
+        matrix[second, first] = s
     return functools.reduce(np.matmul, matrices)
 
 
@@ -111,7 +113,10 @@ def grid_triangles(rows: int, columns: int, closed: bool = False) -> Indices:
     number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     if closed:
         number = np.append(number, number[:, :1], axis=1)
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    a = number[:-1, :-1]
+    b = number[1:, :-1]
+    c = number[1:, 1:]
+    d = number[:-1, 1:]
     triangles: Indices = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
     triangles.setflags(write=False)
     return triangles
@@ -130,7 +135,8 @@ def lathe(
         pairs = (slice(k, k + 2) for k in range(len(points) - 1))
         return join(lathe(points[pair], segments, colours[pair]) for pair in pairs)
     angle = np.arange(segments) * (2 * np.pi / segments)
-    radius, height = points[:, :1], np.repeat(points[:, 1:], segments, axis=1)
+    radius = points[:, :1]
+    height = np.repeat(points[:, 1:], segments, axis=1)
     vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
     triangles = grid_triangles(len(points), segments, closed=True)[:, ::-1]
     return mesh(vertices.reshape(-1, 3), triangles, np.repeat(colours, segments, axis=0))
@@ -148,7 +154,9 @@ def tube(
     else:  # a ring of radius 0 at either end, and the rims twice to keep their edges
         rings = np.array([0, 0, *range(len(points)), -1, -1])
         tangents = np.gradient(points, axis=0)[rings]
-        points, radii, colours = points[rings], radii[rings], colours[rings]
+        points = points[rings]
+        radii = radii[rings]
+        colours = colours[rings]
         radii[[0, -1]] = 0
     tangents /= np.maximum(np.sqrt((tangents**2).sum(axis=1, keepdims=True)), 1e-12)
     side = _sides(tangents)
@@ -166,9 +174,13 @@ def _sides(tangents: Points) -> Points:
     x, y, z = np.eye(3)[np.argmin(np.abs(tangents[0]))].tolist()
     for k, (ax, ay, az) in enumerate(tangents.tolist()):
         along = ax * x + ay * y + az * z
-        x, y, z = x - ax * along, y - ay * along, z - az * along
+        x = x - ax * along
+        y = y - ay * along
+        z = z - az * along
         scale = 1 / max(math.sqrt(x * x + y * y + z * z), 1e-12)
-        x, y, z = x * scale, y * scale, z * scale
+        x = x * scale
+        y = y * scale
+        z = z * scale
         sides[k] = x, y, z
     return sides
 
@@ -226,7 +238,8 @@ def sphere(subdivisions: int) -> Mesh:
         unique, which = np.unique(edges, axis=0, return_inverse=True)
         middle = (len(points) + which.reshape(-1, 3)).astype(np.int32)
         points = np.concatenate([points, points[unique].mean(axis=1)])
-        (a, b, c), (ab, bc, ca) = faces.T, middle.T
+        a, b, c = faces.T
+        ab, bc, ca = middle.T
         corners_of = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
         faces = np.concatenate([np.stack(corner, axis=-1) for corner in corners_of])
         points = points / np.linalg.norm(points, axis=1, keepdims=True)

@@ -104,8 +104,10 @@ def tiles() -> tuple[npt.NDArray[np.int32], Floats, Floats]:
     from .kernels import STEPS
 
     rng = stream(WORLD_SEED, "seabed", "tiles")
-    broad, grain = _fractal(rng, 2, 64, 1.3), _fractal(rng, 24, 400, 0.5)
-    cells, speckle = _cells(rng, 26), _fractal(rng, 60, 500, 0.0)
+    broad = _fractal(rng, 2, 64, 1.3)
+    grain = _fractal(rng, 24, 400, 0.5)
+    cells = _cells(rng, 26)
+    speckle = _fractal(rng, 60, 500, 0.0)
     ridged = _unit(-np.abs(_fractal(rng, 3, 80, 1.0)))
     rock = _unit(ridged + 0.6 * _fractal(rng, 3, 160, 0.9) + 0.35 * _cells(rng, 22))
     sand = _unit(_fractal(rng, 6, 120, 0.9))
@@ -161,19 +163,26 @@ class Banks:
         self._half_width_m, height = (rng.uniform(*span) for span in place["banks"])
         # Ledges: steep faces and narrow steps take turns up the wall.
         faces = int(rng.integers(2, 5))
-        knots, behind, level = [(-1.2, 0.0), (0.0, 0.22)], 0.0, 0.22
+        knots = [(-1.2, 0.0), (0.0, 0.22)]
+        behind = 0.0
+        level = 0.22
         for step in rng.dirichlet(np.full(faces, 3.0)) * height:
-            behind, level = behind + step * rng.uniform(0.12, 0.4), level + float(step)
+            behind = behind + step * rng.uniform(0.12, 0.4)
+            level = level + float(step)
             knots.append((behind, level))
-            behind, level = behind + rng.uniform(0.15, 0.7), level + rng.uniform(0.03, 0.15)
+            behind = behind + rng.uniform(0.15, 0.7)
+            level = level + rng.uniform(0.03, 0.15)
             knots.append((behind, level))
         knots += [(behind + 6, level + rng.uniform(0.3, 1.5)), (behind + 40, level + 2.5)]
-        sharp, fine = np.array(knots), np.arange(-1.6, behind + 12, 0.04)
+        sharp = np.array(knots)
+        fine = np.arange(-1.6, behind + 12, 0.04)
         padded = np.pad(np.interp(fine, *sharp.T), 4, mode="edge")
         rounded = np.column_stack([fine, np.convolve(padded, np.ones(9) / 9, "valid")])
         self.profile = np.concatenate([rounded, sharp[-1:]])
-        self._winding, self._winding_m = Waves(rng, 26.0, 9.0, 1.2), rng.uniform(0.3, 1.2)
-        self._ragged, self._ragged_m = Waves(rng, 3.5, 0.5, 0.9), rng.uniform(0.15, 0.26)
+        self._winding = Waves(rng, 26.0, 9.0, 1.2)
+        self._winding_m = rng.uniform(0.3, 1.2)
+        self._ragged = Waves(rng, 3.5, 0.5, 0.9)
+        self._ragged_m = rng.uniform(0.15, 0.26)
 
     def axis_offset_m(self, along_m: Arrays) -> Floats:
         """How far the winding axis is to the left of a straight line, at distances along it."""
@@ -183,7 +192,8 @@ class Banks:
     def behind_foot_m(self, x: Arrays, y: Arrays) -> Floats:
         """Distance behind the foot of the nearest wall, negative in front of it."""
         c, s = self._turn
-        along, across = c * x + s * y, -s * x + c * y
+        along = c * x + s * y
+        across = -s * x + c * y
         across = across - self.axis_offset_m(along)
         ragged = np.float32(self._ragged_m) * self._ragged(x, y)
         behind = np.full_like(across, -np.inf)
@@ -198,10 +208,13 @@ class Ripples:
     def __init__(self, rng: Draws, cover: Range) -> None:
         wavelength = rng.uniform(0.14, 0.55)
         self.amplitude_m = wavelength * rng.uniform(0.045, 0.085)
-        rate, heading = 2 * np.pi / wavelength, rng.uniform(0, 2 * np.pi)
+        rate = 2 * np.pi / wavelength
+        heading = rng.uniform(0, 2 * np.pi)
         self._rates = np.float32(rate * np.cos(heading)), np.float32(rate * np.sin(heading))
-        self._bend, self._bend_rad = Waves(rng, 7.0, 0.8, 0.9), rng.uniform(1.2, 2.6)
-        self._patches, self._level = Waves(rng, 8.0, 1.5, 0.8), _level(rng.uniform(*cover))
+        self._bend = Waves(rng, 7.0, 0.8, 0.9)
+        self._bend_rad = rng.uniform(1.2, 2.6)
+        self._patches = Waves(rng, 8.0, 1.5, 0.8)
+        self._level = _level(rng.uniform(*cover))
 
     def height(self, x: Floats, y: Floats) -> Floats:
         """From -1 (trough) to 1 (crest), 0 outside the patches."""
@@ -224,10 +237,8 @@ class Terrain:
     """
 
     def __init__(self, rng: Draws, place: Place, heading_rad: float) -> None:
-        slope, downhill = (
-            np.tan(np.deg2rad(rng.uniform(*place["slope_deg"]))),
-            rng.uniform(0, 2 * np.pi),
-        )
+        slope = np.tan(np.deg2rad(rng.uniform(*place["slope_deg"])))
+        downhill = rng.uniform(0, 2 * np.pi)
         self._slope = np.float32(slope * np.cos(downhill)), np.float32(slope * np.sin(downhill))
         self._swell = Waves(rng, rng.uniform(9, 20), 1.0, 1.2)
         self._swell_m = rng.uniform(*place["swell_m"])
@@ -248,7 +259,8 @@ class Terrain:
 
     def _shape(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Height without the fine relief, and rockiness: 0 on loose ground, 1 on rock."""
-        outcrop, level = self._outcrop(x, y), self._bare
+        outcrop = self._outcrop(x, y)
+        level = self._bare
         height = self._slope[0] * x + self._slope[1] * y
         height = height + np.float32(self._swell_m) * self._swell(x, y)
         ledge = smoothstep(level - 0.25, level + 0.5, outcrop)
@@ -290,7 +302,8 @@ class Terrain:
         low = np.minimum(between.astype(np.int64), coarse - 2)
         radius = np.exp(log_r[:, low] + (between - low) * (log_r[:, low + 1] - log_r[:, low]))
         heading = np.linspace(*azimuths_rad, columns)
-        x, y = eye[0] + radius * np.cos(heading), eye[1] + radius * np.sin(heading)
+        x = eye[0] + radius * np.cos(heading)
+        y = eye[1] + radius * np.sin(heading)
         return self._surface(x.astype(np.float32), y.astype(np.float32))
 
     def _surface(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
@@ -299,13 +312,17 @@ class Terrain:
 
         height, rock = self._shape(x, y)
         gravel = smoothstep(self._stony - 0.3, self._stony + 0.3, self._gravel(x, y)) * (1 - rock)
-        crest, crest_m = np.zeros_like(rock), 0.0
+        crest = np.zeros_like(rock)
+        crest_m = 0.0
         if self._ripples is not None:
             crest = self._ripples.height(x, y) * (1 - rock) * (1 - 0.8 * gravel)
             crest_m = self._ripples.amplitude_m
-        points, shares = np.stack([x, y, height], axis=-1), (rock, gravel, crest)
+        points = np.stack([x, y, height], axis=-1)
+        shares = (rock, gravel, crest)
         heights = np.array([*self._relief_m, crest_m], dtype=np.float32)
-        attributes, normals, relief = np.empty_like(points), normals_of_grid(points), tiles()[1:]
+        attributes = np.empty_like(points)
+        normals = normals_of_grid(points)
+        relief = tiles()[1:]
         relieve(points, normals, shares, relief, self.offset_m, heights, attributes)
         return points, normals_of_grid(points), attributes
 
@@ -330,7 +347,8 @@ class Look:
     def __init__(self, rng: Draws, place: Place) -> None:
         water = catalogue()["waters"][place["waters"][int(rng.integers(len(place["waters"])))]]
         self.clear_m = rng.uniform(*water["clear_m"])
-        height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
+        height = rng.uniform(0.72, 0.92)
+        turn = rng.uniform(0, 2 * np.pi)
         flat = np.sqrt(1 - height**2)
         self.sun_direction = np.array([flat * np.cos(turn), flat * np.sin(turn), height])
         sun = rng.uniform(*water["sun"])

@@ -33,8 +33,10 @@ def lying(upright: Mesh) -> Mesh:
 
 def standing_bottle(rng: Draws) -> Mesh:
     """A bottle, 22 to 42 cm high, often with a label."""
-    height, radius = rng.uniform(0.22, 0.42), rng.uniform(0.036, 0.052)
-    neck, shoulder = radius * rng.uniform(0.3, 0.42), rng.uniform(0.5, 0.64)
+    height = rng.uniform(0.22, 0.42)
+    radius = rng.uniform(0.036, 0.052)
+    neck = radius * rng.uniform(0.3, 0.42)
+    shoulder = rng.uniform(0.5, 0.64)
     glass = pick(rng, GLASS)
     label = pick(rng, PAINTS) if rng.random() < 0.6 else glass
     levels = [0, 0, 0.02, 0.14, 0.15, 0.4, 0.41, shoulder, shoulder + 0.09, 0.78, 0.94]
@@ -66,7 +68,8 @@ def can(rng: Draws) -> Mesh:
 def drink_carton(rng: Draws) -> Mesh:
     """A gable-top carton, standing or lying."""
     width, depth, body = rng.uniform([0.07, 0.07, 0.16], [0.11, 0.11, 0.26]).tolist()
-    paint, pale = pick(rng, PAINTS), (0.72, 0.72, 0.70)
+    paint = pick(rng, PAINTS)
+    pale = (0.72, 0.72, 0.70)
     ridge = body + width * 0.55
     gable = prism([[-width / 2, 0], [width / 2, 0], [0, ridge - body]], depth, pale)
     gable = gable.turned("x", np.pi / 2).moved((0, depth / 2, body))
@@ -78,8 +81,10 @@ def drink_carton(rng: Draws) -> Mesh:
 
 def shampoo_bottle(rng: Draws) -> Mesh:
     """A flat plastic bottle with a cap, on its side or upright."""
-    height, width = rng.uniform(0.2, 0.32), rng.uniform(0.045, 0.06)
-    paint, cap = pick(rng, PAINTS), pick(rng, PAINTS)
+    height = rng.uniform(0.2, 0.32)
+    width = rng.uniform(0.045, 0.06)
+    paint = pick(rng, PAINTS)
+    cap = pick(rng, PAINTS)
     body = [[0, 0], [0.8, 0], [0.95, 0.03], [1, 0.3], [0.9, 0.6], [0.62, 0.74], [0.3, 0.78]]
     top = [[0.34, 0.78], [0.34, 0.97], [0.28, 1.0], [0, 1.0]]
     flat = lathe(np.array(body) * [width, height], 20, paint).moved(scale=(1.0, 0.55, 1.0))
@@ -93,7 +98,8 @@ def hook(rng: Draws) -> Mesh:
     angle = np.linspace(np.deg2rad(100), np.deg2rad(-170), 22)
     bend = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)]) * 0.5
     shank = [[bend[0, 0], y, 0] for y in (1.35, 0.95, 0.7)]
-    upper, lower = np.linspace(0.13, 0.17, 11), np.linspace(0.165, 0.045, 11)
+    upper = np.linspace(0.13, 0.17, 11)
+    lower = np.linspace(0.165, 0.045, 11)
     thickness = np.array([0.1, 0.11, 0.12, *upper, *lower]) * size
     eye = (circle(18) * 0.24 + [bend[0, 0], 1.55, 0]) * size
     paint = pick(rng, (RUST, STEEL, PAINTS[1], PAINTS[0]))
@@ -104,7 +110,8 @@ def hook(rng: Draws) -> Mesh:
 
 def propeller(rng: Draws) -> Mesh:
     """A ship's propeller of three to five twisted blades, leaning or flat."""
-    radius, blades = rng.uniform(0.22, 0.6), int(rng.integers(3, 6))
+    radius = rng.uniform(0.22, 0.6)
+    blades = int(rng.integers(3, 6))
     metal = pick(rng, (BRONZE, STEEL, RUST))
     hub = np.array([[0, -0.2], [0.14, -0.2], [0.19, -0.1], [0.2, 0.12], [0.12, 0.25], [0, 0.3]])
     along, across = np.meshgrid(np.linspace(0.12, 1, 12), np.linspace(-1, 1, 9), indexing="ij")
@@ -112,7 +119,8 @@ def propeller(rng: Draws) -> Mesh:
     twist = np.deg2rad(62) * (1 - along) + np.deg2rad(20)
     thick = 0.025 * (1 - 0.7 * along) * (1 - across**2)
     x = along * np.cos(across * width * 0.6)
-    y, z = across * width * np.cos(twist), across * width * np.sin(twist)
+    y = across * width * np.cos(twist)
+    z = across * width * np.sin(twist)
     blade = join(
         sheet(np.stack([x, y, z + side * thick], axis=-1) * radius, metal, turned=side < 0)
         for side in (1.0, -1.0)
@@ -125,9 +133,11 @@ def propeller(rng: Draws) -> Mesh:
 def tire(rng: Draws) -> Mesh:
     """A tyre, flat, leaning or upright; hollow like a real one, with a tread."""
     outer = rng.uniform(0.28, 0.58)
-    width, rim = outer * rng.uniform(0.32, 0.5), outer * rng.uniform(0.55, 0.66)
+    width = outer * rng.uniform(0.32, 0.5)
+    rim = outer * rng.uniform(0.55, 0.66)
     # From the rim over the outside's half to its middle, and on the inside; both are mirrored.
-    deep, tread = outer - rim, 0.978 * outer
+    deep = outer - rim
+    tread = 0.978 * outer
     radii = [rim, rim + 0.3 * deep, rim + 0.75 * deep, 0.985 * outer, outer, tread, tread, outer]
     outside = np.column_stack([radii, [-0.36, -0.49, -0.5, -0.4, -0.2, -0.18, -0.1, -0.08]])
     hollow = np.array([[rim + 0.1 * deep, 0.34], [rim + 0.7 * deep, 0.4], [outer * 0.94, 0.3]])
@@ -142,7 +152,8 @@ def tire(rng: Draws) -> Mesh:
 def valve(rng: Draws) -> Mesh:
     """A flanged gate valve with its hand wheel."""
     size = rng.uniform(0.16, 0.34)
-    paint, wheel = pick(rng, (STEEL, RUST, PAINTS[2], PAINTS[4])), pick(rng, (PAINTS[0], RUST))
+    paint = pick(rng, (STEEL, RUST, PAINTS[2], PAINTS[4]))
+    wheel = pick(rng, (PAINTS[0], RUST))
     half = np.array([[0, -1], [0.62, -1], [0.62, -0.84], [0.34, -0.84], [0.36, -0.5], [0.5, 0]])
     body = np.concatenate([half, half[-2::-1] * [1, -1]])
     bonnet = [[0.4, 0.3], [0.3, 0.7], [0.42, 0.72], [0.42, 0.84], [0.12, 0.9], [0.1, 1.5], [0, 1.5]]
@@ -156,7 +167,8 @@ def valve(rng: Draws) -> Mesh:
 
 def barrel(rng: Draws) -> Mesh:
     """A steel drum, lying or upright."""
-    radius, height = 0.29 * rng.uniform(0.8, 1.1), 0.86 * rng.uniform(0.85, 1.1)
+    radius = 0.29 * rng.uniform(0.8, 1.1)
+    height = 0.86 * rng.uniform(0.85, 1.1)
     hoops = [0.3, 0.32, 0.34, 0.36, 0.64, 0.66, 0.68, 0.7]
     levels = [0.03, 0.03, 0, 0.02, *hoops, 0.98, 1, 0.97, 0.97]
     radii = [0, 0.94, 0.97, 1, 1, 1.04, 1.04, 1, 1, 1.04, 1.04, 1, 1, 0.97, 0.94, 0]
@@ -216,7 +228,8 @@ def _branching(rng: Draws, colour: Points) -> Mesh:
         end = middle + wobble / np.linalg.norm(wobble) * length * 0.5
         radii = size * 0.075 * 0.72**level * np.array([1, 0.9, 0.72])
         pale = colour * (1 + 0.28 * level)
-        path, ends = np.stack([start, middle, end]), np.stack([pale, pale, pale * 1.3])
+        path = np.stack([start, middle, end])
+        ends = np.stack([pale, pale, pale * 1.3])
         parts.append(tube(path, radii, 6, colour=ends))
         for _ in range(int(rng.integers(2, 4)) if level < 3 else 0):
             turn = heading + rng.normal(0, 0.55, 3) + [0, 0, 0.2]
@@ -229,7 +242,8 @@ def _branching(rng: Draws, colour: Points) -> Mesh:
 
 def _table(rng: Draws, colour: Points) -> Mesh:
     """A stalk under one or two thin plates with a ragged rim."""
-    radius, height = rng.uniform(0.25, 0.7), rng.uniform(0.14, 0.4)
+    radius = rng.uniform(0.25, 0.7)
+    height = rng.uniform(0.14, 0.4)
     profile = [[0.1, 0], [0.08, 0.5], [0.3, 0.82], [1.0, 0.98], [0.98, 1.06], [0.4, 1.0], [0, 0.97]]
     plate = lathe(np.array(profile) * [radius, height], 40, colour)
     # Both faces rise and fall together, or the thin plate would cut through itself.
@@ -253,7 +267,8 @@ def _tubes(rng: Draws, colour: Points) -> Mesh:
     profile = [[0.7, 0], [0.8, 0.4], [1.0, 0.9], [1.05, 1.0], [0.75, 1.0], [0.5, 0.6], [0, 0.4]]
     parts = []
     for _ in range(int(rng.integers(3, 9))):
-        height, radius = rng.uniform(0.12, 0.5), rng.uniform(0.025, 0.06)
+        height = rng.uniform(0.12, 0.5)
+        radius = rng.uniform(0.025, 0.06)
         sponge = lathe(np.array(profile) * [radius, height], 14, colour)
         leaning = sponge.turned("zx", rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.5))
         parts.append(leaning.moved((*rng.normal(0, 0.06, 2), 0)))
@@ -272,7 +287,8 @@ def _fan(rng: Draws, colour: Points) -> Mesh:
         parts.append(tube(path, np.linspace(0.02, 0.006, 6) * size * 1.4, 5, colour=colour))
     arc = np.linspace(-1.05, 1.05, 20)
     for reach in np.linspace(0.4, 0.9, 5):
-        x, z = np.sin(arc) * size * reach * 0.85, np.cos(arc) * size * reach * 0.85 + size * 0.25
+        x = np.sin(arc) * size * reach * 0.85
+        z = np.cos(arc) * size * reach * 0.85 + size * 0.25
         path = np.column_stack([x, np.full(20, 0.05 * size * reach), z])
         parts.append(tube(path, size * 0.007, 4, colour=colour))
     return join(parts)
@@ -280,13 +296,18 @@ def _fan(rng: Draws, colour: Points) -> Mesh:
 
 def plant(rng: Draws) -> Mesh:
     """A tuft of sea grass: bent blades, all leaning with the current."""
-    blades, height = int(rng.integers(14, 34)), rng.uniform(0.18, 0.5)
-    colour, parts, t = pick(rng, LEAVES), [], np.linspace(0, 1, 6)
+    blades = int(rng.integers(14, 34))
+    height = rng.uniform(0.18, 0.5)
+    colour = pick(rng, LEAVES)
+    parts = []
+    t = np.linspace(0, 1, 6)
     shade = np.repeat(np.linspace(0.6, 1.5, 6), 2)[:, None] * colour
     for _ in range(blades):
-        length, heading = height * rng.uniform(0.6, 1.2), rng.uniform(0, 2 * np.pi)
+        length = height * rng.uniform(0.6, 1.2)
+        heading = rng.uniform(0, 2 * np.pi)
         lean = rng.uniform(0.1, 0.7)
-        out, up = length * lean * t**1.6, length * t * (1 - 0.35 * lean * t)
+        out = length * lean * t**1.6
+        up = length * t * (1 - 0.35 * lean * t)
         ahead = out * np.cos(heading) + 0.12 * t * height
         spine = np.column_stack([ahead, out * np.sin(heading), up])
         spine += [*rng.normal(0, 0.06, 2), 0]
@@ -304,7 +325,8 @@ def frame(rng: Draws) -> Mesh:
 
 def _dice(rng: Draws) -> Mesh:
     """The twelve edges of a cube; sometimes with diagonals or standing on a corner."""
-    side, radius = rng.uniform(0.5, 1.6), rng.uniform(0.018, 0.05)
+    side = rng.uniform(0.5, 1.6)
+    radius = rng.uniform(0.018, 0.05)
     corners = np.array(list(itertools.product((-1, 1), repeat=3))) * side / 2
     pairs = itertools.combinations(range(8), 2)
     edges = [(a, b) for a, b in pairs if int(np.sum(corners[a] != corners[b])) == 1]
@@ -318,7 +340,9 @@ def _dice(rng: Draws) -> Mesh:
 
 def _pyramid(rng: Draws) -> Mesh:
     """A square or three-sided pyramid of bars with a belt half way up."""
-    side, height, radius = rng.uniform(0.7, 1.9), rng.uniform(0.8, 1.8), rng.uniform(0.018, 0.045)
+    side = rng.uniform(0.7, 1.9)
+    height = rng.uniform(0.8, 1.8)
+    radius = rng.uniform(0.018, 0.045)
     count = int(rng.integers(3, 5))
     angle = np.arange(count) * 2 * np.pi / count
     foot = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)]) * side * 0.7
@@ -331,7 +355,9 @@ def _pyramid(rng: Draws) -> Mesh:
 
 def _tower(rng: Draws) -> Mesh:
     """A lattice mast, upright or fallen."""
-    width, bays, radius = rng.uniform(0.4, 0.7), int(rng.integers(3, 6)), rng.uniform(0.015, 0.03)
+    width = rng.uniform(0.4, 0.7)
+    bays = int(rng.integers(3, 6))
+    radius = rng.uniform(0.015, 0.03)
     legs = np.array([[0, 0, 0], [width, 0, 0], [width / 2, width * 0.87, 0]])
     top = bays * width
     parts = [bars(zip(legs, legs + np.array([0, 0, top]), strict=True), radius)]
@@ -348,7 +374,8 @@ def _tower(rng: Draws) -> Mesh:
 def _nursery(rng: Draws) -> Mesh:
     """A table of slats on legs, with corals planted on it."""
     length, width, height = rng.uniform([1.2, 0.6, 0.5], [2.2, 1.0, 0.9]).tolist()
-    parts, (left, right) = [], (-width / 2, width / 2)
+    parts = []
+    left, right = (-width / 2, width / 2)
     for x in (-length / 2, length / 2):
         parts.append(bars((((x, y, 0), (x, y, height)) for y in (left, right)), 0.028))
         parts.append(bars([((x, left, height * 0.45), (x, right, height * 0.45))], 0.02))
@@ -370,8 +397,10 @@ def block(rng: Draws) -> Mesh:
         whole = box(rng.uniform([0.8, 0.5, 0.1], [1.8, 1.0, 0.2]).tolist())
     elif form == 2:  # two side walls, three webs
         length = rng.uniform(0.4, 0.75)
-        width, wall = length * 0.48, length * 0.085
-        apart, along = (width - wall) / 2, (length - wall) / 2
+        width = length * 0.48
+        wall = length * 0.085
+        apart = (width - wall) / 2
+        along = (length - wall) / 2
         walls = [box((length, wall, width), (0, y, 0)) for y in (-apart, apart)]
         web = wall, width - 2 * wall, width
         whole = join([*walls, *(box(web, (x, 0, 0)) for x in (-along, 0, along))])
@@ -381,13 +410,15 @@ def block(rng: Draws) -> Mesh:
         turns = ((k * 2 * np.pi / 3, np.arccos(-1 / 3)) for k in range(3))
         whole = join([leg, *(leg.turned("zy", *turn) for turn in turns)]).standing()
     elif form == 4:
-        outer, height = rng.uniform(0.35, 0.75), rng.uniform(0.3, 0.6)
+        outer = rng.uniform(0.35, 0.75)
+        height = rng.uniform(0.3, 0.6)
         ring = [[0.8, 0], [1, 0], [1, height], [0.8, height], [0.8, 0]]
         whole = lathe(np.array(ring) * [outer, 1], 36, crease=True)
     else:
         outline = [[-0.3, 0], [0.3, 0], [0.3, 0.12], [0.12, 0.35], [0.09, 0.8], [-0.09, 0.8],
                    [-0.12, 0.35], [-0.3, 0.12]]  # fmt: skip
-        length, size = rng.uniform(1.0, 2.0), rng.uniform(0.6, 1.0)
+        length = rng.uniform(1.0, 2.0)
+        size = rng.uniform(0.6, 1.0)
         whole = prism(np.array(outline) * size, length).turned("x", np.pi / 2)
     whole = whole.tinted(colour)
     if form in (0, 1, 2) and rng.random() < 0.4:
@@ -399,7 +430,8 @@ def block(rng: Draws) -> Mesh:
 
 def anchor(rng: Draws) -> Mesh:
     """An admiralty anchor on its side, one fluke up, with stock and ring."""
-    size, metal = rng.uniform(0.7, 1.7), pick(rng, (RUST, RUST, STEEL))
+    size = rng.uniform(0.7, 1.7)
+    metal = pick(rng, (RUST, RUST, STEEL))
     shank = bars([((0, 0, 0), (0, 0, 1.0))], 0.045, 10)
     bend = np.linspace(-1.05, 1.05, 15)
     arms = np.column_stack([0.46 * np.sin(bend), np.zeros(15), 0.42 * (1 - np.cos(bend))])
@@ -412,7 +444,8 @@ def anchor(rng: Draws) -> Mesh:
         for side in (-1.0, 1.0)
     ]
     whole = join([shank, crown, stock, eye, *flukes]).tinted(metal).moved(scale=size)
-    roll, lean = rng.uniform(-0.25, 0.25), np.pi / 2 + rng.uniform(-0.2, 0.1)
+    roll = rng.uniform(-0.25, 0.25)
+    lean = np.pi / 2 + rng.uniform(-0.2, 0.1)
     laid = whole.turned("z", rng.uniform(0.9, 1.3)).turned("xy", roll, lean).standing()
     return laid.moved((-size / 2, 0, -0.06 * size))
 
@@ -429,7 +462,8 @@ def curve(rng: Draws, start: Points, length_m: float, wander: float) -> Points:
 def chain(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
     """Studless links along a line on the ground, every second one on edge."""
     wire = float(rng.uniform(0.016, 0.04))
-    pitch, metal = wire * 3.9, pick(rng, (RUST, RUST, STEEL))
+    pitch = wire * 3.9
+    metal = pick(rng, (RUST, RUST, STEEL))
     bend = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     long = 1.5 * wire * np.cos(bend) + 1.25 * wire * np.sign(np.cos(bend))
     ring = np.column_stack([long, 1.3 * wire * np.sin(bend), np.zeros(16)])
@@ -437,7 +471,8 @@ def chain(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
     where = np.arange(0, 0.05 * (len(line) - 1), pitch) / 0.05
     x, y = (np.interp(where, np.arange(len(line)), axis) for axis in line.T)
     z = np.asarray(ground(x, y), dtype=np.float64) + 0.6 * wire
-    heading, climb = np.arctan2(np.gradient(y), np.gradient(x)), np.arctan2(np.gradient(z), pitch)
+    heading = np.arctan2(np.gradient(y), np.gradient(x))
+    climb = np.arctan2(np.gradient(z), pitch)
     links = []
     for k, place in enumerate(zip(x, y, z, strict=True)):
         roll = (np.pi / 2 if k % 2 else 0.0) + rng.normal(0, 0.25)
@@ -469,7 +504,8 @@ def pipe(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
 def pile(rng: Draws, height_m: float, radius_m: float) -> Mesh:
     """A round pile with marine growth, from 1 m below the ground to `height_m`."""
     levels = np.linspace(-1.0, height_m, 90)
-    bare, grown = pick(rng, (*CONCRETE, RUST)), np.array([0.16, 0.15, 0.09])
+    bare = pick(rng, (*CONCRETE, RUST))
+    grown = np.array([0.16, 0.15, 0.09])
     growth = smoothstep(0.3, 1.2, levels * rng.uniform(0.4, 1.2))[:, None]
     path = np.column_stack([np.zeros((90, 2)), levels])
     shaft = tube(path, radius_m, 40, colour=bare * (1 - growth) + grown * growth)
@@ -485,12 +521,16 @@ def brace(rng: Draws, start: Points, end: Points) -> Mesh:
 
 def quay(rng: Draws, length_m: float, height_m: float) -> Mesh:
     """A wall along the x axis, facing -y: courses of blocks, and buttresses."""
-    colour, parts = pick(rng, CONCRETE), []
-    course, width = rng.uniform(0.5, 0.9), rng.uniform(1.0, 2.0)
-    rows, columns = int(np.ceil((height_m + 1) / course)), int(np.ceil(length_m / width))
+    colour = pick(rng, CONCRETE)
+    parts = []
+    course = rng.uniform(0.5, 0.9)
+    width = rng.uniform(1.0, 2.0)
+    rows = int(np.ceil((height_m + 1) / course))
+    columns = int(np.ceil(length_m / width))
     for row, column in itertools.product(range(rows), range(-1, columns)):
         x = (column + 0.5 * (row % 2)) * width - length_m / 2
-        shade, y = colour * rng.uniform(0.75, 1.15), 0.3 + rng.uniform(-0.025, 0.025)
+        shade = colour * rng.uniform(0.75, 1.15)
+        y = 0.3 + rng.uniform(-0.025, 0.025)
         centre = (x + width / 2, y, -1 + (row + 0.5) * course)
         parts.append(box((width - 0.025, 0.6, course - 0.025), centre, shade))
     back = (length_m + width, 0.5, height_m + 1), (0, 0.56, height_m / 2 - 0.5)
@@ -513,10 +553,12 @@ def fender(rng: Draws) -> Mesh:
 
 def sheet_pile(rng: Draws, length_m: float, height_m: float) -> Mesh:
     """A steel sheet-pile wall along the x axis, facing -y: a folded face."""
-    pitch, depth = rng.uniform(0.8, 1.4), rng.uniform(0.2, 0.4)
+    pitch = rng.uniform(0.8, 1.4)
+    depth = rng.uniform(0.2, 0.4)
     x = np.arange(-length_m / 2, length_m / 2, pitch / 4)
     y = np.where(np.arange(len(x)) % 4 < 2, 0.0, depth)
-    levels, parts = np.linspace(-1, height_m, 20), []
+    levels = np.linspace(-1, height_m, 20)
+    parts = []
     steps = np.arange(19, dtype=np.int32)[:, None] * 2
     quads = np.concatenate([steps + np.array(to, np.int32) for to in ([0, 1, 3], [0, 3, 2])])
     for k in range(len(x) - 1):
@@ -544,6 +586,7 @@ def model(kind: str, number: int) -> Mesh:
 def drawn_model(rng: Draws, kind: str) -> Mesh:
     """A model of a kind, chosen at random, a little larger or smaller, lighter or darker."""
     shape = model(kind, int(rng.integers(_MODELS)))
-    size, shade = rng.uniform(0.9, 1.1), np.float32(rng.uniform(0.85, 1.15))
+    size = rng.uniform(0.9, 1.1)
+    shade = np.float32(rng.uniform(0.85, 1.15))
     turned = shape.moved(scale=size).turned("z", rng.uniform(0, 2 * np.pi))
     return replace(turned, colours=turned.colours * shade)

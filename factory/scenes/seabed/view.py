@@ -17,7 +17,8 @@ from .world import World
 
 Movement = Mapping[str, float]
 _SUN_M = 400.0  # how far away the camera in the sun is
-_SHADE_M, _SHADE_CELLS = 14.0, 512  # side of the ground that it sees, and of its picture
+_SHADE_M = 14.0  # side of the ground that it sees
+_SHADE_CELLS = 512  # pixels on a side of its image
 _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the water
 
 
@@ -46,7 +47,8 @@ def take(
     seen = ZBuffer(where, optics, world.objects, ground[0])
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
     rgb = photograph(world, ground, seen, rng.uniform(0.68, 0.92))
-    depth_m, clear_m = seen.depth_m, world.look.clear_m
+    depth_m = seen.depth_m
+    clear_m = world.look.clear_m
     intrinsics = Intrinsics(*optics.lens)
     x, y = intrinsics.directions(optics.height, optics.width)
     lengths = np.sqrt(1 + (x**2).astype(np.float32) + (y[:, None] ** 2).astype(np.float32))
@@ -68,7 +70,8 @@ def take(
     )
 
 
-_AROUND_M, _AROUND_STEP_M = 24, 1.0  # half the side of the known ground, and its steps
+_AROUND_M = 24  # half the side of the known ground
+_AROUND_STEP_M = 1.0  # spacing of its heights
 
 
 def surroundings(world: World, stance: Stance) -> Surroundings:
@@ -103,7 +106,9 @@ def photograph(
     """
     from . import kernels
 
-    look, objects, sun = world.look, world.objects, sunlit(world, seen.where)
+    look = world.look
+    objects = world.objects
+    sun = sunlit(world, seen.where)
     sights = [tuple(part.astype(np.float32) for part in one.sight) for one in (seen, sun)]
     colour = kernels.look(
         (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground[0].shape[:2])),
@@ -115,7 +120,8 @@ def photograph(
     )  # fmt: skip
     # The camera sets its black level on the haze, as far as that has one colour, and lets the
     # bright parts of the picture fill most of the scale, whatever the water.
-    some, haze = colour[::4, ::4], look.water[1]
+    some = colour[::4, ::4]
+    haze = look.water[1]
     black = haze * np.float32(0.6 * np.percentile(some.max(axis=-1), 1) / haze.max())
     bright = max(float(np.percentile((some - black).max(axis=-1), 97)), 1e-3)
     gamma = np.round(255 * (np.arange(4096) / 4095) ** (1 / 2.2)).astype(np.uint8)
@@ -145,7 +151,8 @@ def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> np
     from .kernels import STEPS
 
     scale = depth_m.shape[1] / 968
-    near_m, range_m = np.minimum(depth_m[::2, ::2], np.float32(1e4)), range_m[::2, ::2]
+    near_m = np.minimum(depth_m[::2, ::2], np.float32(1e4))
+    range_m = range_m[::2, ::2]
     rows, columns = (
         (rng.integers(TILE) + np.arange(size) / scale).astype(np.int64) % (TILE // 2)
         for size in near_m.shape
@@ -197,7 +204,8 @@ def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
     if stance.altitude_m is not None:
         eye = np.array([*eye[:2], world.terrain.height_m(*eye[:2, None])[0] + stance.altitude_m])
     if stance.tilt_deg is not None:
-        pitch, roll = stance.tilt_deg, 0.0
+        pitch = stance.tilt_deg
+        roll = 0.0
         lowers = [0]
     # Between walls the way ahead is the view; in the open the camera turns to what lies there.
     turning = 0.012 if world.terrain.banks is not None else 0.004
@@ -207,11 +215,13 @@ def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
         for lower in lowers
     ]
     lookouts = [pose(eye, heading + side_deg, 20, 0) for side_deg in (50, -50)]
-    objects, clear_m = world.objects, world.look.clear_m
+    objects = world.objects
+    clear_m = world.look.clear_m
     # Coarse ground ahead and beside, without the fine relief.
     ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
     azimuths = np.deg2rad(heading) + np.deg2rad(np.linspace(-112, 112, 144))[None]
-    x, y = eye[0] + ranges * np.cos(azimuths), eye[1] + ranges * np.sin(azimuths)
+    x = eye[0] + ranges * np.cos(azimuths)
+    y = eye[1] + ranges * np.sin(azimuths)
     ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).astype(np.float32)
     pictures = []
     for where in lookouts:
@@ -238,7 +248,9 @@ def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
         range_m = depth * length
         named = (thing > 0) & (range_m < 0.8 * clear_m)
         shown = np.unique(thing[named])
-        lost, near, share = (range_m > clear_m).mean(), (depth < 0.9).mean(), named.mean()
+        lost = (range_m > clear_m).mean()
+        near = (depth < 0.9).mean()
+        share = named.mean()
         middle = float(np.median(depth[met])) if met.any() else 99.0
         bad = 8 * max(lost - 0.34, 0) + 60 * max(lost - 0.42 + 0.06, 0)
         bad += 30 * max(0.03 - lost, 0)

@@ -22,7 +22,8 @@ _AHEAD_M = 1.5
 _TURN = 2 * np.pi
 
 SAMPLES = 512
-LOWEST_M, HIGHEST_M = 0.75, 2.8  # camera above the ground right under it
+LOWEST_M = 0.75  # lowest camera above the ground below it
+HIGHEST_M = 2.8  # highest
 
 
 class Path:
@@ -39,12 +40,15 @@ class Path:
         lobes = np.zeros_like(angle)
         if short >= 0.3 * long:
             for cycles in (2, 3):
-                size, phase = rng.uniform(0.05, 0.13), rng.uniform(0, 2 * np.pi)
+                size = rng.uniform(0.05, 0.13)
+                phase = rng.uniform(0, 2 * np.pi)
                 lobes += size * np.sin(cycles * angle + phase)
-        along, across = long * (1 + lobes) * np.cos(angle), short * (1 + lobes) * np.sin(angle)
+        along = long * (1 + lobes) * np.cos(angle)
+        across = short * (1 + lobes) * np.sin(angle)
         if terrain.banks is not None:
             across = across + terrain.banks.axis_offset_m(along)
-        c, s = np.cos(heading_rad), np.sin(heading_rad)
+        c = np.cos(heading_rad)
+        s = np.sin(heading_rad)
         points = np.stack([c * along - s * across, s * along + c * across], axis=-1)
         steps = np.sqrt(((np.roll(points, -1, axis=0) - points) ** 2).sum(axis=1))
         travelled = np.append(0, np.cumsum(steps))
@@ -57,13 +61,16 @@ class Path:
 
         # The floor is the highest ground within 0.7 m.
         dx, dy = np.meshgrid(*2 * [np.linspace(-0.7, 0.7, 5)])
-        x, y = self.points[:, :1] + dx.ravel(), self.points[:, 1:] + dy.ravel()
+        x = self.points[:, :1] + dx.ravel()
+        y = self.points[:, 1:] + dy.ravel()
         highest = terrain.height_m(x, y).max(axis=1).astype(np.float64)
         window = 2 * int(0.8 / self.length_m * SAMPLES) + 1
         wrapped = np.pad(highest, window, mode="wrap")
         self._floor_m = np.convolve(wrapped, np.ones(window) / window, "same")[window:-window]
-        self.start_m, self.step_m = rng.uniform(0, self.length_m), rng.uniform(1.5, 2.1)
-        self._altitude_m, self._altitude = rng.uniform(*place["altitude_m"]), Waves(rng, 60, 4, 0.8)
+        self.start_m = rng.uniform(0, self.length_m)
+        self.step_m = rng.uniform(1.5, 2.1)
+        self._altitude_m = rng.uniform(*place["altitude_m"])
+        self._altitude = Waves(rng, 60, 4, 0.8)
         self._pitch_deg = rng.uniform(*place["pitch_deg"])
         self._attitude = [Waves(rng, longest, 5, 0.7) for longest in (70, 80, 90)]
         # Added to the unit heading, it looks at a wall beside the loop.
@@ -73,7 +80,8 @@ class Path:
         """Positions and unit tangents, (..., 2) each, after distances (...) along the loop."""
         where = (np.asarray(distance_m) / self.length_m) % 1 * SAMPLES
         low = where.astype(np.int64) % SAMPLES
-        high, part = (low + 1) % SAMPLES, (where - np.floor(where))[..., None]
+        high = (low + 1) % SAMPLES
+        part = (where - np.floor(where))[..., None]
         point = self.points[low] * (1 - part) + self.points[high] * part
         return point, _unit(self.tangents[low] * (1 - part) + self.tangents[high] * part)
 
@@ -127,8 +135,10 @@ class World:
         ground, way, light = (self._draws(name) for name in ("ground", "path", "light"))
         heading = ground.uniform(0, _TURN)
         self.terrain = Terrain(ground, place, heading)
-        self.path, self.look = Path(way, place, self.terrain, heading), Look(light, place)
-        self._place, self._heading_rad = place, heading
+        self.path = Path(way, place, self.terrain, heading)
+        self.look = Look(light, place)
+        self._place = place
+        self._heading_rad = heading
         self._items: list[tuple[Mesh, str | None]] = []  # and its class, None for a pebble (ground)
         self._taken: list[tuple[float, float, float]] = []  # x, y, radius
         self._stretch_m = (0.0, self.path.length_m)  # of the path, beside which things are put
@@ -148,7 +158,8 @@ class World:
     def _furnish(self, density: float, allowed: Iterable[str] | None) -> None:
         """Build the place's structure, then scatter its objects, large kinds first."""
         names = set(CLASSES if allowed is None else allowed)
-        place, scatter = self._place, self._place["scatter"]
+        place = self._place
+        scatter = self._place["scatter"]
         if place["structure"] == "pier" and "Pillar" in names:
             self._build_pier(self._draws("structure"))
         if place["structure"] == "quay" and "Wall" in names:
@@ -173,7 +184,8 @@ class World:
         for number, (label, (least, most), tilt_deg, burial, solid) in enumerate(own):
             rng = self._draws("own", number)
             for _ in range(int(rng.integers(least, most + 1))):
-                angle, toward = np.deg2rad(rng.uniform(*tilt_deg)), rng.uniform(0, _TURN)
+                angle = np.deg2rad(rng.uniform(*tilt_deg))
+                toward = rng.uniform(0, _TURN)
                 turned = solid.turned("zyzz", toward, angle, -toward, rng.uniform(0, _TURN))
                 self._put(rng, turned.standing(), label, burial)
 
@@ -186,9 +198,11 @@ class World:
         step = max(min(reach, 0.5), 0.08)
         cross = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step + spot
         height, east, west, north, south = self.terrain.height_m(*cross.T).astype(np.float64)
-        dx, dy = (east - west) / (2 * step), (north - south) / (2 * step)
+        dx = (east - west) / (2 * step)
+        dy = (north - south) / (2 * step)
         if kind not in catalogue()["upright"]:
-            down, toward = np.arctan(min(float(np.hypot(dx, dy)), 0.8)), np.arctan2(dy, dx)
+            down = np.arctan(min(float(np.hypot(dx, dy)), 0.8))
+            toward = np.arctan2(dy, dx)
             mesh = mesh.turned("zyz", toward, -down, -toward)
         sunk = float(np.ptp(mesh.vertices[:, 2])) * rng.uniform(*burial) + 0.01
         self._fix(mesh, kind, (*spot, height - sunk), 0.85 * reach)
@@ -203,7 +217,8 @@ class World:
         spots = heaps[rng.integers(len(heaps), size=count)]
         spots += rng.normal(0, 0.7, (count, 2))
         for (x, y), height in zip(spots, self.terrain.height_m(*spots.T), strict=True):
-            turn, size = rng.uniform(0, _TURN), rng.uniform(0.6, 1.5)
+            turn = rng.uniform(0, _TURN)
+            size = rng.uniform(0.6, 1.5)
             shape = things.model("Pebble", int(rng.integers(12)))
             stone = shape.moved(scale=size).turned("z", turn).moved((x, y, height))
             self._items.append((stone, None))
@@ -232,7 +247,8 @@ class World:
 
     def _build_pier(self, rng: Draws) -> None:
         """Rows of piles along the axis, braced in pairs."""
-        radius, spacing = rng.uniform(0.16, 0.38), rng.uniform(2.6, 4.0)
+        radius = rng.uniform(0.16, 0.38)
+        spacing = rng.uniform(2.6, 4.0)
         first = rng.uniform(2.1, 2.8)
         rows = [first, -first, first + rng.uniform(2.2, 3.2), -first - rng.uniform(2.2, 3.2)]
         for across in rows:
@@ -242,14 +258,18 @@ class World:
                 top = rng.uniform(6, 8)
                 self._fix(things.pile(rng, top, radius * rng.uniform(0.9, 1.1)), "Pillar", foot)
                 if previous is not None and rng.random() < 0.55:
-                    low, high = [0, 0, rng.uniform(0.4, 1.4)], [0, 0, rng.uniform(1.6, 3.2)]
+                    low = [0, 0, rng.uniform(0.4, 1.4)]
+                    high = [0, 0, rng.uniform(1.6, 3.2)]
                     self._items.append((things.brace(rng, previous + low, foot + high), "Pillar"))
                 previous = foot
 
     def _build_quay(self, rng: Draws) -> None:
         """A long wall left of the axis, with tyres hanging on it."""
-        length, height, face = 44.0, rng.uniform(3.2, 5.0), rng.uniform(2.2, 3.2)
-        foot, turn = self._on_axis(0.0, face), rotation("z", self._heading_rad)
+        length = 44.0
+        height = rng.uniform(3.2, 5.0)
+        face = rng.uniform(2.2, 3.2)
+        foot = self._on_axis(0.0, face)
+        turn = rotation("z", self._heading_rad)
         build = things.sheet_pile if rng.random() < 0.35 else things.quay
         self._items.append((build(rng, length, height).rotated(turn).moved(foot), "Wall"))
         for along in np.arange(-18, 18, 2.2):
@@ -286,7 +306,8 @@ class World:
         return np.asarray(point + aside[:, None] * left)
 
     def _on_axis(self, along: float, across: float) -> Points:
-        c, s = np.cos(self._heading_rad), np.sin(self._heading_rad)
+        c = np.cos(self._heading_rad)
+        s = np.sin(self._heading_rad)
         return self._grounded(c * along - s * across, s * along + c * across)
 
     def _grounded(self, x: float, y: float) -> Points:

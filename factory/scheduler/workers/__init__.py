@@ -17,7 +17,8 @@ from .machine import keep_freed_memory
 
 Hear = Callable[[Any], None]
 
-RESULT, ERROR = "result", "error"
+RESULT = "result"
+ERROR = "error"
 
 # Who listens to the task of this process.
 _listeners: list[Hear] = []

@@ -132,7 +132,8 @@ class DaskBackend(Backend):
     def _done(self, name: str, remote: Any) -> None:
         kind = ERROR
         value: Any = WorkerDied("its task was lost by Dask")
-        dask, no_worker = self._distributed, self._distributed.scheduler.NoValidWorkerError
+        dask = self._distributed
+        no_worker = self._distributed.scheduler.NoValidWorkerError
         # A timeout is not the task's: `_watch` has its limit.
         lost = TimeoutError, dask.KilledWorker, dask.CancelledError, no_worker
         try:

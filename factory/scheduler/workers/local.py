@@ -27,7 +27,9 @@ from . import ERROR, Backend, Pool, Task, WorkerDied, answered, start_worker_pro
 
 # For a process to be there, for its task to begin in a new one, which imports what it needs, and
 # in one that has run others.
-_PROCESS_S, _FIRST_S, _BEGIN_S = 60.0, 300.0, 30.0
+_PROCESS_S = 60.0
+_FIRST_S = 300.0
+_BEGIN_S = 30.0
 # To be gone when it was killed.
 _END_S = 5.0
 _LOOK_S = 0.5
@@ -74,7 +76,8 @@ class LocalBackend(Backend):
     def close(self) -> None:
         """Kill the workers now."""
         self._stopped.set()
-        left, deadline = self._workers, time.monotonic() + _STOP_S
+        left = self._workers
+        deadline = time.monotonic() + _STOP_S
         # One may have been starting its process at that very moment.
         while (left := [one for one in left if not one.closed()]) and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -94,7 +97,8 @@ class _Worker:
 
     def __init__(self, pool: Pool, forks: bool) -> None:
         """forks: start processes as forks of the template where there is one."""
-        self.pool, self._forks = pool, forks
+        self.pool = pool
+        self._forks = forks
         self._future: Future[Any] | None = None
         self._talking = threading.Lock()
         self._process: psutil.Process | None = None
@@ -144,7 +148,8 @@ class _Worker:
                 if kind != _NEWS:
                     self._answered += 1
                     return kind, value
-                self._deadline, begun = time.monotonic() + task.silence_s, True
+                self._deadline = time.monotonic() + task.silence_s
+                begun = True
                 if value:
                     task.hear(value)
         except (EOFError, OSError):
@@ -156,7 +161,8 @@ class _Worker:
             raise WorkerDied(reason) from None
 
     def _start(self) -> None:
-        self._answered, self._deadline = 0, time.monotonic() + _PROCESS_S
+        self._answered = 0
+        self._deadline = time.monotonic() + _PROCESS_S
         self._connection, theirs = multiprocessing.Pipe()
         with closing(theirs):  # so that its end of the connection ends with it
             self._started = template.started(self._forks, _work, (theirs, dict(os.environ)))

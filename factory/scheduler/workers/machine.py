@@ -13,10 +13,13 @@ from ...progress import stage
 
 # Measured of 48: what a worker costs the process that starts it, pipes and threads, and what
 # else a run opens or loads.
-_FILES_A_WORKER, _OTHER_FILES = 8, 40
-_BYTES_A_WORKER, _OTHER_BYTES = 128 << 20, 512 << 20
+_FILES_A_WORKER = 8
+_OTHER_FILES = 40
+_BYTES_A_WORKER = 128 << 20
+_OTHER_BYTES = 512 << 20
 # Of malloc.h of the GNU C library.
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+_TRIM_THRESHOLD = -1
+_MMAP_THRESHOLD = -3
 _KEPT_BYTES = 1 << 28
 
 

@@ -67,7 +67,8 @@ def stop_signals() -> Iterator[None]:
         if sys.unraisablehook is thrown_away:
             signal.pthread_kill(main, number)
 
-    main, tell = threading.get_ident(), sys.unraisablehook
+    main = threading.get_ident()
+    tell = sys.unraisablehook
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     sys.unraisablehook = thrown_away
     try:

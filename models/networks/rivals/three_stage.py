@@ -151,7 +151,8 @@ class ThreeStage(Network):
     def __init__(self, settings: ThreeStageSettings) -> None:
         # Quarters have half the side, and that is halved at each downsampling.
         super().__init__(stride=2**_LEVELS)
-        widths, width = settings.widths, settings.width
+        widths = settings.widths
+        width = settings.width
         self.shallow = nn.ModuleList(
             nn.Sequential(nn.Conv2d(1, width, 3, padding=1), _attention_blocks(width, 1))
             for _ in range(3)
