@@ -42,7 +42,7 @@ class Worker:
             if shape not in self.fans:
                 self.fans[shape] = find_geometry(frame.samples)
             geometry = self.fans[shape]
-        denoised = self.denoising.one(frame.samples, lambda picture: geometry).image
+        denoised = self.denoising.denoise_image(frame.samples, lambda picture: geometry).image
         return with_samples(message, self.kind, denoised, what)
 
 

@@ -42,14 +42,17 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
         options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         import numba
 
-        made: Any = numba.njit(cache=True, **options)(function)
+        dispatcher: Any = numba.njit(cache=True, **options)(function)
         for signature in signatures:
-            if _mode["loading"] and made._cache.load_overload(signature, made.targetctx) is None:
+            if (
+                _mode["loading"]
+                and dispatcher._cache.load_overload(signature, dispatcher.targetctx) is None
+            ):
                 raise ImportError(f"{function.__name__} is not compiled yet")
-            made.compile(signature)
+            dispatcher.compile(signature)
         if signatures:
-            made.disable_compile()
-        result: Function = made
+            dispatcher.disable_compile()
+        result: Function = dispatcher
         return result
 
     return decorate

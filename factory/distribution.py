@@ -59,21 +59,35 @@ def parse(value: Any, low: float = -math.inf, high: float = math.inf) -> Distrib
         kind = value.kind
         numbers = value.values
     elif isinstance(value, Mapping):
-        present = {str(kind): given for kind, given in value.items() if given is not None}
-        if len(present) > 1:
-            raise ValueError(
-                f"{' and '.join(present)} are both given; where one file overrides another, set "
-                "the form that goes to null"
-            )
-        kind, given = next(iter(present.items()), ("", 0))
-        if kind not in _KINDS:
-            raise ValueError(f"must be {_FORMS}")
-        if isinstance(given, str) or not hasattr(given, "__iter__"):
-            raise ValueError(f"{kind} takes a list; write {_FORMS}")
-        numbers = tuple(_number(item) for item in given)
+        kind, numbers = _parse_mapping(value)
     else:
         kind = "number"
         numbers = (_number(value),)
+    _check_form(kind, numbers)
+    # The deviation of a normal distribution is no value of the parameter.
+    limited = numbers[:1] if kind == "normal" else numbers
+    _check_limits(limited, low, high)
+    return Distribution(kind, numbers, low, high)
+
+
+def _parse_mapping(mapping: Mapping[Any, Any]) -> tuple[str, tuple[float, ...]]:
+    """Return kind and numbers of `{kind: [...]}`; kinds set to null count as absent."""
+    present = {str(kind): numbers for kind, numbers in mapping.items() if numbers is not None}
+    if len(present) > 1:
+        raise ValueError(
+            f"{' and '.join(present)} are both given; where one file overrides another, set "
+            "the form that is not wanted to null"
+        )
+    kind, numbers = next(iter(present.items()), ("", 0))
+    if kind not in _KINDS:
+        raise ValueError(f"must be {_FORMS}")
+    if isinstance(numbers, str) or not hasattr(numbers, "__iter__"):
+        raise ValueError(f"{kind} takes a list; write {_FORMS}")
+    return kind, tuple(_number(item) for item in numbers)
+
+
+def _check_form(kind: str, numbers: tuple[float, ...]) -> None:
+    """Raise ValueError unless the numbers suit the kind."""
     if kind in ("uniform", "normal") and len(numbers) != 2:
         raise ValueError(f"{kind} takes two numbers, got {len(numbers)}")
     if kind == "choice" and not numbers:
@@ -82,12 +96,15 @@ def parse(value: Any, low: float = -math.inf, high: float = math.inf) -> Distrib
         raise ValueError(f"uniform takes [low, high], got low {numbers[0]:g} > high {numbers[1]:g}")
     if kind == "normal" and numbers[1] < 0:
         raise ValueError(f"normal takes [mean, std] with std >= 0, got {numbers[1]:g}")
-    for number in numbers[:1] if kind == "normal" else numbers:
+
+
+def _check_limits(numbers: tuple[float, ...], low: float, high: float) -> None:
+    """Raise ValueError for a number outside [low, high]."""
+    for number in numbers:
         if not low <= number <= high:
             left = "(-inf" if math.isinf(low) else f"[{low:g}"
             right = "inf)" if math.isinf(high) else f"{high:g}]"
             raise ValueError(f"must lie in {left}, {right}, got {number:g}")
-    return Distribution(kind, numbers, low, high)
 
 
 def _number(value: Any) -> float:
@@ -118,15 +135,20 @@ def number(value: float) -> Distribution:
 
 
 def as_override(word: str) -> str:
-    """A command-line override whose distribution replaces the configured one.
+    """Return a command-line override whose distribution replaces the configured one.
 
     Hydra merges mappings: `density={normal: [1, 2]}` on a configured `{uniform: ...}` would be
-    refused, or leave both.  The other forms are set to null, which `parse` takes as absent.
+    refused, or would leave both.  Sets the other forms to null, which `parse` takes as absent.
     """
-
-    def alone(found: re.Match[str]) -> str:
-        return "{" + "".join(f"{one}:null," for one in _KINDS if one != found[1]) + f"{found[1]}:"
-
     key, _, value = word.partition("=")
-    replaced = re.sub(rf"\{{\s*({'|'.join(_KINDS)})\s*:", alone, value)
-    return word if replaced == value else f"++{key.lstrip('+')}={replaced}"
+    kind_in_mapping = rf"\{{\s*({'|'.join(_KINDS)})\s*:"
+    replaced = re.sub(kind_in_mapping, _with_other_kinds_null, value)
+    if replaced == value:
+        return word
+    return f"++{key.lstrip('+')}={replaced}"
+
+
+def _with_other_kinds_null(match: re.Match[str]) -> str:
+    """Return `{other:null,...kind:` for a match of `{kind:`."""
+    nulls = "".join(f"{kind}:null," for kind in _KINDS if kind != match[1])
+    return f"{{{nulls}{match[1]}:"

@@ -136,7 +136,7 @@ def half_normal(lot: Any, size: Any) -> None:
 
 
 @compiled(f"void({FLOATS}, int64[::1], {_OUT})")
-def ranked(values: Any, ranks: Any, found: Any) -> None:
+def ranked(values: Any, ranks: Any, out: Any) -> None:
     """The values of the given ranks (0 = smallest); `values` are not negative.
 
     The bits of such numbers are ordered as they are: count the upper halves, then, among the equal
@@ -166,6 +166,6 @@ def ranked(values: Any, ranks: Any, found: Any) -> None:
         while left >= lower[rest]:
             left -= lower[rest]
             rest += 1
-        one = np.empty(1, np.uint32)
-        one[0] = (half << 16) | rest
-        found[number] = one.view(np.float32)[0]
+        value_bits = np.empty(1, np.uint32)
+        value_bits[0] = (half << 16) | rest
+        out[number] = value_bits.view(np.float32)[0]

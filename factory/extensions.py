@@ -170,7 +170,7 @@ def listed() -> list[str]:
     """A line for each kind that has extensions: their names and packages; imports none of them."""
     lines = []
     for kind in GROUPS:
-        told = [f"{name} ({source_of(kind, name)})" for name in names(kind)]
-        if told:
-            lines.append(f"{kind}s of other packages: {', '.join(told)}")
+        origins = [f"{name} ({source_of(kind, name)})" for name in names(kind)]
+        if origins:
+            lines.append(f"{kind}s of other packages: {', '.join(origins)}")
     return lines

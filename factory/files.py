@@ -138,11 +138,11 @@ def space() -> str:
     That is one boot of one machine, and there one name space of process numbers: containers that
     share a host name have process 1 each.
     """
-    told = socket.gethostname()
+    place = socket.gethostname()
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
-        told = boot + os.readlink("/proc/self/ns/pid")
-    return hashlib.blake2b(told.encode(), digest_size=4).hexdigest()
+        place = boot + os.readlink("/proc/self/ns/pid")
+    return hashlib.blake2b(place.encode(), digest_size=4).hexdigest()
 
 
 def is_dead(pid: int) -> bool:

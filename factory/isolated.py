@@ -75,19 +75,19 @@ class IsolatedProcess:
         Raises RuntimeError with the traceback for any other error of the function.
         """
         name = f"{function.__module__}:{function.__qualname__}"
-        asked = _encode((name, limit_s, os.getcwd(), arguments))
+        request = _encode((name, limit_s, os.getcwd(), arguments))
         with self._lock:
-            kind, result = self._answer(asked, limit_s)
+            kind, result = self._answer(request, limit_s)
         if kind == "answer":
             return result
         raise FactoryError(str(result)) if kind == "refused" else RuntimeError(result)
 
-    def _answer(self, asked: bytes, limit_s: float) -> tuple[str, Any]:
+    def _answer(self, request: bytes, limit_s: float) -> tuple[str, Any]:
         child = self._child = self._child or _start(self._memory_bytes)
         assert child.stdin is not None
         assert child.stdout is not None
         try:
-            child.stdin.write(asked)
+            child.stdin.write(request)
             child.stdin.flush()
             kind, result = _decode(child.stdout)
             return kind, result

@@ -151,8 +151,8 @@ def _is_pointwise(config: FactoryConfig) -> bool:
 
 def _acts(config: FactoryConfig, *effects: str) -> bool:
     """Whether one of the effects is switched on."""
-    found = blocks(config.noise)
-    return any(name in found and found[name].enabled for name in effects)
+    effect_settings = blocks(config.noise)
+    return any(name in effect_settings and effect_settings[name].enabled for name in effects)
 
 
 def _adds_points(config: FactoryConfig) -> bool:

@@ -1,10 +1,10 @@
 """One frame -> its pairs: the whole method (Yang et al. 2024, section 3).
 
-    frame -> render (light at the sonar) -> observed scene -+-> clean picture T
-                                                   + noise -+-> noisy picture X
+    frame -> render (light at the sonar) -> observed scene -+-> clean image T
+                                                   + noise -+-> noisy image X
 
-Clean and noisy come from the same scene, through the same image formation (`acoustics`: pointwise
-as in the paper, or coherent) and the same transfer curve.  Only the noise differs.
+Clean and noisy images come from the same scene, through the same image formation (`acoustics`:
+pointwise as in the paper, or coherent) and the same transfer curve.  Only the noise differs.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ _MOST_KEPT_FRAMES = 24
 
 @dataclass(frozen=True, eq=False)
 class ObservedFrame:
-    """What all pairs of a frame share; no randomness up to here.
+    """What all pairs of a frame share; nothing in it is random.
 
-    window: range and azimuth limits of the picture.  has_pose: whether the frame's is known.
-    shadow: (H, W) bool picture.  layers: (H, W) pictures of what lies behind each pixel, by the
-    names of `dataset.layers`.  columns: what `dataset.columns` asks for.
+    window: range and azimuth limits of the image.  has_pose: whether the frame has a pose.
+    shadow: (H, W) bool image.  layers: (H, W) images of the surface behind each pixel, by the names
+    of `dataset.layers`.  columns: the columns that `dataset.columns` requests.
     continuous: whether the frames of its recording share the parameters of the noise.
     """
 
@@ -92,9 +92,10 @@ class PairMaker:
         *,
         kept_frames: int = 0,
     ) -> None:
-        """camera: gives the layers rgb and depth; by default the recordings do.
+        """camera: source of the layers rgb and depth; None: the recordings.
 
-        kept_frames: how many observed frames stay in memory, where frames come again and again.
+        kept_frames: number of observed frames that stay in memory, for frames that are requested
+        repeatedly.
         """
         self.config = config
         self.views = views
@@ -104,7 +105,7 @@ class PairMaker:
         self._camera = camera or Camera(config, choose_frames)
 
     def axes(self) -> tuple[Axis, Axis]:
-        """Row and column axes of the pictures."""
+        """Row and column axes of the images."""
         return image_axes(self.config.sonar)
 
     def columns(self) -> tuple[Column, ...]:
@@ -125,19 +126,21 @@ class PairMaker:
         config = self.config if noise is None else replace(self.config, noise=noise)
         if config.devices is None:
             observed = self._observed_frame(ref)
-            made = [make_pair(observed, variant, config) for variant in variants]
+            pairs = [make_pair(observed, variant, config) for variant in variants]
         else:
             moment = self._moment(ref)
-            made = [pair_by_drawn_device(moment, one, config) for one in variants]
-        seen = self._camera.layers(ref)
-        return [replace(pair, layers={**pair.layers, **seen}) if seen else pair for pair in made]
+            pairs = [pair_by_drawn_device(moment, variant, config) for variant in variants]
+        camera_layers = self._camera.layers(ref)
+        if not camera_layers:
+            return pairs
+        return [replace(pair, layers={**pair.layers, **camera_layers}) for pair in pairs]
 
     def _moment(self, ref: FrameRef) -> Moment:
         view = self.views.view(ref)
         return self._recordings.moment(view.frame(ref), view.rendered())
 
     def _observed_frame(self, ref: FrameRef) -> ObservedFrame:
-        """The frame as the configured device observes it; the noise changes nothing of that."""
+        """The frame as the configured device observes it, which does not depend on the noise."""
         if ref in self._observed:
             self._observed.move_to_end(ref)
             return self._observed[ref]
@@ -149,18 +152,18 @@ class PairMaker:
         return observed
 
     def expect(self, keys: Mapping[str, str]) -> None:
-        """Keys of renders that are in the cache; see `dataset.schema.PairSource`."""
+        """Take the cache keys of finished renders; see `dataset.schema.PairSource`."""
         if isinstance(self.views, CachedViews):
             self.views.expect(keys)
 
 
 def frames_worth_keeping(frames: int) -> int:
-    """`kept_frames` where so many frames come in random order: all of few, none of many."""
+    """Return `kept_frames` for frames in random order: all of a few, none of many."""
     return frames if frames <= _MOST_KEPT_FRAMES else 0
 
 
 def pair_maker(config: FactoryConfig, *, kept_frames: int = 0) -> PairMaker:
-    """The pair maker of a configuration, with the renders that it means.  See `PairMaker`."""
+    """Open the pair maker of a configuration with the renders it refers to.  See `PairMaker`."""
     moves = "seabed" if config.scenes.is_continuous else ""
     compile_needed(scenes=moves, field=config.acoustics.formation == "coherent")
     return PairMaker(config, open_views(config), kept_frames=kept_frames)
@@ -171,7 +174,7 @@ def observe(
 ) -> ObservedFrame:
     """A rendered frame as the sonar observes it; `observe_moment` of a scene where nothing moves.
 
-    window: that of `fitted_window`, where it is known already.
+    window: the result of `fitted_window` if the caller has it; None: fitted here.
     Raises FrameError when the sonar's sector holds no insonified surface.
     """
     return observe_moment(Moment(frame, rendered), config, window)
@@ -182,28 +185,21 @@ def observe_moment(
 ) -> ObservedFrame:
     """A frame with its moving objects as the sonar observes it.
 
-    The static scene alone decides the range window and the scale of the pictures, so that they
-    stay as they are while objects come and go.
+    The static scene alone determines the range window and the grey scale of the images, so that
+    both remain constant while objects come and go.
     """
     sonar = config.sonar
-    cones = config.acoustics.formation == "coherent"
-    window = window or fitted_window(moment.frame, moment.rendered, config)
-    window = conical(window, sonar) if cones else window
-    lit = surface.LitSurface(moment.frame, moment.rendered, window, sonar, cones)
+    if window is None:
+        window = fitted_window(moment.frame, moment.rendered, config)
+    if _has_conical_beams(config):
+        window = conical(window, sonar)
+    lit = _lit_surface(moment.frame, moment.rendered, window, config)
     scene = _scene_of(lit, config)
     if moment.bodies:
-        made_by = (window, sonar, config.water, config.acoustics, config.resample)
-        scene = moment.static.equal(scene, made_by) if moment.static else scene
-        composed = compose(
-            moment.frame,
-            moment.rendered,
-            moment.bodies,
-            sonar.mount,
-            _class_echoes(config),
-            sonar.frequency_khz,
-        )
-        lit = surface.LitSurface(composed.frame, composed.rendered, window, sonar, cones)
+        scene = _held_static_scene(moment, scene, window, config)
+        lit = _with_bodies(moment, window, config)
         scene = _scene_of(lit, config, scene)
+
     share = insonified_share(scene.filled, window, sonar)
     check_share(moment.frame.ref, share, config.frames.min_insonified)
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
@@ -223,8 +219,44 @@ def observe_moment(
     )
 
 
+def _has_conical_beams(config: FactoryConfig) -> bool:
+    return config.acoustics.formation == "coherent"
+
+
+def _lit_surface(
+    frame: Frame, rendered: Rendered, window: Window, config: FactoryConfig
+) -> surface.LitSurface:
+    return surface.LitSurface(frame, rendered, window, config.sonar, _has_conical_beams(config))
+
+
+def _held_static_scene(
+    moment: Moment, scene: Scene, window: Window, config: FactoryConfig
+) -> Scene:
+    """Return the static scene that the recording holds, if equal settings made it; else `scene`."""
+    if moment.static is None:
+        return scene
+    settings = (window, config.sonar, config.water, config.acoustics, config.resample)
+    return moment.static.equal(scene, settings)
+
+
+def _with_bodies(moment: Moment, window: Window, config: FactoryConfig) -> surface.LitSurface:
+    """Return the surface of a frame with its moving objects placed into it."""
+    composed = compose(
+        moment.frame,
+        moment.rendered,
+        moment.bodies,
+        config.sonar.mount,
+        _class_echoes(config),
+        config.sonar.frequency_khz,
+    )
+    return _lit_surface(composed.frame, composed.rendered, window, config)
+
+
 def _class_echoes(config: FactoryConfig) -> list[Echo]:
-    """How surfaces of each class echo; pointwise images know the user's own materials alone."""
+    """Return how surfaces of each class echo.
+
+    Pointwise images know no materials but the user's own.
+    """
     acoustics = config.acoustics
     if not isinstance(acoustics, CoherentSettings):
         classes = class_names(config.scenes.own_classes())
@@ -233,7 +265,7 @@ def _class_echoes(config: FactoryConfig) -> list[Echo]:
 
 
 def _scene_of(lit: surface.LitSurface, config: FactoryConfig, static: Scene | None = None) -> Scene:
-    """static: the same scene without moving objects; None where nothing moves."""
+    """The echoes of a surface.  static: the same scene without moving objects; None: none move."""
     acoustics = config.acoustics
     if isinstance(acoustics, CoherentSettings):
         assert static is None or isinstance(static, CoherentScene)
@@ -243,7 +275,7 @@ def _scene_of(lit: surface.LitSurface, config: FactoryConfig, static: Scene | No
 
 
 def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Window:
-    """The window of the frame's pictures.  Raises FrameError as `observe` does."""
+    """Fit the range window of the frame's images.  Raises FrameError as `observe` does."""
     sonar = set_window(config.sonar, config.seed, frame.ref)
     try:
         return fit_window(surface.extent(frame, rendered, sonar), sonar)
@@ -258,9 +290,9 @@ def observe_by(
     *,
     any_size: bool = False,
 ) -> tuple[ObservedFrame, FactoryConfig]:
-    """A frame as a drawn device observes it, and the configuration of its pictures.
+    """A frame as a drawn device observes it, and the configuration of its images.
 
-    any_size: whether the device draws the size of its pictures, too.
+    any_size: whether the device also draws the size of its images.
     Raises FrameError as `observe` does.
     """
     config = devices.configured(config, device, any_size=any_size)
@@ -271,10 +303,10 @@ def observe_by(
 
 
 def pair_by_drawn_device(moment: Moment, variant: int, config: FactoryConfig) -> Pair:
-    """A variant of a frame, by the device that `config.devices` draws for it.
+    """A variant of a frame, observed by the device that `config.devices` draws for it.
 
-    A device whose window shows nothing of the frame gives way to the next draw.
-    Raises FrameError as `observe` does, where none of them sees any of it.
+    Draws again, up to `_DRAWS` times, while the window of the device shows nothing of the frame.
+    Raises FrameError as `observe` does when no drawn device sees the frame.
     """
     assert config.devices is not None
     ref = moment.frame.ref
@@ -301,7 +333,7 @@ def make_pair(
 ) -> Pair:
     """One (noisy, clean) pair; the same frame, variant and configuration give the same bytes.
 
-    device: the drawn one that observed the frame, None for that of the configuration.
+    device: the drawn device that observed the frame; None: the configured one.
     """
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names, continuous=observed.continuous)

@@ -126,12 +126,12 @@ def progress_bar(*, total: int, initial: int = 0, unit: str, desc: str) -> tqdm[
 
     unit: what is counted, in the singular.  initial: so many of them were done before.
     """
-    how: dict[str, Any] = {"total": total, "initial": initial, "unit": unit, "desc": desc}
+    options: dict[str, Any] = {"total": total, "initial": initial, "unit": unit, "desc": desc}
     if sys.stderr.isatty():
-        return terminal_bars()(**how, dynamic_ncols=True)
+        return terminal_bars()(**options, dynamic_ncols=True)
     form = "{desc}: {n_fmt} of {total_fmt} {unit}s in {elapsed}, {remaining} left{postfix}"
-    how |= {"mininterval": _LINE_EVERY_S, "maxinterval": _LINE_EVERY_S, "delay": 1e-9}
-    bar: tqdm[Any] = terminal_bars()(**how, file=_AsLines(), bar_format=form)
+    options |= {"mininterval": _LINE_EVERY_S, "maxinterval": _LINE_EVERY_S, "delay": 1e-9}
+    bar: tqdm[Any] = terminal_bars()(**options, file=_AsLines(), bar_format=form)
     for name in ("set_postfix", "set_postfix_str"):  # by itself it would draw at each
         setattr(bar, name, partial(getattr(bar, name), refresh=False))
     return bar

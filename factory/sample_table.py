@@ -195,9 +195,9 @@ def _fan_axes(sonar: SonarSettings) -> ImageAxes:
 # NaN where the recording does not say.
 _POSE = (
     *(
-        Column(f"{device}.{name}", "f8", unit, f"of the {device}: {what}")
+        Column(f"{device}.{name}", "f8", unit, f"of the {device}: {description}")
         for device in ("camera", "sonar")
-        for name, unit, what in (
+        for name, unit, description in (
             *((f"{axis}_m", "m", f"position along the world's {axis}") for axis in "xyz"),
             *((f"q{part}", "1", f"quaternion to world axes, {part}") for part in "xyzw"),
         )
@@ -210,8 +210,8 @@ _POSE = (
 )
 # Of the picture in rgb and depth; distortion is 0 where it was taken out or is not known.
 _LENS = tuple(
-    Column(f"camera.{name}", "f8", unit, f"{what}, as OpenCV defines it")
-    for name, unit, what in (
+    Column(f"camera.{name}", "f8", unit, f"{description}, as OpenCV defines it")
+    for name, unit, description in (
         ("fx_px", "px", "focal length across"),
         ("fy_px", "px", "focal length down"),
         ("cx_px", "px", "column of the principal point"),

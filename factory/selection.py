@@ -15,20 +15,20 @@ from .words import list_word
 _Scene = tuple[str, str]
 
 
-def choose_frames(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
+def choose_frames(refs: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
     """The frames that stride, limit, total and `only` leave, in order.
 
     Raises FactoryError when none is left or a name in `frames.only` is unknown.
     """
     settings = config.frames
     by_scene: dict[_Scene, list[FrameRef]] = {}
-    for ref in found:
+    for ref in refs:
         by_scene.setdefault((ref.location, ref.scene), []).append(ref)
     thinned = [refs[:: settings.stride][: settings.limit] for refs in by_scene.values()]
     chosen = _spread(thinned, settings.total)
     if settings.only is not None:
         wanted = {unicodedata.normalize("NFC", name): name for name in settings.only}
-        by_name = {unicodedata.normalize("NFC", ref.name): ref for ref in found}
+        by_name = {unicodedata.normalize("NFC", ref.name): ref for ref in refs}
         unknown = sorted(wanted.keys() - by_name.keys())
         if unknown:
             raise FactoryError(f"frames.only: no frame named {wanted[unknown[0]]}")
@@ -47,7 +47,9 @@ def split_frames(
     scenes = _scenes(frames)
     patterns = config.split.test
     if patterns:
-        testing = [one for one in scenes if any(_matches(one, pattern) for pattern in patterns)]
+        testing = [
+            scene for scene in scenes if any(_matches(scene, pattern) for pattern in patterns)
+        ]
     else:
         testing = _by_fraction(scenes, config.split.test_fraction)
     return {

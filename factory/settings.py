@@ -43,7 +43,7 @@ def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) ->
             keys.append(str(item["loc"][-1]))
         name = ".".join([*filter(None, [prefix]), *keys]) or "config"
         if item["type"] == "unexpected_keyword_argument":
-            others = [str(one) for one in beside if str(one) != keys[-1]]
+            others = [str(field) for field in beside if str(field) != keys[-1]]
             near = difflib.get_close_matches(keys[-1], others, n=1, cutoff=0.7)
             hint = f"; did you mean {'.'.join([*keys[:-1], *near])}?" if near else ""
             parts.append(f"{name}: unknown key{hint}")
@@ -51,8 +51,8 @@ def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) ->
             parts.append(f"{name}: a value is required")
         else:
             message = item["msg"].removeprefix("Value error, ").rstrip(".")
-            given = item.get("input")
-            shown = f" (given: {given!r})" if isinstance(given, str | int | float | bool) else ""
+            value = item.get("input")
+            shown = f" (given: {value!r})" if isinstance(value, str | int | float | bool) else ""
             # What contradicts each other names its keys itself.
             parts.append(f"{name}: {message}{shown}" if item["loc"] else message)
     return "; ".join(dict.fromkeys(parts))

@@ -96,12 +96,12 @@ class Cache:
 
     def entries(self) -> list[tuple[int, Path, int]]:
         """When each was last used (ns), its file, its bytes; those that vanish are left out."""
-        found = []
+        entries = []
         for path in sorted(self.folder.glob(f"??/*{_SUFFIX}")):
             with suppress(FileNotFoundError):
                 status = path.stat()
-                found.append((status.st_mtime_ns, path, status.st_size))
-        return found
+                entries.append((status.st_mtime_ns, path, status.st_size))
+        return entries
 
     def grown(self, added_bytes: int) -> None:
         """Note that entries were added, and when there are more bytes than may be, make room.
@@ -219,8 +219,8 @@ class CachedViews(Views):
         self.cache = Cache(config.cache)
         kinds: TypeAdapter[object] = TypeAdapter(tuple[Scenes, RenderSettings, Mount])
         render = renderer_of(config).settings
-        given = config.scenes, render, config.sonar.mount
-        scenes, *others = kinds.dump_python(given, mode="json")
+        pixel_settings = config.scenes, render, config.sonar.mount
+        scenes, *others = kinds.dump_python(pixel_settings, mode="json")
         pixels = {key: value for key, value in scenes.items() if key not in _NOT_PIXELS}
         version = GENERATOR if config.scenes.kind == "seabed" else None
         common: tuple[Any, ...] = pixels, *others, _code_version(render.kind), version
@@ -237,7 +237,7 @@ class CachedViews(Views):
         """
         ref = self._scenes.rendered_ref(ref)
         states = [(path, os.stat(path)) for path in ref.paths]
-        contents = [_digest(path, one.st_size, one.st_mtime_ns) for path, one in states]
+        contents = [_digest(path, status.st_size, status.st_mtime_ns) for path, status in states]
         text = json.dumps([self._common, ref.location, ref.scene, ref.frame, contents])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 

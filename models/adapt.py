@@ -20,7 +20,7 @@ from .denoise.inputs import FIND, Geometries
 from .learned_files import KEY as LEARNED_FROM
 from .learned_files import described, learned_files
 from .pretrained import find_weights
-from .stretches import Found, Lessons, find_lessons, read_clips
+from .stretches import Lessons, ReadClips, find_lessons, read_clips
 
 _BOUNDS = {"steps": (1, math.inf), "learning_rate": (1e-9, 1), "seed": (0, math.inf)}
 """Option -> the least and the largest value."""
@@ -28,21 +28,21 @@ _BOUNDS = {"steps": (1, math.inf), "learning_rate": (1e-9, 1), "seed": (0, math.
 
 def main(arguments: Sequence[str]) -> int:
     """Write the fitted weights; 1 when nothing came out better and so nothing was written."""
-    chosen = _parsed(arguments)
-    out = Path(chosen.out).expanduser()
-    start = find_weights(chosen.weights)
+    options = _parsed(arguments)
+    out = Path(options.out).expanduser()
+    start = find_weights(options.weights)
     if out.exists() and out.resolve() == start.resolve():
         raise FactoryError(f"--out {out}: would replace the weights to begin with")
     check_writable(out.parent, "--out")
-    geometries = Geometries(chosen.geometry)
-    found = read_clips([Path(name).expanduser() for name in chosen.recordings], out, geometries)
-    for line in found.skipped[:3]:
+    geometries = Geometries(options.geometry)
+    read = read_clips([Path(name).expanduser() for name in options.recordings], out, geometries)
+    for line in read.skipped[:3]:
         print(f"skipped: {line}", file=sys.stderr)
-    if found.copies:
-        print(f"repeated frames: {found.copies} copies of others are left out")
+    if read.copies:
+        print(f"repeated frames: {read.copies} copies of others are left out")
     for line in geometries.summary():
         print(line)
-    return _adapt(chosen, _lessons(found), found.paths, start, out)
+    return _adapt(options, _lessons(read), read.paths, start, out)
 
 
 def _parsed(arguments: Sequence[str]) -> Any:
@@ -81,18 +81,18 @@ def _parsed(arguments: Sequence[str]) -> Any:
     return chosen
 
 
-def _lessons(found: Found) -> Lessons:
+def _lessons(read: ReadClips) -> Lessons:
     """What stands still in the recordings; FactoryError where nothing does."""
-    read = sum(len(clip.shots) for clip in found.clips)
-    share = f"{read} of {found.frames}" if read < found.frames else f"{read}"
-    lessons = find_lessons(found.clips)
+    frame_count = sum(len(clip.shots) for clip in read.clips)
+    share = f"{frame_count} of {read.frames}" if frame_count < read.frames else f"{frame_count}"
+    lessons = find_lessons(read.clips)
     if lessons is None:
         raise FactoryError(
-            f"{found.clips[0].name}: nothing stands still in {share} frames, so no mean of other "
+            f"{read.clips[0].name}: nothing stands still in {share} frames, so no mean of other "
             "frames can be learned from; record a scene with the sonar at rest"
         )
     learning, held = (
-        sum(len(one.frames) for one in part) for part in (lessons.learning, lessons.held)
+        sum(len(stretch.frames) for stretch in part) for part in (lessons.learning, lessons.held)
     )
     stretches = len(lessons.learning) + (0 if lessons.same else len(lessons.held))
     print(
@@ -131,7 +131,7 @@ def _adapt(chosen: Any, lessons: Lessons, paths: Sequence[Path], start: Path, ou
         return 1
     facts = {
         "adapted.by": "mean of the other frames",
-        "adapted.frames": sum(len(one.frames) for one in lessons.learning),
+        "adapted.frames": sum(len(stretch.frames) for stretch in lessons.learning),
         "adapted.stretches": len(lessons.learning),
         LEARNED_FROM: [
             entry._asdict() for entry in dict.fromkeys([*described(paths), *learned_files(start)])

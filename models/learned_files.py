@@ -37,8 +37,8 @@ def described(paths: Iterable[Path]) -> list[LearnedFile]:
 
 def learned_files(weights: Path) -> list[LearnedFile]:
     """The files that weights learned from, as far as they or their card say it."""
-    found = [*_in_header(weights), *_in_card(weights.with_suffix(".md"))]
-    return list(dict.fromkeys(found))
+    files = [*_in_header(weights), *_in_card(weights.with_suffix(".md"))]
+    return list(dict.fromkeys(files))
 
 
 def known_as(path: Path, learned: Iterable[LearnedFile]) -> str | None:
@@ -78,13 +78,13 @@ def _in_card(card: Path) -> list[LearnedFile]:
 
 def entries_of(content: Mapping[str, Any]) -> list[LearnedFile]:
     """What a header or a card says, which may be anybody's: what does not fit is left out."""
-    found = []
+    files = []
     listed = content.get(KEY) if isinstance(content, dict) else None
     for entry in listed if isinstance(listed, list) else []:
         values = entry.values() if isinstance(entry, dict) else entry
         try:
             name, size, digest = values
-            found.append(LearnedFile(str(name), int(size), str(digest)))
+            files.append(LearnedFile(str(name), int(size), str(digest)))
         except (TypeError, ValueError):
             continue
-    return found
+    return files

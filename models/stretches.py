@@ -59,7 +59,7 @@ class Clip:
 
 
 @dataclass
-class Found:
+class ReadClips:
     """What was read.
 
     frames: how many there were.  skipped: a line for each that was not read.  paths: of the files.
@@ -75,7 +75,7 @@ class Found:
 
 def read_clips(
     paths: Sequence[Path], out: Path, geometries: Geometries, most: int = MOST_FRAMES
-) -> Found:
+) -> ReadClips:
     """The frames of files, and of all files below folders but those below `out`.
 
     most: about so many frames are read, of more in runs that follow each other, evenly spread.
@@ -88,35 +88,38 @@ def read_clips(
                 f"{item.source}: belongs to a dataset; `simnfnd train` learns from these, and "
                 "`simnfnd adapt` from recordings, videos and pictures"
             )
-    found = Found()
+    read = ReadClips()
     sources = sequences(items)
     counts = []
-    found.paths = [item.source for item in items]
+    read.paths = [item.source for item in items]
     for source in sources:
         try:
             with _opened(source) as recording:
                 counts.append(len(recording))
         except FactoryError as error:
-            found.skipped.append(str(error))
+            read.skipped.append(str(error))
             counts.append(0)
-    found.frames = sum(counts)
-    share = min(1.0, most / max(found.frames, 1))
+    read.frames = sum(counts)
+    share = min(1.0, most / max(read.frames, 1))
     for source, count in zip(sources, counts, strict=True):
-        if count and (shots := list(_shots(source, runs(count, share), geometries, found))):
+        if count and (shots := list(_shots(source, runs(count, share), geometries, read))):
             name = source[0].source.name
-            found.clips.append(Clip(name, presented(shots), source[0].kind == "pictures"))
-    if not found.clips:
-        more = f" ({found.skipped[0]})" if found.skipped else ""
+            read.clips.append(Clip(name, presented(shots), source[0].kind == "pictures"))
+    if not read.clips:
+        more = f" ({read.skipped[0]})" if read.skipped else ""
         raise FactoryError(f"{paths[0]}: no frame can be read{more}")
-    return found
+    return read
 
 
 def presented(shots: list[Shot]) -> list[Shot]:
     """Frames of a clip as denoisers show them to the weights, all with one gain."""
-    found = [presentation_of(shot.grey, shot.geometry) for shot in shots]
-    gain = min(one.gain for one in found)
-    ways = [replace(one, gain=gain) for one in found]
-    return [Shot(way.shown(shot.grey), way.geometry) for way, shot in zip(ways, shots, strict=True)]
+    presentations = [presentation_of(shot.grey, shot.geometry) for shot in shots]
+    gain = min(presentation.gain for presentation in presentations)
+    equalised = [replace(presentation, gain=gain) for presentation in presentations]
+    return [
+        Shot(presentation.shown(shot.grey), presentation.geometry)
+        for presentation, shot in zip(equalised, shots, strict=True)
+    ]
 
 
 def runs(count: int, share: float) -> list[int]:
@@ -124,9 +127,9 @@ def runs(count: int, share: float) -> list[int]:
     if share >= 1:
         return list(range(count))
     total = -(-count // RUN)
-    kept = max(1, int(share * total))
-    first = [number * total // kept for number in range(kept)]
-    return [frame for run in first for frame in range(run * RUN, min(run * RUN + RUN, count))]
+    run_count = max(1, int(share * total))
+    first_runs = [number * total // run_count for number in range(run_count)]
+    return [frame for run in first_runs for frame in range(run * RUN, min(run * RUN + RUN, count))]
 
 
 def _opened(source: list[Item]) -> Recording:
@@ -137,7 +140,7 @@ def _opened(source: list[Item]) -> Recording:
 
 
 def _shots(
-    source: list[Item], numbers: list[int], geometries: Geometries, found: Found
+    source: list[Item], numbers: list[int], geometries: Geometries, read: ReadClips
 ) -> Iterator[Shot]:
     """Frames by their numbers; notes those that are damaged, and leaves out copies of others.
 
@@ -149,11 +152,11 @@ def _shots(
             try:
                 frame = recording[number]
             except FactoryError as error:
-                found.skipped.append(str(error))
+                read.skipped.append(str(error))
                 continue
             shot = _shot_of(frame, source[number if recording.files else 0], geometries)
             if copy_finder.is_copy(shot.grey):
-                found.copies += 1
+                read.copies += 1
             else:
                 yield shot
 
@@ -203,16 +206,16 @@ def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
     on it flatter.
     """
     known = [
-        (kept, replace(still, recording=number))
+        (shots_used, replace(still, recording=number))
         for number, clip in enumerate(clips)
         for shots in _stretches(clip)
-        for kept, still in _stills(shots)
+        for shots_used, still in _stills(shots)
     ]
     if len(known) == 1:
-        kept, whole = known[0]
+        shots_used, whole = known[0]
         count = max(1, len(known[0][0]) // 5)
         # Targets of the frames that are learned from must not know the others.
-        learning = [still for _, still in _stills(kept[:-count])]
+        learning = [still for _, still in _stills(shots_used[:-count])]
         last = {name: getattr(whole, name)[-count:] for name in ("frames", "targets", "laid")}
         held = replace(whole, **last)
         return Lessons(learning, [held], same=True) if learning else None
@@ -234,21 +237,21 @@ def _stretches(clip: Clip) -> list[list[Shot]]:
     # Frames that follow each other show one scene unless it is plain that they do not.
     alike = _ALIKE if clip.shuffled else _FOLLOWS
     pieces = np.array_split(numbers, max(1, math.ceil(len(numbers) / RUN)))
-    found = [group for piece in pieces for group in _groups(clip, piece.tolist(), alike)]
-    taken = set(chain(*found))
-    found += _groups(clip, [number for number in numbers if number not in taken], _ALIKE)
-    return [[clip.shots[i] for i in group] for group in sorted(found)]
+    groups = [group for piece in pieces for group in _groups(clip, piece.tolist(), alike)]
+    taken = set(chain(*groups))
+    groups += _groups(clip, [number for number in numbers if number not in taken], _ALIKE)
+    return [[clip.shots[i] for i in group] for group in sorted(groups)]
 
 
 def _groups(clip: Clip, numbers: list[int], alike: float) -> list[list[int]]:
     shots = [clip.shots[i] for i in numbers]
     greys = [shot.grey for shot in shots]
     sectors = [shot.sector for shot in shots]
-    found = []
+    groups = []
     for group in find_groups(greys, sectors, least=LEAST, alike=alike):
         own = sorted(numbers[i] for i in group.numbers)
-        found += [part.tolist() for part in np.array_split(own, max(1, len(own) // RUN))]
-    return found
+        groups += [part.tolist() for part in np.array_split(own, max(1, len(own) // RUN))]
+    return groups
 
 
 def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
@@ -257,8 +260,8 @@ def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
     group = aligned([shot.grey for shot in shots], sector)
     if len(group.numbers) < _LEAST_ALIGNED:
         return []
-    kept = [shots[i] for i in group.numbers]
-    frames = [shot.grey for shot in kept]
+    used = [shots[i] for i in group.numbers]
+    frames = [shot.grey for shot in used]
     laid = laid_over(frames, group, 0, range(len(frames)))
     # Where all frames show the sector and nothing moves.
     margin = 2 * math.ceil(float(np.abs(group.shifts_px).max())) + 3
@@ -267,7 +270,12 @@ def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
     if known.sum() < _LEAST_KNOWN * sector.sum():
         return []
     places = range(len(frames))
-    others = (laid_over(frames, group, one, [k for k in places if k != one]) for one in places)
+    others = (
+        laid_over(
+            frames, group, index, [other_index for other_index in places if other_index != index]
+        )
+        for index in places
+    )
     means = (np.mean(each, axis=0, dtype=np.float64) for each in others)
     targets = [np.where(known, mean, np.nan).astype(np.float32) for mean in means]
-    return [(kept, Still(frames, targets, laid, shots[0].geometry))]
+    return [(used, Still(frames, targets, laid, shots[0].geometry))]

@@ -129,7 +129,7 @@ def denoise(
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
     denoising = Denoising(network, frames=frames, causal=causal, calibrated=strength == 1)
     if given.ndim == 2 or given.shape[2] <= 4:
-        single = denoising.one(known, place)
+        single = denoising.denoise_image(known, place)
         image = single.image.astype(given.dtype)
         return DenoisedImage(image, single.removed.signal) if return_removed else image
     result = np.empty(given.shape, given.dtype)

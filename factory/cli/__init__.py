@@ -150,8 +150,8 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
         return say_error(FactoryError(f"memory: not enough of it; {hint}"))
     except KeyboardInterrupt as stopped:
         # Who knows better what is kept says so in the exception.
-        kept = getattr(stopped, "kept", "what was finished is kept, run again to go on")
-        print(f"error: {getattr(stopped, 'said', f'interrupted; {kept}')}", file=sys.stderr)
+        kept_note = getattr(stopped, "kept", "what was finished is kept, run again to go on")
+        print(f"error: {getattr(stopped, 'said', f'interrupted; {kept_note}')}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
 

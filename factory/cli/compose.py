@@ -88,13 +88,13 @@ def sweep_points(overrides: Sequence[str], params: Mapping[str, Any]) -> list[li
     """
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    given = {word.split("=")[0] for word in overrides}
-    more = [f"{key!s}={value}" for key, value in params.items() if key not in given]
+    given_keys = {word.split("=")[0] for word in overrides}
+    more = [f"{key!s}={value}" for key, value in params.items() if key not in given_keys]
     axes = [
-        [f"{one.get_key_element()}={value}" for value in one.sweep_string_iterator()]
-        if one.is_sweep_override()
-        else [one.input_line or ""]
-        for one in OverridesParser.create().parse_overrides([*more, *overrides])
+        [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+        if override.is_sweep_override()
+        else [override.input_line or ""]
+        for override in OverridesParser.create().parse_overrides([*more, *overrides])
     ]
     return [list(point) for point in itertools.product(*axes)]
 
@@ -107,30 +107,37 @@ def config_line(error: Exception, name: str) -> str:
     from ..imaging.settings import formation_of  # not before an error: `--help` must be fast
 
     text = " ".join(f"{error} {error.__cause__ or ''}".split())
-    if found := re.search(
+    if match := re.search(
         r"Could not find '([^'/]+)/([^']+)' Available options in '.*?': (.*)", text
     ):
-        group = found[1]
-        choice = found[2]
-        choices = re.sub("Config search path.*", "", found[3]).split()
-        near = [f"{group}={one}" for one in difflib.get_close_matches(choice, choices, n=2)]
+        group = match[1]
+        choice = match[2]
+        choices = re.sub("Config search path.*", "", match[3]).split()
+        near = [
+            f"{group}={name_of_choice}"
+            for name_of_choice in difflib.get_close_matches(choice, choices, n=2)
+        ]
         hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(choices)}"
         return f"{group}={choice}: no such choice; {hint}"
-    if found := re.search(r"Could not (?:override|delete from config\.) '([^']+)'", text):
-        key = found[1]
+    if match := re.search(r"Could not (?:override|delete from config\.) '([^']+)'", text):
+        key = match[1]
         keys = sorted(_keys(name))
         if key in keys:
             if formation := formation_of(key):
                 return f"{key}: set acoustics={formation}, whose setting it is, or leave it out"
             return f"{key}: the chosen `{key.split('.')[0]}` has no such key (see `--cfg job`)"
-        last = [one for one in keys if one.rpartition(".")[2] == key.rpartition(".")[2]]
+        last = [
+            name_of_choice
+            for name_of_choice in keys
+            if name_of_choice.rpartition(".")[2] == key.rpartition(".")[2]
+        ]
         near = difflib.get_close_matches(key, keys, n=1, cutoff=0.7) or last[:3]
         hint = f"did you mean {' or '.join(near)}?" if near else "`--cfg job` shows every key"
         return f"{key}: no such key; {hint}"
-    if found := re.search(r"Ambiguous value for argument '([^=]+)=", text):
-        return f"{found[1]}: several values are a sweep, `-m`, or a list, {found[1]}=[a,b]"
-    if found := re.search(r"Error parsing override '([^']+)' missing EQUAL", text):
-        return f"{found[1]}: not KEY=VALUE; see `--help`"
+    if match := re.search(r"Ambiguous value for argument '([^=]+)=", text):
+        return f"{match[1]}: several values are a sweep, `-m`, or a list, {match[1]}=[a,b]"
+    if match := re.search(r"Error parsing override '([^']+)' missing EQUAL", text):
+        return f"{match[1]}: not KEY=VALUE; see `--help`"
     text = re.sub(r"\s*See https://hydra\S+ for details", "", text)
     return f"config: {text} (see `--cfg job` for every key)"
 

@@ -1,6 +1,6 @@
-"""Optional parts of an install: what a command needs of them, and one line for what is missing.
+"""Optional parts of an install: which of them a command requires, and one line for missing ones.
 
-Looks for modules without importing them, so that a run is refused before any work.
+Searches for modules without importing them, so that a run is refused before it does any work.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ EXTRAS = {
 
 
 class Need(NamedTuple):
-    """A module that something the user asked for cannot do without.
+    """A module that a choice of the user requires.
 
-    what: the words that ask for it, for example `render=cycles`.
-    instead: words that do without it.
+    choice: the override that requires it, for example `render=cycles`.
+    instead: overrides that do not require it; empty: there are none.
     """
 
-    what: str
+    choice: str
     module: str
     instead: str = ""
 
 
 def install_command(*extras: str) -> str:
-    """The line that installs `extras`, as a shell takes it."""
+    """Return the shell command that installs `extras`."""
     return f'pip install "simnfnd[{",".join(dict.fromkeys(extras))}]"'
 
 
@@ -62,46 +62,58 @@ def require(needs: Iterable[Need]) -> None:
     missing = [need for need in needs if find_spec(need.module) is None]
     if not missing:
         return
-    modules: dict[str, list[str]] = {}
+
+    modules_of_choice: dict[str, list[str]] = {}
     for need in missing:
-        modules.setdefault(need.what, []).append(need.module)
-    reasons = ", ".join(f"{what} needs {' and '.join(names)}" for what, names in modules.items())
-    others = "; ".join(dict.fromkeys(need.instead for need in missing if need.instead))
-    raise FactoryError(
-        f"{reasons}: {install_command(*(EXTRAS[need.module] for need in missing))}"
-        + (f", or choose {others}" if others else "")
+        modules_of_choice.setdefault(need.choice, []).append(need.module)
+    reasons = ", ".join(
+        f"{choice} needs {' and '.join(modules)}" for choice, modules in modules_of_choice.items()
     )
+    remedy = install_command(*(EXTRAS[need.module] for need in missing))
+    others = "; ".join(dict.fromkeys(need.instead for need in missing if need.instead))
+    if others:
+        remedy += f", or choose {others}"
+    raise FactoryError(f"{reasons}: {remedy}")
 
 
 def needs_of(config: FactoryConfig) -> Iterator[Need]:
     """What making the pairs of a configuration needs beyond the core install."""
+    yield from _needs_of_renderer(config)
+    yield from _needs_of_images(config)
+    if "pose" in config.dataset.columns:
+        yield Need("dataset.columns=[pose]", "scipy")
+    if config.scheduler.backend == "dask":
+        yield Need("scheduler=dask", "distributed", "scheduler=local")
+    if (config.dataset.dir or "").startswith("s3://"):
+        yield Need("dataset.dir=s3://...", "s3fs", "a folder of this machine")
+
+
+def _needs_of_renderer(config: FactoryConfig) -> Iterator[Need]:
     # Imports numpy and pydantic, which `simnfnd --help` does without.
     from ..renderer_choice import renderer_of
 
-    image = config.sonar.image
-    drawn = config.devices is not None
-    renderer = ""
+    if config.scenes.kind == "pack":
+        return
     choice = renderer_of(config)
-    if config.scenes.kind != "pack":
-        renderer = choice.settings.kind
-    # Without shadow rays the closed form is wrong for a sonar away from the camera.
-    colocated = config.sonar.mount.colocated
-    other_than_cycles = "render=analytic or render=embree" if colocated else "render=embree"
-    coherent = config.acoustics.formation == "coherent" and not drawn
-    jpeg = f"sonar.image.jpeg_quality={image.jpeg_quality}"
-    enlarged = f"sonar.image.enlarged={image.enlarged:g}"
-    to_s3 = (config.dataset.dir or "").startswith("s3://")
-    for asked, *need in (
-        (renderer == "cycles", choice.reason, "bpy", other_than_cycles),
-        (renderer == "embree", "render=embree", "open3d", "render=analytic or render=cycles"),
-        (image.enlarged > 1, enlarged, "cv2", "sonar.image.enlarged=1"),
-        (image.jpeg_quality is not None, jpeg, "cv2", "sonar.image.jpeg_quality=null"),
-        (drawn, "devices=any_sonar", "cv2"),
-        (drawn, "devices=any_sonar", "scipy"),
-        (coherent, "acoustics=coherent", "scipy", "acoustics=pointwise noise=simnfnd"),
-        ("pose" in config.dataset.columns, "dataset.columns=[pose]", "scipy"),
-        (config.scheduler.backend == "dask", "scheduler=dask", "distributed", "scheduler=local"),
-        (to_s3, "dataset.dir=s3://...", "s3fs", "a folder of this machine"),
-    ):
-        if asked:
-            yield Need(*map(str, need))
+    if choice.settings.kind == "cycles":
+        # Without shadow rays the closed form is wrong for a sonar away from the camera.
+        colocated = config.sonar.mount.colocated
+        others = "render=analytic or render=embree" if colocated else "render=embree"
+        yield Need(str(choice.reason), "bpy", others)
+    if choice.settings.kind == "embree":
+        yield Need("render=embree", "open3d", "render=analytic or render=cycles")
+
+
+def _needs_of_images(config: FactoryConfig) -> Iterator[Need]:
+    image = config.sonar.image
+    is_device_drawn = config.devices is not None
+    if image.enlarged > 1:
+        yield Need(f"sonar.image.enlarged={image.enlarged:g}", "cv2", "sonar.image.enlarged=1")
+    if image.jpeg_quality is not None:
+        jpeg = f"sonar.image.jpeg_quality={image.jpeg_quality}"
+        yield Need(jpeg, "cv2", "sonar.image.jpeg_quality=null")
+    if is_device_drawn:
+        yield Need("devices=any_sonar", "cv2")
+        yield Need("devices=any_sonar", "scipy")
+    elif config.acoustics.formation == "coherent":
+        yield Need("acoustics=coherent", "scipy", "acoustics=pointwise noise=simnfnd")

@@ -76,8 +76,8 @@ def generate(composed: DictConfig) -> int:
     if in_sweep() and config.shard.count == 1:
         figures = {name: round(value, 4) for name, value in noisiness(directory).items()}
         counts = {"pairs": report.samples, "failed": len(report.failures)}
-        made = {"dataset": str(directory), "images": images_digest(directory)}
-        note(state="made", **counts, **figures, exit_code=code, **made)
+        result = {"dataset": str(directory), "images": images_digest(directory)}
+        note(state="made", **counts, **figures, exit_code=code, **result)
     print(f"dataset: {folder}")
     if report.failures:
         count, reason = _commonest(report)
@@ -95,8 +95,8 @@ def _commonest(report: RunReport) -> tuple[int, str]:
     for failure in report.failures:
         reason = failure.reason.removeprefix(f"{failure.ref.name}: ")
         alike.setdefault(re.sub(r"[0-9.]+", "#", reason), []).append(reason)
-    found = max(alike.values(), key=len)
-    return len(found), found[0]
+    reasons = max(alike.values(), key=len)
+    return len(reasons), reasons[0]
 
 
 def run(
@@ -162,8 +162,8 @@ def job_of(
         reporter.fact(f"scenes: {count} skipped: {reason}")
     frames = choose_frames(discovery.frames, config)
     splits = split_frames(frames, config)
-    how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
-    tasks = plan_shards(splits, *how)
+    plan_options = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
+    tasks = plan_shards(splits, *plan_options)
     counts = [(split, sum(t.samples for t in tasks if t.split == split)) for split in splits]
     pairs = " and ".join(f"{count} {split}" for split, count in counts)
     scenes = len({(ref.location, ref.scene) for ref in frames})

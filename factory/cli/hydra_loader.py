@@ -81,7 +81,9 @@ def register_search_path() -> None:
 
     with _lock:
         plugins = Plugins.instance()
-        if any(one.__name__ == "SimnfndFolders" for one in plugins.discover(SearchPathPlugin)):
+        if any(
+            plugin.__name__ == "SimnfndFolders" for plugin in plugins.discover(SearchPathPlugin)
+        ):
             return
 
         class SimnfndFolders(SearchPathPlugin):

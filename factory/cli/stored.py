@@ -14,16 +14,16 @@ from ..small_files import load_yaml, one_line
 _OF_THIS_MACHINE = ("scheduler", "cache", "shard", "debug")
 
 
-def stored_config(directory: Path, here: FactoryConfig) -> FactoryConfig:
-    """What config.yaml says of the samples; scheduler and cache are those of `here`.
+def stored_config(directory: Path, current: FactoryConfig) -> FactoryConfig:
+    """What config.yaml says of the samples; scheduler and cache are those of `current`.
 
     Nothing that the file says is executed.  Raises FactoryError where it cannot be read.
     """
     path = directory / CONFIG_NAME
     try:
         values = load_yaml(path)
-        own = {name: getattr(here, name) for name in _OF_THIS_MACHINE}
-        return from_mapping({**values, **own})
+        kept_sections = {name: getattr(current, name) for name in _OF_THIS_MACHINE}
+        return from_mapping({**values, **kept_sections})
     except (OSError, ValueError, TypeError) as error:
         raise FactoryError(
             f"{path}: cannot be read ({one_line(error)}); restore it to make the same pairs"

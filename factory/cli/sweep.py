@@ -112,10 +112,10 @@ def write_table() -> None:
     for line in equal_points(rows):
         print(line)
     labels = [", ".join(f"{name}={row.get(name, '')}" for name in names) for row in rows]
-    told = zip(labels, rows, strict=True)
-    made = [(label, Path(row["dataset"])) for label, row in told if "pairs" in row]
+    labelled_rows = zip(labels, rows, strict=True)
+    datasets = [(label, Path(row["dataset"])) for label, row in labelled_rows if "pairs" in row]
     with suppress(FactoryError, OSError):
-        if len(made) > 1 and side_by_side(made, sheet := folder / "sweep.png"):
+        if len(datasets) > 1 and side_by_side(datasets, sheet := folder / "sweep.png"):
             print(f"sweep: {sheet}: the same frames of every point, clean and noisy")
     print(f"sweep: {folder / 'sweep.md'}")
 

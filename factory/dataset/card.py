@@ -131,7 +131,7 @@ def _settings_block(config: Mapping[str, Any]) -> str:
 
 
 def _scene_table(pairs: PairDataset) -> str:
-    counts = Counter((one.split, one.location, one.scene) for one in pairs.names())
+    counts = Counter((sample.split, sample.location, sample.scene) for sample in pairs.names())
     lines = ["| split | location | scene | pairs |", "|---|---|---|---|"]
     lines += [f"| {' | '.join(key)} | {count} |" for key, count in counts.items()]
     return "\n".join(lines)
@@ -196,15 +196,16 @@ def _is_procedural(config: Mapping[str, Any]) -> bool:
 
 
 def hub_fields(name: str, licence: str | None, samples: int) -> dict[str, Any]:
-    """Front matter of a card, for the Hugging Face hub."""
-    stated = (licence or "unknown").strip()
-    known = stated.lower() if stated.lower() in (*_HUB_LICENCES, "unknown") else None
-    other = {"license_name": re.sub(r"[^a-z0-9.-]+", "-", stated.lower()).strip("-")}
-    return {
-        "license": known or "other",
-        **({} if known else other),
+    """Return the front matter of a card, as the Hugging Face hub reads it."""
+    stated = (licence or "unknown").strip().lower()
+    fields: dict[str, Any] = {"license": stated}
+    if stated not in (*_HUB_LICENCES, "unknown"):
+        fields["license"] = "other"
+        fields["license_name"] = re.sub(r"[^a-z0-9.-]+", "-", stated).strip("-")
+    category = next((size for limit, size in _SIZES if samples < limit), "n>1M")
+    return fields | {
         "pretty_name": name,
         "task_categories": ["image-to-image"],
-        "size_categories": [next((size for limit, size in _SIZES if samples < limit), "n>1M")],
+        "size_categories": [category],
         "tags": ["sonar", "forward-looking-sonar", "underwater", "denoising", "synthetic", "hdf5"],
     }

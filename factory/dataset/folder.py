@@ -94,20 +94,24 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
 
 
 def differences(
-    there: Mapping[str, Any], here: Mapping[str, Any], free: re.Pattern[str] | None = None
+    stored: Mapping[str, Any], current: Mapping[str, Any], free: re.Pattern[str] | None = None
 ) -> str:
     """`key there -> here` of the first keys in which two configurations differ, in one line.
 
     The records of earlier datasets are left out, and dotted keys that match `free`.
     """
-    one, two = (dict(_leaves(plain_values(config))) for config in (there, here))
-    found = [
-        f"{key} {one.get(key, '(absent)')} -> {two.get(key, '(absent)')}"
-        for key in sorted(one.keys() | two.keys())
-        if one.get(key) != two.get(key) and key not in PARTS and not (free and free.match(key))
+    stored_values, current_values = (
+        dict(_leaves(plain_values(config))) for config in (stored, current)
+    )
+    changes = [
+        f"{key} {stored_values.get(key, '(absent)')} -> {current_values.get(key, '(absent)')}"
+        for key in sorted(stored_values.keys() | current_values.keys())
+        if stored_values.get(key) != current_values.get(key)
+        and key not in PARTS
+        and not (free and free.match(key))
     ]
-    more = [f"and {len(found) - _SHOWN} more"] if len(found) > _SHOWN else []
-    return "; ".join(found[:_SHOWN] + more)
+    more = [f"and {len(changes) - _SHOWN} more"] if len(changes) > _SHOWN else []
+    return "; ".join(changes[:_SHOWN] + more)
 
 
 def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:

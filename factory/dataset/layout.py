@@ -1,14 +1,14 @@
-"""Is a shard laid out as the schema says, whole, and does everything in it lie in the file itself?
+"""Checks that a shard is laid out as the schema says, is whole, and refers to no other file.
 
-A dataset may come from a stranger or a dying disk.  What is checked here reads no image: links,
-types, sizes, filters and attributes.  A file that passes names no other file and has one chunk for
-each picture.  HDF5 has no checksums for what it keeps in one piece (/meta, /axes, plain pictures),
-for texts, and for the tables that say where a chunk lies.  So a shard has
+A dataset may come from a stranger or a dying disk.  The checks read no image: they cover links,
+types, sizes, filters and attributes.  A file that passes names no other file and has one chunk per
+image.  HDF5 has no checksums for contiguous datasets (/meta, /axes, uncompressed images), for
+texts, and for the tables that say where a chunk lies.  Therefore a shard has
 
-- `/checksums`, one row a sample and one column a layer: CRC-32 of the picture's bytes;
-- root attributes `checksum`, of the others, /meta, the axes and `/checksums`, and `text_checksum`,
-  of what layers, columns and axes say of themselves: BLAKE2b (16 bytes, hexadecimal) of a JSON text
-  that `_contents` and `_texts` write.
+- `/checksums`, one row per sample and one column per layer: CRC-32 of the image's bytes;
+- the root attributes `checksum`, of the other root attributes, /meta, the axes and `/checksums`,
+  and `text_checksum`, of the attributes of layers, columns and axes: BLAKE2b (16 bytes,
+  hexadecimal) of a JSON text that `_contents` and `_texts` write.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
-from itertools import accumulate
+from itertools import accumulate, chain
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -84,19 +84,19 @@ def dataset_inside(file: h5py.File, name: str, *, chunks: bool = False) -> h5py.
 
     What lies in one piece is read as a whole, so it may not claim more bytes than the file has.
     """
-    found = object_inside(file, name)
-    if not isinstance(found, h5py.Dataset):
+    dataset = object_inside(file, name)
+    if not isinstance(dataset, h5py.Dataset):
         raise FactoryError(f"/{name} is no dataset; generate the shard again")
-    plist = found.id.get_create_plist()
+    plist = dataset.id.get_create_plist()
     if plist.get_layout() == h5py.h5d.VIRTUAL or plist.get_external_count():
         raise FactoryError(f"/{name} keeps its data in another file; not followed")
     if chunks != (plist.get_layout() == h5py.h5d.CHUNKED):
-        kept = "chunks" if chunks else "one piece"
-        raise FactoryError(f"/{name}: the schema keeps it in {kept}; generate it again")
-    claimed = int(np.prod(found.shape, dtype=np.float64)) * found.id.get_type().get_size()
+        storage = "chunks" if chunks else "one piece"
+        raise FactoryError(f"/{name}: the schema keeps it in {storage}; generate it again")
+    claimed = int(np.prod(dataset.shape, dtype=np.float64)) * dataset.id.get_type().get_size()
     if not chunks and claimed > file.id.get_filesize():
         raise FactoryError(f"/{name} claims more bytes than the file has")
-    return found
+    return dataset
 
 
 def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
@@ -215,29 +215,33 @@ def _check_chunks(stack: h5py.Dataset) -> None:
     codec, ending = _filters(stack)
     file_bytes = stack.file.id.get_filesize()
     full = prod(picture) * stack.dtype.itemsize + ending
-    # What cannot be made smaller grows by far less than that.
-    least, most = (full, full) if codec == "none" else (ending + 1, full + full // 16 + 4096)
+    least = full
+    most = full
+    if codec != "none":
+        least = ending + 1
+        # Incompressible data grow by far less than this.
+        most = full + full // 16 + 4096
     origin = (0,) * len(picture)
-    found = 0
+    chunk_count = 0
 
     def check_chunk(chunk: Any) -> None:
-        nonlocal found
-        if chunk.chunk_offset != (found, *origin) or found >= samples:
+        nonlocal chunk_count
+        if chunk.chunk_offset != (chunk_count, *origin) or chunk_count >= samples:
             raise FactoryError(f"{name}: its table of chunks is damaged; generate it again")
         # LZF alone leaves a chunk as it is where it cannot make it smaller.
         if chunk.filter_mask and (codec, chunk.filter_mask, chunk.size) != ("lzf", 1, full):
-            raise FactoryError(f"{name} sample {found} skips its filters; generate it again")
+            raise FactoryError(f"{name} sample {chunk_count} skips its filters; generate it again")
         end = None if chunk.byte_offset is None else chunk.byte_offset + chunk.size
         if not least <= chunk.size <= most or end is None or end > file_bytes:
             raise FactoryError(
-                f"{name} sample {found} has a chunk of {chunk.size} bytes that ends at {end}; "
-                "generate it again"
+                f"{name} sample {chunk_count} has a chunk of {chunk.size} bytes that ends at "
+                f"{end}; generate it again"
             )
-        found += 1
+        chunk_count += 1
 
     stack.id.chunk_iter(check_chunk)
-    if found != samples:
-        raise FactoryError(f"{name} holds {found} of {samples} samples; generate it again")
+    if chunk_count != samples:
+        raise FactoryError(f"{name} holds {chunk_count} of {samples} samples; generate it again")
 
 
 def _filters(stack: h5py.Dataset) -> tuple[str, int]:
@@ -352,35 +356,42 @@ def _digest(document: Any) -> str:
 
 
 def _contents(file: h5py.File) -> list[Any]:
-    tables = (file["meta"][()], file[CHECKSUMS][()])
-    return [
-        [[name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS],
-        [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])],
-        *([["echoes", crc32(file[ECHO_PLACE][()])]] if echo_names(file) else []),
-        *([[[n, t.dtype[n].str] for n in t.dtype.names or ()], crc32(t)] for t in tables),
+    """What `checksum` covers: root attributes, axes, places of echoes, /meta and /checksums."""
+    attributes = [
+        [name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS
     ]
+    axes = [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])]
+    document: list[Any] = [attributes, axes]
+    if echo_names(file):
+        document.append(["echoes", crc32(file[ECHO_PLACE][()])])
+    for table in (file["meta"][()], file[CHECKSUMS][()]):
+        columns = [[name, table.dtype[name].str] for name in table.dtype.names or ()]
+        document.append([columns, crc32(table)])
+    return document
 
 
 def _texts(file: h5py.File, names: Sequence[str]) -> list[Any]:
-    # Pictures of the camera and lists of echoes have no axes.
-    of_sonar = [n for n in names if n not in CAMERA_LAYERS and not n.startswith("echoes/")]
-    axes = {n: [str(file[n].dims[k].label) for k in (1, 2)] for n in of_sonar}
-    scales = sorted({axis for both in axes.values() for axis in both})
-    return [
-        [[name, axes.get(name, [])] for name in names],
-        *(
-            [
-                name,
-                [[key, _value(attributes[key])] for key in sorted(attributes.keys() - _ADDRESSES)],
-            ]
-            for name in (*names, "meta", *(f"axes/{axis}" for axis in scales))
-            for attributes in (file[name].attrs,)
-        ),
-    ]
+    """What `text_checksum` covers: axes of layers, and the attributes of layers, /meta and axes."""
+    axes_of_layer: dict[str, list[str]] = {}
+    for name in names:
+        # Images of the camera and lists of echoes have no axes.
+        if name not in CAMERA_LAYERS and not name.startswith("echoes/"):
+            dimensions = file[name].dims
+            axes_of_layer[name] = [str(dimensions[1].label), str(dimensions[2].label)]
+    axis_names = sorted(set(chain.from_iterable(axes_of_layer.values())))
+
+    document: list[Any] = [[[name, axes_of_layer.get(name, [])] for name in names]]
+    for name in (*names, "meta", *(f"axes/{axis}" for axis in axis_names)):
+        attributes = file[name].attrs
+        keys = sorted(attributes.keys() - _ADDRESSES)
+        document.append([name, [[key, _value(attributes[key])] for key in keys]])
+    return document
 
 
 def _value(value: Any) -> Any:
+    """An attribute as JSON holds it; numpy values with their type."""
     if isinstance(value, bytes):
         return value.hex()
-    array = isinstance(value, np.ndarray | np.generic)
-    return [value.dtype.str, _value(value.tolist())] if array else value
+    if isinstance(value, np.ndarray | np.generic):
+        return [value.dtype.str, _value(value.tolist())]
+    return value

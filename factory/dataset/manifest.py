@@ -99,14 +99,14 @@ class Manifest:
     @property
     def config_hashes(self) -> frozenset[str]:
         """Hashes that its shards may state: its own, or those of datasets that went into it."""
-        found = {self.config_hash}
+        hashes = {self.config_hash}
         waiting = [self.config]
         for listed in (config.get(key) for config in waiting for key in PARTS):
             several = listed if isinstance(listed, list) else []
             parts = [part for part in several if isinstance(part, dict)]
-            found |= {str(part.get("config_hash")) for part in parts}
+            hashes |= {str(part.get("config_hash")) for part in parts}
             waiting += parts  # which the loop then comes to
-        return frozenset(found)
+        return frozenset(hashes)
 
     def total_bytes(self) -> int:
         """Size of all shards together."""
@@ -162,12 +162,12 @@ def load_manifest(directory: Path) -> Manifest | None:
             f"{path}: damaged ({one_line(error)}); delete it and run again, the shards are then "
             "made anew"
         ) from error
-    found = dict(read.shards)
+    current = dict(read.shards)
     for name, (info, _) in outcomes(directory, read.config_hash).items():
-        found.pop(name, None)
+        current.pop(name, None)
         if info is not None:
-            found[name] = info
-    return read if found == read.shards else replace(read, shards=found, index_sha256="")
+            current[name] = info
+    return read if current == read.shards else replace(read, shards=current, index_sha256="")
 
 
 def _totals(shards: Iterable[ShardInfo]) -> dict[str, dict[str, int]]:
@@ -247,7 +247,7 @@ def outcomes(
     config_hash: of those that count; None: all.  A damaged one is passed over: its shard is made
     again.
     """
-    found: dict[str, tuple[ShardInfo | None, Lines]] = {}
+    outcome_of_shard: dict[str, tuple[ShardInfo | None, Lines]] = {}
     for path in _outcome_files(directory):
         with suppress(OSError, ValueError, KeyError, TypeError):
             document = parse_json(read_regular(path))
@@ -256,8 +256,8 @@ def outcomes(
             name = document["path"]
             known = document["schema"] == SCHEMA and name == f"{path.parent.name}/{path.stem}.h5"
             if known and config_hash in (None, document["config_hash"]):
-                found[name] = info, failures
-    return found
+                outcome_of_shard[name] = info, failures
+    return outcome_of_shard
 
 
 def forget_outcomes(directory: Path) -> None:
@@ -297,16 +297,17 @@ def failure_lines(failures: Iterable[Failure], rerun_command: Callable[[FrameRef
 
     `rerun_command(ref)` is the command line that tries that one frame again.
     """
-    told = (
-        (one.ref.name, one.shard, one.kind, one.reason, rerun_command(one.ref)) for one in failures
+    rows = (
+        (failure.ref.name, failure.shard, failure.kind, failure.reason, rerun_command(failure.ref))
+        for failure in failures
     )
-    return [dict(zip(FAILURE_KEYS, values, strict=True)) for values in told]
+    return [dict(zip(FAILURE_KEYS, values, strict=True)) for values in rows]
 
 
 def save_failures(directory: Path, lines: Lines) -> None:
     """Write failed.jsonl, one JSON object a line in the order of shards and frames."""
-    found = sorted(lines, key=lambda line: (line["shard"], line["frame"]))
-    text = "".join(f"{json.dumps(line)}\n" for line in found)
+    sorted_lines = sorted(lines, key=lambda line: (line["shard"], line["frame"]))
+    text = "".join(f"{json.dumps(line)}\n" for line in sorted_lines)
     write_atomically(directory / FAILURES_NAME, text.encode())
 
 
@@ -325,5 +326,5 @@ def load_failures(directory: Path) -> Lines:
             "written anew"
         ) from error
     settled = outcomes(directory)
-    kept = [item for item in items if item["shard"] not in settled]
-    return kept + [line for _, (_, lines) in sorted(settled.items()) for line in lines]
+    unsettled = [item for item in items if item["shard"] not in settled]
+    return unsettled + [line for _, (_, lines) in sorted(settled.items()) for line in lines]

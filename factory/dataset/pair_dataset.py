@@ -113,13 +113,15 @@ class PairDataset:
         if layers is not None and not 0 < len(set(layers)) == len(layers):
             raise FactoryError(f"layers={list(layers)}: name at least one, and none twice")
         manifest = load_manifest(self.folder)
-        found = listed_shards(self.folder, split, manifest, follow_links=trusted)
-        self.paths = tuple(found)
+        shard_infos = listed_shards(self.folder, split, manifest, follow_links=trusted)
+        self.paths = tuple(shard_infos)
         if not trusted:
             check_in_isolation(self.paths)
         # Of the settings that it was made with, the last ones if it was extended.
         self.config_hash = manifest.config_hash if manifest else self.form.config_hash
-        self._counts = [info.samples if info else _count(path) for path, info in found.items()]
+        self._counts = [
+            info.samples if info else _count(path) for path, info in shard_infos.items()
+        ]
         self._ends = list(accumulate(self._counts))
         self._shards = OpenShards()
         self.layers = tuple(self.form.layers if layers is None else layers)
@@ -214,8 +216,10 @@ class PairDataset:
             columns = []
             about = {key: str(value) for key, value in table.attrs.items()}
             for name in table.dtype.names:
-                told = (about.get(f"{name}.{what}", "") for what in ("units", "description"))
-                columns.append(Column(name, table.dtype[name].str, *told))
+                texts = (
+                    about.get(f"{name}.{attribute}", "") for attribute in ("units", "description")
+                )
+                columns.append(Column(name, table.dtype[name].str, *texts))
             names = (*CORE, *optional_layers(file))
             return Form(
                 {name: file[name].dtype for name in names},

@@ -79,7 +79,10 @@ def side_by_side(
     beside each other; else a row for each dataset, its noisy images and the first clean one.
     """
     tables = [
-        {(one.location, one.scene, one.frame, one.variant): one for one in pairs.names()}
+        {
+            (sample.location, sample.scene, sample.frame, sample.variant): sample
+            for sample in pairs.names()
+        }
         for pairs in (PairDataset(folder, "all", trusted=True) for _, folder in points)
     ]
     common = [name for name in tables[0] if all(name in table for table in tables)]
@@ -89,15 +92,15 @@ def side_by_side(
         return False
     if whole:
         shown = [
-            replace(one, heading=f"{label}   {one.heading}")
+            replace(sample, heading=f"{label}   {sample.heading}")
             for samples in zip(*rows, strict=True)
-            for label, one in zip(labels, samples, strict=True)
+            for label, sample in zip(labels, samples, strict=True)
         ]
         sheet = draw(shown, " and ".join(labels), "", wide=len(labels))
     else:
         shown = []
         for label, samples in zip(labels, rows, strict=True):
-            noisy = {f"noisy, {k + 1}": one.images["noisy"] for k, one in enumerate(samples)}
+            noisy = {f"noisy, {k + 1}": sample.images["noisy"] for k, sample in enumerate(samples)}
             images = {"clean, 1": samples[0].images["clean"], **noisy}
             shown.append(replace(samples[0], heading=label, images=images))
         sheet = draw(shown, f"{len(shown)} datasets", "the same frames of each", wide=1)

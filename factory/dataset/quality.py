@@ -72,8 +72,13 @@ def gmsd(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
     Xue et al. (2014), as the authors' program has it: of 2x2 means, Prewitt's gradients, c = 170
     for 255 grey values, zeros beyond the border.  0: identical.
     """
-    one, other = (_gradient(255 * _unit(image)) for image in (clean, noisy))
-    return float(((2 * one * other + 170) / (one**2 + other**2 + 170)).std())
+    clean_gradient, noisy_gradient = (_gradient(255 * _unit(image)) for image in (clean, noisy))
+    return float(
+        (
+            (2 * clean_gradient * noisy_gradient + 170)
+            / (clean_gradient**2 + noisy_gradient**2 + 170)
+        ).std()
+    )
 
 
 def _gradient(image: Values) -> Values:
@@ -91,8 +96,8 @@ def _gradient(image: Values) -> Values:
 def seen_sector_deg(directory: Path) -> tuple[float, float]:
     """Smallest and largest horizontal sector, degrees, that the camera saw of a sample."""
     tables = (shard["meta"][()] for shard in _shards(directory))
-    seen = np.concatenate([t["azimuth_max_deg"] - t["azimuth_min_deg"] for t in tables])
-    return float(seen.min()), float(seen.max())
+    sector_deg = np.concatenate([t["azimuth_max_deg"] - t["azimuth_min_deg"] for t in tables])
+    return float(sector_deg.min()), float(sector_deg.max())
 
 
 def lit_share(directory: Path, most: int = 64) -> float:

@@ -39,17 +39,25 @@ def listed_shards(
     """
     if not root.is_dir():
         raise FactoryError(f"dataset={root}: no such folder; give one that `simnfnd make` made")
-    found: dict[Path, ShardInfo | None]
+    info_by_path: dict[Path, ShardInfo | None]
     if manifest is None:
-        found = {path: None for name in SPLITS for path in sorted((root / name).glob("*.h5"))}
+        info_by_path = {
+            path: None for name in SPLITS for path in sorted((root / name).glob("*.h5"))
+        }
     else:
-        found = {root / one.path: one for name in SPLITS for one in manifest.of_split(name)}
-    if not found:
+        info_by_path = {
+            root / info.path: info for name in SPLITS for info in manifest.of_split(name)
+        }
+    if not info_by_path:
         raise FactoryError(f"dataset={root}: no shards in train/ or test/; is it a dataset folder?")
-    chosen = {path: info for path, info in found.items() if split in ("all", path.parent.name)}
+    chosen = {
+        path: info for path, info in info_by_path.items() if split in ("all", path.parent.name)
+    }
     if not chosen:
-        there = f"split={next(iter(found)).parent.name} has {len(found)} shard(s)"
-        raise FactoryError(f"dataset={root}: the {split} split is empty; {there}")
+        alternative = (
+            f"split={next(iter(info_by_path)).parent.name} has {len(info_by_path)} shard(s)"
+        )
+        raise FactoryError(f"dataset={root}: the {split} split is empty; {alternative}")
     # What lies at a URL is fetched, and looked at, when it is opened.
     for path, info in () if url_of(root) else chosen.items():
         problem = ""

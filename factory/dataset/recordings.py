@@ -140,17 +140,17 @@ def _row(sample: int, record: np.void) -> _Row:
     return _Row(record, sample, frame, int(frame) if frame.isdigit() else None, time_s, tracks)
 
 
-def parse_tracks(text: bytes, where: str) -> tuple[Track, ...]:
+def parse_tracks(text: bytes, source: str) -> tuple[Track, ...]:
     """The entries of the column `tracks`.
 
-    Raises FactoryError, which names `where`, when they are not of the form that it describes.
+    Raises FactoryError, which names `source`, when they are not of the form that it describes.
     """
     try:
         entries = parse_json(text)
     except ValueError as error:
-        raise FactoryError(f"{where}: its tracks are damaged ({error})") from error
+        raise FactoryError(f"{source}: its tracks are damaged ({error})") from error
     if not isinstance(entries, list) or not all(map(_is_track, entries)):
-        raise FactoryError(f"{where}: its tracks are damaged (no list of objects)")
+        raise FactoryError(f"{source}: its tracks are damaged (no list of objects)")
     return tuple(entries)
 
 

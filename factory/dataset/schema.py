@@ -352,15 +352,15 @@ def _stored_value(column: Column, value: Any, name: str) -> Any:
     try:
         if dtype.kind == "S":
             stored = value.encode()
-            kept = len(stored) <= dtype.itemsize and b"\0" not in stored
+            is_lossless = len(stored) <= dtype.itemsize and b"\0" not in stored
         else:
             stored = np.asarray(value).astype(dtype)[()]
-            kept = stored == value or (
+            is_lossless = stored == value or (
                 dtype.kind == "f" and np.isfinite(stored) == np.isfinite(value)
             )
     except (AttributeError, OverflowError, TypeError, ValueError):
-        kept = False
-    if not kept:
+        is_lossless = False
+    if not is_lossless:
         text = f"text of at most {dtype.itemsize} bytes" if dtype.kind == "S" else f"{dtype}"
         raise FrameError(f"{name}: column {column.name} is {text} and cannot hold {value!r}")
     return stored

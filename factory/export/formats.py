@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -79,22 +79,27 @@ def samples(pairs: PairDataset, split: str) -> Iterator[Sample]:
             images = pairs[start + row]
             if any(image.dtype != pairs.form.layers[name] for name, image in images.items()):
                 raise FactoryError(f"{path}: its layers differ in type from the other shards'")
-            values = {name: record[name].item() for name in rows.dtype.names or ()}
             yield Sample(
-                f"{split}-{number:06d}",
-                {named(name): image for name, image in images.items()},
-                {name: v.decode() if isinstance(v, bytes) else v for name, v in values.items()},
+                key=f"{split}-{number:06d}",
+                images={named(name): image for name, image in images.items()},
+                record={name: _plain(record[name].item()) for name in rows.dtype.names or ()},
             )
             number += 1
         start += len(rows)
 
 
+def _plain(value: Any) -> Value:
+    """A value of the table with text as str."""
+    return value.decode() if isinstance(value, bytes) else value
+
+
 def _files(
     pairs: PairDataset, name: str, *, least_files: int = 1
 ) -> Iterator[tuple[str, Iterator[Sample]]]:
-    """Files of at most SAMPLES_PER_FILE samples each, by a name of split, number and files.
+    """Name and samples of each file; a file has at most SAMPLES_PER_FILE samples.
 
-    least_files: so many of each split, where it has as many samples.
+    name: pattern of split, number of the file and number of files.  least_files: minimum number of
+    files per split, if it has as many samples.
     """
     for split, count in pairs.splits.items():
         samples_per_file = min(SAMPLES_PER_FILE, max(1, count // least_files))
@@ -199,11 +204,11 @@ def write_webdataset(pairs: PairDataset, folder: Path) -> str:
     from webdataset import TarWriter  # an extra
 
     tars = 0
-    for name, found in _files(pairs, "{}-{:06d}.tar", least_files=_TARS_PER_SPLIT):
+    for name, file_samples in _files(pairs, "{}-{:06d}.tar", least_files=_TARS_PER_SPLIT):
         tars += 1
         # A time stamp and a user name would make every export another file.
         with TarWriter(str(folder / name), encoder=False, mtime=0.0, user="", group="") as tar:
-            for sample in found:
+            for sample in file_samples:
                 entry: dict[str, str | bytes] = {"__key__": sample.key}
                 for layer, image in sample.images.items():
                     if is_picture(image.dtype):
@@ -229,19 +234,21 @@ def write_huggingface(pairs: PairDataset, folder: Path) -> str:
     import pyarrow
     from pyarrow import parquet
 
-    if received := [name for name, dtype in pairs.form.layers.items() if dtype.kind == "c"]:
+    complex_layers = [name for name, dtype in pairs.form.layers.items() if dtype.kind == "c"]
+    if complex_layers:
         raise FactoryError(
-            f"--to huggingface: parquet holds no complex numbers ({received[0]}); export with "
-            "--to webdataset"
+            f"--to huggingface: parquet holds no complex numbers ({complex_layers[0]}); export "
+            "with --to webdataset"
         )
     (folder / "data").mkdir()
     schema = _schema(pairs)
     files = 0
-    for name, found in _files(pairs, "{}-{:05d}-of-{:05d}.parquet"):
+    for name, file_samples in _files(pairs, "{}-{:05d}-of-{:05d}.parquet"):
         files += 1
         # PNG bytes do not get smaller, so compression is for the table alone.
         with parquet.ParquetWriter(folder / "data" / name, schema, compression="snappy") as writer:
-            while rows := [_row(pairs, one) for one in islice(found, _SAMPLES_PER_GROUP)]:
+            while group := list(islice(file_samples, _SAMPLES_PER_GROUP)):
+                rows = [_row(pairs, sample) for sample in group]
                 writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
     settings = dataset_settings(pairs.folder)
     licence = stated_licence(settings.get("licence"), pairs.form.config)
@@ -257,8 +264,8 @@ def _row(pairs: PairDataset, sample: Sample) -> dict[str, Any]:
     row: dict[str, Any] = {}
     if "instance" in sample.images and "segmentation" in sample.images:
         row["objects"] = [
-            {"bbox": list(one.box), "category": one.label, "area": int(one.mask.sum())}
-            for one in shown_in(sample, classes_of(pairs.form.config), pairs.folder)
+            {"bbox": list(shown.box), "category": shown.label, "area": int(shown.mask.sum())}
+            for shown in shown_in(sample, classes_of(pairs.form.config), pairs.folder)
         ]
     for name, image in sample.images.items():
         if is_picture(image.dtype):
@@ -268,45 +275,73 @@ def _row(pairs: PairDataset, sample: Sample) -> dict[str, Any]:
     return {**row, **sample.record}
 
 
+class _Column(NamedTuple):
+    """A column of a parquet file: its Arrow type, and the `feature` that `datasets` reads."""
+
+    arrow_type: Any
+    feature: dict[str, Any]
+
+
 def _schema(pairs: PairDataset) -> Any:
+    """The Arrow schema of all columns, with the features of `datasets` as its metadata."""
     import pyarrow
 
-    image = pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
-    columns: dict[str, tuple[Any, dict[str, Any]]] = {}
-    for layer, dtype in pairs.form.layers.items():
-        columns[named(layer)] = image, {"_type": "Image"}
-        if not is_picture(dtype):
-            values = pyarrow.list_(pyarrow.list_(pyarrow.from_numpy_dtype(dtype)))
-            feature = {
-                "_type": "Array2D",
-                "shape": list(pairs.form.sizes[layer]),
-                "dtype": str(dtype),
-            }
-            columns[named(layer)] = values, feature
+    columns = {named(layer): _image_column(pairs, layer) for layer in pairs.form.layers}
     if {"instance", "segmentation"} <= set(pairs.layers):
-        number = pyarrow.int32()
-        integer = {"_type": "Value", "dtype": "int32"}
-        one = {"bbox": pyarrow.list_(number), "category": pyarrow.int64(), "area": number}
-        names = {"_type": "ClassLabel", "names": list(classes_of(pairs.form.config))}
-        kinds = {"bbox": {"_type": "List", "feature": integer}, "category": names, "area": integer}
-        objects = pyarrow.list_(pyarrow.struct(list(one.items())))
-        columns["objects"] = objects, {"_type": "List", "feature": kinds}
+        columns["objects"] = _object_column(pairs)
     for column in pairs.form.columns:
-        dtype = np.dtype(column.dtype)
-        text = dtype.kind == "S"
-        kind = pyarrow.string() if text else pyarrow.from_numpy_dtype(dtype)
-        feature = {"_type": "Value", "dtype": "string" if text else str(dtype)}
-        columns[column.name] = kind, feature
-    features = {name: feature for name, (_, feature) in columns.items()}
-    told = {named(layer.name): (layer.units, layer.description) for layer in _layers(pairs)}
-    told |= {column.name: (column.units, column.description) for column in pairs.form.columns}
+        columns[column.name] = _value_column(np.dtype(column.dtype))
+
+    texts = {named(layer.name): (layer.units, layer.description) for layer in _layers(pairs)}
+    texts |= {column.name: (column.units, column.description) for column in pairs.form.columns}
     fields = []
-    for name, (kind, _) in columns.items():
-        units, description = told.get(name, ("", ""))
-        about = {"units": units, "description": description}
-        fields.append(pyarrow.field(name, kind, metadata=about))
-    schema = pyarrow.schema(fields)
-    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
+    for name, (arrow_type, _) in columns.items():
+        units, description = texts.get(name, ("", ""))
+        metadata = {"units": units, "description": description}
+        fields.append(pyarrow.field(name, arrow_type, metadata=metadata))
+
+    features = {name: feature for name, (_, feature) in columns.items()}
+    document = json.dumps({"info": {"features": features}})
+    return pyarrow.schema(fields).with_metadata({"huggingface": document})
+
+
+def _image_column(pairs: PairDataset, layer: str) -> _Column:
+    """PNG files of a layer; arrays of a layer that no PNG holds without loss."""
+    import pyarrow
+
+    dtype = pairs.form.layers[layer]
+    if is_picture(dtype):
+        png_file = pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
+        return _Column(png_file, {"_type": "Image"})
+    rows = pyarrow.list_(pyarrow.list_(pyarrow.from_numpy_dtype(dtype)))
+    shape = list(pairs.form.sizes[layer])
+    return _Column(rows, {"_type": "Array2D", "shape": shape, "dtype": str(dtype)})
+
+
+def _object_column(pairs: PairDataset) -> _Column:
+    """Boxes, classes and areas of the objects in an image."""
+    import pyarrow
+
+    number = pyarrow.int32()
+    object_fields = {"bbox": pyarrow.list_(number), "category": pyarrow.int64(), "area": number}
+    arrow_type = pyarrow.list_(pyarrow.struct(list(object_fields.items())))
+
+    integer = {"_type": "Value", "dtype": "int32"}
+    features = {
+        "bbox": {"_type": "List", "feature": integer},
+        "category": {"_type": "ClassLabel", "names": list(classes_of(pairs.form.config))},
+        "area": integer,
+    }
+    return _Column(arrow_type, {"_type": "List", "feature": features})
+
+
+def _value_column(dtype: np.dtype[np.generic]) -> _Column:
+    """A column of the sample table."""
+    import pyarrow
+
+    if dtype.kind == "S":
+        return _Column(pyarrow.string(), {"_type": "Value", "dtype": "string"})
+    return _Column(pyarrow.from_numpy_dtype(dtype), {"_type": "Value", "dtype": str(dtype)})
 
 
 # --- objects, for detectors
@@ -314,20 +349,20 @@ def _schema(pairs: PairDataset) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """An object in a picture: its class, 1 or more, and the pixels (H, W) where it is seen."""
+    """An object in an image: its class, 1 or more, and the pixels (H, W) that show it."""
 
     label: int
     mask: npt.NDArray[np.bool_]
 
     @property
     def box(self) -> tuple[int, int, int, int]:
-        """Left, top, width and height in pixels; the box holds the pixels wholly."""
+        """Left, top, width and height of the smallest box around the pixels, pixels."""
         left, top, width, height = cv2.boundingRect(self.mask.astype(np.uint8))
         return left, top, width, height
 
 
 def shown_in(sample: Sample, classes: tuple[str, ...], directory: Path) -> Iterator[Shown]:
-    """The pixels of each number in /instance, by the label that most of them have."""
+    """The pixels of each number in /instance, with the label that most of them have."""
     numbers = sample.images["instance"]
     labels = sample.images["segmentation"]
     for number in np.unique(numbers[numbers > 0]):
@@ -359,9 +394,9 @@ def _objects(
             path = folder / name / split / f"{sample.key}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(png(stored_image(sample.images[layer], "uint8")))
-        found = list(shown_in(sample, classes_of(pairs.form.config), pairs.folder))
-        large = [shown for shown in found if int(shown.mask.sum()) >= LEAST_PX]
-        counts.update(objects=len(large), small=len(found) - len(large))
+        shown_objects = list(shown_in(sample, classes_of(pairs.form.config), pairs.folder))
+        large = [shown for shown in shown_objects if int(shown.mask.sum()) >= LEAST_PX]
+        counts.update(objects=len(large), small=len(shown_objects) - len(large))
         yield sample.key, large
 
 
@@ -382,11 +417,11 @@ def write_coco(pairs: PairDataset, folder: Path) -> str:
     for split in pairs.splits:
         images: list[dict[str, Any]] = []
         annotations: list[dict[str, Any]] = []
-        for key, found in _objects(pairs, folder, split, counts):
+        for key, shown_objects in _objects(pairs, folder, split, counts):
             size = {"width": width, "height": height}
             images.append({"id": len(images) + 1, "file_name": f"{key}.png", **size})
-            for shown in found:
-                one = {
+            for shown in shown_objects:
+                annotation = {
                     "id": len(annotations) + 1,
                     "image_id": len(images),
                     "category_id": shown.label,
@@ -395,7 +430,7 @@ def write_coco(pairs: PairDataset, folder: Path) -> str:
                     "segmentation": run_lengths(shown.mask),
                     "iscrowd": 0,
                 }
-                annotations.append(one)
+                annotations.append(annotation)
         document = {
             "info": {"description": f"SimNFND, {split}; masks as run lengths", "version": "1.0"},
             "images": images,
@@ -424,22 +459,19 @@ def write_yolo(pairs: PairDataset, folder: Path) -> str:
     """images/SPLIT/NAME.png, labels/SPLIT/NAME.txt and data.yaml, as Ultralytics reads them.
 
     A line of labels is a polygon: its class, then its corners as fractions of width and height;
-    programs that detect take the box around it.  An object in parts that do not touch has a line
-    for each part; holes, which the format does not know, are filled.  Format:
+    detectors use the box around it.  An object in separate parts has a line for each part; holes,
+    which the format cannot express, are filled.  Format:
     https://docs.ultralytics.com/datasets/segment.
     """
     splits = tuple(pairs.splits)
     counts = Counter[str]()
     for split in splits:
         (folder / "labels" / split).mkdir(parents=True)
-        for key, found in _objects(pairs, folder, split, counts):
-            lines = []
-            for shown, ring in ((one, ring) for one in found for ring in outlines(one.mask)):
-                corners = (ring / shown.mask.shape[::-1]).ravel()
-                numbers = " ".join(f"{value:.6f}" for value in corners)
-                lines.append(f"{shown.label - 1} {numbers}\n")
-            (folder / "labels" / split / f"{key}.txt").write_text("".join(lines))
-    # Without `path`, places are those beside data.yaml.  Both keys must be there.
+        for key, shown_objects in _objects(pairs, folder, split, counts):
+            text = "".join(_yolo_lines(shown) for shown in shown_objects)
+            (folder / "labels" / split / f"{key}.txt").write_text(text)
+
+    # Without `path`, places are relative to data.yaml.  Ultralytics requires both keys.
     places = {
         key: f"images/{split if split in splits else splits[0]}"
         for key, split in (("train", "train"), ("val", "test"))
@@ -451,21 +483,35 @@ def write_yolo(pairs: PairDataset, folder: Path) -> str:
     return _counted(pairs, counts)
 
 
-def outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
-    """(H, W) -> (corners, 2) columns and rows of each part whose pixels touch, also at corners.
+def _yolo_lines(shown: Shown) -> str:
+    """A line for each part of an object; YOLO counts classes from 0."""
+    height, width = shown.mask.shape
+    lines = []
+    for outline in outlines(shown.mask):
+        corners = (outline / (width, height)).ravel()
+        numbers = " ".join(f"{value:.6f}" for value in corners)
+        lines.append(f"{shown.label - 1} {numbers}\n")
+    return "".join(lines)
 
-    A pixel (column c, row r) covers c to c + 1 and r to r + 1, and rings run along these edges.
+
+def outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
+    """Return the outline of each connected part of an (H, W) mask, (corners, 2) columns and rows.
+
+    Pixels that touch at a corner are connected.  A pixel (column c, row r) covers c to c + 1 and
+    r to r + 1, and outlines run along these edges.
     """
-    # Of pixels of twice the number, the outer ones say which side of their pixel lies outside.
+    # At twice the resolution, the outer pixels show which side of their pixel lies outside.
     double = np.repeat(np.repeat(mask.astype(np.uint8), 2, axis=0), 2, axis=1)
-    found, _ = cv2.findContours(double, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contours, _ = cv2.findContours(double, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     rings = []
-    for contour in found:
-        ring = (contour[:, 0].astype(np.int64) + 1) // 2
-        ring = ring[np.any(ring != np.roll(ring, 1, axis=0), axis=1)]
+    for contour in contours:
+        vertices = (contour[:, 0].astype(np.int64) + 1) // 2
+        is_new = np.any(vertices != np.roll(vertices, 1, axis=0), axis=1)
+        vertices = vertices[is_new]
         # Of straight lines the ends alone.
-        step = ring - np.roll(ring, 1, axis=0)
-        rings.append(np.asarray(ring[np.any(step != np.roll(step, -1, axis=0), axis=1)]))
+        step = vertices - np.roll(vertices, 1, axis=0)
+        is_corner = np.any(step != np.roll(step, -1, axis=0), axis=1)
+        rings.append(np.asarray(vertices[is_corner]))
     return rings
 
 

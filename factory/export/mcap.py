@@ -73,12 +73,12 @@ def write_mcap(pairs: PairDataset, folder: Path) -> str:
     return f"{len(pairs.splits)} MCAP files, {count} pings"
 
 
-def _timed(found: Iterator[Sample]) -> Iterator[tuple[Sample, float]]:
+def _timed(split_samples: Iterator[Sample]) -> Iterator[tuple[Sample, float]]:
     """Each sample with its time: scenes one after another, with their own times inside."""
     scene: tuple[object, ...] | None = None
     begin_s = last_s = _BEGIN_S - _PAUSE_S
     first_s = 0.0
-    for sample in found:
+    for sample in split_samples:
         record = sample.record
         own_s = float(record.get("time_s", math.nan))
         key = (record["location"], record["scene"], record["variant"])

@@ -96,38 +96,42 @@ class CoherentSample(Sample):
         What saturates and what the device adds is in them as it is in the picture.
         Raises FrameError for the field of several looks.
         """
-        made: dict[str, Layers] = {}
+        images: dict[str, Layers] = {}
         if not {"intensity_db", "field"}.intersection(layers):
-            return made
+            return images
         ping = self.scene
-        field = received_field(ping, [one for one in self.effects if one.name in effects])
+        field = received_field(ping, [drawn for drawn in self.effects if drawn.name in effects])
         source = 10 ** (ping.sonar.array.source_level_db / 20)
         field *= np.float32(source) / np.sqrt(ping.gain)[:, None]
-        seen = polar.seen_beams(ping.window, ping.sonar)
+        is_seen = polar.seen_beams(ping.window, ping.sonar)
         if "intensity_db" in layers:
             intensity = (field**2).sum(axis=1).mean(axis=0)
             intensity = averaged(intensity, ping.surface.sonar.samples_per_bin)
             with np.errstate(divide="ignore"):
                 level_db = 10 * np.log10(intensity)
-            known = seen & (intensity > 0)
-            made["intensity_db"] = np.where(known, level_db, np.nan).astype(np.float32)
+            known = is_seen & (intensity > 0)
+            images["intensity_db"] = np.where(known, level_db, np.nan).astype(np.float32)
         if "field" in layers:
             if len(field) > 1:
                 raise FrameError("layer field is of one look; set the looks of speckle to 1")
             complex_field = (field[0, 0] + 1j * field[0, 1]).astype(np.complex64)
-            made["field"] = np.where(seen, complex_field, np.complex64(0))
-        return made
+            images["field"] = np.where(is_seen, complex_field, np.complex64(0))
+        return images
 
     def without(self, artefacts: Collection[str]) -> Floats:
         """See `Sample`."""
         if "speckle" not in artefacts:
             return super().without(artefacts)
-        kept = self.free_of(artefacts)
+        shown_names = self.free_of(artefacts)
         # Speckle is not switched off but averaged: its mean lifts and lowers a display of levels.
-        acting = [e for e in self.effects if e.name in kept or e.effect.artefact == "speckle"]
+        acting = [
+            drawn
+            for drawn in self.effects
+            if drawn.name in shown_names or drawn.effect.artefact == "speckle"
+        ]
         ping = self.scene
         state = expected(ping, acting, realised=True, standing=ping.acoustics.standing)
-        return self._displayed(state, kept)
+        return self._displayed(state, shown_names)
 
     def _displayed(self, state: Expected, effects: Collection[str]) -> Floats:
         """The expected picture of intensities at the raw samples, and the clouds' echoes."""

@@ -69,7 +69,7 @@ class Sample(ABC):
 
     def free_of(self, artefacts: Collection[str]) -> set[str]:
         """Names of the drawn effects that show none of these artefacts."""
-        return {one.name for one in self.effects if one.effect.artefact not in artefacts}
+        return {drawn.name for drawn in self.effects if drawn.effect.artefact not in artefacts}
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
         """Those of the layers that say what was received, with those of the drawn effects."""

@@ -116,17 +116,19 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     full_scale /= float(np.exp(power * state.scintillation_nepers2 / 2))
     if not (sounds(state.echo) or sounds(state.noise)):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
-    one = np.float32(1)
+    unit = np.float32(1)
     total = state.total() + _FAINTEST
     level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))
     # What texture does to the level goes by the variance that it brings.
-    part = np.minimum(state.textured / total, one)
+    part = np.minimum(state.textured / total, unit)
     shifts_db = _texture_shifts_db(state.shape, power)
     level_db += between(shifts_db, part * part * np.float32(_SHIFTS - 1))
     low_db, table = _table(settings)
     level = (level_db - np.float32(low_db)) * np.float32(_STEPS_PER_DB)
-    fixed = np.minimum(state.steady / total, one)
-    variance = (one - fixed * fixed) * (one / np.float32(state.looks)) * np.float32(_VARIANCES - 1)
+    fixed = np.minimum(state.steady / total, unit)
+    variance = (
+        (unit - fixed * fixed) * (unit / np.float32(state.looks)) * np.float32(_VARIANCES - 1)
+    )
     row = np.minimum(variance.astype(np.intp), _VARIANCES - 2)
     levels = table.shape[1]
     place = np.clip(level, np.float32(0), np.float32(levels - 1.001))

@@ -167,9 +167,9 @@ def _bounded(value: Any, most: Any) -> Any:
 @compiled()
 def _row(
     depth_m: Floats, radiance: Floats, across: Floats, b: float, rotation: Floats,
-    position_m: Floats, ground_up: Floats, near_m: Any, bins_per_m: Any, made: Floats,
+    position_m: Floats, ground_up: Floats, near_m: Any, bins_per_m: Any, columns_out: Floats,
 ) -> None:  # fmt: skip
-    """Of a row of pixels what a processor does for many at once; made: (4, W) out.
+    """Of a row of pixels what a processor does for many at once; columns_out: (4, W) out.
 
     Sines of bearing (inf behind the sonar) and elevation, range bin, radiance times solid angle.
     ground_up: the sonar's upward axis in camera axes where ranges count along the ground, else 0.
@@ -190,10 +190,10 @@ def _row(
     px = position_m[0]
     py = position_m[1]
     pz = position_m[2]
-    bearing = made[0]
-    sine = made[1]
-    start = made[2]
-    value = made[3]
+    bearing = columns_out[0]
+    sine = columns_out[1]
+    start = columns_out[2]
+    value = columns_out[3]
     for column in range(depth_m.shape[0]):
         a = across[column]
         z = depth_m[column]
@@ -260,18 +260,18 @@ def place(
     beyond = np.float32(rows)
     last_row = np.float32(rows - 1)
     ground_up = rotation[2] if ground_range else np.zeros(3, np.float32)
-    made = np.empty((2, 4, width), np.float32)
+    row_columns = np.empty((2, 4, width), np.float32)
     count = 0
     for row in range(-1, height):
         under = min(row + 1, height - 1)
         _row(
             depth_m[under], radiance[under], across, down[under], rotation, position_m, ground_up,
-            near_m, bins_per_m, made[(row + 1) & 1],
+            near_m, bins_per_m, row_columns[(row + 1) & 1],
         )  # fmt: skip
         if row < 0:
             continue
-        bearings, sines, starts, values = made[row & 1]
-        below = made[(row + 1) & 1, 2]
+        bearings, sines, starts, values = row_columns[row & 1]
+        below = row_columns[(row + 1) & 1, 2]
         for column in range(width):
             value = values[column]
             bearing = bearings[column]
@@ -310,8 +310,8 @@ def place(
             pixel = row * width + column
             span = far - near
             # A number of 0 to 1 that belongs to the pixel.
-            where = np.float32(np.int32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8))
-            where *= np.float32(2.0**-24)
+            chance = np.float32(np.int32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8))
+            chance *= np.float32(2.0**-24)
             if span <= _ONE and near >= _ZERO and far < beyond:
                 # Most pixels: one bin, or parts of two.
                 first = _bounded(near, last_row)
@@ -324,10 +324,10 @@ def place(
                 owner[nearest] = pixel
                 if central:
                     in_beam[nearest] = True
-                bin_of[count] = _bounded(start + where * (end - start), last_row) * beams + beam
+                bin_of[count] = _bounded(start + chance * (end - start), last_row) * beams + beam
                 power_of[count] = value
                 pixel_of[count] = pixel
-                part_of[count] = where if end != start else _ZERO
+                part_of[count] = chance if end != start else _ZERO
                 count += 1
                 continue
             share = value / max(span, _TINY)
@@ -340,7 +340,7 @@ def place(
             if count + many + (height - row) * width > bin_of.shape[0]:
                 many = 1
             for number in range(many):
-                part = (np.float32(number) + where) / np.float32(many)
+                part = (np.float32(number) + chance) / np.float32(many)
                 bin_row = int(np.floor(start + part * (end - start)))
                 if 0 <= bin_row < rows:
                     bin_of[count] = bin_row * beams + beam
@@ -489,9 +489,9 @@ def count_cells(
     free = ends[:-1].copy()
     for point in range(place_of.shape[0]):
         among = np.uint32((place_of[point] >> shift) & last)
-        found = np.float32(np.int32(sorted_[np.uint32(free[among]), 0]))
+        points_of_cell = np.float32(np.int32(sorted_[np.uint32(free[among]), 0]))
         free[among] += 1
-        share_of[point] = np.float32(1) / np.sqrt(found)
+        share_of[point] = np.float32(1) / np.sqrt(points_of_cell)
     return True
 
 
@@ -653,10 +653,10 @@ def lattice(
             side = _ZERO
             for beyond in range(2):
                 at = np.uint32(corner + np.uint32(beyond) * _STEPS_Y + np.uint32(above) * _STEPS_Z)
-                one = table[mixed(np.uint32(mixed(at) ^ key)) >> _16, 0]
+                left_value = table[mixed(np.uint32(mixed(at) ^ key)) >> _16, 0]
                 at = np.uint32(at + _STEPS_X)
-                other = table[mixed(np.uint32(mixed(at) ^ key)) >> _16, 0]
-                side += (v if beyond else v_) * (u_ * one + u * other)
+                right_value = table[mixed(np.uint32(mixed(at) ^ key)) >> _16, 0]
+                side += (v if beyond else v_) * (u_ * left_value + u * right_value)
             level += (w if above else w_) * side
         squares = (u * u + u_ * u_) * (v * v + v_ * v_) * (w * w + w_ * w_)
         normal[i] = level * np.sqrt(_TWO / squares)

@@ -29,13 +29,13 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
     """
     frame = surface.frame
     sonar = surface.sonar
-    made = dict[str, Picture]()
+    layers = dict[str, Picture]()
     shape = sonar.range_bins, sonar.beams
     if "valid_azimuth" in requested:
         beams = polar.seen_beams(surface.window, sonar)
-        made["valid_azimuth"] = np.repeat(beams[None], sonar.range_bins, axis=0)
+        layers["valid_azimuth"] = np.repeat(beams[None], sonar.range_bins, axis=0)
     if not _OF_ECHOES.intersection(requested):
-        return made
+        return layers
     echoes, pixel, _ = surface.insonified
     bins = polar.bin_index(echoes, surface.window, sonar)
     # Of several echoes in a bin the last one assigned stays: the strongest.
@@ -43,29 +43,29 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
     strongest = np.full(sonar.range_bins * sonar.beams, -1, np.intp)
     strongest[bins[order]] = order
 
-    def told(values: npt.NDArray[np.generic], nothing: float) -> Picture:
+    def paint_strongest(values: npt.NDArray[np.generic], nothing: float) -> Picture:
         shown = np.where(strongest >= 0, values[strongest], values.dtype.type(nothing))
         return shown.reshape(shape)
 
     for name, values in (("range", echoes.range_m), ("elevation", echoes.elevation_rad)):
         if name in requested:
-            made[name] = told(values, np.nan)
+            layers[name] = paint_strongest(values, np.nan)
     for name, take in (("elevation_min", np.fmin), ("elevation_max", np.fmax)):
         if name in requested:
             limit = np.full(strongest.size, np.nan, np.float32)
             take.at(limit, bins, echoes.elevation_rad)
-            made[name] = limit.reshape(shape)
+            layers[name] = limit.reshape(shape)
     if "azimuth" in requested:
         azimuth_rad = echoes.azimuth_rad
         if surface.conical:  # bearings, whose sine has the elevation in it
             sine = np.sin(azimuth_rad) / np.cos(echoes.elevation_rad)
             azimuth_rad = np.arcsin(np.clip(sine, -1, 1))
-        made["azimuth"] = told(azimuth_rad, np.nan)
+        layers["azimuth"] = paint_strongest(azimuth_rad, np.nan)
     if "segmentation" in requested:
         if frame.segmentation is None or frame.instance is None:
             raise FrameError(
                 f"{frame.ref.name}: has no labels; leave segmentation out of dataset.layers"
             )
-        made["segmentation"] = told(frame.segmentation.ravel()[pixel], 0)
-        made["instance"] = told(frame.instance.ravel()[pixel], 0)
-    return made
+        layers["segmentation"] = paint_strongest(frame.segmentation.ravel()[pixel], 0)
+        layers["instance"] = paint_strongest(frame.instance.ravel()[pixel], 0)
+    return layers

@@ -91,11 +91,11 @@ def moving_scatterers(
     place = place[index]
     own_m = _between(moving, place, parts[index], frame.depth_m.shape[1])
     body_of = moving.body[place]
-    found = []
+    scatterers = []
     for number in np.unique(body_of):
         chosen = body_of == number
-        found.append(MovingScatterers(moving.bodies[number], index[chosen], own_m[chosen]))
-    return tuple(found)
+        scatterers.append(MovingScatterers(moving.bodies[number], index[chosen], own_m[chosen]))
+    return tuple(scatterers)
 
 
 def _between(
@@ -113,11 +113,11 @@ def _between(
     return np.asarray(own_m + parts[:, None] * step_m)
 
 
-def static_index(found: tuple[MovingScatterers, ...], count: int) -> npt.NDArray[np.int64] | slice:
+def static_index(moving: tuple[MovingScatterers, ...], count: int) -> npt.NDArray[np.int64] | slice:
     """Which of `count` scatterers belong to the static scene."""
-    if not found:
+    if not moving:
         return slice(None)
     is_static = np.ones(count, np.bool_)
-    for own in found:
+    for own in moving:
         is_static[own.index] = False
     return np.flatnonzero(is_static)

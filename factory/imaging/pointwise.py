@@ -49,13 +49,15 @@ class PointwiseScene:
         ref = self.surface.frame.ref
         names = ("resample", ref.location, ref.scene, ref.frame, variant)
         rate = self.resample.rate.draw(seeds.stream(self.seed, "parameter", *names))
-        kept = random_subset(self.echoes, rate, seeds.stream(self.seed, *names))
-        level = self.level([kept])
+        sampled_echoes = random_subset(self.echoes, rate, seeds.stream(self.seed, *names))
+        level = self.level([sampled_echoes])
         full_scale = transfer.full_scale(level, self.surface.sonar.transfer, "intensity")
         if self.static is not None:
             full_scale = self.static.sample(variant, ()).full_scale
-        clouds = effect_clouds(effects, kept, self.surface.window)
-        return PointwiseSample(effects, clouds, rate, len(kept), full_scale, self, kept, level)
+        clouds = effect_clouds(effects, sampled_echoes, self.surface.window)
+        return PointwiseSample(
+            effects, clouds, rate, len(sampled_echoes), full_scale, self, sampled_echoes, level
+        )
 
     def level(self, echoes: Sequence[Echoes]) -> Floats:
         """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""
@@ -71,11 +73,11 @@ class PointwiseScene:
 class PointwiseSample(Sample):
     """A resampled scene and what each effect makes of it.
 
-    kept: the scene's echoes before the noise; level: theirs, (range_bins, beams).
+    echoes: the scene's echoes before the noise; level: theirs, (range_bins, beams).
     """
 
     scene: PointwiseScene
-    kept: Echoes
+    echoes: Echoes
     level: Floats
 
     @property
@@ -87,7 +89,7 @@ class PointwiseSample(Sample):
     def noisy(self, effects: Collection[str]) -> Floats:
         """See `Sample`."""
         chosen = [cloud for cloud in self.clouds if cloud.name in effects]
-        level = self.scene.level(noisy_cloud(self.kept, chosen, self.full_scale))
+        level = self.scene.level(noisy_cloud(self.echoes, chosen, self.full_scale))
         return transfer.grey(level, self.full_scale, self.scene.surface.sonar.transfer, "intensity")
 
 
@@ -113,7 +115,7 @@ def random_subset(echoes: Echoes, rate: float, rng: np.random.Generator) -> Echo
     from ..sonar import kernels  # loads numba
 
     lot = rng.random(len(echoes), dtype=np.float32)
-    given = tuple(map(np.ascontiguousarray, vars(echoes).values()))
-    kept = tuple(np.empty(len(echoes) + 1, np.float32) for _ in given)
-    count = kernels.thin(given, lot, np.float32(rate), kept)
-    return Echoes(*(values[:count] for values in kept))
+    source = tuple(map(np.ascontiguousarray, vars(echoes).values()))
+    subset = tuple(np.empty(len(echoes) + 1, np.float32) for _ in source)
+    count = kernels.thin(source, lot, np.float32(rate), subset)
+    return Echoes(*(values[:count] for values in subset))

@@ -78,8 +78,8 @@ class Scatterers:
 
             pose = np.ascontiguousarray(self.world_from_camera[:3])
             names, places = np.empty((2, len(self.pixels)), np.uint32)
-            where = (self.pixels, self.parts), self.row_ends, camera_of(self.frame), pose
-            kernels.cells(*where, edge_m, names, places)
+            positions = (self.pixels, self.parts), self.row_ends, camera_of(self.frame), pose
+            kernels.cells(*positions, edge_m, names, places)
             for own in self.moving:
                 names[own.index], places[own.index] = own.cells(edge_m)
             self._cells.clear()
@@ -111,15 +111,15 @@ def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Flo
     """(N,) float32: see `world_cells`; the arguments are what `kernels.cells` gives."""
     from . import kernels  # loads numba
 
-    made = np.empty(len(names), np.float32)
+    shares_out = np.empty(len(names), np.float32)
     work = np.empty((len(names), 2), np.uint32)
     slots = 1 << (2 + len(names).bit_length())
     parts = max(slots // _SLOTS, 1)
     while not kernels.count_cells(
-        names, places, parts, np.empty((slots // parts, 2), np.uint32), work, made
+        names, places, parts, np.empty((slots // parts, 2), np.uint32), work, shares_out
     ):
         parts //= 2
-    return made
+    return shares_out
 
 
 def scatterers(

@@ -119,17 +119,21 @@ def with_materials(
     """
     echo_db = dict(acoustics.reflectivity_db)
     exponents = dict(acoustics.lambert_exponents)
-    said: dict[str, tuple[float | None, float | None]] = {}
-    for one in own:
-        here = one.reflectivity_db, one.lambert_exponent
-        if said.setdefault(one.label, here) != here:
+    material_of_class: dict[str, tuple[float | None, float | None]] = {}
+    for own_class in own:
+        material = own_class.reflectivity_db, own_class.lambert_exponent
+        if material_of_class.setdefault(own_class.label, material) != material:
             raise FactoryError(
-                f"scenes.own_objects: {one.label} has two materials; give the same, or two classes"
+                f"scenes.own_objects: {own_class.label} has two materials; give the same, or "
+                "two classes"
             )
     if acoustics.materials is not None:
         listed = _listed(Path(acoustics.materials).expanduser())
-        said |= {one.label: (one.reflectivity_db, one.lambert_exponent) for one in listed}
-    for name, (level_db, exponent) in said.items():
+        material_of_class |= {
+            own_class.label: (own_class.reflectivity_db, own_class.lambert_exponent)
+            for own_class in listed
+        }
+    for name, (level_db, exponent) in material_of_class.items():
         echo_db |= {} if level_db is None else {name: level_db}
         exponents |= {} if exponent is None else {name: exponent}
     for name in (*echo_db, *exponents):
@@ -150,12 +154,12 @@ def _listed(path: Path) -> list[OwnClass]:
         lines = read_regular(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FactoryError(f"{key}: {one_line(error)}") from error
-    found = []
+    classes = []
     for number, line in enumerate(csv.DictReader(lines, skipinitialspace=True), start=2):
-        given = {name: value for name, value in line.items() if value}
+        entries = {name: value for name, value in line.items() if value}
         try:
-            found.append(TypeAdapter(OwnClass).validate_python(given))
+            classes.append(TypeAdapter(OwnClass).validate_python(entries))
         except ValidationError as error:
-            got = ",".join(map(str, given.values()))
+            got = ",".join(map(str, entries.values()))
             raise FactoryError(f"{key}:{number}: {expected}, got {got[:60]!r}") from error
-    return found
+    return classes

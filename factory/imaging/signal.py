@@ -196,9 +196,9 @@ def beamform(field: Floats, ping: Ping) -> Floats:
 
 def beamform_power(power: Floats, ping: Ping) -> Floats:
     """(range_bins, beams) expected intensity after both: what `beamform` does to speckle's mean."""
-    made = blurred(power, ping.kernel**2, ping.sonar, power=True)
+    intensity = blurred(power, ping.kernel**2, ping.sonar, power=True)
     # Differences of mirrored beams round to below zero where there is next to nothing.
-    return np.asarray(np.maximum(made, 0, out=made))
+    return np.asarray(np.maximum(intensity, 0, out=intensity))
 
 
 def white_noise(rng: np.random.Generator, looks: int, shape: tuple[int, int]) -> Floats:
@@ -280,8 +280,8 @@ def matrices(sonar: SonarSettings, power: bool) -> tuple[tuple[Floats, ...], ...
     halves = _halves(mixing(sonar).astype(np.float64) ** (2 if power else 1))
     parts: list[tuple[Matrix, ...]] = [(half,) for half in halves]
     if len(halves) == 2 and not power:
-        found = [factors(half, int(_WORTH_IT * len(half))) for half in halves]
-        parts = [both for both in found if both is not None]
+        factored = [factors(half, int(_WORTH_IT * len(half))) for half in halves]
+        parts = [both for both in factored if both is not None]
         parts = parts if len(parts) == 2 else [(half,) for half in halves]
     return tuple(tuple(map(_filled_up, part)) for part in parts)
 
@@ -331,21 +331,23 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
     parts = matrices(sonar, power)
     out = np.empty_like(planes)
     pairs = beams // 2 if len(parts) == 2 else 0
-    for plane, made in zip(
+    for plane, blurred_plane in zip(
         planes.reshape(-1, rows, beams), out.reshape(-1, rows, beams), strict=True
     ):
         # There are fewer modes than beams, so the pulse goes between their factors.
-        given = along_range(plane, kernel) if len(parts[0]) == 1 else plane
+        along_pulse = along_range(plane, kernel) if len(parts[0]) == 1 else plane
         mixed = []
-        folded = _fold(given, pairs, len(parts[0][0]))
+        folded = _fold(along_pulse, pairs, len(parts[0][0]))
         for part, (into, *out_of) in zip(folded, parts, strict=True):
-            found = _times(part, into)
-            mixed.append(_times(along_range(found, kernel), out_of[0]) if out_of else found)
+            mixed_half = _times(part, into)
+            mixed.append(
+                _times(along_range(mixed_half, kernel), out_of[0]) if out_of else mixed_half
+            )
         alike = mixed[0][:rows]
         unlike = mixed[-1][:rows, :pairs]
-        made[:, :pairs] = alike[:, :pairs] + unlike
-        made[:, beams - pairs :] = (alike[:, :pairs] - unlike)[:, ::-1]
-        made[:, pairs : beams - pairs] = alike[:, pairs : beams - pairs]
+        blurred_plane[:, :pairs] = alike[:, :pairs] + unlike
+        blurred_plane[:, beams - pairs :] = (alike[:, :pairs] - unlike)[:, ::-1]
+        blurred_plane[:, pairs : beams - pairs] = alike[:, pairs : beams - pairs]
     return out
 
 

@@ -153,8 +153,8 @@ def velocity_m_s(course: Course, time_s: float) -> Points:
     """(3,) over ground, in world axes; NaN where the object is not there just before or after."""
     before = course.at(time_s - _STEP_S)
     after = course.at(time_s + _STEP_S)
-    here = course.at(time_s)
-    first, last = before or here, after or here
+    now = course.at(time_s)
+    first, last = before or now, after or now
     if first is None or last is None:
         return np.full(3, np.nan)
     span_s = _STEP_S * ((before is not None) + (after is not None))

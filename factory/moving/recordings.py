@@ -47,8 +47,8 @@ class StaticScene:
         """The held scene, if it was made by equal settings; else `scene`, which is then held."""
         if self._held[0] != made_by:
             self._held = made_by, scene
-        found: SceneType = self._held[1]
-        return found
+        held: SceneType = self._held[1]
+        return held
 
 
 class Recordings:

@@ -107,14 +107,14 @@ def _heard(lit: LitSurface, moving: MovingPixels) -> _Heard:
     echoes = replace(echoes, strength=weighted)
     bins = polar.bin_index(echoes, lit.window, sonar)
     is_heard = (pattern > _FAINTEST) & (bins < sonar.range_bins * sonar.beams) & (strength > 0)
-    kept = np.flatnonzero(is_heard)
+    heard = np.flatnonzero(is_heard)
     chosen = polar.Echoes(
-        echoes.range_m[kept],
-        echoes.azimuth_rad[kept],
-        echoes.elevation_rad[kept],
-        echoes.strength[kept],
+        echoes.range_m[heard],
+        echoes.azimuth_rad[heard],
+        echoes.elevation_rad[heard],
+        echoes.strength[heard],
     )
-    return _Heard(moving.body[kept], chosen, bins[kept])
+    return _Heard(moving.body[heard], chosen, bins[heard])
 
 
 def _motion(body: PosedBody, lit: LitSurface) -> dict[str, Any]:

@@ -78,8 +78,10 @@ def draw(
             own: Names = getattr(names, effect.scope)
             shared = names.recording if continuous else own
             values = {
-                one.name: _value(getattr(block, one.name), seed, name, one.name, *shared)
-                for one in effect.parameters
+                parameter.name: _value(
+                    getattr(block, parameter.name), seed, name, parameter.name, *shared
+                )
+                for parameter in effect.parameters
             }
             drawn.append(DrawnEffect(name, effect, values, seed, own))
     return Draws(settings, tuple(drawn))
@@ -101,11 +103,11 @@ def columns(settings: NoiseSettings) -> tuple[Column, ...]:
     )
     return counts + tuple(
         Column(
-            f"noise.{effect}.{one.name}",
-            "S16" if one.metadata["type"] is str else "f8",
-            one.metadata["unit"],
+            f"noise.{effect}.{parameter.name}",
+            "S16" if parameter.metadata["type"] is str else "f8",
+            parameter.metadata["unit"],
         )
-        for effect, one in _recorded(settings)
+        for effect, parameter in _recorded(settings)
     )
 
 
@@ -116,4 +118,6 @@ def _making(settings: NoiseSettings) -> list[str]:
 
 def _recorded(settings: NoiseSettings) -> list[tuple[str, Field[Any]]]:
     """(effect, parameter) of every parameter that a configuration has."""
-    return [(name, one) for name in blocks(settings) for one in EFFECTS[name].parameters]
+    return [
+        (name, parameter) for name in blocks(settings) for parameter in EFFECTS[name].parameters
+    ]

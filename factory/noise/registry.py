@@ -89,10 +89,10 @@ class NoiseSettings:
 
     @model_validator(mode="before")
     @classmethod
-    def _take_own_blocks(cls, given: Any) -> Any:
-        values = given.kwargs if isinstance(given, ArgsKwargs) else given
+    def _take_own_blocks(cls, input_: Any) -> Any:
+        values = input_.kwargs if isinstance(input_, ArgsKwargs) else input_
         if not isinstance(values, Mapping):
-            return given
+            return input_
         values = dict(values)
         own = values.pop("own", ())
         if not all(isinstance(block, OwnEffect) for block in own):
@@ -153,12 +153,12 @@ def own_effect(name: str) -> Effect | None:
 
 def own_effects() -> list[Effect]:
     """The effects of other packages that can be loaded."""
-    found = []
+    effects = []
     for name in extensions.names("effect"):
         with suppress(FactoryError):
             effect = own_effect(name)
-            found += [effect] if effect else []
-    return found
+            effects += [effect] if effect else []
+    return effects
 
 
 def _arrived(effect: Effect, settings: EffectSettings) -> OwnEffect:
@@ -170,8 +170,8 @@ def _arrived(effect: Effect, settings: EffectSettings) -> OwnEffect:
 
 def blocks(settings: NoiseSettings) -> dict[str, EffectSettings]:
     """The effects that a configuration has, switched on or not, by name and in order."""
-    found = {name: getattr(settings, name) for name in BUILT_IN}
-    present = {name: block for name, block in found.items() if block is not None}
+    built_in = {name: getattr(settings, name) for name in BUILT_IN}
+    present = {name: block for name, block in built_in.items() if block is not None}
     return present | {block.effect.name: block.settings for block in settings.own}
 
 

@@ -54,12 +54,12 @@ def _joined(depth_m: Any, at: Any, step_to: Any, limit: Any, small: Any) -> Any:
     if step <= small * nearer:
         return True
     rise = _ZERO
-    there = _depth_at(depth_m, row - down, column - across)
-    if there > 0:
-        rise = first - there if second > first else there - first
-    there = _depth_at(depth_m, row + 2 * down, column + 2 * across)
-    if there > 0:
-        rise = max(rise, there - second if second > first else second - there)
+    beyond = _depth_at(depth_m, row - down, column - across)
+    if beyond > 0:
+        rise = first - beyond if second > first else beyond - first
+    beyond = _depth_at(depth_m, row + 2 * down, column + 2 * across)
+    if beyond > 0:
+        rise = max(rise, beyond - second if second > first else second - beyond)
     return step <= _SLOPE_CHANGE * rise
 
 
@@ -78,25 +78,25 @@ def joints(depth_m: Any, edge_ratio: Any) -> Any:
     bits = np.zeros((height, width), np.uint8)
     for row in range(height):
         for column in range(width):
-            found = 0
-            here = (row, column)
+            pixel_joints = 0
+            pixel = (row, column)
             inner = column + 1 < width
-            if inner and _joined(depth_m, here, (0, 1), limit, small):
-                found |= RIGHT
+            if inner and _joined(depth_m, pixel, (0, 1), limit, small):
+                pixel_joints |= RIGHT
             if row + 1 < height:
-                if _joined(depth_m, here, (1, 0), limit, small):
-                    found |= DOWN
-                if inner and _joined(depth_m, here, (1, 1), limit, small):
-                    found |= FALLING
+                if _joined(depth_m, pixel, (1, 0), limit, small):
+                    pixel_joints |= DOWN
+                if inner and _joined(depth_m, pixel, (1, 1), limit, small):
+                    pixel_joints |= FALLING
                 if inner and _joined(depth_m, (row, column + 1), (1, -1), limit, small):
-                    found |= RISING
-            bits[row, column] = found
+                    pixel_joints |= RISING
+            bits[row, column] = pixel_joints
     return bits
 
 
 @compiled()
-def _normals(grid: Any, row: Any, found: Any) -> None:
-    """Fill the first three of `found` (6, W) with unit normals of a row, towards the camera.
+def _normals(grid: Any, row: Any, out: Any) -> None:
+    """Fill the first three of `out` (6, W) with unit normals of a row, towards the camera.
 
     By central differences over the neighbours joined to a pixel, one-sided next to an edge.  With
     neighbours along one direction alone, its surface faces the camera as far as that allows; 0
@@ -106,38 +106,42 @@ def _normals(grid: Any, row: Any, found: Any) -> None:
     z = depth_m[row + 1]
     above = depth_m[row]
     below = depth_m[row + 2]
-    here = bits[row + 1]
-    over = bits[row]
+    own_bits = bits[row + 1]
+    bits_above = bits[row]
     drop_above = down[row]
     drop = down[row + 1]
     drop_below = down[row + 2]
-    nx = found[0]
-    ny = found[1]
-    nz = found[2]
-    lx = found[3]
-    ly = found[4]
-    lz = found[5]
+    nx = out[0]
+    ny = out[1]
+    nz = out[2]
+    lx = out[3]
+    ly = out[4]
+    lz = out[5]
     for j in range(len(nx)):  # factors instead of branches: several columns at a time
         k = j + 1
         side = across[j + 1]
         depth = z[j + 1]
-        to_right = np.float32(here[k] & 1)
-        to_left = np.float32(here[j] & 1)
-        to_below = np.float32((here[k] >> 1) & 1)
-        to_above = np.float32((over[k] >> 1) & 1)
+        to_right = np.float32(own_bits[k] & 1)
+        to_left = np.float32(own_bits[j] & 1)
+        to_below = np.float32((own_bits[k] >> 1) & 1)
+        to_above = np.float32((bits_above[k] >> 1) & 1)
         x, y = np.float32(side * depth), np.float32(drop * depth)
-        there = z[j + 2]
-        other = z[j]
-        ax = (np.float32(across[j + 2] * there) - x) * to_right
-        ax += (x - np.float32(across[j] * other)) * to_left
-        ay = (np.float32(drop * there) - y) * to_right + (y - np.float32(drop * other)) * to_left
-        az = (there - depth) * to_right + (depth - other) * to_left
-        there = below[k]
-        other = above[k]
-        dx = (np.float32(side * there) - x) * to_below + (x - np.float32(side * other)) * to_above
-        dy = (np.float32(drop_below * there) - y) * to_below
-        dy += (y - np.float32(drop_above * other)) * to_above
-        dz = (there - depth) * to_below + (depth - other) * to_above
+        depth_after = z[j + 2]
+        depth_before = z[j]
+        ax = (np.float32(across[j + 2] * depth_after) - x) * to_right
+        ax += (x - np.float32(across[j] * depth_before)) * to_left
+        ay = (np.float32(drop * depth_after) - y) * to_right + (
+            y - np.float32(drop * depth_before)
+        ) * to_left
+        az = (depth_after - depth) * to_right + (depth - depth_before) * to_left
+        depth_after = below[k]
+        depth_before = above[k]
+        dx = (np.float32(side * depth_after) - x) * to_below + (
+            x - np.float32(side * depth_before)
+        ) * to_above
+        dy = (np.float32(drop_below * depth_after) - y) * to_below
+        dy += (y - np.float32(drop_above * depth_before)) * to_above
+        dz = (depth_after - depth) * to_below + (depth - depth_before) * to_above
         nx[j] = dy * az - dz * ay
         ny[j] = dz * ax - dx * az
         nz[j] = dx * ay - dy * ax
@@ -171,10 +175,10 @@ def orient(grid: Any, stride: Any, points_m: Any, normals: Any) -> None:
     depth_m = grid[0]
     across = grid[2]
     down = grid[3]
-    found = np.empty((6, depth_m.shape[1] - 2), np.float32)
+    normals_of_row = np.empty((6, depth_m.shape[1] - 2), np.float32)
     for i in range(points_m.shape[0]):
         row = i * stride
-        _normals(grid, row, found)
+        _normals(grid, row, normals_of_row)
         for j in range(points_m.shape[1]):
             column = j * stride
             z = depth_m[row + 1, column + 1]
@@ -182,7 +186,7 @@ def orient(grid: Any, stride: Any, points_m: Any, normals: Any) -> None:
             points_m[i, j, 1] = down[row + 1] * z
             points_m[i, j, 2] = z
             for k in range(3):
-                normals[i, j, k] = found[k, column]
+                normals[i, j, k] = normals_of_row[k, column]
 
 
 @compiled(f"void({_GRID}, float32[::1], UniTuple({_OUT}, 3))")
@@ -194,14 +198,14 @@ def facing(grid: Any, sonar_m: Any, filled: Any) -> None:
     """
     to_camera, to_sonar, nearer = filled
     height, width = to_camera.shape
-    found = np.empty((6, width), np.float32)
+    normals_of_row = np.empty((6, width), np.float32)
     for row in range(height):
-        _normals(grid, row, found)
+        _normals(grid, row, normals_of_row)
         for column in range(width):
             z = grid[0][row + 1, column + 1]
-            nx = found[0, column]
-            ny = found[1, column]
-            nz = found[2, column]
+            nx = normals_of_row[0, column]
+            ny = normals_of_row[1, column]
+            nz = normals_of_row[2, column]
             x = np.float32(grid[2][column + 1] * z)
             y = np.float32(grid[3][row + 1] * z)
             camera_m2 = max(x * x + y * y + z * z, _LEAST_M2)
@@ -222,15 +226,15 @@ def shade(grid: Any, mask: Any, albedo: Any, sonar_m: Any) -> Any:
     """
     height, width = mask.shape
     radiance = np.empty((height, width), np.float32)
-    found = np.empty((6, width), np.float32)
+    normals_of_row = np.empty((6, width), np.float32)
     sonar_x = sonar_m[0]
     sonar_y = sonar_m[1]
     sonar_z = sonar_m[2]
-    nx = found[0]
-    ny = found[1]
-    nz = found[2]
+    nx = normals_of_row[0]
+    ny = normals_of_row[1]
+    nz = normals_of_row[2]
     for row in range(height):
-        _normals(grid, row, found)
+        _normals(grid, row, normals_of_row)
         depth_m = grid[0][row + 1]
         across = grid[2]
         drop = grid[3][row + 1]
@@ -261,7 +265,7 @@ def apply_traced(
     by bilinear weight and the more the less it differs: where most of the weight is dark, the pixel
     is.  Without any, it keeps its own.
     """
-    made = np.zeros(radiance.shape, np.float32)
+    traced = np.zeros(radiance.shape, np.float32)
     h, w = known.shape
     for row in range(radiance.shape[0]):
         above = row // stride
@@ -271,7 +275,7 @@ def apply_traced(
                 continue
             left = column // stride
             u = np.float32((column - left * stride) / stride)
-            here = depth_m[row, column]
+            own_depth = depth_m[row, column]
             lit = 0.0
             dark = 0.0
             total = 0.0
@@ -280,9 +284,9 @@ def apply_traced(
                 across = corner & 1
                 i = min(above + down, h - 1)
                 j = min(left + across, w - 1)
-                there = depth_m[i * stride, j * stride]
-                step = abs(there - here)
-                most = limit * min(there, here)
+                traced_depth = depth_m[i * stride, j * stride]
+                step = abs(traced_depth - own_depth)
+                most = limit * min(traced_depth, own_depth)
                 if not (known[i, j] and step < most):
                     continue
                 vertical = v if down else 1 - v
@@ -295,10 +299,10 @@ def apply_traced(
                 else:
                     dark += weight
             if lit + dark == 0:
-                made[row, column] = radiance[row, column]
+                traced[row, column] = radiance[row, column]
             elif lit >= dark:
-                made[row, column] = radiance[row, column] * (total / lit)
-    return made
+                traced[row, column] = radiance[row, column] * (total / lit)
+    return traced
 
 
 @compiled("float32[:, ::1](float32[:, ::1], int64)")
@@ -362,14 +366,14 @@ def flattened(luminance: Any, total: Any, share: Any, valid: Any, mean: Any, dar
     0 where not `valid`.
     """
     height, width = luminance.shape
-    made = np.zeros((height, width), np.float32)
+    out = np.zeros((height, width), np.float32)
     tiny = np.float32(1e-6)
     for row in range(height):
         for column in range(width):
             local = max(total[row, column] / max(share[row, column], tiny), tiny)
             value = min(max(luminance[row, column] / local * mean, darkest), np.float32(1))
-            made[row, column] = value if valid[row, column] else _ZERO
-    return made
+            out[row, column] = value if valid[row, column] else _ZERO
+    return out
 
 
 @compiled(f"void({_READ}, {_OUT}, float32, float32, {_ROW}, uint16[:, ::1], {_OUT})")

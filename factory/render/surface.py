@@ -174,8 +174,8 @@ def linear_luminance(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(
         np.float32
     )
-    found = kernels.weighted(np.ascontiguousarray(rgb), _LUMINANCE[:, None] * linear)
-    return np.asarray(found)
+    luminance = kernels.weighted(np.ascontiguousarray(rgb), _LUMINANCE[:, None] * linear)
+    return np.asarray(luminance)
 
 
 Flags = npt.NDArray[np.bool_]
@@ -209,7 +209,7 @@ class Quads:
 
         Wound so that the faces look at the camera.
         """
-        found = []
+        triangles = []
         width = self.falls.shape[1] + 1
         for chosen in (upper, lower):
             rows, columns = np.nonzero(chosen)
@@ -222,8 +222,8 @@ class Quads:
                 corners = [a, np.where(falls, d, c), b]
             else:
                 corners = [d, np.where(falls, a, b), c]
-            found.append(np.stack(corners, axis=-1))
-        return np.concatenate(found)
+            triangles.append(np.stack(corners, axis=-1))
+        return np.concatenate(triangles)
 
     def mask(self) -> Flags:
         """(H, W) bool: pixels that are a corner of at least one surface triangle.
@@ -289,11 +289,11 @@ def surface_mesh(pixels: Pixels, surface: Surface) -> SurfaceMesh:
     vertex_of[mask.ravel()] = np.arange(len(pixel), dtype=np.int32)
     grid = vertex_of[quads.triangles(quads.upper, quads.lower)]
 
-    owner, other = _rim(joints, quads, mask)
-    is_half = owner != other
+    owner, partner = _rim(joints, quads, mask)
+    is_half = owner != partner
     rim = vertex_of[owner]
     rim[is_half] = len(pixel) + np.arange(is_half.sum(), dtype=np.int32)
-    ends = np.stack([np.divmod(end[is_half], mask.shape[1]) for end in (owner, other)])
+    ends = np.stack([np.divmod(end[is_half], mask.shape[1]) for end in (owner, partner)])
     owner = (ends[0, 0] - 1) * width + ends[0, 1] - 1
     half_m = _on_tangent_planes(surface, owner, ends.sum(axis=0) / 2 - 1, pixels.edge_ratio)
     return SurfaceMesh(
@@ -338,8 +338,8 @@ def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Plac
         (xy & yz & ~zx, (x, x), (y, y), (x, z)),
     ]
     chosen = [np.stack([np.stack(e, -1)[keep] for e in corners], -2) for keep, *corners in pieces]
-    owner, other = np.moveaxis(np.concatenate(chosen), -1, 0)
-    return owner, other
+    owner, partner = np.moveaxis(np.concatenate(chosen), -1, 0)
+    return owner, partner
 
 
 def _on_tangent_planes(

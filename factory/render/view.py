@@ -58,22 +58,22 @@ _PRECISION = {"depth_step": DEPTH.step, "radiance_step": RADIANCE.step, "block":
 class View:
     """What the camera and an ideal sonar at `mount` know of each pixel.
 
-    seen: the frame, black, for its colour has done its part in the albedo; depth 0 where there is
-        no surface.
+    unnamed_frame: the frame without its names, black (the albedo has used its colour already), with
+        depth 0 where there is no surface.
     radiance: (H, W) float32, see `simnfnd.factory.render.base.Rendered`; 0 in the sonar's shadow.
     """
 
-    seen: Frame
+    unnamed_frame: Frame
     radiance: npt.NDArray[np.float32]
     mount: Mount
 
     def frame(self, ref: FrameRef) -> Frame:
         """The frame as noise needs it."""
-        return replace(self.seen, ref=ref)
+        return replace(self.unnamed_frame, ref=ref)
 
     def rendered(self) -> Rendered:
         """Radiance and surface."""
-        return Rendered(self.radiance, self.seen.valid)
+        return Rendered(self.radiance, self.unnamed_frame.valid)
 
 
 def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
@@ -84,10 +84,10 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
     around = frame.surroundings
     if around is not None:
         around = replace(around, ground_m=np.round(around.ground_m, 2))
-    seen = replace(
+    stored_frame = replace(
         frame, rgb=_black(depth_m.shape), depth_m=depth_m, boxes=boxes, surroundings=around
     )
-    return View(seen, rounded(rendered.radiance, RADIANCE)[1], mount)
+    return View(stored_frame, rounded(rendered.radiance, RADIANCE)[1], mount)
 
 
 def _black(shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
@@ -96,26 +96,26 @@ def _black(shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
 
 def encode(view: View) -> bytes:
     """The view as bytes; `decode(encode(view))` is the view itself when it was rounded alike."""
-    seen = view.seen
-    planes = [fold(rounded(seen.depth_m, DEPTH)[0]), fold(rounded(view.radiance, RADIANCE)[0])]
-    if seen.segmentation is not None and seen.instance is not None:
-        planes += [seen.segmentation.tobytes(), seen.instance.astype("<u2").tobytes()]
+    frame = view.unnamed_frame
+    planes = [fold(rounded(frame.depth_m, DEPTH)[0]), fold(rounded(view.radiance, RADIANCE)[0])]
+    if frame.segmentation is not None and frame.instance is not None:
+        planes += [frame.segmentation.tobytes(), frame.instance.astype("<u2").tobytes()]
     # Level 1 is twice as fast as 3 and, on such planes, no larger.  Differences are noise: what
     # repeats is near, so the least table of places (2^6) is faster, and its output smaller.
     options: dict[int, int] = {_ZSTD.compression_level: 1, _ZSTD.hash_log: 6}
     options[_ZSTD.checksum_flag] = 1
     parts = [zstd.compress(plane, options=options) for plane in planes]
-    pose = seen.world_from_camera
+    pose = frame.world_from_camera
     head = {
-        "shape": seen.depth_m.shape,
-        "intrinsics": asdict(seen.intrinsics),
+        "shape": frame.depth_m.shape,
+        "intrinsics": asdict(frame.intrinsics),
         "mount": asdict(view.mount),
         "world_from_camera": None if pose is None else pose.tolist(),
-        **{name: getattr(seen, name) for name in _NUMBERS if getattr(seen, name) is not None},
+        **{name: getattr(frame, name) for name in _NUMBERS if getattr(frame, name) is not None},
         "precision": _PRECISION,
         "labelled": len(planes) > 2,
-        **({} if seen.boxes is None else {"boxes": seen.boxes.tolist()}),
-        **({} if seen.surroundings is None else _head_of(seen.surroundings)),
+        **({} if frame.boxes is None else {"boxes": frame.boxes.tolist()}),
+        **({} if frame.surroundings is None else _head_of(frame.surroundings)),
         "parts": [len(part) for part in parts],
     }
     text = json.dumps(head).encode()
@@ -158,13 +158,13 @@ def decode(content: bytes) -> View:
         if "surroundings" in head:
             more["surroundings"] = _surroundings(head["surroundings"])
         depth_m = unfold(parts[0], shape, DEPTH)
-        *lens, distortion = (head["intrinsics"][one.name] for one in fields(Intrinsics))
+        *lens, distortion = (head["intrinsics"][field.name] for field in fields(Intrinsics))
         fx, fy, cx, cy = map(_finite, lens)
         camera = Intrinsics(fx, fy, cx, cy, tuple(map(_finite, distortion)))
         if not min(camera.fx, camera.fy) > 0:
             raise ValueError("no camera")
-        seen = Frame(FrameRef("", "", ""), _black(shape), depth_m, camera, **more)
-        return View(seen, unfold(parts[1], shape, RADIANCE), mount_of(head["mount"]))
+        frame = Frame(FrameRef("", "", ""), _black(shape), depth_m, camera, **more)
+        return View(frame, unfold(parts[1], shape, RADIANCE), mount_of(head["mount"]))
     except (KeyError, TypeError, zstd.ZstdError, struct.error) as error:
         raise ValueError(f"damaged ({error})") from error
 

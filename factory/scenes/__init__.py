@@ -46,8 +46,8 @@ def _tag(values: Any) -> str:
 
 
 def _kind_of(values: Any) -> str:
-    given = values.get("kind") if isinstance(values, Mapping) else getattr(values, "kind", None)
-    return given if isinstance(given, str) else ""
+    kind = values.get("kind") if isinstance(values, Mapping) else getattr(values, "kind", None)
+    return kind if isinstance(kind, str) else ""
 
 
 def _own_settings(values: Any) -> OwnSceneSettings:

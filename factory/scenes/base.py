@@ -23,14 +23,14 @@ INTEGERS_PER_M = 1000.0
 _MOST_LIST_BYTES = 1 << 28
 
 
-def _given(root: str) -> str:
+def _required_path(root: str) -> str:
     # "???" is how the YAML files say that the user has to fill a key in.
     if root.strip() in ("", "???"):
         raise ValueError("a path is required, for example scenes.root=../data/flsea-vi")
     return root
 
 
-Root = Annotated[str, AfterValidator(_given)]
+Root = Annotated[str, AfterValidator(_required_path)]
 
 
 @dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
@@ -69,7 +69,7 @@ class SceneSettings:
 
     def own_classes(self) -> tuple[str, ...]:
         """Their classes, beside `labels.CLASSES` or among them."""
-        return tuple(one.label for one in self.own())
+        return tuple(own_class.label for own_class in self.own())
 
 
 BadDepth = Literal["reject", "mask"]
@@ -176,12 +176,12 @@ def numbers_in(path: Path, numbered_line: tuple[int, str], names: Iterable[str])
     number, line = numbered_line
     expected = list(names)
     try:
-        found = [float(word) for word in line.replace(",", " ").split()]
+        numbers = [float(word) for word in line.replace(",", " ").split()]
     except ValueError:
-        found = []
-    if len(found) != len(expected) or not np.isfinite(found).all():
+        numbers = []
+    if len(numbers) != len(expected) or not np.isfinite(numbers).all():
         raise FactoryError(
             f"{path}:{number}: expected {len(expected)} numbers, {' '.join(expected)}, got "
             f"{line[:60]!r}"
         )
-    return found
+    return numbers

@@ -69,24 +69,28 @@ class FlseaReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        given = f"scenes.root={self.settings.root}"
-        asked = self.settings.scenes or tuple(SCENES)
+        root_setting = f"scenes.root={self.settings.root}"
+        requested_scenes = self.settings.scenes or tuple(SCENES)
         root = os.path.abspath(Path(self.settings.root).expanduser())
         if not os.path.isdir(root):
-            raise FactoryError(f"{given}: no such folder; set scenes.root to {_EXPECTED}")
-        there = _scene_folders(Path(root))
+            raise FactoryError(f"{root_setting}: no such folder; set scenes.root to {_EXPECTED}")
+        folder_of_scene = _scene_folders(Path(root))
         skipped = Counter[str]()
-        folders = {scene: there[scene] for scene in SCENES if scene in asked and scene in there}
+        folders = {
+            scene: folder_of_scene[scene]
+            for scene in SCENES
+            if scene in requested_scenes and scene in folder_of_scene
+        }
         frames = [ref for item in folders.items() for ref in _frames(*item, skipped)]
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
-        if absent := [scene for scene in asked if scene not in there]:
+        if absent := [scene for scene in requested_scenes if scene not in folder_of_scene]:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
-        named = " or ".join(asked) if len(asked) < len(SCENES) else ""
+        named = " or ".join(requested_scenes) if len(requested_scenes) < len(SCENES) else ""
         nothing = (
             f"no FLSea scene {named} here with imgs/<timestamp>.tiff and depth/<timestamp>"
             f"{_DEPTH_ENDINGS[0]}; set scenes.root to {_EXPECTED}"
         )
-        return discovery(frames, f"{given}: {nothing}", skipped, notes)
+        return discovery(frames, f"{root_setting}: {nothing}", skipped, notes)
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
@@ -109,12 +113,12 @@ def _scaled(lens: Intrinsics, width: int, height: int) -> Intrinsics:
 
 def _scene_folders(root: Path) -> dict[str, Path]:
     """Scene -> the folder that holds its imgs/, wherever `root` starts in the tree."""
-    found: dict[str, Path] = {}
+    folder_of_scene: dict[str, Path] = {}
     for levels in range(4):
         for images in sorted(root.glob("*/" * levels + "imgs")):
             if images.parent.name in SCENES:
-                found.setdefault(images.parent.name, images.parent)
-    return found
+                folder_of_scene.setdefault(images.parent.name, images.parent)
+    return folder_of_scene
 
 
 def _frames(scene: str, folder: Path, skipped: Counter[str]) -> list[FrameRef]:
@@ -147,4 +151,4 @@ def _visible_files(folder: Path) -> list[str]:
     if not folder.is_dir():
         return []
     with os.scandir(folder) as entries:
-        return sorted(one.name for one in entries if one.name[0] != "." and one.is_file())
+        return sorted(entry.name for entry in entries if entry.name[0] != "." and entry.is_file())

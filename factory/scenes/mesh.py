@@ -149,19 +149,19 @@ class MeshReader:
         else:
             time_s = float(view)
             viewpoint = self._course(int(ref.scene[-4:]))(settings.speed_m_s * view)
-        seen = ZBuffer(viewpoint, optics, world.objects)
-        segmentation, instance = seen.shown
+        z_buffer = ZBuffer(viewpoint, optics, world.objects)
+        segmentation, instance = z_buffer.shown
         frame = Frame(
             ref=ref,
-            rgb=self._photograph(viewpoint, optics, world.shades[seen.which]),
-            depth_m=np.where(seen.which < 0, np.float32(0), seen.depth_m),
+            rgb=self._photograph(viewpoint, optics, world.shades[z_buffer.which]),
+            depth_m=np.where(z_buffer.which < 0, np.float32(0), z_buffer.depth_m),
             intrinsics=Intrinsics(*optics.lens),
             world_from_camera=viewpoint.matrix,
             segmentation=segmentation,
             instance=instance,
             time_s=time_s,
             altitude_m=self._below(viewpoint.eye),
-            boxes=seen.boxes(instance) if settings.boxes else None,
+            boxes=z_buffer.boxes(instance) if settings.boxes else None,
         )
         return checked(frame)
 

@@ -152,25 +152,25 @@ def waypoints(path: Path, key: str) -> Waypoints:
     if header != expected or len(lines) < 3:
         raise FactoryError(f"{key}={path}: expected the header {expected} and two lines or more")
     table = np.array([numbers_in(path, line, PATH_COLUMNS) for line in lines[1:]])
-    found = Waypoints(table[:, 0], table[:, 1:4], table[:, 4:])
+    route = Waypoints(table[:, 0], table[:, 1:4], table[:, 4:])
     line_numbers = [line for line, _ in lines[1:]]
-    _check_waypoints(found, path, line_numbers)
-    return found
+    _check_waypoints(route, path, line_numbers)
+    return route
 
 
-def _check_waypoints(found: Waypoints, path: Path, line_numbers: list[int]) -> None:
-    beyond = np.abs(found.places_m).max(axis=1) > FARTHEST_M
+def _check_waypoints(route: Waypoints, path: Path, line_numbers: list[int]) -> None:
+    beyond = np.abs(route.places_m).max(axis=1) > FARTHEST_M
     if beyond.any():
         index = int(np.argmax(beyond))
         raise FactoryError(
             f"{path}:{line_numbers[index]}: the path leaves the world, which reaches "
             f"{FARTHEST_M:g} m from the sonar's first place"
         )
-    steps_s = np.diff(found.time_s)
+    steps_s = np.diff(route.time_s)
     if (steps_s <= 0).any():
         index = int(np.argmax(steps_s <= 0)) + 1
         raise FactoryError(f"{path}:{line_numbers[index]}: time_s does not increase")
-    speeds_m_s = np.linalg.norm(np.diff(found.places_m, axis=0), axis=1) / steps_s
+    speeds_m_s = np.linalg.norm(np.diff(route.places_m, axis=0), axis=1) / steps_s
     if (speeds_m_s > FASTEST_M_S).any():
         index = int(np.argmax(speeds_m_s > FASTEST_M_S)) + 1
         raise FactoryError(

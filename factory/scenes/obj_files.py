@@ -79,11 +79,11 @@ def linked_by_obj(path: Path) -> tuple[list[Path], list[Path]]:
 
 
 def _libraries(path: Path) -> list[Path]:
-    found = []
+    library_paths = []
     for keyword, rest in _statements(path):
         if keyword == "mtllib":
-            found += _library_paths(path.parent, rest)
-    return list(dict.fromkeys(found))
+            library_paths += _library_paths(path.parent, rest)
+    return list(dict.fromkeys(library_paths))
 
 
 def _library_paths(folder: Path, rest: str) -> list[Path]:

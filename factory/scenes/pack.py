@@ -1,4 +1,4 @@
-"""The `pack` reader: frames whose renders somebody else has made and packed into one file."""
+"""The `pack` reader: frames that were rendered elsewhere and packed into one file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from ..errors import FactoryError, FrameError
 from ..frame import Frame, FrameRef
 from ..settings import STRICT
 from .base import Discovery, Root, SceneSettings
+from .pack_index import read_index
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -21,11 +22,9 @@ class PackSettings(SceneSettings):
     root: Root
 
     def own_classes(self) -> tuple[str, ...]:
-        """Those that were packed; none of a pack that cannot be read, as `discover` says."""
-        from ..render.pack import read_contents
-
+        """The packed classes; empty for a pack that cannot be read, which `discover` refuses."""
         try:
-            return read_contents(Path(self.root).expanduser()).classes
+            return read_index(Path(self.root).expanduser()).classes
         except FactoryError:
             return ()
 
@@ -38,14 +37,12 @@ class PackReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        from ..render.pack import read_contents
-
-        contents = read_contents(Path(self.settings.root).expanduser())
-        if not contents.members:
+        index = read_index(Path(self.settings.root).expanduser())
+        if not index.members:
             raise FactoryError(f"scenes.root={self.settings.root}: the pack is empty; pack again")
-        note = f"pack: {len(contents.members)} frames of render.kind={contents.render.kind}"
-        return Discovery(tuple(contents.members), {}, (note,))
+        note = f"pack: {len(index.members)} frames of render.kind={index.render['kind']}"
+        return Discovery(tuple(index.members), {}, (note,))
 
     def load(self, ref: FrameRef) -> Frame:
-        """Always raises: a pack holds what was rendered, without the colour to render it again."""
+        """Always raises FrameError: a pack holds renders, and no colour to render them again."""
         raise FrameError(f"{ref.name}: scenes=pack has renders and no frames")

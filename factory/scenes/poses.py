@@ -109,12 +109,12 @@ def _header(path: Path) -> _Header | None:
     number, text = candidate
     names = _names(text.lstrip("#").strip())
     columns = {place: column for place, name in enumerate(names) if (column := _column(path, name))}
-    found = [column.name for column in columns.values()]
-    names_turn = any(name.startswith("q") for name in found)
-    if not ({"tx", "ty", "tz"} <= set(found) and (names_turn or len(names) == column_count)):
+    found_names = [column.name for column in columns.values()]
+    names_turn = any(name.startswith("q") for name in found_names)
+    if not ({"tx", "ty", "tz"} <= set(found_names) and (names_turn or len(names) == column_count)):
         return None  # a remark
-    missing = [name for name in _COLUMNS if name not in found]
-    if missing or len(set(found)) < len(found):
+    missing = [name for name in _COLUMNS if name not in found_names]
+    if missing or len(set(found_names)) < len(found_names):
         wrong = f"{', '.join(missing)} missing" if missing else "a column is there twice"
         raise FactoryError(
             f"{path}:{number}: header {text[:80]!r}: {wrong}; name the columns "

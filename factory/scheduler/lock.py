@@ -63,9 +63,9 @@ def locked(folder: Path, part: str = "") -> Iterator[None]:
     try:
         with explain_os_errors(folder):
             path.write_text(json.dumps(_me()), encoding="ascii")
-        for other in _rivals(path.name, os.listdir(folder)):
-            if _is_held(folder / other):
-                raise _refused(folder, _owner(folder / other))
+        for rival in _rivals(path.name, os.listdir(folder)):
+            if _is_held(folder / rival):
+                raise _refused(folder, _owner(folder / rival))
         yield
     finally:
         # While it is held: who waits for it finds that the file is gone, and makes another.
@@ -134,31 +134,31 @@ def publishing(
     store = Store(url)
     ended = threading.Event()
     token = secrets.token_hex(16)
-    one = Publication(Path(os.path.abspath(folder)), store, _name(part), token, apart)
+    publication = Publication(Path(os.path.abspath(folder)), store, _name(part), token, apart)
 
     def beat() -> None:
         while not ended.wait(_BEAT_S):
             with suppress(FactoryError):
-                if one.holds():
-                    store.put(one.lock, one.text())
+                if publication.holds():
+                    store.put(publication.lock, publication.text())
 
     beating = threading.Thread(target=beat, daemon=True)
-    if not store.create(one.lock, one.text()):
-        dead = _refuse_if_held(store, one.lock)
-        if _read_lock(store, one.lock) == dead:
-            store.remove(one.lock)
-        if not store.create(one.lock, one.text()):
+    if not store.create(publication.lock, publication.text()):
+        dead = _refuse_if_held(store, publication.lock)
+        if _read_lock(store, publication.lock) == dead:
+            store.remove(publication.lock)
+        if not store.create(publication.lock, publication.text()):
             raise FactoryError(f"{url}: another run takes its lock; try later")
     try:
         # Some servers do not know the condition and overwrite.
-        if store.create(one.lock, one.text()):
+        if store.create(publication.lock, publication.text()):
             raise FactoryError(
                 f"{url}: this storage overwrites where it is told not to, so nothing would keep "
                 "two runs apart; make the dataset in a folder and copy it"
             )
         sizes = store.sizes()
-        for other in _rivals(one.lock, sizes):
-            _refuse_if_held(store, other)
+        for rival in _rivals(publication.lock, sizes):
+            _refuse_if_held(store, rival)
         beating.start()
         # Slices begin side by side.
         foreign = sorted(name for name in sizes if not name.startswith(LOCK_NAME))
@@ -168,8 +168,8 @@ def publishing(
                 "give an empty or new place with dataset.dir="
             )
         take_copy(folder, sizes, fresh=True)
-        with outlet(one.folder, one.pass_on):
-            yield one
+        with outlet(publication.folder, publication.pass_on):
+            yield publication
     finally:
         ended.set()
         if beating.ident is not None:
@@ -177,8 +177,8 @@ def publishing(
             beating.join()
         # Never another's; what cannot be removed is found dead later.
         with suppress(FactoryError):
-            if one.holds():
-                store.remove(one.lock)
+            if publication.holds():
+                store.remove(publication.lock)
 
 
 def _name(part: str) -> str:
@@ -234,8 +234,8 @@ def _refuse_if_held(store: Store, name: str) -> dict[str, Any]:
     return owner
 
 
-def _refused(where: Path | str, owner: dict[str, Any]) -> FactoryError:
+def _refused(place: Path | str, owner: dict[str, Any]) -> FactoryError:
     return FactoryError(
-        f"dataset.dir: {where} is being written by process {owner.get('pid')} on "
+        f"dataset.dir: {place} is being written by process {owner.get('pid')} on "
         f"{owner.get('host')}; wait for it, or give another place with dataset.dir="
     )

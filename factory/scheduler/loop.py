@@ -31,7 +31,7 @@ _MAX_BARREN_DEATHS = 10
 # A shard to make, or a frame to prepare.
 _Work = ShardAttempt | FrameRef
 # What a worker told of its attempt last, if anything: see `make_shard`.
-_Told = deque[tuple[int | None, int, int]]
+_Reports = deque[tuple[int | None, int, int]]
 
 
 class Loop:
@@ -49,7 +49,7 @@ class Loop:
         self._progress = progress
         self._backend = backend
         self._ready: deque[ShardAttempt] = deque()
-        self._running: dict[Future[Any], tuple[_Work, _Told]] = {}
+        self._running: dict[Future[Any], tuple[_Work, _Reports]] = {}
         self._deaths: Counter[tuple[_Work, int | None]] = Counter()
         self._barren_deaths = 0
         self._unsettled = len(results.todo)
@@ -79,32 +79,34 @@ class Loop:
                 time.sleep(_POLL_S)  # until a worker of the cluster comes back
             for future in done:
                 self._take_result(*self._running.pop(future), future)
-            told = [last for work, last in self._running.values() if isinstance(work, ShardAttempt)]
-            self._progress.show([last[-1] for last in told if last])
+            reports = [
+                last for work, last in self._running.values() if isinstance(work, ShardAttempt)
+            ]
+            self._progress.show([last[-1] for last in reports if last])
 
     def _submit_what_fits(self) -> None:
         limit_s = self._job.scheduler.frame_timeout_s
         while self._ready and self._free(NOISE):
             shard = self._ready.popleft()
-            told = _Told(maxlen=1)
-            task = Task(make_shard, shard, NOISE, limit_s, told.append)
-            self._running[self._backend.submit(task)] = shard, told
+            reports = _Reports(maxlen=1)
+            task = Task(make_shard, shard, NOISE, limit_s, reports.append)
+            self._running[self._backend.submit(task)] = shard, reports
         while self._preparing and self._free(RENDER):
             ref = self._preparing.popleft()
-            told = _Told(maxlen=1)
-            task = Task(prepare_frame, (ref, self._recipe), RENDER, limit_s, told.append)
-            self._running[self._backend.submit(task)] = ref, told
+            reports = _Reports(maxlen=1)
+            task = Task(prepare_frame, (ref, self._recipe), RENDER, limit_s, reports.append)
+            self._running[self._backend.submit(task)] = ref, reports
 
     def _free(self, kind: str) -> bool:
         # Each result is on record before more begins: in this process all would be done first.
         return self._backend.free(kind) and not any(map(Future.done, self._running))
 
-    def _take_result(self, work: _Work, told: _Told, future: Future[Any]) -> None:
+    def _take_result(self, work: _Work, reports: _Reports, future: Future[Any]) -> None:
         error = future.exception()
-        if told or error is None:
+        if reports or error is None:
             self._barren_deaths = 0
         if isinstance(error, TimeoutError | WorkerDied):
-            self._died(work, told, error)
+            self._died(work, reports, error)
         elif error is not None:
             raise error
         elif isinstance(work, FrameRef):
@@ -112,7 +114,7 @@ class Loop:
         else:
             self._settle(work, future.result())
 
-    def _died(self, work: _Work, told: _Told, error: TimeoutError | WorkerDied) -> None:
+    def _died(self, work: _Work, reports: _Reports, error: TimeoutError | WorkerDied) -> None:
         kind: FailureKind = "crash"
         reason = str(error)
         if isinstance(error, TimeoutError):
@@ -126,8 +128,8 @@ class Loop:
             refs = [ref for ref, _ in work.task.items]
             path = work.task.path
         failures: dict[str, Failure] = {}
-        if told:
-            in_hand = told[-1][0]
+        if reports:
+            in_hand = reports[-1][0]
             self._deaths[work, in_hand] += 1
             if (deaths := self._deaths[work, in_hand]) > self._job.scheduler.retries:
                 tries = f"in each of {deaths} tries" if deaths > 1 else "once tried"
@@ -145,9 +147,9 @@ class Loop:
                 self._ready.appendleft(work)
                 return
             # A finished shard that was only asked for the frames it lacks is as good as before.
-            asked = work.lacking or work.given_up
-            lost = tuple(one for name, one in work.given_up.items() if name in asked)
-            self._settle(work, ShardResult(None, lost, kept=bool(work.lacking)))
+            requested = work.lacking or work.given_up
+            lost = tuple(failure for name, failure in work.given_up.items() if name in requested)
+            self._settle(work, ShardResult(None, lost, keeps_file=bool(work.lacking)))
         elif failures:
             self._prepared(work, failures[work.name])
         else:

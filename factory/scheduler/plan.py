@@ -113,7 +113,7 @@ class Job(Recipe):
     @property
     def recipe(self) -> Recipe:
         """The part that workers need, wherever they run."""
-        values = {one.name: getattr(self, one.name) for one in fields(Recipe)}
+        values = {field.name: getattr(self, field.name) for field in fields(Recipe)}
         return Recipe(**{**values, "directory": Path(os.path.abspath(self.directory))})
 
 

@@ -31,12 +31,12 @@ from .worker import ShardResult
 class RunReport:
     """What a run did.
 
-    samples: what the dataset now holds.  kept: shards that an earlier run had finished.
+    samples: what the dataset now holds.  reused_shards: shards that an earlier run had finished.
     failures: every frame without a sample.  frames: that were asked for.
     """
 
     samples: int
-    kept: int
+    reused_shards: int
     failures: tuple[Failure, ...]
     frames: int
 
@@ -53,11 +53,11 @@ class Results:
         self._job = job
         self._manifest = manifest
         tasks = {task.path: task for task in job.own_tasks}
-        there = [info for path, info in manifest.shards.items() if path in tasks]
+        listed_shards = [info for path, info in manifest.shards.items() if path in tasks]
         with ThreadPoolExecutor() as pool:
-            problems = list(pool.map(partial(damage, job.directory), there))
+            problems = list(pool.map(partial(damage, job.directory), listed_shards))
         self._shards: dict[str, ShardInfo] = {}
-        for info, problem in zip(there, problems, strict=True):
+        for info, problem in zip(listed_shards, problems, strict=True):
             if problem:
                 path = job.directory / info.path
                 job.reporter.stage(f"{path}: {problem}; it is made again")
@@ -71,13 +71,13 @@ class Results:
         ]
         again = (task.path for task in self.todo if task.path in good)
         self.lacking = {path: good[path].failed for path in again}
-        self._kept = len(tasks) - len(self.todo)
+        self._reused_shards = len(tasks) - len(self.todo)
         self._failures: dict[str, tuple[Failure, ...]] = {}
 
     def settle(self, task: ShardTask, result: ShardResult) -> None:
         """Put the outcome of a shard on disk; a shard without a sample has no file."""
-        info = self._shards.get(task.path) if result.kept else result.info
-        self._kept += result.kept
+        info = self._shards.get(task.path) if result.keeps_file else result.info
+        self._reused_shards += result.keeps_file
         if info is None:
             self._shards.pop(task.path, None)
             path = self._job.directory / task.path
@@ -86,9 +86,9 @@ class Results:
         else:
             self._shards[task.path] = info
         self._failures[task.path] = result.failures
-        told = failure_lines(result.failures, self._job.rerun_command)
+        lines = failure_lines(result.failures, self._job.rerun_command)
         hash_ = self._manifest.config_hash
-        save_outcome(self._job.directory, task.path, hash_, info, told)
+        save_outcome(self._job.directory, task.path, hash_, info, lines)
 
     def put_together(self) -> None:
         """Write manifest.json and failed.jsonl of all that is settled; the results beside go.
@@ -111,7 +111,9 @@ class Results:
         """What the run did until now."""
         return RunReport(
             samples=sum(info.samples for info in self._shards.values()),
-            kept=self._kept,
-            failures=tuple(one for path in sorted(self._failures) for one in self._failures[path]),
+            reused_shards=self._reused_shards,
+            failures=tuple(
+                failure for path in sorted(self._failures) for failure in self._failures[path]
+            ),
             frames=len({ref.name for task in self._job.own_tasks for ref, _ in task.items}),
         )

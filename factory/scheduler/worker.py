@@ -41,11 +41,11 @@ class ShardAttempt:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `kept`."""
+    """The outcome of a `ShardAttempt`: `info` is None without any sample, or when `keeps_file`."""
 
     info: ShardInfo | None
     failures: tuple[Failure, ...]
-    kept: bool = False
+    keeps_file: bool = False
 
 
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
@@ -74,13 +74,13 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
     recipe = attempt.recipe
-    with ExitStack() as here:
+    with ExitStack() as resources:
         if (publication := recipe.publication) is not None:
             if publication.apart:  # who shares no folder has one of its own
-                folder = here.enter_context(TemporaryDirectory(prefix="simnfnd-shard-"))
+                folder = resources.enter_context(TemporaryDirectory(prefix="simnfnd-shard-"))
                 publication = replace(publication, folder=Path(folder).resolve())
             recipe = replace(recipe, directory=publication.folder)
-            here.enter_context(outlet(publication.folder, publication.pass_on))
+            resources.enter_context(outlet(publication.folder, publication.pass_on))
         return _Shard(attempt, recipe).result()
 
 
@@ -90,8 +90,8 @@ def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
     if maker not in _built or _built[maker][0] != key:
         _built.pop(maker, None)
         _built[maker] = key, maker(recipe.config)
-    made: T = _built[maker][1]
-    return made
+    built: T = _built[maker][1]
+    return built
 
 
 class _Shard:
@@ -114,13 +114,13 @@ class _Shard:
         task = self._task
         recipe = self._recipe
         todo = enumerate(task.items)
-        asked = self._attempt.lacking
-        lacking = [item for item in todo if item[1][0].name in asked]
-        failures = [failure for item in lacking if (failure := self._made(*item)[1])]
+        requested = self._attempt.lacking
+        lacking = [item for item in todo if item[1][0].name in requested]
+        failures = [failure for item in lacking if (failure := self._make_frame(*item)[1])]
         if lacking and len(failures) == len(lacking):
-            return ShardResult(None, tuple(failures), kept=True)
-        how = self._axes, self._columns, recipe.provenance, recipe.dataset
-        info = write_shard(recipe.directory, task.path, self._pairs(), *how)
+            return ShardResult(None, tuple(failures), keeps_file=True)
+        shard_description = self._axes, self._columns, recipe.provenance, recipe.dataset
+        info = write_shard(recipe.directory, task.path, self._pairs(), *shard_description)
         if info is not None:
             info = replace(
                 info,
@@ -133,13 +133,13 @@ class _Shard:
     def _pairs(self) -> Iterator[Pair]:
         """The pairs of all frames in order; frames without go to the failures."""
         for index, item in enumerate(self._task.items):
-            pairs, failure = self._made(index, item)
+            pairs, failure = self._make_frame(index, item)
             self._failures += [failure] if failure else []
             self._samples += len(pairs)
             tell(None, self._samples, len(self._failures))
             yield from pairs
 
-    def _made(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
+    def _make_frame(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
         """The checked pairs of one frame, or what kept it from giving them."""
         ref, variants = item
         if ref.name in self._attempt.given_up:

@@ -86,17 +86,17 @@ def response(argument: npt.ArrayLike, taper: Taper) -> Floats:
 
     Any shape.  For the uniform window it is the normalised sinc (Urick 1983, ch. 3).
     """
-    given = np.abs(np.asarray(argument, np.float64))
-    elements = _elements(given.max(initial=0))
+    magnitude = np.abs(np.asarray(argument, np.float64))
+    elements = _elements(magnitude.max(initial=0))
     # The elements are symmetric, so half of them tell all.
     half = slice(elements // 2, None)
     position = ((np.arange(elements) + 0.5) / elements - 0.5)[half]
     shading = 2 * weights(taper, elements)[half]
-    found = np.empty(given.size)
-    for first in range(0, given.size, _CHUNK):
-        some = given.reshape(-1)[first : first + _CHUNK, None]
-        found[first : first + _CHUNK] = np.cos(2 * np.pi * some * position) @ shading
-    return found.reshape(given.shape)
+    amplitude = np.empty(magnitude.size)
+    for first in range(0, magnitude.size, _CHUNK):
+        some = magnitude.reshape(-1)[first : first + _CHUNK, None]
+        amplitude[first : first + _CHUNK] = np.cos(2 * np.pi * some * position) @ shading
+    return amplitude.reshape(magnitude.shape)
 
 
 def _elements(furthest: float) -> int:
@@ -111,8 +111,8 @@ def _response_table(count: int, taper: Taper) -> Floats:
     """(count,) the response at -1, 0, 1 ... steps of 1 / 128; whole chunks serve all devices."""
     steps = np.arange(-1, count - 1) / _STEPS
     whole = count // _CHUNK * _CHUNK
-    kept = _whole_chunks(taper, _elements(steps[-1]))
-    return np.concatenate([kept[:whole], response(steps[whole:], taper)])
+    whole_chunks = _whole_chunks(taper, _elements(steps[-1]))
+    return np.concatenate([whole_chunks[:whole], response(steps[whole:], taper)])
 
 
 @lru_cache(maxsize=8)
@@ -153,8 +153,8 @@ def beam_mixing(beams_rad: Floats, array: ArraySettings) -> npt.NDArray[np.float
     table = _response_table(int(apart.max() * _STEPS) + 4, array.horizontal)
     step = (apart * _STEPS).astype(np.intp)
     u = apart * _STEPS - step
-    before, here, after, beyond = (table[step + by] for by in range(4))
-    amplitude = here * (1 - u * u) * (1 - u / 2) + after * u * (1 + u) * (1 - u / 2)
+    before, middle, after, beyond = (table[step + by] for by in range(4))
+    amplitude = middle * (1 - u * u) * (1 - u / 2) + after * u * (1 + u) * (1 - u / 2)
     amplitude += (before * (2 - u) + beyond * (1 + u)) * u * (u - 1) / 6
     amplitude /= np.sqrt((amplitude**2).sum(axis=1, keepdims=True))
     return np.asarray(amplitude, np.float32)
@@ -169,9 +169,9 @@ def range_kernel(bin_m: float, array: ArraySettings, speed_m_s: float) -> npt.ND
     null_m = _pulse_scale_m(array, speed_m_s)
     reach = max(int(np.ceil(6 * null_m / bin_m)), 1)
     amplitude = response(np.arange(-reach, reach + 1) * bin_m / null_m, array.pulse)
-    kept = np.flatnonzero(np.abs(amplitude) >= 10 ** (-_DECIBELS_KEPT / 20))
+    audible_taps = np.flatnonzero(np.abs(amplitude) >= 10 ** (-_DECIBELS_KEPT / 20))
     # Taps at nulls lie within the kernel; only its ends are cut.
-    amplitude = amplitude[kept[0] : kept[-1] + 1]
+    amplitude = amplitude[audible_taps[0] : audible_taps[-1] + 1]
     return np.asarray(amplitude / np.sqrt((amplitude**2).sum()), np.float32)
 
 

@@ -39,9 +39,9 @@ class FanTable:
         from . import kernels  # loads numba
 
         fan = np.zeros(self.inside.shape, np.float32)
-        given = np.ascontiguousarray(polar, dtype=np.float32)
+        source = np.ascontiguousarray(polar, dtype=np.float32)
         places = self.pixel, self.corner, self.down, self.across
-        kernels.bilinear(given, *places, fan.reshape(-1))
+        kernels.bilinear(source, *places, fan.reshape(-1))
         return fan
 
     def nearest(self, polar: npt.NDArray[AnyNumber], outside: float = 0) -> npt.NDArray[AnyNumber]:
@@ -115,20 +115,20 @@ def rasterised(
     """
     image = sonar.image
     height, width = sonar.shape()
-    found = grey
+    laid_out = grey
     if image.layout == "fan":
         factor = max(min(image.enlarged, _LARGEST_PX / max(height, width)), 1.0)
         rows = round(height * factor)
         columns = round(width * factor)
         large = replace(sonar, image=replace(image, height_px=rows, width_px=columns))
         table = fan_table(large, window.near_fraction)
-        found = table.nearest(grey) if image.sampling == "nearest" else table.bilinear(grey)
-    if found.shape != (height, width):
+        laid_out = table.nearest(grey) if image.sampling == "nearest" else table.bilinear(grey)
+    if laid_out.shape != (height, width):
         import cv2  # not in a core installation
 
-        shrunk = cv2.resize(found, (width, height), interpolation=cv2.INTER_AREA)
-        found = np.asarray(shrunk, np.float32)
-    eight = np.rint(np.clip(found, 0, 1) * 255).astype(np.uint8)
+        shrunk = cv2.resize(laid_out, (width, height), interpolation=cv2.INTER_AREA)
+        laid_out = np.asarray(shrunk, np.float32)
+    eight = np.rint(np.clip(laid_out, 0, 1) * 255).astype(np.uint8)
     if noisy and image.jpeg_quality is not None:
         import cv2
 

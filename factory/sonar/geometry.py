@@ -77,13 +77,13 @@ class FanGeometry:
         half = math.radians(sonar.hfov_deg) / 2
         image = sonar.image
         near_fraction = range_min_m / range_max_m
-        seen = max(azimuth_min_rad, -half), min(azimuth_max_rad, half)
-        given = (image.layout, near_fraction, 2 * half, *seen, range_min_m, range_max_m)
+        sector_rad = max(azimuth_min_rad, -half), min(azimuth_max_rad, half)
+        common = (image.layout, near_fraction, 2 * half, *sector_rad, range_min_m, range_max_m)
         if image.layout == "polar":
             bearings = tuple(sonar.beam_centres_rad().tolist())
-            return cls(*given, range_bins=sonar.range_bins, beam_azimuths_rad=bearings)
+            return cls(*common, range_bins=sonar.range_bins, beam_azimuths_rad=bearings)
         far_px = 1 / pixel_size(sonar, near_fraction)
-        return cls(*given, image.width_px / 2 - 0.5, far_px - 0.5, far_px)
+        return cls(*common, image.width_px / 2 - 0.5, far_px - 0.5, far_px)
 
     @classmethod
     def from_record(cls, sonar: SonarSettings, record: Mapping[str, Any] | np.void) -> FanGeometry:
@@ -92,8 +92,8 @@ class FanGeometry:
         Raises KeyError or ValueError for a row without its window.
         """
         window = (float(record[name]) for name in ("range_min_m", "range_max_m"))
-        seen = (math.radians(float(record[f"azimuth_{end}_deg"])) for end in ("min", "max"))
-        return cls.from_sonar(sonar, *window, *seen)
+        sector_rad = (math.radians(float(record[f"azimuth_{end}_deg"])) for end in ("min", "max"))
+        return cls.from_sonar(sonar, *window, *sector_rad)
 
     @classmethod
     def fan(
@@ -200,8 +200,8 @@ class FanGeometry:
             azimuth = np.broadcast_to(bearing[None], (height, width))
         sector = (range_fraction >= self.near_fraction) & (range_fraction <= 1)
         sector &= (azimuth >= self.azimuth_min_rad) & (azimuth <= self.azimuth_max_rad)
-        found = {"range_fraction": range_fraction, "azimuth_rad": azimuth, "sector": sector}
-        return {name: np.ascontiguousarray(values, np.float32) for name, values in found.items()}
+        maps = {"range_fraction": range_fraction, "azimuth_rad": azimuth, "sector": sector}
+        return {name: np.ascontiguousarray(values, np.float32) for name, values in maps.items()}
 
     def _ahead_and_across(self, row: Pixels, column: Pixels) -> tuple[Pixels, Pixels]:
         """Distances from the apex, pixels: along straight ahead, and to the right of it."""

@@ -107,23 +107,23 @@ def survey(
     least = _F(np.inf)
     most = _F(-np.inf)
     inside = np.empty(width, np.bool_)
-    kept = np.empty(width, np.uint8)
+    is_lit = np.empty(width, np.uint8)
     for row in range(height):
         _project(pixels, row, away, right, up)
         for column in range(width):
             away[column] = _distance(away[column], up[column], top_view)
-        there = surface[row]
+        is_surface = surface[row]
         light = radiance[row]
         for column in range(width):
             within = (
-                there[column]
+                is_surface[column]
                 & (away[column] >= near_m)
                 & (away[column] < far_m)
                 & (np.abs(right[column]) <= half_hfov_rad)
                 & (np.abs(up[column]) <= half_vfov_rad)
             )
             inside[column] = within
-            kept[column] = within & (light[column] > _ZERO)
+            is_lit[column] = within & (light[column] > _ZERO)
         for column in range(width):
             azimuth = right[column]
             least = azimuth if inside[column] & (azimuth < least) else least
@@ -131,7 +131,7 @@ def survey(
         for column in range(width):
             # No branch: which pixels stay is not to be foreseen.
             lit_m[lit] = away[column]
-            lit += np.uint64(kept[column])
+            lit += np.uint64(is_lit[column])
     return float(lit), float(least), float(most)
 
 
@@ -162,7 +162,7 @@ def insonified(
     # Without a sign, as below: else every access asks whether it is negative.
     tabled = len(edges_rad) > 0
     count = np.uint64(0)
-    kept = np.empty(width, np.uint8)
+    is_lit = np.empty(width, np.uint8)
     for row in range(height):
         _project(pixels, row, slant, right, up)
         for column in range(width):
@@ -175,20 +175,20 @@ def insonified(
         elif gain_power:
             for column in range(width):
                 level[column] *= _F(float(slant[column]) ** gain_power)
-        there = surface[row]
+        is_surface = surface[row]
         light = radiance[row]
         for column in range(width):
             lit = (
-                there[column]
+                is_surface[column]
                 & (light[column] > _ZERO)
                 & (np.abs(up[column]) <= half_vfov_rad)
                 & (bins[column] != nowhere)
             )
-            kept[column] = lit
+            is_lit[column] = lit
             bins[column] = bins[column] if lit else nowhere
         if tabled:
             for column in range(width):
-                if kept[column]:
+                if is_lit[column]:
                     bins[column] = _nearest_beam(bins[column], right[column], edges_rad, columns)
         first = np.int32(row * width)
         for column in range(width):
@@ -198,23 +198,23 @@ def insonified(
             strength[count] = level[column]
             pixel[count] = first + np.int32(column)
             hit[np.uint32(bins[column])] = True
-            count += np.uint64(kept[column])
+            count += np.uint64(is_lit[column])
     hit[nowhere] = False
     return int(count)
 
 
 @compiled(f"int64(UniTuple({FLOATS}, 4), {FLOATS}, float32, UniTuple({_OUT}, 4))")
-def thin(echoes: Any, lot: Any, rate: Any, kept: Any) -> Any:
-    """Copy the echoes whose `lot` is below `rate`; returns how many."""
+def thin(echoes: Any, chance: Any, rate: Any, subset: Any) -> Any:
+    """Copy the echoes whose `chance` is below `rate`; returns how many."""
     range_m, azimuth_rad, elevation_rad, strength = echoes
-    to_range_m, to_azimuth_rad, to_elevation_rad, to_strength = kept
+    to_range_m, to_azimuth_rad, to_elevation_rad, to_strength = subset
     count = 0
     for at in range(len(range_m)):
         to_range_m[count] = range_m[at]
         to_azimuth_rad[count] = azimuth_rad[at]
         to_elevation_rad[count] = elevation_rad[at]
         to_strength[count] = strength[at]
-        count += lot[at] < rate
+        count += chance[at] < rate
     return count
 
 
@@ -278,11 +278,11 @@ def bilinear(polar: Any, pixel: Any, corner: Any, down: Any, across: Any, fan: A
     """fan[pixel] = the four bins from `corner` on, mixed by the fractions down and across."""
     flat = polar.ravel()
     columns = polar.shape[1]
-    one = _F(1)
+    unit = _F(1)
     for at in range(len(pixel)):
         bin_ = corner[at]
         u = down[at]
         v = across[at]
-        near = flat[bin_] * (one - v) + flat[bin_ + 1] * v
-        far = flat[bin_ + columns] * (one - v) + flat[bin_ + columns + 1] * v
-        fan[pixel[at]] = near * (one - u) + far * u
+        near = flat[bin_] * (unit - v) + flat[bin_ + 1] * v
+        far = flat[bin_ + columns] * (unit - v) + flat[bin_ + columns + 1] * v
+        fan[pixel[at]] = near * (unit - u) + far * u

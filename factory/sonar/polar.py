@@ -260,5 +260,5 @@ def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:
 
 def where_seen(picture: Polar, window: Window, sonar: SonarSettings) -> Polar:
     """The (range_bins, beams) picture, 0 in beams that the camera did not see."""
-    seen = seen_beams(window, sonar)
-    return picture if seen.all() else np.where(seen, picture, np.float32(0))
+    is_seen = seen_beams(window, sonar)
+    return picture if is_seen.all() else np.where(is_seen, picture, np.float32(0))

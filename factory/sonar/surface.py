@@ -56,15 +56,15 @@ class LitSurface:
     @cached_property
     def insonified(self) -> Insonified:
         """Its echoes; found once, when something first asks for them."""
-        found = insonified(self.frame, self.rendered, self.window, self.sonar)
-        echoes = found.echoes
+        surface = insonified(self.frame, self.rendered, self.window, self.sonar)
+        echoes = surface.echoes
         if not self.sonar.mount.colocated:
             weight = mount_weight(self.frame, self.sonar.mount, 2).reshape(-1)
-            echoes = replace(echoes, strength=echoes.strength * weight[found.pixel])
+            echoes = replace(echoes, strength=echoes.strength * weight[surface.pixel])
         if self.conical:
             bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
             echoes = replace(echoes, azimuth_rad=bearing)
-        return found._replace(echoes=echoes)
+        return surface._replace(echoes=echoes)
 
 
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:

@@ -28,9 +28,9 @@ def quantiles(
     place = skip + np.asarray(fractions) * (len(values) - 1 - skip)
     below = place.astype(np.int64)
     ranks = np.stack([below, np.minimum(below + 1, len(values) - 1)])
-    found = np.empty(ranks.shape, np.float32)
-    ranked(np.ascontiguousarray(values, np.float32), ranks.ravel(), found.reshape(-1))
-    low, high = found.astype(np.float64)
+    ranked_values = np.empty(ranks.shape, np.float32)
+    ranked(np.ascontiguousarray(values, np.float32), ranks.ravel(), ranked_values.reshape(-1))
+    low, high = ranked_values.astype(np.float64)
     between: list[float] = (low + (high - low) * (place - below)).tolist()
     return between
 

@@ -107,10 +107,10 @@ class Store:
             yield system, str(root).rstrip("/")
         # Each storage's library has errors of its own.
         except Exception as error:
-            where = f"{self.url}/{name}" if name else self.url
+            address = f"{self.url}/{name}" if name else self.url
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise FactoryError(
-                f"{where}: cannot be {done} ({reason}); look at the address, the credentials, the "
+                f"{address}: cannot be {done} ({reason}); check the address, the credentials, the "
                 "network and the packages (S3: simnfnd[cloud]), and run the same command again"
             ) from error
 
@@ -141,10 +141,10 @@ def url_of(folder: Path) -> str | None:
 
     Only of our own place for copies: a stranger's dataset cannot send us anywhere.
     """
-    where = Path(os.path.abspath(folder))
-    if where.parent == copies_folder():
+    copy = Path(os.path.abspath(folder))
+    if copy.parent == copies_folder():
         with suppress(OSError, ValueError):
-            return read_regular(where / _ORIGIN, 1 << 12).decode()
+            return read_regular(copy / _ORIGIN, 1 << 12).decode()
     return None
 
 
@@ -221,16 +221,16 @@ def make_room(spare: Path) -> None:
     spare: the shard that came just now, which stays.
     Raises FactoryError when SIMNFND_CLOUD_CACHE_BYTES is no number.
     """
-    told = os.environ.get(_LIMIT, str(_KEPT_BYTES))
-    if not told.isdecimal():
-        raise FactoryError(f"{_LIMIT}={told}: must be a whole number of bytes")
-    found = []
+    limit_text = os.environ.get(_LIMIT, str(_KEPT_BYTES))
+    if not limit_text.isdecimal():
+        raise FactoryError(f"{_LIMIT}={limit_text}: must be a whole number of bytes")
+    shards = []
     for path in copies_folder().glob("*/t*/*.h5"):
         with suppress(OSError):
             state = path.stat()
-            found.append((state.st_mtime_ns, state.st_size, path))
-    total = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
-        if total > int(told) and path != spare:
+            shards.append((state.st_mtime_ns, state.st_size, path))
+    total = sum(size for _, size, _ in shards)
+    for _, size, path in sorted(shards):
+        if total > int(limit_text) and path != spare:
             path.unlink(missing_ok=True)
             total -= size

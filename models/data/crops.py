@@ -94,7 +94,7 @@ def crop(
     planes["shadow"] = np.full_like(sample.noisy, np.nan) if shadow is None else shadow
     if "frames" in extras:
         planes["frames"] = np.zeros_like(sample.noisy) if frames is None else frames
-    images = {name: one[window][:, ::step] for name, one in planes.items()}
+    images = {name: plane[window][:, ::step] for name, plane in planes.items()}
     if sample.geometry is not None and extras:
         maps = sample.geometry.maps(top, left, height, width)
         images |= {name: maps[name][:, ::step] for name in extras if name in maps}

@@ -51,7 +51,7 @@ def write_fans(path: str | Path, fans: Mapping[str, FanGeometry]) -> None:
             rows = fan.apex_y_px - fan.far_px, fan.apex_y_px - ahead
             slope = math.tan(half) * fan.x_scale
             numbers = (fan.apex_x_px, fan.apex_y_px, slope, *rows, fan.x_scale)
-            table.writerow((name, *(round(one, 5) for one in numbers), fan.quarter_turns))
+            table.writerow((name, *(round(value, 5) for value in numbers), fan.quarter_turns))
 
 
 def _fan(row: Mapping[str, str]) -> FanGeometry:

@@ -41,20 +41,20 @@ def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef
     single = is_recording(root)
     if not single and not root.is_dir():
         raise FactoryError(f"{key}={folder}: no such folder or recording")
-    found: list[SampleRef] = []
-    for path in [root] if single else sorted(one for one in root.rglob("*") if one.is_file()):
+    samples: list[SampleRef] = []
+    for path in [root] if single else sorted(entry for entry in root.rglob("*") if entry.is_file()):
         place = path.relative_to(root.parent if single else root)
         if is_recording(path):
             with open_recording(path) as recording:
                 rows = range(len(recording))
             scene = place.as_posix()
-            found += [SampleRef(path, row, scene, f"{path.name}#{row}") for row in rows]
+            samples += [SampleRef(path, row, scene, f"{path.name}#{row}") for row in rows]
         elif kind_of(path) == "pictures":
-            found.append(SampleRef(path, 0, place.parent.as_posix(), path.name))
-    if not found:
+            samples.append(SampleRef(path, 0, place.parent.as_posix(), path.name))
+    if not samples:
         kinds = ", ".join(PICTURE_SUFFIXES)
         raise FactoryError(f"{key}={folder}: holds no image ({kinds}) and no recording")
-    return tuple(found)
+    return tuple(samples)
 
 
 def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
@@ -68,15 +68,15 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:
     """The shortest side of all images, pixels, and the image that has it."""
     # The frames of a recording are of one size, or nearly.
-    sides = [(min(read_sample(one)[0].shape), one) for one in samples if one.row == 0]
+    sides = [(min(read_sample(sample)[0].shape), sample) for sample in samples if sample.row == 0]
     return min(sides, key=itemgetter(0))
 
 
 def digest_of(samples: Sequence[SampleRef]) -> str:
     """Changes with the names and the content of image files, not with where they lie."""
     hashes = {path: sha256_of(path) for path in {sample.path for sample in samples}}
-    found = [(sample.scene, sample.frame, hashes[sample.path]) for sample in samples]
-    return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()
+    contents = [(sample.scene, sample.frame, hashes[sample.path]) for sample in samples]
+    return hashlib.blake2b(repr(contents).encode(), digest_size=8).hexdigest()
 
 
 class OldDataSource(Source):
@@ -97,8 +97,8 @@ class OldDataSource(Source):
         self.weaker = data.weaker
         self.seed = seed
         self.fans = {} if data.geometry == "polar" else read_fans(data.geometry)
-        pictures = (one for one in samples if self.fans and not is_recording(one.path))
-        unknown = [one.frame for one in pictures if one.frame not in self.fans]
+        pictures = (sample for sample in samples if self.fans and not is_recording(sample.path))
+        unknown = [sample.frame for sample in pictures if sample.frame not in self.fans]
         if unknown:
             raise FactoryError(
                 f"data.geometry={data.geometry}: says nothing about {unknown[0]} and "
@@ -108,8 +108,10 @@ class OldDataSource(Source):
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
         ref = self.images[index]
-        clean, told = read_sample(ref)
-        geometry = self.fans.get(ref.frame, told or FanGeometry.polar()).with_size(*clean.shape)
+        clean, known_geometry = read_sample(ref)
+        geometry = self.fans.get(ref.frame, known_geometry or FanGeometry.polar()).with_size(
+            *clean.shape
+        )
         sector = geometry.maps(0, 0, *clean.shape)["sector"]
         clean = clean * sector
         number = "validation" if visit is None else visit

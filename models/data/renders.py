@@ -136,11 +136,11 @@ class DeviceSource(RenderedSource):
             # A frame that shows nothing to this device gives way to the next one.
             ref = self.images[(index + attempt // 4) % len(self.images)]
             try:
-                found = self._sample(ref, *names, attempt)
+                sample = self._sample(ref, *names, attempt)
             except FrameError:
                 continue
-            if found is not None:
-                return found
+            if sample is not None:
+                return sample
         raise FactoryError(
             f"data=mixed: no device sees enough of {self.images[index].name} and of the frames "
             "after it; make renders of other places"

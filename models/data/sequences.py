@@ -118,14 +118,14 @@ class SequenceSource(Source):
         height, width = window.reference.shape
         side = min(side, height, width)
         rng = stream(self.seed, "sequences", index, visit)
-        found = []
+        crops = []
         for _ in range(self.data.crops):
             top = int(rng.integers(height - side + 1))
             left = int(rng.integers(width - side + 1))
             if rng.random() < self.data.targets:
                 top, left = _around_target(window, side, rng, (top, left))
-            found.append(window.cropped(top, left, side))
-        return found
+            crops.append(window.cropped(top, left, side))
+        return crops
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """The window as an ideal fusion gives it to a network, and its reference.
@@ -140,11 +140,11 @@ class SequenceSource(Source):
         middle = len(window.noisy) // 2
         first = min(max(middle - count // 2, 0), len(window.noisy) - count)
         members = slice(first, first + count)
-        kept = ~window.moving[members]
-        kept &= ~window.moving[middle]
-        kept[middle - first] = True
-        numbers = kept.sum(axis=0)
-        mean = (window.noisy[members] * kept).sum(axis=0) / numbers
+        is_averaged = ~window.moving[members]
+        is_averaged &= ~window.moving[middle]
+        is_averaged[middle - first] = True
+        numbers = is_averaged.sum(axis=0)
+        mean = (window.noisy[members] * is_averaged).sum(axis=0) / numbers
         return Sample(
             noisy=np.asarray(mean, np.float32),
             clean=window.reference,
@@ -206,7 +206,7 @@ def open_sequences(folder: Path, data: SequencesData, seed: int) -> Data:
             "dataset.pairs": len(pairs),
             "dataset.image": list(pairs.shape),
         }
-    names = sorted(name for name, found in windows.items() if found)
+    names = sorted(name for name, windows_of_recording in windows.items() if windows_of_recording)
     if len(names) < 2:
         raise FactoryError(
             f"{folder}: {len(names)} recording(s) of {data.frames} frames or more train; "

@@ -95,11 +95,11 @@ def _dataset_folder(settings: ModelsSettings) -> str:
 
 
 def _of_images(data: OldData, seed: int) -> Data:
-    found = list_images(data.folder)
-    side, smallest = smallest_side(found)
+    images = list_images(data.folder)
+    side, smallest = smallest_side(images)
     _check_size(data, side, str(smallest.path))
-    learning, held = hold_out(found, data.validation, seed)
-    facts: dict[str, Any] = {"images": len(found), "images.content": digest_of(found)}
+    learning, held = hold_out(images, data.validation, seed)
+    facts: dict[str, Any] = {"images": len(images), "images.content": digest_of(images)}
     if data.geometry != "polar":
         facts["geometry"] = sha256_of(Path(data.geometry).expanduser())[:16]
     noise = compose_config(("noise=simnfnd",)).noise
@@ -119,8 +119,8 @@ def renders_of(
     Raises FactoryError when the dataset was made by another version or its renders are not there.
     """
     config = _config(data, dataset)
-    found = open_reader(config.scenes).discover().frames
-    training = split_frames(found if data.pack else choose_frames(found, config), config)["train"]
+    refs = open_reader(config.scenes).discover().frames
+    training = split_frames(refs if data.pack else choose_frames(refs, config), config)["train"]
     scenes = {sample.scene for sample in held}
     # Of one scene alone frames are held out one by one.
     alone = scenes == {sample.scene for sample in learning}
@@ -142,7 +142,7 @@ def renders_of(
     missing = len(training) - len(ready)
     print(f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else ""))
     learned = set(training)
-    others = tuple(ref for ref in found if ref not in learned and views.holds(ref))
+    others = tuple(ref for ref in refs if ref not in learned and views.holds(ref))
     return config, ready, others
 
 
@@ -154,14 +154,14 @@ def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], 
             f"data.experiment={data.experiment}: draws no devices, or no render is held out; use "
             "any_sonar, and give data.validation more"
         )
-    made = {name: getattr(drawn, name) for name in _DECIDE}
-    made["sonar"] = replace(drawn.sonar, mount=points.config.sonar.mount)
-    config = replace(points.config, **made)
+    device_settings = {name: getattr(drawn, name) for name in _DECIDE}
+    device_settings["sonar"] = replace(drawn.sonar, mount=points.config.sonar.mount)
+    config = replace(points.config, **device_settings)
     # A picture without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
     stacks = open_stacks(data.recordings, data.least_side)
     refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))
-    still = sum(one.is_still for one in stacks)
+    still = sum(stack.is_still for stack in stacks)
     print(f"recordings: {len(stacks)}, of which {still} stand still")
     devices = DeviceSource(config, points.images, data, seed)
     shown = spread(others, data.validation_limit)
@@ -193,10 +193,10 @@ def _config(data: RenderedData, dataset: Path) -> FactoryConfig:
         ) from error
 
 
-def _check_size(data: DataSettings, side: int, where: str, shape: str = "") -> None:
+def _check_size(data: DataSettings, side: int, place: str, shape: str = "") -> None:
     """Raise FactoryError when an image is smaller than a patch."""
     if data.least_side > side:
         raise FactoryError(
-            f"data.patch={data.patch} is larger than the images of {where}{shape}; choose at most "
+            f"data.patch={data.patch} is larger than the images of {place}{shape}; choose at most "
             f"{side}, or data.batch=data.crops: each step then shows one image, a small one whole"
         )

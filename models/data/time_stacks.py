@@ -94,7 +94,7 @@ def open_stacks(paths: Sequence[str], least_side: int) -> tuple[Stack, ...]:
 
     least_side: of a frame, pixels.  Raises FactoryError where there are none.
     """
-    found = []
+    stacks = []
     for path in paths:
         refs = list_images(path, "data.recordings")
         for scene in dict.fromkeys(ref.scene for ref in refs):
@@ -108,22 +108,22 @@ def open_stacks(paths: Sequence[str], least_side: int) -> tuple[Stack, ...]:
             still = bool(
                 find_groups(list(frames[:2]), [sector] * 2, least=2, alike=_ALIKE, furthest_px=1.0)
             )
-            found.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry, still))
-    if paths and not found:
+            stacks.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry, still))
+    if paths and not stacks:
         raise FactoryError(
             f"data.recordings: no recording there has frames of {least_side} pixels or more with a "
             "fan that can be found"
         )
-    return tuple(found)
+    return tuple(stacks)
 
 
 def _shown(ref: SampleRef) -> tuple[Image, FanGeometry | None]:
     """A frame as networks are shown it."""
     grey, geometry = read_sample(ref)
     if geometry is None:
-        given = presentation_of(grey, find_geometry(grey))
-        grey = given.shown(grey)
-        geometry = given.geometry
+        presentation = presentation_of(grey, find_geometry(grey))
+        grey = presentation.shown(grey)
+        geometry = presentation.geometry
     return grey, geometry
 
 
@@ -172,12 +172,12 @@ def resized(sample: Sample, rng: np.random.Generator) -> Sample:
     height, width = sample.noisy.shape
     scale = rng.uniform(*_SCALES)
     rows, columns = round(scale * height), round(scale * width)
-    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     gain = np.float32(rng.uniform(*_GAINS))
 
     def shown(image: Image) -> Image:
         return np.asarray(
-            np.clip(gain * cv2.resize(image, (columns, rows), interpolation=how), 0, 1)
+            np.clip(gain * cv2.resize(image, (columns, rows), interpolation=interpolation), 0, 1)
         )
 
     frames = sample.frames

@@ -73,9 +73,9 @@ def _with_palette(image: Image) -> PillowImage.Image:
     """With all 256 greys, or with the 256 colours that are nearest to its own."""
     if image.ndim == 2:
         height, width = image.shape
-        found = PillowImage.frombytes("P", (width, height), image.tobytes())
-        found.putpalette(bytes(level for level in range(256) for _ in range(3)))
-        return found
+        indexed = PillowImage.frombytes("P", (width, height), image.tobytes())
+        indexed.putpalette(bytes(level for level in range(256) for _ in range(3)))
+        return indexed
     coloured = PillowImage.fromarray(np.ascontiguousarray(swapped(image)))
     return coloured.quantize(256, dither=PillowImage.Dither.NONE)
 

@@ -106,24 +106,24 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add("inputs", nargs="*", metavar="IN", help="image, folder, shard, video, recording, array")
     add("--out", required=True, help="folder for the results; names are kept")
     add("--weights", help="weights.safetensors of a training, or a name of those that ship (below)")
-    of_noise = "of real sonars, or of the paper's points; shards say it themselves"
-    add("--noise", choices=("real", "points"), default="real", help=of_noise)
+    noise_help = "of real sonars, or of the paper's points; shards say it themselves"
+    add("--noise", choices=("real", "points"), default="real", help=noise_help)
     add("--strength", type=float, default=1.0, help="part of the change, 0 to 1 (default: 1)")
-    fused = (
+    frames_help = (
         "fuse up to N frames of a recording, video, stack or folder numbered in time where they "
         f"show the same, half before and half after each; odd ({FRAMES}; 1: each by itself)"
     )
-    add("--frames", type=int, default=FRAMES, metavar="N", help=fused)
+    add("--frames", type=int, default=FRAMES, metavar="N", help=frames_help)
     add("--invert", action="store_true", help="for dark echoes on a bright ground")
     add("--causal", action="store_true", help="fuse with frames before alone, for live use")
     add("--compare", nargs="?", const=SHEETS, default="", metavar="FILE.mp4", help=_COMPARE)
-    where = (
+    geometry_help = (
         "of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV table "
         "of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
     )
-    add("--geometry", default=FIND, help=where)
-    topics = "of bags: whose pictures to denoise (may be repeated; default: those of sonars)"
-    add("--topic", action="append", default=[], help=topics)
+    add("--geometry", default=FIND, help=geometry_help)
+    topics_help = "of bags: whose pictures to denoise (may be repeated; default: those of sonars)"
+    add("--topic", action="append", default=[], help=topics_help)
     add("--device", choices=("auto", "cpu", "gpu"), default="auto")
 
     options = parser.parse_args(list(arguments))

@@ -79,20 +79,20 @@ class Denoiser:
         squared weights, where these add up to 1; None: a single frame.
         The weights get the picture by its `presentation_of`, and one of wide grain `by_scales`.
         """
-        given = presentation_of(gray, geometry)
+        presentation = presentation_of(gray, geometry)
         shape = gray.shape
-        gray = given.shown(gray)
+        gray = presentation.shown(gray)
         extras = self.runtime.extras
         widest = self.runtime.wide_grain
         maps: dict[str, Gray] = {}
-        if given.geometry is not None and extras:
-            found = given.geometry.maps(0, 0, *gray.shape)
-            maps = {name: found[name] for name in extras if name in found}
+        if presentation.geometry is not None and extras:
+            known_maps = presentation.geometry.maps(0, 0, *gray.shape)
+            maps = {name: known_maps[name] for name in extras if name in known_maps}
         if frames is not None and self.knows_frames:
-            told = np.broadcast_to(np.asarray(frames, np.float32), shape)
-            told = averaged(np.rot90(told, given.quarter_turns))
-            maps["frames"] = np.ascontiguousarray(told, np.float32)
-            widest = 1.0 if told.mean() > averaged(_SEVERAL) else widest
+            frame_counts = np.broadcast_to(np.asarray(frames, np.float32), shape)
+            frame_counts = averaged(np.rot90(frame_counts, presentation.quarter_turns))
+            maps["frames"] = np.ascontiguousarray(frame_counts, np.float32)
+            widest = 1.0 if frame_counts.mean() > averaged(_SEVERAL) else widest
         # Weights have seen black surroundings of a sector alone.
         outside = maps.get("sector", np.ones_like(gray)) <= 0
         bright = bool(outside.any()) and (gray[outside] > _LIT).mean() > _LIT_SHARE
@@ -102,7 +102,7 @@ class Denoiser:
             denoised = np.where(outside, gray, denoised)
         if self.strength != 1:
             denoised = np.clip(gray + self.strength * (denoised - gray), 0, 1).astype(np.float32)
-        return given.undone(denoised)
+        return presentation.undone(denoised)
 
     def _denoise_whole(self, gray: Gray, maps: Maps) -> Gray:
         tiles: list[tuple[float, int]] = []

@@ -246,7 +246,7 @@ def _denoise_shard(item: Item, job: Job) -> None:
         for row in range(len(noisy)):
             try:
                 image = noisy[row]
-                result = denoising.one(image, partial(place, row))
+                result = denoising.denoise_image(image, partial(place, row))
                 denoised[row] = result.image
                 job.removed.add(f"{item.relative}, pair {row}", result.removed)
                 if job.video is not None:

@@ -71,10 +71,10 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
     for item in items.values():
         for relative in (item.relative, item.compared) if compare else (item.relative,):
             path = (out / relative).resolve()
-            other = written.setdefault(path, item)
-            if other is not item:
+            first_item = written.setdefault(path, item)
+            if first_item is not item:
                 raise FactoryError(
-                    f"{other.source} and {item.source} would both become {relative}; "
+                    f"{first_item.source} and {item.source} would both become {relative}; "
                     "denoise them into different folders"
                 )
             if path in sources:
@@ -87,14 +87,14 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
 
     The files of a sequence lie in one folder; see `sequences_of`.
     """
-    found: list[list[Item]] = []
+    runs: list[list[Item]] = []
     for folder, in_folder in _by_folder(items).items():
         if folder is None:
-            found += [[item] for item in in_folder]
+            runs += [[item] for item in in_folder]
             continue
         names = [item.source.name for item in in_folder]
-        found += [[in_folder[index] for index in sequence] for sequence in sequences_of(names)]
-    return found
+        runs += [[in_folder[index] for index in sequence] for sequence in sequences_of(names)]
+    return runs
 
 
 def _by_folder(items: Sequence[Item]) -> dict[Path | None, list[Item]]:
@@ -135,12 +135,12 @@ def _of_input(path: Path, out: Path) -> list[Item]:
             # Each is looked at when it is opened.
             shards = PairDataset(path, "all", trusted=True).paths
             return [Item(shard, shard.relative_to(path)) for shard in shards]
-        found = items_below(path, out)
+        items = items_below(path, out)
     else:
-        found = [_item(path, path.parent)] if path.suffix.lower() in SUFFIXES else []
-    if not found:
+        items = [_item(path, path.parent)] if path.suffix.lower() in SUFFIXES else []
+    if not items:
         raise FactoryError(f"{path}: no image, shard, video or recording ({', '.join(SUFFIXES)})")
-    return found
+    return items
 
 
 def items_below(folder: Path, out: Path) -> list[Item]:
@@ -188,7 +188,7 @@ class Geometries:
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
         # By the size of the pictures, too: a bag may have several topics.
         self._trackers: dict[tuple[Path, tuple[int, ...]], FanTracker] = {}
-        self._found: dict[Path, list[bool]] = {}  # in the pictures of a folder
+        self._fans_found: dict[Path, list[bool]] = {}  # in the pictures of a folder
 
     def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
         """The geometry of a picture of `item`; None where it is not known.
@@ -203,15 +203,15 @@ class Geometries:
             key = item.source, picture.shape
             return self._trackers.setdefault(key, FanTracker()).geometry(picture)
         geometry = find_geometry(picture)
-        self._found.setdefault(item.source.parent, []).append(geometry is not None)
+        self._fans_found.setdefault(item.source.parent, []).append(geometry is not None)
         return geometry
 
     def summary(self) -> Iterator[str]:
         """One line a folder, video or bag whose pictures were searched."""
         said = "geometry: fan found in {} of {} pictures searched ({})"
-        for folder, found in self._found.items():
-            yield said.format(sum(found), len(found), folder)
+        for folder, results in self._fans_found.items():
+            yield said.format(sum(results), len(results), folder)
         for (source, _), tracker in self._trackers.items():
-            line = said.format(tracker.found, tracker.searched, source)
+            line = said.format(tracker.fans_found, tracker.searched, source)
             times = "once" if tracker.changes == 1 else f"{tracker.changes} times"
             yield f"{line}; it changes {times}" if tracker.changes else line

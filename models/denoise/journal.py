@@ -52,9 +52,9 @@ class Journal:
     def begin(self, items: Sequence[Item]) -> None:
         """Make room for the names of all items.  Raises FactoryError when there is none."""
         names = [str(item.relative) for item in items]
-        kept = [name for name in names if name in self._finished]
+        finished = [name for name in names if name in self._finished]
         left = [name for name in names if name not in self._finished]
-        head = "".join(f"{line}\n" for line in (self._header, *map(json.dumps, kept))).encode()
+        head = "".join(f"{line}\n" for line in (self._header, *map(json.dumps, finished))).encode()
         room = sum(len(json.dumps(name)) + 1 for name in left)
         write_atomically(self._path, head + b" " * room, key="--out")
         with explain_os_errors(self._path, "--out"):

@@ -146,7 +146,7 @@ class Denoising:
         self._last_map = None
         yield from self._denoised(shots, alone)
 
-    def one(self, picture: Picture, place: Place) -> Denoised:
+    def denoise_image(self, picture: Picture, place: Place) -> Denoised:
         """A picture by itself.  Raises ValueError as `shot` does."""
         (denoised,) = self._denoised([self.shot(None, picture, place)], alone=True)
         return denoised

@@ -98,13 +98,13 @@ class Removed:
             return None
 
         rows, columns = factors(self.noisy.shape)
-        found = []
+        structures = []
         for sigma_px in _TARGET_PX:
             smooth = cv2.GaussianBlur(signal, (0, 0), sigma_px / columns, sigmaY=sigma_px / rows)
             around_px = (_AROUND_PX // columns | 1, _AROUND_PX // rows | 1)
-            found.append(_furthest(smooth, inside, around_px))
-        furthest = max(found, key=lambda structure: abs(structure.deviation))
-        share = max(structure.share for structure in found)
+            structures.append(_furthest(smooth, inside, around_px))
+        furthest = max(structures, key=lambda structure: abs(structure.deviation))
+        share = max(structure.share for structure in structures)
         row = furthest.row * rows
         column = furthest.column * columns
         return Structure(row, column, furthest.deviation, share)
@@ -184,16 +184,18 @@ class RemovedReport:
         place, worst = self._worst
         limit = self.limit()
         suspicious = sum(deviation > limit for deviation in self._deviations)
-        where = f"{place}, row {worst.row}, column {worst.column}"
+        worst_place = f"{place}, row {worst.row}, column {worst.column}"
         if not suspicious:
             yield (
-                f"removed: no structure found beyond grain; the most suspicious spot is in {where} "
-                f"({abs(worst.deviation):.1f} times the usual spread; structure from {limit:.1f})"
+                "removed: no structure found beyond grain; the most suspicious spot is in "
+                f"{worst_place} ({abs(worst.deviation):.1f} times the usual spread; "
+                f"structure from {limit:.1f})"
             )
             return
         kind = "an echo" if worst.deviation > 0 else "a shadow"
         yield (
             f"removed: structure in {suspicious} of {len(self._deviations)} images; most "
-            f"suspicious: {kind} in {where} ({abs(worst.deviation):.1f} times the usual spread; "
-            f"grain stays below {limit:.1f}), {100 * worst.share:.1f} % of what was removed there"
+            f"suspicious: {kind} in {worst_place} ({abs(worst.deviation):.1f} times the usual "
+            f"spread; grain stays below {limit:.1f}), {100 * worst.share:.1f} % of what was "
+            "removed there"
         )

@@ -73,11 +73,11 @@ def find_graph(weights: Path) -> Path | None:
     return None
 
 
-def _on_gpu(device: str, there: bool) -> bool:
-    if device == "gpu" and not there:
+def _on_gpu(device: str, is_available: bool) -> bool:
+    if device == "gpu" and not is_available:
         needed = "onnxruntime-gpu, for weights of your own a torch for GPUs"
         raise FactoryError(f"--device gpu: no usable GPU here ({needed}); use --device cpu")
-    return there and device != "cpu"
+    return is_available and device != "cpu"
 
 
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
@@ -93,10 +93,10 @@ def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[
     """
     from onnxruntime import OrtValue
 
-    arrays = [np.ascontiguousarray(one) for one in weights.values()]
-    values = [OrtValue.ortvalue_from_numpy(one) for one in arrays]
-    options.add_external_initializers(list(weights), values)
-    return [arrays, values]
+    arrays = [np.ascontiguousarray(values) for values in weights.values()]
+    ort_values = [OrtValue.ortvalue_from_numpy(values) for values in arrays]
+    options.add_external_initializers(list(weights), ort_values)
+    return [arrays, ort_values]
 
 
 def _session_of(
@@ -110,8 +110,8 @@ def _session_of(
     # Waiting threads would burn as much time as computing ones.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     named = {f"network.{name}": tensor for name, tensor in weights.items()}
-    kept = give_weights(options, named)
-    return onnxruntime.InferenceSession(str(graph), options, providers=providers), kept
+    shared_arrays = give_weights(options, named)
+    return onnxruntime.InferenceSession(str(graph), options, providers=providers), shared_arrays
 
 
 class OnnxNetwork:
@@ -131,12 +131,12 @@ class OnnxNetwork:
         providers = [*[cuda] * self.on_gpu, "CPUExecutionProvider"]
         header, weights = read_weights(path)
         try:
-            session, kept = _session_of(graph, weights, providers)
+            session, shared_arrays = _session_of(graph, weights, providers)
         except Exception as error:  # onnxruntime has a class of its own for each reason
             reason = " ".join(str(error).split())[:160]
             raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
         self._session = session
-        self._kept = kept
+        self._shared_arrays = shared_arrays
         facts = session.get_modelmeta().custom_metadata_map
         if not {"extras", "stride"} <= facts.keys() or not facts["stride"].isdigit():
             raise FactoryError(
@@ -157,14 +157,14 @@ class OnnxNetwork:
         """
         grid = polar_grid(maps) if self.is_polar and "azimuth_rad" in maps else None
         if grid is None:
-            found = inputs_of(gray, maps, self._stride)
+            inputs = inputs_of(gray, maps, self._stride)
         else:
             in_fan, in_grid, cells = grid
             sector = _sampled(maps.get("sector", np.ones_like(gray)), in_fan)
             cells = {**cells, "sector": sector}
-            found = inputs_of(_sampled(gray, in_fan), cells, self._stride, is_grid=True)
+            inputs = inputs_of(_sampled(gray, in_fan), cells, self._stride, is_grid=True)
         change, logits, weight = self._session.run(
-            ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
+            ["change", "shadow_logits", "weight"], {name: inputs[name] for name in self._inputs}
         )
         change = change[0, 0]
         logits = logits[0, 0]
@@ -301,8 +301,11 @@ def polar_grid(maps: Maps) -> tuple[Positions, Positions, Maps] | None:
     ]
     # Rounded as torch's `grid_sample` does, which has positions of -1 to 1 over a side.
     fan, grid = (
-        [((at + 1) * np.float32(side) - 1) / 2 for at, side in zip(one, radius.shape, strict=True)]
-        for one in (in_fan, in_grid)
+        [
+            ((at + 1) * np.float32(side) - 1) / 2
+            for at, side in zip(positions, radius.shape, strict=True)
+        ]
+        for positions in (in_fan, in_grid)
     )
     return fan, grid, {"range_fraction": cell_range, "azimuth_rad": cell_azimuth}
 

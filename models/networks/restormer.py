@@ -75,8 +75,8 @@ class ChannelAttention(nn.Module):
         # Unit vectors over the pixels: the products are cosines, and the temperature scales them.
         # Scaling the small matrix by the lengths is the same as scaling the vectors before.
         long, wide = (
-            torch.linalg.vector_norm(one, dim=-2, keepdim=True).clamp_min(1e-6)
-            for one in (query, key)
+            torch.linalg.vector_norm(vectors, dim=-2, keepdim=True).clamp_min(1e-6)
+            for vectors in (query, key)
         )
         lengths = long.transpose(-2, -1) * wide
         cosines = query.transpose(-2, -1) @ key / lengths

@@ -84,10 +84,10 @@ class SonarNet(Network):
         self.core_stride = 2 ** len(widths)
         planes = 1 + len(_MAPS) + settings.frames
         self.intro = nn.Conv2d(4 * planes, widths[0], 3, padding=1)
-        told = ("remove",) if settings.told else ()
+        remove_inputs = ("remove",) if settings.told else ()
         # What is always forgotten is no input.
         maps = _MAPS if settings.forget < 1 else ()
-        self.extras = (*maps, *told, *(("frames",) if settings.frames else ()))
+        self.extras = (*maps, *remove_inputs, *(("frames",) if settings.frames else ()))
         if settings.told:
             self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())
             self.films = nn.ModuleList(zeroed(nn.Linear(_TOLD, 2 * width)) for width in widths)
@@ -199,8 +199,8 @@ class SonarNet(Network):
         steps: list[Step] = [*self.encoders, self.middle]
         films: list[Tensor] = []
         if self.settings.told:
-            told = self.told(remove)
-            films = [film(told)[:, :, None, None] for film in self.films]
+            condition = self.told(remove)
+            films = [film(condition)[:, :, None, None] for film in self.films]
         if levels:
             more = [film(level) for film, level in zip(self.frames, levels, strict=True)]
             films = [a + b for a, b in zip(films, more, strict=True)] if films else more
@@ -350,8 +350,8 @@ class MapLines:
     def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
         """See `GridLines`."""
         spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
-        found: Tensor = x + added(torch.cat(spread, dim=1))
-        return found
+        total: Tensor = x + added(torch.cat(spread, dim=1))
+        return total
 
     def _spread(self, along: Tensor, numbers: Tensor) -> Tensor:
         """(N, C, beams or arcs) -> (N, C, h, w): every cell gets what its line has."""
@@ -526,7 +526,7 @@ def _step(x: Tensor, sector: Tensor, dim: int) -> Tensor:
     Of slices, which a trace follows at any size.
     """
     size = x.shape[dim] - 1
-    here = x.narrow(dim, 0, size)
-    there = x.narrow(dim, 1, size)
+    pixels = x.narrow(dim, 0, size)
+    neighbours = x.narrow(dim, 1, size)
     both = (sector.narrow(dim, 0, size) > 0) & (sector.narrow(dim, 1, size) > 0)
-    return ((there - here).square() * both).sum(dim=(1, 2, 3))
+    return ((neighbours - pixels).square() * both).sum(dim=(1, 2, 3))

@@ -85,7 +85,7 @@ def load_weights(path: str | Path) -> Trained:
     header, arrays = read_weights(path)
     try:
         network = build_network(header["model"])
-        network.load_state_dict({name: torch.from_numpy(one) for name, one in arrays.items()})
+        network.load_state_dict({name: torch.from_numpy(array) for name, array in arrays.items()})
     except (FactoryError, RuntimeError, KeyError, AttributeError, TypeError) as error:
         reason = " ".join(str(error).split())[:160]
         raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error

@@ -20,7 +20,7 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(_FOLDER.glob("*.safetensors"))}
 
 
-def find_weights(given: str | Path | None) -> Path:
+def find_weights(name_or_path: str | Path | None) -> Path:
     """The weights file that is meant: a file, the name of one that ships, or None for the default.
 
     `OWNER/NAME`, where there is no such file, is a repository of the Hugging Face Hub that holds a
@@ -28,16 +28,16 @@ def find_weights(given: str | Path | None) -> Path:
     Raises FactoryError when there is no such file.
     """
     known = shipped()
-    if given is not None and Path(given).expanduser().is_file():
-        return Path(given).expanduser()
-    name = DEFAULT if given is None else str(given)
+    if name_or_path is not None and Path(name_or_path).expanduser().is_file():
+        return Path(name_or_path).expanduser()
+    name = DEFAULT if name_or_path is None else str(name_or_path)
     if name in known:
         return known[name]
     if re.fullmatch(r"[\w.-]+/[\w.-]+", name) and not Path(name).suffix:
         return _of_hub(name)
     raise FactoryError(
-        f"weights={given}: no such file; train one with `simnfnd train dataset=DIR`; weights that "
-        f"ship: {', '.join(known)}"
+        f"weights={name_or_path}: no such file; train one with `simnfnd train dataset=DIR`; "
+        f"weights that ship: {', '.join(known)}"
     )
 
 

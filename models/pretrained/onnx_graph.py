@@ -76,14 +76,14 @@ class Graph(nn.Module):
         # Without gradients and choices of training, as tracing keeps both.
         self.requires_grad_(False).eval()
 
-    def forward(self, noisy: Tensor, *told: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, noisy: Tensor, *extras_in_order: Tensor) -> tuple[Tensor, ...]:
         """See the class."""
-        extras = dict(zip(self.inputs[1:], told, strict=True))
+        extras = dict(zip(self.inputs[1:], extras_in_order, strict=True))
         if not self.network.has_heads:
             return (self.network(noisy, **extras).clamp(0, 1),)
-        found = self.network.with_heads(noisy, **extras)
-        change = found.weight[:, None, None, None] * (found.image - noisy)
-        return (noisy + change).clamp(0, 1), found.weight
+        heads = self.network.with_heads(noisy, **extras)
+        change = heads.weight[:, None, None, None] * (heads.image - noisy)
+        return (noisy + change).clamp(0, 1), heads.weight
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
         """Speckle in a sector of 60 degrees, and the other inputs for it."""
@@ -112,24 +112,24 @@ class RuntimeGraph(Graph):
             raise FactoryError(
                 "--to runtime: is for model=sonarnet; use --to onnx for other networks"
             )
-        told = [name for name in ("frames", "remove") if name in network.extras]
-        self.inputs = ("noisy", "maps", "beams", "arcs", *told)
+        told_inputs = [name for name in ("frames", "remove") if name in network.extras]
+        self.inputs = ("noisy", "maps", "beams", "arcs", *told_inputs)
         self.outputs = ("change", "shadow_logits", "weight")
         sized = sorted({*self.inputs, *self.outputs} - {"beams", "arcs", "remove", "weight"})
         self.axes = {name: {2: "height", 3: "width"} for name in sized}
         self.axes |= {name: {1: "cells"} for name in ("beams", "arcs")}
 
-    def forward(self, noisy: Tensor, *told: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, noisy: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
         """See the class."""
-        given = dict(zip(self.inputs[1:], told, strict=True))
-        maps = given["maps"]
+        named = dict(zip(self.inputs[1:], inputs, strict=True))
+        maps = named["maps"]
         # Every second pixel: the cells of the features at half resolution.
         inside = padded(1 - maps[:, 2:], self.network.core_stride)[..., ::2, ::2] > 0
         shape = inside.shape[-2], inside.shape[-1]
-        lines = MapLines(given["beams"], given["arcs"], inside.to(noisy.dtype).flatten(2), shape)
-        remove = given.get("remove", torch.from_numpy(vector(DEFAULT))[None])
+        lines = MapLines(named["beams"], named["arcs"], inside.to(noisy.dtype).flatten(2), shape)
+        remove = named.get("remove", torch.from_numpy(vector(DEFAULT))[None])
         planes = torch.split(maps, 1, dim=1)
-        return self.network.core(remove, given.get("frames"), lines, noisy, *planes)
+        return self.network.core(remove, named.get("frames"), lines, noisy, *planes)
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
         """Speckle in a fan, a polar picture or one of unknown geometry, in turn by `seed`."""
@@ -139,8 +139,8 @@ class RuntimeGraph(Graph):
         noisy *= maps.get("sector", np.float32(1))
         if "frames" in self.inputs:
             maps["frames"] = rng.uniform(0, 3, (height, width)).astype(np.float32)
-        found = inputs_of(noisy, maps, self.network.core_stride)
-        return {name: torch.from_numpy(found[name]) for name in self.inputs}
+        inputs = inputs_of(noisy, maps, self.network.core_stride)
+        return {name: torch.from_numpy(inputs[name]) for name in self.inputs}
 
 
 def write_onnx(weights: Path, out: Path, layout: Layout | None) -> float:
@@ -171,8 +171,8 @@ def write_onnx(weights: Path, out: Path, layout: Layout | None) -> float:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     if bare:
-        given = {name: values.numpy() for name, values in graph.state_dict().items()}
-        kept = give_weights(options, given)  # noqa: F841  (the session shares their memory)
+        parameters = {name: values.numpy() for name, values in graph.state_dict().items()}
+        shared_arrays = give_weights(options, parameters)  # noqa: F841  (the session shares their memory)
     session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     difference = compared(
         graph,
@@ -234,8 +234,11 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
     for value in (*model.graph.input, *model.graph.output):
         value.doc_string = _WORDS.get(value.name, "")
     # What was traced before in this process has a part in the names of nodes and values.
-    kept = {one.name for one in (*model.graph.input, *model.graph.output, *model.graph.initializer)}
-    numbers: dict[str, str] = {name: name for name in ("", *kept)}
+    fixed_names = {
+        tensor.name
+        for tensor in (*model.graph.input, *model.graph.output, *model.graph.initializer)
+    }
+    numbers: dict[str, str] = {name: name for name in ("", *fixed_names)}
     for node in model.graph.node:
         node.name = node.doc_string = ""
         for names in (node.input, node.output):
@@ -246,11 +249,11 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
     onnx.helper.set_model_props(model, {key: str(value) for key, value in sorted(facts.items())})
     onnx.checker.check_model(model, full_check=True)
     weights = graph.state_dict().keys() if bare else ()
-    for one in model.graph.initializer:
-        if one.name in weights:  # whoever opens the file gives them by their names
-            one.ClearField("raw_data")
-            one.data_location = onnx.TensorProto.EXTERNAL
-            one.external_data.add(key="location", value="weights")
+    for tensor in model.graph.initializer:
+        if tensor.name in weights:  # whoever opens the file gives them by their names
+            tensor.ClearField("raw_data")
+            tensor.data_location = onnx.TensorProto.EXTERNAL
+            tensor.external_data.add(key="location", value="weights")
     written: bytes = model.SerializeToString(deterministic=True)
     return written
 

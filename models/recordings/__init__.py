@@ -85,16 +85,16 @@ def open_recording(path: str | Path) -> Recording:
 
     Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
     """
-    where = Path(path).expanduser()
-    if not where.exists():
+    location = Path(path).expanduser()
+    if not location.exists():
         raise FactoryError(f"{path}: no such file or folder")
-    is_array = where.suffix.lower() in (*ARRAY_SUFFIXES, *HDF5_SUFFIXES)
-    kind = kind_of(where) or ("array" if is_array else None)  # which says what it lacks
+    is_array = location.suffix.lower() in (*ARRAY_SUFFIXES, *HDF5_SUFFIXES)
+    kind = kind_of(location) or ("array" if is_array else None)  # which says what it lacks
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
     module, name = READERS[kind][0].split(":")
     if module != "sonar_files":
         require([Need(f"{path}", "cv2")])
-    recording: Recording = getattr(import_module(f".{module}", __name__), name)(where)
+    recording: Recording = getattr(import_module(f".{module}", __name__), name)(location)
     return recording

@@ -72,27 +72,27 @@ class Animation(Recording):
 
     def _open(self) -> None:
         assert self._file is not None
-        what = str(self.path)
+        name = str(self.path)
         head = self.bytes_at(0, min(self.size, 32), "its first bytes")
         whole = self._whole(head)
         if whole.count < 1:
             raise FrameError(
-                f"{what}: ends within its first frame; the file is cut short or damaged"
+                f"{name}: ends within its first frame; the file is cut short or damaged"
             )
         self._file.seek(0)
         source: IO[bytes] = self._file
         if whole.is_cut:
             source = BytesIO(_closed(self._file.read(whole.end), whole.count))
-            self.warning = f"{what}: is cut short; its {whole.count} whole frames are read"
-        with explained(f"{what}: not a readable picture"):
+            self.warning = f"{name}: is cut short; its {whole.count} whole frames are read"
+        with explained(f"{name}: not a readable picture"):
             self._image = Image.open(source, formats=("GIF", "WEBP", "PNG"))
             self.count = int(getattr(self._image, "n_frames", 1))
         width, height = self._image.size
-        ask_pixels(what, width, height)
-        ask_bytes(what, self.count * width * height * 3, self.size, streamed=True)
+        ask_pixels(name, width, height)
+        ask_bytes(name, self.count * width * height * 3, self.size, streamed=True)
         if self._image.format == "PNG" and head[24] == 16 and head[25] != 0:
             raise FrameError(
-                f"{what}: animated colours of 16 bits cannot be read; save the frames as PNG files"
+                f"{name}: animated colours of 16 bits cannot be read; save the frames as PNG files"
             )
         self.is_grey = self._image.mode in ("L", "I;16", "1")
         self.loops = int(self._image.info.get("loop", 0))
@@ -108,13 +108,13 @@ class Animation(Recording):
         raise FrameError(f"{self.path}: not a readable picture (no GIF, WebP or PNG)")
 
     def _read(self, number: int) -> Frame:
-        what = f"{self.path}: frame {number}"
+        name = f"{self.path}: frame {number}"
         try:
-            with explained(f"{what} cannot be read", passing=EOFError):
+            with explained(f"{name} cannot be read", passing=EOFError):
                 self._image.seek(number)
                 image = self._image.copy()
         except EOFError as error:
-            raise Ended(f"{what} cannot be read") from error
+            raise Ended(f"{name} cannot be read") from error
         duration_s = float(image.info.get("duration", 0) or 0) / 1000 or _USUAL_DURATION_S
         return Frame(number, _samples_of(image), duration_s=duration_s)
 

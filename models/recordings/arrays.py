@@ -84,19 +84,19 @@ class ArrayFile(Recording):
     """
 
     def _open(self) -> None:
-        found = _images_in(self.path)
-        if not found:
+        arrays = _images_in(self.path)
+        if not arrays:
             raise FrameError(
                 f"{self.path}: holds no pictures; expected (H, W), (H, W, 3), (N, H, W) or "
                 f"(N, H, W, 3), {LEAST_SIDE_PX} pixels or more on a side; save them as .npy"
             )
-        if len(found) > 1:
-            names = ", ".join([array.name for array in found][:_MOST_NAMED])
+        if len(arrays) > 1:
+            names = ", ".join([array.name for array in arrays][:_MOST_NAMED])
             raise FrameError(
                 f"{self.path}: holds several arrays of pictures ({names}); save the one that is "
                 "meant as .npy"
             )
-        (self._listed,) = found
+        (self._listed,) = arrays
         shape = self._listed.shape
         height, width = shape[:2] if self._listed.is_single else shape[1:3]
         ask_pixels(str(self.path), width, height)
@@ -115,9 +115,9 @@ class ArrayFile(Recording):
             return _load(self.path, self._listed)
 
     def _read(self, number: int) -> Frame:
-        what = f"{self.path}: picture {number + 1}" if self.count > 1 else str(self.path)
+        name = f"{self.path}: picture {number + 1}" if self.count > 1 else str(self.path)
         page = self.stored if self._listed.is_single else self.stored[number]
-        return Frame(number, as_samples(np.ascontiguousarray(swapped(page)), what))
+        return Frame(number, as_samples(np.ascontiguousarray(swapped(page)), name))
 
 
 def kind_of_array(path: Path) -> str | None:
@@ -127,12 +127,12 @@ def kind_of_array(path: Path) -> str | None:
     """
     alone = path.suffix.lower() == ARRAY_SUFFIX
     try:
-        found = _images_in(path)
+        arrays = _images_in(path)
     except FactoryError:
         return "pictures" if alone else "array"
-    if not found:
+    if not arrays:
         return None
-    return "pictures" if alone and found[0].is_single else "array"
+    return "pictures" if alone and arrays[0].is_single else "array"
 
 
 def is_table(path: Path) -> bool:
@@ -161,15 +161,15 @@ def _is_single(shape: Sequence[int]) -> bool:
 
 def _images_in(path: Path) -> list[Listed]:
     """The arrays of a file that may be images; nothing is unpacked.  Raises FactoryError."""
-    what = f"{path}: not a readable array"
-    with explained(what, reason=True, passing=FrameError):
+    problem = f"{path}: not a readable array"
+    with explained(problem, reason=True, passing=FrameError):
         try:
             listed = _listed(path, path.stat().st_mtime_ns)
         except FactoryError as error:
             if isinstance(error, FrameError):
                 raise
             reason = str(error).removeprefix(f"{path}: ")
-            raise FrameError(f"{what} ({reason})") from error
+            raise FrameError(f"{problem} ({reason})") from error
     return [array for array in listed if array.is_of_images]
 
 
@@ -186,8 +186,8 @@ def _listed(path: Path, changed_ns: int) -> list[Listed]:
     return [_array_of_numpy(path)]
 
 
-def _named(found: list[list[Any]]) -> list[Listed]:
-    return [Listed(name, tuple(shape), np.dtype(kind)) for name, shape, kind in found]
+def _named(rows: list[list[Any]]) -> list[Listed]:
+    return [Listed(name, tuple(shape), np.dtype(kind)) for name, shape, kind in rows]
 
 
 # --- NumPy ----------------------------------------------------------------------------------------
@@ -197,8 +197,8 @@ def _array_of_numpy(path: Path) -> Listed:
     """The array of a .npy file; of one that is cut short, the whole images."""
     with path.open("rb") as file:
         shape, is_fortran, dtype = _numpy_header(file)
-        there = path.stat().st_size - file.tell()
-    return _whole_part(path, "", (shape, is_fortran, dtype), there)
+        data_bytes = path.stat().st_size - file.tell()
+    return _whole_part(path, "", (shape, is_fortran, dtype), data_bytes)
 
 
 def _numpy_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -212,17 +212,17 @@ def _numpy_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]
 
 
 def _whole_part(
-    path: Path, name: str, header: tuple[tuple[int, ...], bool, np.dtype[Any]], there: int
+    path: Path, name: str, header: tuple[tuple[int, ...], bool, np.dtype[Any]], data_bytes: int
 ) -> Listed:
     """The array, of which so many bytes are there.  Raises FrameError where no image is whole."""
     shape, is_fortran, dtype = header
-    if there >= math.prod(shape) * dtype.itemsize:
+    if data_bytes >= math.prod(shape) * dtype.itemsize:
         return Listed(name, shape, dtype)
     image_bytes = max(math.prod(shape[1:]) * dtype.itemsize, 1)
-    parts = there // image_bytes
+    parts = data_bytes // image_bytes
     if is_fortran or _is_single(shape) or len(shape) < 3 or parts < 1:
         raise FrameError(
-            f"{path}: not a readable array: it is cut short ({max(there, 0):,} of "
+            f"{path}: not a readable array: it is cut short ({max(data_bytes, 0):,} of "
             f"{math.prod(shape) * dtype.itemsize:,} bytes) before its first whole picture"
         )
     return Listed(name, (parts, *shape[1:]), dtype, parts)
@@ -281,12 +281,12 @@ def _first_member(path: Path) -> Listed:
     with path.open("rb") as file:
         name, stream = _open_first_member(file)
         header = _numpy_header(stream)  # type: ignore[arg-type]
-        there = 0
+        read_bytes = 0
         needed = math.prod(header[0]) * header[2].itemsize
         ask_bytes(str(path), needed, path.stat().st_size)
-        while there < needed and (piece := stream.read(1 << 20)):
-            there += len(piece)
-    return _whole_part(path, name.removesuffix(ARRAY_SUFFIX), header, min(there, needed))
+        while read_bytes < needed and (piece := stream.read(1 << 20)):
+            read_bytes += len(piece)
+    return _whole_part(path, name.removesuffix(ARRAY_SUFFIX), header, min(read_bytes, needed))
 
 
 # --- MATLAB and HDF5 ------------------------------------------------------------------------------
@@ -321,15 +321,15 @@ def list_matlab(path: str) -> list[list[Any]]:
         variables = scipy.io.whosmat(path)
     except Exception as error:  # SciPy raises nearly anything for damaged files
         raise FactoryError(f"{type(error).__name__}: {error}") from error
-    found = [
+    rows = [
         [name, _stacked(shape), _MATLAB[kind]] for name, shape, kind in variables if kind in _MATLAB
     ]
     nested = [name for name, _, kind in variables if kind in ("struct", "cell")]
     if nested:
         loaded = scipy.io.loadmat(path, squeeze_me=True, variable_names=nested)
         for name in nested:
-            found += list(_list_nested(loaded[name], name, 0))
-    return found
+            rows += list(_list_nested(loaded[name], name, 0))
+    return rows
 
 
 def _list_nested(value: Any, name: str, depth: int) -> Iterator[list[Any]]:
@@ -375,7 +375,7 @@ def list_hdf5(path: str, is_matlab: bool) -> list[list[Any]]:
     """
     import h5py
 
-    found: list[list[Any]] = []
+    rows: list[list[Any]] = []
 
     def visit(name: str, item: Any) -> None:
         if (
@@ -388,14 +388,14 @@ def list_hdf5(path: str, is_matlab: bool) -> list[list[Any]]:
         if is_matlab and (kind.decode() if isinstance(kind, bytes) else str(kind)) not in _MATLAB:
             return
         shape = _stacked(item.shape[::-1]) if is_matlab else [int(size) for size in item.shape]
-        found.append([name, shape, item.dtype.str])
+        rows.append([name, shape, item.dtype.str])
 
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
     except OSError as error:
         raise FactoryError(f"{error}") from error
-    return found
+    return rows
 
 
 def is_shard(path: str) -> bool:

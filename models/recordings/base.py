@@ -179,7 +179,7 @@ class Recording(ABC):
     def __del__(self) -> None:
         self.close()
 
-    def bytes_at(self, offset: int, count: int, what: str) -> bytes:
+    def bytes_at(self, offset: int, count: int, part: str) -> bytes:
         """`count` bytes of the file.  Raises FrameError when it ends before."""
         content = b""
         if self._file is not None and 0 <= offset <= self.size - count:
@@ -189,20 +189,20 @@ class Recording(ABC):
             except OSError as error:
                 raise FrameError(f"{self.path}: cannot be read ({error.strerror})") from error
         if len(content) != count:
-            raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
+            raise FrameError(f"{self.path}: ends within {part}; the file is cut short or damaged")
         return content
 
-    def record_at(self, offset: int, layout: np.dtype[Any], what: str) -> np.void:
+    def record_at(self, offset: int, layout: np.dtype[Any], part: str) -> np.void:
         """The header of this layout.  Raises FrameError when the file ends before."""
-        content = self.bytes_at(offset, layout.itemsize, what)
+        content = self.bytes_at(offset, layout.itemsize, part)
         record: np.void = np.frombuffer(content, layout)[0]
         return record
 
-    def within(self, what: str, value: float, least: float, most: float) -> float:
+    def within(self, quantity: str, value: float, least: float, most: float) -> float:
         """`value`.  Raises FrameError unless it is a number from `least` to `most`."""
         if not least <= value <= most:
             raise FrameError(
-                f"{self.path}: {what} is {value:g}, which cannot be ({least:g} to {most:g}); "
+                f"{self.path}: {quantity} is {value:g}, which cannot be ({least:g} to {most:g}); "
                 "the file is damaged or of another kind"
             )
         return value
@@ -225,11 +225,11 @@ def explained(
     except passing:
         raise
     except Exception as error:
-        told = " ".join(str(error).split())[:120] or type(error).__name__
-        raise FrameError(f"{words} ({told})" if reason else words) from error
+        reason_text = " ".join(str(error).split())[:120] or type(error).__name__
+        raise FrameError(f"{words} ({reason_text})" if reason else words) from error
 
 
-def ask_bytes(what: str, needed: int, size: int, *, streamed: bool = False) -> None:
+def ask_bytes(name: str, needed: int, size: int, *, streamed: bool = False) -> None:
     """Raise FrameError where a file of `size` bytes unpacks to more than it may.
 
     needed: bytes, in memory at once; streamed: read piece by piece.
@@ -238,16 +238,16 @@ def ask_bytes(what: str, needed: int, size: int, *, streamed: bool = False) -> N
     most = most if streamed else min(MOST_BYTES, most)
     if needed > most:
         raise FrameError(
-            f"{what}: unpacks to {needed:,} bytes or more, at most {most:,} are read ({RATIO} "
+            f"{name}: unpacks to {needed:,} bytes or more, at most {most:,} are read ({RATIO} "
             f"times the file's size, {MOST_BYTES >> 30} GiB at once); if it is sound, save it "
             "uncompressed or in parts"
         )
 
 
-def ask_pixels(what: str, width: float, height: float) -> None:
+def ask_pixels(name: str, width: float, height: float) -> None:
     """Raise FrameError for a picture of more than `MOST_PIXELS`."""
     if width * height > MOST_PIXELS:
-        raise FrameError(f"{what}: {width:.0f} x {height:.0f} pixels are {TOO_LARGE}")
+        raise FrameError(f"{name}: {width:.0f} x {height:.0f} pixels are {TOO_LARGE}")
 
 
 def swapped(picture: Samples) -> Samples:
@@ -268,19 +268,19 @@ def untinted(image: Samples) -> Samples:
     return np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
-def as_samples(page: Samples, what: str) -> Samples:
+def as_samples(page: Samples, name: str) -> Samples:
     """A page whose numbers are grey values as they are: uint8, uint16, or floats as float32.
 
-    what: names it in errors.  Raises FrameError for other dtypes, NaN and floats outside 0..1.
+    name: names it in errors.  Raises FrameError for other dtypes, NaN and floats outside 0..1.
     """
     if page.dtype.kind == "f":
         with np.errstate(over="ignore"):  # infinite: outside 0..1
             page = page.astype(np.float32)
     if str(page.dtype) not in FULL_SCALE:
-        raise FrameError(f"{what}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}")
+        raise FrameError(f"{name}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}")
     if page.dtype == np.float32 and not (page.min() >= 0 and page.max() <= 1):
         raise FrameError(
-            f"{what}: floats must be grey values from 0 to 1, these are {page.min():g} to "
+            f"{name}: floats must be grey values from 0 to 1, these are {page.min():g} to "
             f"{page.max():g}; scale them (of echoes in linear units the logarithm)"
         )
     return page

@@ -50,13 +50,13 @@ class CutBag:
 
     def open(self) -> None:
         """Counts the whole messages.  May raise nearly anything."""
-        found: dict[int, Connection] = {}
+        connections: dict[int, Connection] = {}
         counts: dict[int, int] = {}
-        for message in self._messages(found):
+        for message in self._messages(connections):
             counts[message.connection] = counts.get(message.connection, 0) + 1
         self.connections = [
             connection._replace(msgcount=counts[number])
-            for number, connection in found.items()
+            for number, connection in connections.items()
             if number in counts
         ]
 
@@ -72,30 +72,30 @@ class CutBag:
     def close(self) -> None:
         """Nothing stays open."""
 
-    def _messages(self, found: dict[int, Connection]) -> Iterator[Message]:
-        """All whole messages; `found` gets the connections on the way."""
+    def _messages(self, connections: dict[int, Connection]) -> Iterator[Message]:
+        """All whole messages; `connections` gets the connections on the way."""
         with self._path.open("rb") as file:
             magic = file.read(len(_BAG_MAGIC))
             if magic == _BAG_MAGIC:
-                yield from _messages_of_bag(file, found)
+                yield from _messages_of_bag(file, connections)
             elif magic.startswith(_MCAP_MAGIC):
                 file.seek(len(_MCAP_MAGIC))
-                yield from _messages_of_mcap(file, found, {})
+                yield from _messages_of_mcap(file, connections, {})
 
 
-def _messages_of_bag(file: IO[bytes], found: dict[int, Connection]) -> Iterator[Message]:
+def _messages_of_bag(file: IO[bytes], connections: dict[int, Connection]) -> Iterator[Message]:
     while (header := _fields_at(file)) is not None:
         content, is_whole = _sized(file, 4)
         kind = header.get("op", b"\0")[0]
         if kind == _CHUNK:
             compression = header.get("compression", b"none").decode()
-            yield from _messages_of_bag(BytesIO(_unpacked(content, compression)), found)
+            yield from _messages_of_bag(BytesIO(_unpacked(content, compression)), connections)
         if not is_whole:
             return
         number = int.from_bytes(header.get("conn", b""), "little")
         if kind == _CONNECTION:
             about = _fields_of(content)
-            found.setdefault(number, _bag_connection(number, header | about))
+            connections.setdefault(number, _bag_connection(number, header | about))
         elif kind == _MESSAGE:
             seconds, nanoseconds = struct.unpack("<2I", header["time"])
             yield Message(number, seconds * 1_000_000_000 + nanoseconds, content)
@@ -148,19 +148,19 @@ def _bag_connection(number: int, fields: dict[str, bytes]) -> Connection:
 
 
 def _messages_of_mcap(
-    file: IO[bytes], found: dict[int, Connection], schemas: dict[int, Any]
+    file: IO[bytes], connections: dict[int, Connection], schemas: dict[int, Any]
 ) -> Iterator[Message]:
     while kind := file.read(1):
         content, is_whole = _sized(file, 8)
         if kind[0] == _MCAP_CHUNK:
             records = _records_of_chunk(content)
-            yield from _messages_of_mcap(BytesIO(records), found, schemas)
+            yield from _messages_of_mcap(BytesIO(records), connections, schemas)
         if not is_whole:
             return
         if kind[0] == _MCAP_SCHEMA:
             _add_schema(content, schemas)
         elif kind[0] == _MCAP_CHANNEL:
-            _add_channel(content, schemas, found)
+            _add_channel(content, schemas, connections)
         elif kind[0] == _MCAP_MESSAGE and len(content) >= 22:
             channel, _, time_ns, _ = struct.unpack_from("<HIQQ", content)
             yield Message(channel, time_ns, content[22:])
@@ -183,7 +183,9 @@ def _add_schema(content: bytes, schemas: dict[int, Any]) -> None:
     schemas[number] = Schema(number, name, encoding, data)
 
 
-def _add_channel(content: bytes, schemas: dict[int, Any], found: dict[int, Connection]) -> None:
+def _add_channel(
+    content: bytes, schemas: dict[int, Any], connections: dict[int, Connection]
+) -> None:
     from rosbags.interfaces import Connection, ConnectionExtRosbag2
     from rosbags.rosbag2.storage_mcap import get_msgdef, get_qos
 
@@ -191,11 +193,11 @@ def _add_channel(content: bytes, schemas: dict[int, Any], found: dict[int, Conne
     stream = BytesIO(content[4:])
     topic, encoding, metadata = (_sized(stream, 4)[0] for _ in range(3))
     schema = schemas.get(schema_number)
-    if number in found or schema is None:
+    if number in connections or schema is None:
         return
     extension = ConnectionExtRosbag2(encoding.decode(), get_qos(metadata))
     definition = get_msgdef(schema)
-    found[number] = Connection(
+    connections[number] = Connection(
         number, topic.decode(), schema.name, definition, "", 0, extension, None
     )
 

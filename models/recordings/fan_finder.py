@@ -61,9 +61,9 @@ def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
             continue
         for turns in (0, 2, 1, 3):
             sure = _SURE_ODD if turns or spread else _SURE
-            found = _find_upright(np.ascontiguousarray(np.rot90(shown, turns)), sure)
-            if found is not None:
-                geometry = found.turned_back(turns, *grey.shape)
+            upright = _find_upright(np.ascontiguousarray(np.rot90(shown, turns)), sure)
+            if upright is not None:
+                geometry = upright.turned_back(turns, *grey.shape)
                 if not turns or geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
                     return geometry
     return _find_drawn(grey)
@@ -92,16 +92,21 @@ def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
     lit = grey > black
     apex_x, apex_y, far, near_px, *tangents, squeeze = sector
     first, last = map(math.atan, tangents)
-    half = max(-first, last)
-    other = min(-first, last)
-    if not _LEAST_HALF_DEG <= math.degrees(other) <= math.degrees(half) <= _MOST_HALF_DEG:
+    wider_half = max(-first, last)
+    other_half = min(-first, last)
+    if (
+        not _LEAST_HALF_DEG
+        <= math.degrees(other_half)
+        <= math.degrees(wider_half)
+        <= _MOST_HALF_DEG
+    ):
         return None
     if abs(math.log(squeeze)) > math.log(_SURE_SQUEEZE):
         return None
     if (lit & (_inside(sector, *grey.shape) == 0)).mean() > _MOST_OUTSIDE:
         return None
     place = {"apex_x_px": apex_x, "apex_y_px": apex_y, "near_px": near_px, "far_px": far}
-    fan = FanGeometry.fan(2 * half, **place, x_scale=squeeze)
+    fan = FanGeometry.fan(2 * wider_half, **place, x_scale=squeeze)
     geometry = replace(fan, azimuth_min_rad=first, azimuth_max_rad=last)
     if _confidence(lit, geometry) < sure:
         return None
@@ -146,13 +151,13 @@ def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
 
     Both edges and the far arc, in equal parts: a fan whose outline is half in the dark has 0.5.
     """
-    seen = []
+    ends_here = []
     for just_inside, just_outside in _outline_sides(fan):
         # Outside the picture all is black, and inside there must be something.
         inner = _lit_share(lit, *fan.pixels(*just_inside))
         outer = _lit_share(lit, *fan.pixels(*just_outside))
-        seen.append((inner > 0.1) & (outer < 0.35 * inner))
-    return float(np.mean(seen))
+        ends_here.append((inner > 0.1) & (outer < 0.35 * inner))
+    return float(np.mean(ends_here))
 
 
 class _Places(NamedTuple):
@@ -203,8 +208,8 @@ def _indices(fan: FanGeometry, places: _Places, height: int, width: int) -> npt.
 
 def _lit_share(lit: npt.NDArray[np.bool_], row: Numbers, column: Numbers) -> Numbers:
     """(_PIECES,) share of lit pixels of each piece of the outline; 0 outside the picture."""
-    hit, there = (found.reshape(_PIECES, -1).sum(axis=1) for found in _at(lit, row, column))
-    return np.asarray(hit / np.maximum(there, 1))
+    hit, inside = (counts.reshape(_PIECES, -1).sum(axis=1) for counts in _at(lit, row, column))
+    return np.asarray(hit / np.maximum(inside, 1))
 
 
 def _at(
@@ -213,8 +218,8 @@ def _at(
     """Values of the nearest pixels of (H, W), 0 outside it, and where it is not outside."""
     height, width = values.shape
     row, column = np.broadcast_arrays(np.rint(row).astype(int), np.rint(column).astype(int))
-    there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    return there * values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], there
+    is_inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    return is_inside * values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], is_inside
 
 
 def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
@@ -287,7 +292,7 @@ def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, floa
         return None
     rows = np.flatnonzero(part.any(axis=1))
     last_column = part.shape[1] - 1
-    left, mirrored = (_edge(rows, one.argmax(axis=1)) for one in (part[rows], part[rows, ::-1]))
+    left, mirrored = (_edge(rows, mask.argmax(axis=1)) for mask in (part[rows], part[rows, ::-1]))
     if left is None or mirrored is None or left[0] + mirrored[0] <= 1e-3:
         return None
     right = np.array([-mirrored[0], last_column - mirrored[1]])
@@ -381,8 +386,8 @@ class _Likelihood:
         which is smoother and draws the outline outward.
         """
         columns = np.arange(step // 2, self._width, step)
-        found = np.empty((2, 2, len(sectors), len(columns)))
-        rows, lit = found
+        borders = np.empty((2, 2, len(sectors), len(columns)))
+        rows, lit = borders
         # Pixel r reaches from r - 0.5 to r + 0.5.
         np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
         if whole:
@@ -393,22 +398,22 @@ class _Likelihood:
         at = rows.astype(np.int64)
         part = rows - at
         at = at * self._width + columns
-        here = self._above.take(at)
-        lit[:] = part * (self._above.take(at + self._width) - here) + here
+        above = self._above.take(at)
+        lit[:] = part * (self._above.take(at + self._width) - above) + above
         # One after the other, so that the sums do not depend on how NumPy splits them.
-        sums: Numbers = (found[:, 1] - found[:, 0]).cumsum(axis=-1)[..., -1]
+        sums: Numbers = (borders[:, 1] - borders[:, 0]).cumsum(axis=-1)[..., -1]
         return sums
 
     def costs(self, outlines: Sequence[Sequence[float]], whole: bool = False) -> Numbers:
         """Minus the logarithms of their likelihoods, but for a constant."""
         sectors = [_sector(outline, self._rows) for outline in outlines]
-        there = [sector for sector in sectors if sector is not None]
+        valid = [sector for sector in sectors if sector is not None]
         costs = np.full(len(sectors), _NONE)
-        if there:
+        if valid:
             step = max(1, self._width // 400)
-            area, lit = self.inside(there, step, whole)
-            found = (self._price * (area - lit) - self._gain * lit) * step
-            costs[[sector is not None for sector in sectors]] = found
+            area, lit = self.inside(valid, step, whole)
+            valid_costs = (self._price * (area - lit) - self._gain * lit) * step
+            costs[[sector is not None for sector in sectors]] = valid_costs
         return costs
 
     def improve(self, outline: Numbers, size_px: float, squeezed: bool) -> Numbers:
@@ -558,9 +563,9 @@ def _find_drawn(grey: Bytes) -> FanGeometry | None:
     if lines.mean() > 0.05:  # where more is thin and bright, it is speckle
         return None
     # A fifth of the width or longer; there may be 12 pixels between the sonar and where one begins.
-    found = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, 0.2 * width, 12.0)
+    segments = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, 0.2 * width, 12.0)
     sides: tuple[list[tuple[float, ...]], ...] = [], []
-    for x1, y1, x2, y2 in () if found is None else found.reshape(-1, 4).astype(float):
+    for x1, y1, x2, y2 in () if segments is None else segments.reshape(-1, 4).astype(float):
         slope = math.degrees(math.atan2(y2 - y1, x2 - x1))  # x1 <= x2
         if _LEAST_DEG <= abs(slope) <= _MOST_DEG:
             sides[slope < 0].append((math.hypot(x2 - x1, y2 - y1), slope, x1, y1))
@@ -585,12 +590,12 @@ def _farthest_arc(lines: npt.NDArray[Any], x: float, y: float, half: float) -> f
     height, width = lines.shape
     bearings = np.linspace(-half, half, 720)[10:-10]
     radii = np.arange(height / 4, math.hypot(width, height))[:, None]
-    lit, there = _at(
+    lit, is_inside = _at(
         cv2.dilate(lines, np.ones((3, 3), np.uint8)),
         y - radii * np.cos(bearings),
         x + radii * np.sin(bearings),
     )
-    count = there.sum(axis=1)
+    count = is_inside.sum(axis=1)
     share = np.where(count >= 180, lit.sum(axis=1) / np.maximum(count, 1), 0)
     arcs = np.flatnonzero(share >= _ARC_SHARE)
     return float(radii[arcs[-1], 0]) if len(arcs) else None

@@ -39,7 +39,7 @@ _LONGEST_PAUSE = 32  # frames between two searches where none finds a fan
 
 
 @dataclass
-class _Seen:
+class _TrackedFan:
     """A fan with what its outline looked like.
 
     inner, outer: indices of pixels beside the outline, (3, pieces, samples).
@@ -61,13 +61,13 @@ class _Seen:
 class FanTracker:
     """Follows the fan through images of one size.
 
-    searched: in how many images it was searched.  found: in how many of them it was there.
+    searched: in how many images it was searched.  fans_found: in how many of them it was there.
     changes: how often it was another one than before.
     """
 
     def __init__(self) -> None:
-        self.searched = self.found = self.changes = 0
-        self._seen: _Seen | None = None
+        self.searched = self.fans_found = self.changes = 0
+        self._fan: _TrackedFan | None = None
         self._is_away = False
         self._pause = self._waited = 0
         self._before: Bytes | None = None
@@ -78,38 +78,38 @@ class FanTracker:
         """The fan of the next image, (H, W) or (H, W, colours); None where it shows none."""
         grey = grey_bytes(image)
         self._look(grey)
-        seen = self._seen
-        if seen is not None:
-            if _is_kept(seen, grey):
+        fan = self._fan
+        if fan is not None:
+            if _is_kept(fan, grey):
                 self._is_away = False
-                return seen.geometry
-            if _is_dark(seen, grey):
-                return None if self._is_away else seen.geometry
-        if (seen is None or self._is_away) and not self._is_due():
+                return fan.geometry
+            if _is_dark(fan, grey):
+                return None if self._is_away else fan.geometry
+        if (fan is None or self._is_away) and not self._is_due():
             return None
         return self._searched(image, grey)
 
     def _searched(self, image: npt.NDArray[Any], grey: Bytes) -> FanGeometry | None:
         geometry = find_geometry(image)
         self.searched += 1
-        seen = self._seen
+        fan = self._fan
         if geometry is None:
             self._pause = min(2 * self._pause + 1, _LONGEST_PAUSE)
             self._waited = 0
-            if seen is None or _shows_other(seen, grey):
+            if fan is None or _shows_other(fan, grey):
                 self._is_away = True
                 return None
             # Nothing is around it: parts of its outline are in the dark, no more.
-            seen.shares = np.minimum(seen.shares, _shares(seen, grey))
-            return seen.geometry
-        self.found += 1
+            fan.shares = np.minimum(fan.shares, _shares(fan, grey))
+            return fan.geometry
+        self.fans_found += 1
         self._is_away = False
         self._pause = 0
-        if seen is not None and _is_same(seen.geometry, geometry):
-            seen.shares = np.minimum(seen.shares, _shares(seen, grey))
-            return seen.geometry
-        self.changes += seen is not None
-        self._seen = _seen(geometry, grey)
+        if fan is not None and _is_same(fan.geometry, geometry):
+            fan.shares = np.minimum(fan.shares, _shares(fan, grey))
+            return fan.geometry
+        self.changes += fan is not None
+        self._fan = _fan_of(geometry, grey)
         return geometry
 
     def _is_due(self) -> bool:
@@ -132,72 +132,74 @@ class FanTracker:
         self._usual_change = usual + _SHARE_OF_NEWEST * (change - usual)
 
 
-def _seen(geometry: FanGeometry, grey: Bytes) -> _Seen:
+def _fan_of(geometry: FanGeometry, grey: Bytes) -> _TrackedFan:
     inner, outer = outline_pixels(geometry, *grey.shape)
     beside = grey.ravel()[outer[outer >= 0]].astype(np.float64)
     ground = float(np.median(beside)) if beside.size else 0.0
     spread = float(np.quantile(np.abs(beside - ground), 0.9)) if beside.size else 0.0
     sector = geometry.maps(0, 0, *grey.shape)["sector"] > 0
     spread = max(spread, _LEAST_SPREAD)
-    seen = _Seen(geometry, inner, outer, sector, ground, spread, np.zeros(3), 0.0, 0.0)
-    seen.shares = _shares(seen, grey)
-    seen.inside = _inside_of(seen, grey)
-    seen.outside = _outside_of(seen, grey)
-    return seen
+    fan = _TrackedFan(geometry, inner, outer, sector, ground, spread, np.zeros(3), 0.0, 0.0)
+    fan.shares = _shares(fan, grey)
+    fan.inside = _inside_of(fan, grey)
+    fan.outside = _outside_of(fan, grey)
+    return fan
 
 
-def _is_lit(seen: _Seen, grey: Bytes) -> npt.NDArray[np.bool_]:
-    return np.asarray(np.abs(grey.astype(np.float32) - np.float32(seen.ground)) > seen.spread)
+def _is_lit(fan: _TrackedFan, grey: Bytes) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.abs(grey.astype(np.float32) - np.float32(fan.ground)) > fan.spread)
 
 
-def _shares(seen: _Seen, grey: Bytes) -> Shares:
+def _shares(fan: _TrackedFan, grey: Bytes) -> Shares:
     """(3,) part of the left edge, the right edge and the far arc at which the fan ends."""
-    lit = _is_lit(seen, grey).ravel()
+    lit = _is_lit(fan, grey).ravel()
 
     def lit_share(indices: npt.NDArray[np.intp]) -> Shares:
         within = indices >= 0
         count = np.maximum(within.sum(axis=2), 1)
         return np.asarray((lit[indices] & within).sum(axis=2) / count, np.float64)
 
-    inner = lit_share(seen.inner)
-    outer = lit_share(seen.outer)
+    inner = lit_share(fan.inner)
+    outer = lit_share(fan.outer)
     ends = (inner > _LEAST_INNER) & (outer < _OUTER_OF_INNER * inner)
     return np.asarray(ends.mean(axis=1), np.float64)
 
 
-def _outside_of(seen: _Seen, grey: Bytes) -> float:
-    return float((_is_lit(seen, grey) & ~seen.sector).mean())
+def _outside_of(fan: _TrackedFan, grey: Bytes) -> float:
+    return float((_is_lit(fan, grey) & ~fan.sector).mean())
 
 
-def _inside_of(seen: _Seen, grey: Bytes) -> float:
-    return float((_is_lit(seen, grey) & seen.sector).mean())
+def _inside_of(fan: _TrackedFan, grey: Bytes) -> float:
+    return float((_is_lit(fan, grey) & fan.sector).mean())
 
 
-def _shows_other(seen: _Seen, grey: Bytes) -> bool:
+def _shows_other(fan: _TrackedFan, grey: Bytes) -> bool:
     """Whether an image in which no fan is found shows a title or a menu, not a fan in the dark."""
-    more_outside = _outside_of(seen, grey) > seen.outside + _MORE_OUTSIDE
-    return more_outside or _inside_of(seen, grey) < _LEAST_INSIDE * seen.inside
+    more_outside = _outside_of(fan, grey) > fan.outside + _MORE_OUTSIDE
+    return more_outside or _inside_of(fan, grey) < _LEAST_INSIDE * fan.inside
 
 
-def _is_kept(seen: _Seen, grey: Bytes) -> bool:
-    return bool((_shares(seen, grey) >= _KEPT_SHARE * seen.shares).all())
+def _is_kept(fan: _TrackedFan, grey: Bytes) -> bool:
+    return bool((_shares(fan, grey) >= _KEPT_SHARE * fan.shares).all())
 
 
-def _is_dark(seen: _Seen, grey: Bytes) -> bool:
+def _is_dark(fan: _TrackedFan, grey: Bytes) -> bool:
     """Whether an image shows nothing at all, such as one between two recordings."""
-    return not bool(_is_lit(seen, grey).mean() > 0.001)
+    return not bool(_is_lit(fan, grey).mean() > 0.001)
 
 
-def _is_same(geometry: FanGeometry, other: FanGeometry) -> bool:
+def _is_same(geometry: FanGeometry, reference: FanGeometry) -> bool:
     """Whether two fans are one, as exactly as fans are found."""
-    if geometry.quarter_turns != other.quarter_turns:
+    if geometry.quarter_turns != reference.quarter_turns:
         return False
     near_px = max(_SAME_PX, _SAME_SHARE * geometry.far_px)
     lengths = ("apex_x_px", "apex_y_px", "far_px")
     angles = ("azimuth_min_rad", "azimuth_max_rad")
     return all(
-        abs(getattr(geometry, name) - getattr(other, name)) <= near_px for name in lengths
-    ) and all(abs(getattr(geometry, name) - getattr(other, name)) <= _SAME_RAD for name in angles)
+        abs(getattr(geometry, name) - getattr(reference, name)) <= near_px for name in lengths
+    ) and all(
+        abs(getattr(geometry, name) - getattr(reference, name)) <= _SAME_RAD for name in angles
+    )
 
 
 def _thumbnail(grey: Bytes) -> Bytes:

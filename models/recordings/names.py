@@ -54,11 +54,11 @@ def sequences_of(names: Sequence[str]) -> list[list[int]]:
         suffix = PurePath(name).suffix
         texts = tuple(_NUMBER.split(name.removesuffix(suffix) + suffix.lower())[::2])
         patterns[texts].append(index)
-    found: list[list[int]] = []
+    sequences: list[list[int]] = []
     for pattern, indices in patterns.items():
         rows = [_Row(index, names[index], tuple(_digits(names[index]))) for index in indices]
-        found += [[row.index for row in sequence] for sequence in _split(pattern, rows)]
-    return sorted(found, key=lambda sequence: natural_key(names[sequence[0]]))
+        sequences += [[row.index for row in sequence] for sequence in _split(pattern, rows)]
+    return sorted(sequences, key=lambda sequence: natural_key(names[sequence[0]]))
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def _counter_of(rows: list[_Row], varying: list[int]) -> int:
     for place in reversed(range(len(varying))):
         before = varying[:place]
         field = varying[place]
-        groups = {tuple(row.number(other) for other in before) for row in rows}
+        groups = {tuple(row.number(earlier) for earlier in before) for row in rows}
         if len(rows) >= 2 * len(groups) and _is_distinct(rows, [*before, field]):
             return field
     return varying[-1]
@@ -179,20 +179,20 @@ def _readings(
     pattern: tuple[str, ...], widths: list[set[int]], first: int
 ) -> list[tuple[int, _Reading]]:
     """How many numbers from `first` on may be a time stamp, and what reads them as seconds."""
-    found: list[tuple[int, _Reading]] = []
+    readings: list[tuple[int, _Reading]] = []
     if len(widths[first]) == 1 and min(widths[first]) in _EPOCH_UNITS:
-        found.append((1, _seconds_of_epoch))
+        readings.append((1, _seconds_of_epoch))
     for date in _DATE_WIDTHS:
         if widths[first : first + len(date)] == [{width} for width in date]:
-            found.append((len(date), _seconds_of_date))
+            readings.append((len(date), _seconds_of_date))
     between = pattern[first + 1 : first + 3]
     is_clock = widths[first : first + 3] == [{2}, {2}, {2}]
     if is_clock and all(mark in _CLOCK_MARKS for mark in between):
-        found.append((3, _seconds_of_clock))
+        readings.append((3, _seconds_of_clock))
     has_fraction = first + 1 < len(widths) and pattern[first + 1] in _FRACTION_MARKS
     if widths[first] == {6} and has_fraction:
-        found.append((1, _seconds_of_clock))
-    return found
+        readings.append((1, _seconds_of_clock))
+    return readings
 
 
 def _seconds_of_epoch(digits: Sequence[str]) -> float | None:
@@ -233,7 +233,7 @@ def _by_stamp(
             numbers[0] = float(row.digits[last + 1].ljust(_NANOSECOND_DIGITS, "0"))
         return stamp.seconds[row.index], *numbers
 
-    found: list[list[_Row]] = []
+    sequences: list[list[_Row]] = []
     groups = _grouped(rows, lambda row: tuple(row.number(field) for field in before))
     if 2 * len(groups) > len(rows):  # a number that counts frames, before the stamp
         groups = [rows]
@@ -241,8 +241,8 @@ def _by_stamp(
         parts = [group]
         if behind and pattern[last + 1] not in _FRACTION_MARKS:
             parts = _apart_by_start(group, stamp, last + 1)
-        found += [_sorted(part, moment) for part in parts]
-    return found
+        sequences += [_sorted(part, moment) for part in parts]
+    return sequences
 
 
 def _is_decimal(mark: str, rows: list[_Row], field: int) -> bool:

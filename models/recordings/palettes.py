@@ -131,12 +131,12 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     if (flat == flat[:, :1]).all() or not (flat.min() >= 0 and flat.max() <= full):
         return None
     codes = _codes(flat)
-    seen = _foreground(codes.reshape(picture.shape[:2]))
-    if len(seen) < _LEAST:
+    foreground = _foreground(codes.reshape(picture.shape[:2]))
+    if len(foreground) < _LEAST:
         return None
     # What is known of another map ends with the brightest colour of that picture.
-    kept = before is not None and before.name != SUM and _fits(before, seen, _NEAR)
-    palette = before if kept else _palette_of(seen)
+    is_kept = before is not None and before.name != SUM and _fits(before, foreground, _NEAR)
+    palette = before if is_kept else _palette_of(foreground)
     if palette is None:
         return None
     # Few colours stand for many pixels.
@@ -155,9 +155,9 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     # would see black ones.
     unknown = (~known).astype(np.uint8)
     wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones(size, np.uint8))
-    there = cv2.blur(known.astype(np.float32), size)
-    means = cv2.blur(levels * known, size) / np.maximum(there, np.float32(1e-6))
-    drawn = (unknown > wide) & (there > 0)
+    share_known = cv2.blur(known.astype(np.float32), size)
+    means = cv2.blur(levels * known, size) / np.maximum(share_known, np.float32(1e-6))
+    drawn = (unknown > wide) & (share_known > 0)
     # Where JPEG or a video mixed the colours specks are levels like others, else somebody drew.
     if float((misses[place] > _MIXED).mean()) > _MIXED_SHARE:
         _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
@@ -173,45 +173,49 @@ def grey_of_colours(picture: Samples) -> Levels:
     scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
     if picture.shape[2] < 3 or (picture[..., :3] == picture[..., :1]).all():
         return np.ascontiguousarray(scaled[..., 0])
-    found = find_painted(picture)
-    if found is not None:
-        return found.levels
+    painted = find_painted(picture)
+    if painted is not None:
+        return painted.levels
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(scaled[..., :3]), cv2.COLOR_BGR2GRAY))
 
 
-def _palette_of(seen: Colours) -> Palette | None:
+def _palette_of(colours: Colours) -> Palette | None:
     """The map that fits best; a known one where another fits hardly better."""
-    drawn_over = _exact(seen)
+    drawn_over = _exact(colours)
     if drawn_over is not None:
         return drawn_over
-    own = _by_sums(seen)
-    fit = {one: one.misses(seen).mean() for one in (*_known(), own) if _fits(one, seen, _NEAR)}
+    own = _by_sums(colours)
+    fit = {
+        palette: palette.misses(colours).mean()
+        for palette in (*_known(), own)
+        if _fits(palette, colours, _NEAR)
+    }
     # JPEG of half the quality lies 9 beside a map on average, a murky photograph 14.
-    for one in () if fit else _known():
-        if _fits(one, seen, _BLURRED) and (miss := one.misses(seen).mean()) <= _NEAR:
-            fit[one] = miss
-    return min(fit, key=lambda one: fit[one] + (one is own), default=None)
+    for palette in () if fit else _known():
+        if _fits(palette, colours, _BLURRED) and (miss := palette.misses(colours).mean()) <= _NEAR:
+            fit[palette] = miss
+    return min(fit, key=lambda palette: fit[palette] + (palette is own), default=None)
 
 
-def _exact(seen: Colours) -> Palette | None:
+def _exact(colours: Colours) -> Palette | None:
     """The map, or grey, of most pixels, where marks in other colours are the rest."""
-    coloured = seen[np.ptp(seen, axis=1) > _GREY]
+    coloured = colours[np.ptp(colours, axis=1) > _GREY]
     fit: dict[Palette, float] = {}
-    if len(coloured) < (1 - _EXACT_SHARE) * len(seen):
+    if len(coloured) < (1 - _EXACT_SHARE) * len(colours):
         ramp = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, axis=1)
         fit[Palette(GREY, ramp, ramp[:, 0] / np.float32(255))] = np.inf
-    if len(coloured) >= max(_SOME * len(seen), _LEAST):
+    if len(coloured) >= max(_SOME * len(colours), _LEAST):
         few = coloured[:: max(1, len(coloured) // 300)]
-        for one in _known():
-            misses = np.minimum(one.misses(few), _NEAR)
+        for palette in _known():
+            misses = np.minimum(palette.misses(few), _NEAR)
             if (misses <= _EXACT).mean() >= _EXACT_SHARE:
-                fit[one] = misses.mean()
-    return min(fit, key=lambda one: fit[one], default=None)
+                fit[palette] = misses.mean()
+    return min(fit, key=lambda palette: fit[palette], default=None)
 
 
-def _fits(palette: Palette, seen: Colours, near: float) -> bool:
-    few = seen[:: max(1, len(seen) // 300)]
-    return all(float((palette.misses(some) <= near).mean()) >= _ENOUGH for some in (few, seen))
+def _fits(palette: Palette, colours: Colours, near: float) -> bool:
+    few = colours[:: max(1, len(colours) // 300)]
+    return all(float((palette.misses(some) <= near).mean()) >= _ENOUGH for some in (few, colours))
 
 
 @cache
@@ -227,18 +231,20 @@ def _known() -> tuple[Palette, ...]:
         colours = np.stack([np.interp(at, *channel) for channel in channels], axis=1)
         maps.append((name, np.rint(255 * colours)))
     return tuple(
-        Palette(name, np.ascontiguousarray(one, np.float32), at)
+        Palette(name, np.ascontiguousarray(ordered, np.float32), at)
         for name, colours in maps
-        for one in (colours, colours[:, ::-1])
+        for ordered in (colours, colours[:, ::-1])
     )
 
 
-def _by_sums(seen: Colours) -> Palette:
+def _by_sums(pixels: Colours) -> Palette:
     """The mean colour of each step of the channels' sum, and black at its foot."""
-    step = np.minimum(seen.mean(axis=1) * (_STEPS / 256), _STEPS - 1).astype(np.int64)
+    step = np.minimum(pixels.mean(axis=1) * (_STEPS / 256), _STEPS - 1).astype(np.int64)
     count = np.bincount(step, minlength=_STEPS)
-    there = count > 0
-    means = [np.bincount(step, seen[:, k], _STEPS)[there] / count[there] for k in range(3)]
+    is_present = count > 0
+    means = [
+        np.bincount(step, pixels[:, k], _STEPS)[is_present] / count[is_present] for k in range(3)
+    ]
     colours = np.insert(np.stack(means, axis=1), 0, 0, axis=0).astype(np.float32)
     return Palette(SUM, colours, colours.mean(axis=1) / np.float32(255))
 
@@ -247,7 +253,7 @@ def _foreground(codes: npt.NDArray[np.uint32]) -> Colours:
     """(N, 3) colours of pixels spread evenly, without those of flat areas.  codes: (H, W)."""
     inner = codes[1:-1, 1:-1]
     beside = (codes[:-2, 1:-1], codes[2:, 1:-1], codes[1:-1, :-2], codes[1:-1, 2:])
-    grain = inner[np.any([inner != one for one in beside], axis=0)]
+    grain = inner[np.any([inner != neighbour for neighbour in beside], axis=0)]
     codes = grain if len(grain) >= _LEAST else codes.ravel()
     some = codes[:: max(1, len(codes) // (8 * _LOOKED_AT))]
     _, place, count = np.unique(some, return_inverse=True, return_counts=True)

@@ -38,12 +38,12 @@ class Pictures(Recording):
 
     def __init__(self, path: Path, files: Sequence[Path] = ()) -> None:
         """files: below the folder `path`.  Raises FactoryError when there are none."""
-        self._given = files
+        self._listed_files = files
         super().__init__(path)
 
     def _open(self) -> None:
-        self.files = list(self._given) or [self.path]
-        if self.path.is_dir() and not self._given:
+        self.files = list(self._listed_files) or [self.path]
+        if self.path.is_dir() and not self._listed_files:
             files = sorted(file for file in self.path.iterdir() if file.is_file())
             kinds = PICTURE_SUFFIXES
             images = [file for file in files if file.suffix.lower() in kinds]
@@ -71,35 +71,35 @@ def read_picture(path: Path) -> Samples:
     return decoded(content, str(path))
 
 
-def decoded(content: bytes, what: str) -> Samples:
+def decoded(content: bytes, name: str) -> Samples:
     """The pixels of a picture file, (H, W) or (H, W, colours), as people should see it.
 
-    what: names it in errors.  Raises FrameError when it cannot be read or is too large.
+    name: names it in errors.  Raises FrameError when it cannot be read or is too large.
     """
     # Its size first: a small file can decode to gigabytes.
     if content[:4] in TIFF_HEADS:
-        content, orientation = _tiff_header(content, what)
+        content, orientation = _tiff_header(content, name)
     else:
-        with _opened(BytesIO(content), what) as header:
-            ask_pixels(what, *header.size)
+        with _opened(BytesIO(content), name) as header:
+            ask_pixels(name, *header.size)
             orientation = _orientation_of(header)
     # libjpeg and libtiff write to the terminal about damage that they pass over.
-    with explained(f"{what}: not a readable picture"), quiet_stderr():
+    with explained(f"{name}: not a readable picture"), quiet_stderr():
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None:
-        raise FrameError(f"{what}: not a readable picture")
-    return as_samples(orientation.upright(np.asarray(picture)), what)
+        raise FrameError(f"{name}: not a readable picture")
+    return as_samples(orientation.upright(np.asarray(picture)), name)
 
 
-def _tiff_header(content: bytes, what: str) -> tuple[bytes, Orientation]:
+def _tiff_header(content: bytes, name: str) -> tuple[bytes, Orientation]:
     """The file with its first page said to be upright, and how that page is to be turned.
 
     OpenCV turns some pages itself and fails at others.
     """
     directories, _ = directories_of(BytesIO(content), len(content), most=1)
     if not directories:
-        raise FrameError(f"{what}: not a readable picture; it is damaged or cut short")
-    ask_pixels(what, *directories[0].size)
+        raise FrameError(f"{name}: not a readable picture; it is damaged or cut short")
+    ask_pixels(name, *directories[0].size)
     orientation = orientation_of_exif(directories[0].number(ORIENTATION, 1))
     return with_upright_tags(content, directories[0]), orientation
 
@@ -113,10 +113,10 @@ def _orientation_of(header: Image.Image) -> Orientation:
         return UPRIGHT
 
 
-def _opened(file: IO[bytes], what: str) -> Image.Image:
+def _opened(file: IO[bytes], name: str) -> Image.Image:
     """A picture whose pixels are not read yet.  Raises FrameError."""
-    with explained(f"{what}: not a readable picture"):
+    with explained(f"{name}: not a readable picture"):
         try:
             return Image.open(file)
         except Image.DecompressionBombError as error:
-            raise FrameError(f"{what}: {TOO_LARGE}") from error
+            raise FrameError(f"{name}: {TOO_LARGE}") from error

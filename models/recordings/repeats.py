@@ -53,22 +53,22 @@ class RepeatFinder:
         return min(max(usual, _SURELY_COPIED), _MOST_CHANGED)
 
 
-def changed_grain(frame: Grey, other: Grey) -> float:
+def changed_grain(frame: Grey, reference: Grey) -> float:
     """Part of two frames' grain, by its power, in which they differ.
 
     0: one is a copy of the other; 1: their noise is independent, as far as it is not the scene's.
     """
-    if np.array_equal(frame, other):
+    if np.array_equal(frame, reference):
         return 0.0
-    lit = (frame > _DARK) | (other > _DARK)
+    lit = (frame > _DARK) | (reference > _DARK)
     if np.count_nonzero(lit) < _LEAST_PIXELS:
         return 1.0
     grain = _grain(frame)
-    power = float(np.square(grain[lit]).mean() + np.square(_grain(other)[lit]).mean())
+    power = float(np.square(grain[lit]).mean() + np.square(_grain(reference)[lit]).mean())
     if power <= 0:
         return 1.0
     limit = np.float32(_CLIPPED * np.sqrt(power / 2))
-    difference = np.clip(_grain(frame - other)[lit], -limit, limit)
+    difference = np.clip(_grain(frame - reference)[lit], -limit, limit)
     return float(np.square(difference).mean()) / power
 
 

@@ -81,7 +81,7 @@ class RosBag(Recording):
 
     def __init__(self, path: Path, topics: Sequence[str] = ()) -> None:
         """Raises FactoryError when the bag cannot be read or has no such topics."""
-        self._asked = topics
+        self._requested = topics
         self._is_cut = False
         super().__init__(path)
 
@@ -91,12 +91,12 @@ class RosBag(Recording):
         self._library: Any = import_module(f"rosbags.rosbag{self.version}")
         with closing(self._reader()) as reader:
             self._connections = list(reader.connections)
-        chosen = self._found()
-        self._chosen = {one.id for one in chosen}
-        self.topics = tuple(dict.fromkeys(one.topic for one in chosen))
+        chosen = self._chosen_connections()
+        self._chosen = {connection.id for connection in chosen}
+        self.topics = tuple(dict.fromkeys(connection.topic for connection in chosen))
         self._files = list(self.path.iterdir()) if self.path.is_dir() else [self.path]
         # A message takes a byte at least, whatever the bag says.
-        stated = sum(int(one.msgcount) for one in chosen)
+        stated = sum(int(connection.msgcount) for connection in chosen)
         self.count = min(stated, sum(file.stat().st_size for file in self._files))
         if self._is_cut:
             self.warning = (
@@ -108,37 +108,54 @@ class RosBag(Recording):
         self._next = 0
         self._frames = self._messages(chosen)
 
-    def _found(self) -> list[Connection]:
+    def _chosen_connections(self) -> list[Connection]:
         """The connections whose messages are the frames."""
-        fit = [one for one in self._connections if one.msgtype in _PIXELS]
-        names = ", ".join(dict.fromkeys(one.topic[:80] for one in fit)) or "none"
-        absent = [topic for topic in self._asked if topic not in {one.topic for one in fit}]
+        fit = [connection for connection in self._connections if connection.msgtype in _PIXELS]
+        names = ", ".join(dict.fromkeys(connection.topic[:80] for connection in fit)) or "none"
+        absent = [
+            topic
+            for topic in self._requested
+            if topic not in {connection.topic for connection in fit}
+        ]
         if absent:
             raise FactoryError(f"{self.path}: no pictures on the topic {absent[0]}; it has {names}")
-        sonars = [one for one in fit if one.msgtype == SONAR]
-        chosen = [one for one in fit if one.topic in self._asked] or sonars or fit
+        sonars = [connection for connection in fit if connection.msgtype == SONAR]
+        chosen = (
+            [connection for connection in fit if connection.topic in self._requested]
+            or sonars
+            or fit
+        )
         if not chosen:
             kinds = "ProjectedSonarImage, Image or CompressedImage"
             raise FactoryError(f"{self.path}: holds no topic with pictures ({kinds})")
-        if chosen is fit and len({one.topic for one in fit}) > 1:
+        if chosen is fit and len({connection.topic for connection in fit}) > 1:
             said = f"has pictures on several topics ({names}); say with --topic"
             raise FactoryError(f"{self.path}: {said} which of them are of a sonar")
-        for one in chosen:
-            if one.digest not in ("", "*", None, digest_of(one.msgtype, self.version)):
-                other = f"another {one.msgtype} than this program knows"
-                stated = f"its fingerprint is {one.digest[:80]}"
-                raise FactoryError(f"{self.path}: {one.topic} has {other} ({stated})")
+        for connection in chosen:
+            if connection.digest not in (
+                "",
+                "*",
+                None,
+                digest_of(connection.msgtype, self.version),
+            ):
+                other = f"another {connection.msgtype} than this program knows"
+                stated = f"its fingerprint is {connection.digest[:80]}"
+                raise FactoryError(f"{self.path}: {connection.topic} has {other} ({stated})")
         return chosen
 
     def _read(self, number: int) -> Frame:
         if number < self._next:
-            chosen = [one for one in self._connections if one.id in self._chosen]
+            chosen = [
+                connection for connection in self._connections if connection.id in self._chosen
+            ]
             self._next = 0
             self._frames = self._messages(chosen)
-        for place, (one, time_ns, _, message) in enumerate(self._frames, start=self._next):
+        for place, (connection, time_ns, _, message) in enumerate(self._frames, start=self._next):
             self._next = place + 1
             if place == number:
-                return frame_of(message, one.msgtype, number, time_ns * 1e-9, self._named(number))
+                return frame_of(
+                    message, connection.msgtype, number, time_ns * 1e-9, self._named(number)
+                )
         self._next = self.count
         raise Ended(f"{self.path}: ends before frame {number}; it is cut short or damaged")
 
@@ -156,7 +173,7 @@ class RosBag(Recording):
                 target = target.with_suffix(".bag")
             self._write(iter(samples), target)
             if self.version == 2 and self.path.is_file():
-                (target,) = (one for one in target.iterdir() if one.suffix in (".mcap", ".db3"))
+                (target,) = (file for file in target.iterdir() if file.suffix in (".mcap", ".db3"))
             os.replace(target, path)
 
     def _write(self, samples: Iterator[Samples], target: Path) -> None:
@@ -167,25 +184,27 @@ class RosBag(Recording):
         number = 0
         with self._writer(target) as writer:
             added = {}
-            for one in self._connections:
-                is_known = one.msgtype in store.fielddefs
-                digest = digest_of(one.msgtype, self.version) if is_known else _UNKNOWN_DIGEST
-                about = {kind: one.digest or digest, **one.ext._asdict()}
+            for connection in self._connections:
+                is_known = connection.msgtype in store.fielddefs
+                digest = (
+                    digest_of(connection.msgtype, self.version) if is_known else _UNKNOWN_DIGEST
+                )
+                about = {kind: connection.digest or digest, **connection.ext._asdict()}
                 with explained(damaged, passing=OSError, reason=True):
-                    added[one.id] = writer.add_connection(
-                        one.topic, one.msgtype, msgdef=one.msgdef.data, **about
+                    added[connection.id] = writer.add_connection(
+                        connection.topic, connection.msgtype, msgdef=connection.msgdef.data, **about
                     )
-            for one, time_ns, data, message in self._messages(self._connections):
+            for connection, time_ns, data, message in self._messages(self._connections):
                 content: bytes | memoryview = data
                 if message is not None:
                     new = next(samples, None)
                     if new is None:
                         raise ValueError(f"{self.path}: has more frames than samples were given")
-                    changed = with_samples(message, one.msgtype, new, self._named(number))
-                    content = serialized(changed, one.msgtype)
+                    changed = with_samples(message, connection.msgtype, new, self._named(number))
+                    content = serialized(changed, connection.msgtype)
                     number += 1
                 with explained(damaged, passing=OSError, reason=True):
-                    writer.write(added[one.id], time_ns, content)
+                    writer.write(added[connection.id], time_ns, content)
         if next(samples, None) is not None:
             raise ValueError(f"{self.path}: has fewer frames than samples were given")
 
@@ -236,18 +255,18 @@ class RosBag(Recording):
         store = typestore(self.version)
         number = 0
         read = store.deserialize_ros1 if self.version == 1 else store.deserialize_cdr
-        with closing(self._reader()) as reader, closing(reader.messages(connections)) as found:
+        with closing(self._reader()) as reader, closing(reader.messages(connections)) as messages:
             while True:
                 with explained(f"{self.path}: {_DAMAGED}", reason=True):
-                    stored = next(found, None)
+                    stored = next(messages, None)
                 if stored is None:
                     return
-                one, _, data = stored
+                connection, _, data = stored
                 message = None
-                if one.id in self._chosen:
-                    what = f"{self._named(number)}: cannot be read, it is damaged"
-                    with explained(what, reason=True):
-                        message = read(data, one.msgtype)
+                if connection.id in self._chosen:
+                    name = f"{self._named(number)}: cannot be read, it is damaged"
+                    with explained(name, reason=True):
+                        message = read(data, connection.msgtype)
                     number += 1
                 yield *stored, message
 
@@ -261,33 +280,33 @@ def digest_of(msgtype: str, version: int) -> str:
     return store.generate_msgdef(msgtype)[1] if version == 1 else store.hash_rihs01(msgtype)
 
 
-def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, what: str) -> Frame:
+def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, name: str) -> Frame:
     """The frame in a message.
 
-    bag_time_s: when it was recorded, taken where its header has no stamp.  what: names the message
+    bag_time_s: when it was recorded, taken where its header has no stamp.  name: names the message
     in errors.  Raises FrameError when its parts contradict each other or cannot be read.
     """
     stamp = message.header.stamp
     time_s = stamp.sec + stamp.nanosec * 1e-9 or bag_time_s
-    name = message.header.frame_id or "unknown"
-    samples = _PIXELS[msgtype](message, what)
+    frame_id = message.header.frame_id or "unknown"
+    samples = _PIXELS[msgtype](message, name)
     # As this machine orders bytes, and in one piece.
     samples = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
     if msgtype != SONAR:
-        return Frame(number, samples, time_s=time_s, device=Device(name))
+        return Frame(number, samples, time_s=time_s, device=Device(frame_id))
     frequency_khz = known(message.ping_info.frequency / 1000) or None
     speed_m_s = known(message.ping_info.sound_speed, 1e4) or None
-    device = Device(name, frequency_khz=frequency_khz, sound_speed_m_s=speed_m_s)
-    return Frame(number, samples, _beams(message, what), time_s, device=device)
+    device = Device(frame_id, frequency_khz=frequency_khz, sound_speed_m_s=speed_m_s)
+    return Frame(number, samples, _beams(message, name), time_s, device=device)
 
 
-def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any:
+def with_samples(message: Any, msgtype: str, samples: Samples, name: str) -> Any:
     """The same message with other samples, of the shape and type of those of its frame.
 
     A compressed picture is compressed as it was, JPEG at its best quality.
     Raises ValueError for samples of another shape or type.
     """
-    before = _PIXELS[msgtype](message, what)
+    before = _PIXELS[msgtype](message, name)
     if samples.shape != before.shape or samples.dtype != before.dtype.newbyteorder("="):
         raise ValueError(
             f"samples are {samples.dtype} {samples.shape}; expected {before.dtype} {before.shape}"
@@ -295,7 +314,7 @@ def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any
     # A copy of all bytes, so that what lies between the rows stays.
     changed = deepcopy(message)
     if msgtype != COMPRESSED:
-        _PIXELS[msgtype](changed, what)[...] = samples
+        _PIXELS[msgtype](changed, name)[...] = samples
         return changed
     jpeg = bytes(message.data[:2]) == b"\xff\xd8"
     options = [cv2.IMWRITE_JPEG_QUALITY, 100] if jpeg else []
@@ -307,14 +326,14 @@ def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any
     return changed
 
 
-def _picture(message: Any, what: str) -> Samples:
+def _picture(message: Any, name: str) -> Samples:
     """The pixels of an Image, (H, W) or (H, W, channels), in its own memory."""
     height = int(message.height)
     width = int(message.width)
     step = int(message.step)
     if message.encoding not in _ENCODINGS:
         raise FrameError(
-            f"{what} has the encoding {str(message.encoding)[:40]!r}, which cannot be denoised "
+            f"{name} has the encoding {str(message.encoding)[:40]!r}, which cannot be denoised "
             f"({', '.join(_ENCODINGS)})"
         )
     kind, channels = _ENCODINGS[message.encoding]
@@ -323,7 +342,7 @@ def _picture(message: Any, what: str) -> Samples:
     row = width * channels * dtype.itemsize
     if not 0 < height * width <= MOST_PIXELS or row > step or height * step != held:
         raise FrameError(
-            f"{what} says {width} x {height} pixels in rows of {step} bytes, and holds {held} "
+            f"{name} says {width} x {height} pixels in rows of {step} bytes, and holds {held} "
             "bytes; it is damaged"
         )
     strides = (step, channels * dtype.itemsize, dtype.itemsize)
@@ -331,14 +350,14 @@ def _picture(message: Any, what: str) -> Samples:
     return pixels[..., 0] if channels == 1 else pixels
 
 
-def _samples(message: Any, what: str) -> Samples:
+def _samples(message: Any, name: str) -> Samples:
     """(ranges, beams) of a ProjectedSonarImage, in its own memory."""
     image = message.image
     ranges = len(message.ranges)
     beams = int(message.image.beam_count)
     if image.dtype not in _SONAR_DTYPES:
         raise FrameError(
-            f"{what} has samples of type {image.dtype}; uint8 (0), uint16 (2) and float32 (8) can "
+            f"{name} has samples of type {image.dtype}; uint8 (0), uint16 (2) and float32 (8) can "
             "be read"
         )
     dtype = np.dtype((">" if image.is_bigendian else "<") + _SONAR_DTYPES[image.dtype])
@@ -347,7 +366,7 @@ def _samples(message: Any, what: str) -> Samples:
     held = len(image.data)
     if not fits or beams != directions or ranges * beams * dtype.itemsize != held:
         raise FrameError(
-            f"{what} says {ranges} ranges, {beams} beams and {directions} directions, and holds "
+            f"{name} says {ranges} ranges, {beams} beams and {directions} directions, and holds "
             f"{held} bytes; it is damaged"
         )
     samples: Samples = np.ndarray((ranges, beams), dtype, image.data)
@@ -357,19 +376,19 @@ def _samples(message: Any, what: str) -> Samples:
 _PIXELS: dict[str, Callable[[Any, str], Samples]] = {
     SONAR: _samples,
     IMAGE: _picture,
-    COMPRESSED: lambda message, what: decoded(bytes(message.data), what),
+    COMPRESSED: lambda message, name: decoded(bytes(message.data), name),
 }
 """What a frame shows, by the type of its message."""
 
 
-def _beams(message: Any, what: str) -> Beams:
+def _beams(message: Any, name: str) -> Beams:
     """Where the samples lie.
 
     The message has z ahead, x up and y to the side.  Drivers do not agree on the sign of y, but
     store beams from left to right, so bearings are taken to ascend; some simulators have x ahead.
     """
     x, y, z = (
-        np.array([getattr(one, axis) for one in message.beam_directions], np.float64)
+        np.array([getattr(direction, axis) for direction in message.beam_directions], np.float64)
         for axis in "xyz"
     )
     bearings = np.arctan2(y, x if np.abs(z).max() < 1e-6 else z)
@@ -378,10 +397,10 @@ def _beams(message: Any, what: str) -> Beams:
     ranges = np.asarray(message.ranges, np.float64)
     ahead = np.abs(bearings).max() <= np.pi / 2
     if not (ahead and np.isfinite(bearings).all() and np.all(np.diff(bearings) > 0)):
-        raise FrameError(f"{what} has beams in disorder, or that look back; it cannot be used")
+        raise FrameError(f"{name} has beams in disorder, or that look back; it cannot be used")
     step = (ranges[-1] - ranges[0]) / (len(ranges) - 1)
     even = np.abs(ranges - np.linspace(ranges[0], ranges[-1], len(ranges))).max() < step
     if not (even and ranges[-1] + step / 2 <= MOST_RANGE_M and ranges[0] + step / 2 > 0):
-        raise FrameError(f"{what} has ranges that do not ascend evenly from 0 m on")
+        raise FrameError(f"{name} has ranges that do not ascend evenly from 0 m on")
     near = max(0.0, float(ranges[0] - step / 2))
     return Beams(tuple(bearings.tolist()), near, float(ranges[-1] + step / 2))

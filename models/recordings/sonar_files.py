@@ -63,14 +63,14 @@ def _table(name: str) -> list[list[str]]:
 @cache
 def layouts() -> dict[str, np.dtype[Any]]:
     """Header -> its fields that are read."""
-    found = {}
+    layout_of_header = {}
     for header, rows in groupby(_table("sonar_headers.csv"), key=lambda row: row[0]):
         *fields, end = rows
         _, names, kinds, places = zip(*fields, strict=True)
-        made: Any = {"names": names, "formats": [f"<{kind}" for kind in kinds]}
-        made |= {"offsets": list(map(int, places)), "itemsize": int(end[3])}
-        found[header] = np.dtype(made)
-    return found
+        layout: Any = {"names": names, "formats": [f"<{kind}" for kind in kinds]}
+        layout |= {"offsets": list(map(int, places)), "itemsize": int(end[3])}
+        layout_of_header[header] = np.dtype(layout)
+    return layout_of_header
 
 
 class _SoundMetricsFile(Recording):
@@ -93,8 +93,8 @@ class _SoundMetricsFile(Recording):
 
     def _header(self, number: int) -> np.void:
         layout = layouts()[self.layout]
-        what = f"the header of frame {number}"
-        return self.record_at(self._place(number), layout, what)
+        part = f"the header of frame {number}"
+        return self.record_at(self._place(number), layout, part)
 
     def _samples(self, number: int) -> Samples:
         """(ranges, beams) uint8, beams as they are stored."""
@@ -169,8 +169,8 @@ class ArisFile(_SoundMetricsFile):
                 if frame.shape != wanted or frame.dtype != np.uint8:
                     said = f"{frame.dtype} {frame.shape}"
                     raise ValueError(f"samples are {said}; expected uint8 {wanted}")
-                what = f"the header of frame {number}"
-                file.write(self.bytes_at(self._place(number), self.frame_size, what))
+                part = f"the header of frame {number}"
+                file.write(self.bytes_at(self._place(number), self.frame_size, part))
                 file.write(frame[:, ::-1].tobytes())
 
 
@@ -187,18 +187,18 @@ class DdfFile(_SoundMetricsFile):
             hint = "; rename it to .aris" if head == SIGNATURE else ""
             raise FrameError(f"{self.path}: DDF version {head[3]}; 3 and 4 can be read{hint}")
         self.file_size, self.frame_size = _DDF_HEADERS[head[3]]
-        self._told = self.record_at(0, layouts()["ddf_file"], "its header")
-        self.beams = int(self._told["numbeams"])
+        self._file_header = self.record_at(0, layouts()["ddf_file"], "its header")
+        self.beams = int(self._file_header["numbeams"])
         if self.beams not in (48, 96):
             raise FrameError(f"{self.path}: has {self.beams} beams; a DIDSON has 48 or 96")
-        ranges = self._told["samplesperchannel"]
+        ranges = self._file_header["samplesperchannel"]
         self.ranges = int(self.within("samplesperchannel", ranges, 2, MOST_RANGES))
         self._count_frames()
 
     def _read(self, number: int) -> Frame:
         header = self._header(number)
         samples = self._samples(number)
-        samples = samples if self._told["reverse"] else samples[:, ::-1]
+        samples = samples if self._file_header["reverse"] else samples[:, ::-1]
         try:  # by the sonar's own clock, taken as UTC, else by that of the computer
             seconds = datetime(*header["date"].tolist()).replace(tzinfo=UTC).timestamp()
             time_s = seconds + min(max(int(header["hsecond"]), 0), 99) / 100
@@ -212,7 +212,7 @@ class DdfFile(_SoundMetricsFile):
             pose=pose_of(header),
             device=Device(
                 name="DIDSON",
-                serial_number=int(self._told["serialnumber"]),
+                serial_number=int(self._file_header["serialnumber"]),
                 gain_db=known(header["receivergain"], 100),
             ),
         )
@@ -220,8 +220,8 @@ class DdfFile(_SoundMetricsFile):
     def _window(self, header: np.void) -> tuple[float, float]:
         """First and last range, metres."""
         step_m, lengths_m = _WINDOWS[int(header["configflags"]) & 3]
-        high = bool(self._told["resolution"])
-        rate_hz = float(self._told["samplerate"])
+        high = bool(self._file_header["resolution"])
+        rate_hz = float(self._file_header["samplerate"])
         near = step_m * self.within("windowstart", header["windowstart"], 0, 200)
         near *= 1 if high else 2
         code = int(header["windowlength"])
@@ -285,10 +285,10 @@ class OculusFile(Recording):
             raise FrameError(f"{self.path}: not a file of raw Oculus messages")
         self._pings = list[_Message]()
         self._end = 0
-        for one in self._messages(magic == LOG_MAGIC):
-            header = _record(self._content(one, 16), "oculus_message")
+        for message in self._messages(magic == LOG_MAGIC):
+            header = _record(self._content(message, 16), "oculus_message")
             if header["id"] == MAGIC and header["kind"] == SIMPLE_PING:
-                self._pings.append(one)
+                self._pings.append(message)
         self.count = len(self._pings)
         if not self.count:
             raise FrameError(f"{self.path}: holds no whole Oculus ping; it is cut short or damaged")
@@ -322,47 +322,47 @@ class OculusFile(Recording):
             elif head["kind"] == SONAR_ITEM:
                 yield _Message(begins, size, bool(head["compression"]), known(head["time_s"], 1e10))
 
-    def _content(self, one: _Message, most: int = _MOST_BYTES) -> bytes:
+    def _content(self, message: _Message, most: int = _MOST_BYTES) -> bytes:
         """The first bytes of a message, all by default."""
-        if not one.packed:
-            return self.bytes_at(one.offset, min(one.size, most), "a message")
-        content = self.bytes_at(one.offset, one.size, "a message")
+        if not message.packed:
+            return self.bytes_at(message.offset, min(message.size, most), "a message")
+        content = self.bytes_at(message.offset, message.size, "a message")
         with explained(f"{self.path}: a message cannot be unpacked; it is damaged"):
             return zlib.decompressobj().decompress(content[4:], most)
 
     def _read(self, number: int) -> Frame:
-        one = self._pings[number]
-        what = f"ping {number}"
-        content = self._content(one)
+        message = self._pings[number]
+        name = f"ping {number}"
+        content = self._content(message)
         second = _record(content, "oculus_message")["version"] == 2
         ping = _record(content, "oculus_ping_2" if second else "oculus_ping")
-        ranges = int(self.within(f"{what}: nRanges", ping["ranges"], 2, MOST_RANGES))
-        beams = int(self.within(f"{what}: nBeams", ping["beams"], 2, MOST_BEAMS))
-        step = self.within(f"{what}: rangeResolution", ping["range_step_m"], 1e-5, 100)
-        far = self.within(f"{what}: its last range", ranges * step, 0, MOST_RANGE_M)
+        ranges = int(self.within(f"{name}: nRanges", ping["ranges"], 2, MOST_RANGES))
+        beams = int(self.within(f"{name}: nBeams", ping["beams"], 2, MOST_BEAMS))
+        step = self.within(f"{name}: rangeResolution", ping["range_step_m"], 1e-5, 100)
+        far = self.within(f"{name}: its last range", ranges * step, 0, MOST_RANGE_M)
         if ping.nbytes + 2 * beams > len(content):
-            raise FrameError(f"{self.path}: {what} ends within its bearings; it is damaged")
+            raise FrameError(f"{self.path}: {name} ends within its bearings; it is damaged")
         bearings = np.frombuffer(content, "<i2", count=beams, offset=ping.nbytes) / 100.0
         if np.any(np.diff(bearings) <= 0) or np.abs(bearings).max() > 90:
-            raise FrameError(f"{self.path}: {what} has bearings in disorder; it is damaged")
+            raise FrameError(f"{self.path}: {name} has bearings in disorder; it is damaged")
         width = int(ping["data_size"]) + 1
         start = int(ping["image_offset"])
         if width > 2:
             raise FrameError(
-                f"{self.path}: {what} has samples of {8 * width} bits; 8 and 16 can be read"
+                f"{self.path}: {name} has samples of {8 * width} bits; 8 and 16 can be read"
             )
         # Each row may begin with the gain that it was amplified by.
         extra = 4 if int(ping["flags"]) & _SENDS_GAIN else 0
         stride = extra + beams * width
         if start + ranges * stride > len(content):
-            raise FrameError(f"{self.path}: {what} ends within its samples; it is damaged")
+            raise FrameError(f"{self.path}: {name} ends within its samples; it is damaged")
         rows = np.frombuffer(content, np.uint8, count=ranges * stride, offset=start)
         rows = np.ascontiguousarray(rows.reshape(ranges, stride)[:, extra:])
         return Frame(
             number,
             rows if width == 1 else rows.view("<u2").astype(np.uint16),
             Beams(tuple(np.deg2rad(bearings).tolist()), 0.0, far),
-            time_s=one.time_s or (known(ping["start_s"], 1e10) if second else None),
+            time_s=message.time_s or (known(ping["start_s"], 1e10) if second else None),
             pose=pose_of(ping),
             device=Device(
                 name="Oculus",

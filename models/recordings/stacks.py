@@ -57,26 +57,26 @@ class StackFile(Recording):
 
     def _open(self) -> None:
         assert self._file is not None
-        what = str(self.path)
+        name = str(self.path)
         directories, is_cut = directories_of(self._file, self.size)
         if not directories:
-            raise FrameError(f"{what}: not a readable TIFF; it is damaged or cut short")
+            raise FrameError(f"{name}: not a readable TIFF; it is damaged or cut short")
         first = directories[0]
-        ask_pixels(what, *first.size)
+        ask_pixels(name, *first.size)
         self._first = first
         self._is_contiguous = first.images_behind > len(directories)
         stated = max(first.images_behind, len(directories))
         self.count = self._whole_images(directories)
         if self.count < 1:
             raise FrameError(
-                f"{what}: ends within its first page; the file is cut short or damaged"
+                f"{name}: ends within its first page; the file is cut short or damaged"
             )
         if is_cut or self.count < stated:
-            self.warning = f"{what}: is cut short; its {self.count} whole pages are read"
-        ask_bytes(what, self.count * first.page_bytes, self.size, streamed=True)
+            self.warning = f"{name}: is cut short; its {self.count} whole pages are read"
+        ask_bytes(name, self.count * first.page_bytes, self.size, streamed=True)
         if first.number(SAMPLES, 1) >= 3 and first.number(BITS, 8) > 8:
             raise FrameError(
-                f"{what}: pages in colours of {first.number(BITS)} bits cannot be read; save them "
+                f"{name}: pages in colours of {first.number(BITS)} bits cannot be read; save them "
                 "in 8 bits, or one page a file"
             )
         self._image = None if self._is_contiguous else _opened(self._file)
@@ -92,20 +92,20 @@ class StackFile(Recording):
         return count
 
     def _read(self, number: int) -> Frame:
-        what = f"{self.path}: page {number + 1}"
-        page = self._contiguous(number, what) if self._is_contiguous else self._page(number, what)
+        name = f"{self.path}: page {number + 1}"
+        page = self._contiguous(number, name) if self._is_contiguous else self._page(number, name)
         width, height = self._first.size
         if page.shape[:2] not in ((height, width), (width, height)):
             own = f"{page.shape[1]} x {page.shape[0]}"
-            raise FrameError(f"{what} has {own} pixels, the first {width} x {height}")
-        return Frame(number, as_samples(page, what))
+            raise FrameError(f"{name} has {own} pixels, the first {width} x {height}")
+        return Frame(number, as_samples(page, name))
 
-    def _contiguous(self, number: int, what: str) -> Samples:
+    def _contiguous(self, number: int, name: str) -> Samples:
         first = self._first
         if not first.dtype:
-            raise FrameError(f"{what}: samples of {first.number(BITS)} bits cannot be read")
+            raise FrameError(f"{name}: samples of {first.number(BITS)} bits cannot be read")
         (offset, *_) = first.numbers[STRIP_OFFSETS]
-        content = self.bytes_at(offset + number * first.page_bytes, first.page_bytes, what)
+        content = self.bytes_at(offset + number * first.page_bytes, first.page_bytes, name)
         width, height = first.size
         shape = (height, width, first.number(SAMPLES, 1))
         page = np.frombuffer(content, first.dtype).reshape(shape)
@@ -115,10 +115,10 @@ class StackFile(Recording):
         # The most significant byte may come first.
         return np.ascontiguousarray(swapped(page))
 
-    def _page(self, number: int, what: str) -> Samples:
+    def _page(self, number: int, name: str) -> Samples:
         if self._image is None:
-            return self._by_opencv(number, what)
-        with explained(f"{what} cannot be read"), quiet_stderr():
+            return self._by_opencv(number, name)
+        with explained(f"{name} cannot be read"), quiet_stderr():
             self._image.seek(number)
             is_palette = self._image.mode == "P"
             image = self._image.copy()
@@ -126,9 +126,9 @@ class StackFile(Recording):
         page = np.ascontiguousarray(swapped(page))
         return untinted(page) if is_palette else page
 
-    def _by_opencv(self, number: int, what: str) -> Samples:
+    def _by_opencv(self, number: int, name: str) -> Samples:
         """A page of a kind that Pillow does not know, such as floats of 64 bits."""
-        with explained(f"{what} cannot be read"), quiet_stderr():
+        with explained(f"{name} cannot be read"), quiet_stderr():
             path = str(self.path)
             _, pages = cv2.imreadmulti(path, start=number, count=1, flags=cv2.IMREAD_UNCHANGED)
             return np.asarray(pages[0])

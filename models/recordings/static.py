@@ -47,7 +47,7 @@ def find_groups(
     alike: correlation of the small, smoothed pictures above which two frames may show one scene.
     furthest_px: how far the scene of a group may move.
     """
-    # One by one: the pictures may be read from files only here.
+    # One at a time: the images may be read from files only here.
     near = np.array([_small(*both) for both in zip(pictures, sectors, strict=True)])
     likeness = near @ near.T
     left = list(range(len(near)))
@@ -63,10 +63,10 @@ def find_groups(
             break
         frames = [pictures[i] for i in numbers]
         group = aligned(frames, sectors[left[first]], furthest_px=furthest_px)
-        kept = tuple(numbers[i] for i in group.numbers)
-        if len(kept) >= least:
-            groups.append(StaticGroup(kept, group.shifts_px))
-            left = [one for one in left if one not in kept]
+        members = tuple(numbers[i] for i in group.numbers)
+        if len(members) >= least:
+            groups.append(StaticGroup(members, group.shifts_px))
+            left = [number for number in left if number not in members]
         else:
             left.remove(numbers[0])
     return groups
@@ -74,12 +74,12 @@ def find_groups(
 
 def aligned(frames: Sequence[Gray], sector: Mask, *, furthest_px: float = 4.0) -> StaticGroup:
     """The frames that lie within `furthest_px` of the first, with their shifts below a pixel."""
-    found = {0: (0.0, 0.0)}
+    shift_of_frame = {0: (0.0, 0.0)}
     for number, frame in enumerate(frames[1:], start=1):
         shift = shift_px(frames[0], frame, sector) if frame.shape == frames[0].shape else None
         if shift is not None and np.hypot(*shift) <= furthest_px:
-            found[number] = shift
-    return StaticGroup(tuple(found), np.array(list(found.values())))
+            shift_of_frame[number] = shift
+    return StaticGroup(tuple(shift_of_frame), np.array(list(shift_of_frame.values())))
 
 
 def shift_px(fixed: Gray, moved: Gray, sector: Mask) -> tuple[float, float] | None:
@@ -100,16 +100,19 @@ def shift_px(fixed: Gray, moved: Gray, sector: Mask) -> tuple[float, float] | No
 
 
 def laid_over(
-    frames: Sequence[Gray], group: StaticGroup, one: int, others: Sequence[int]
+    frames: Sequence[Gray], group: StaticGroup, reference: int, numbers: Sequence[int]
 ) -> list[Gray]:
-    """The frames `others` with the scene where frame `one` has it, (H, W) each; it itself as it is.
+    """Return frames shifted so that their scene lies where the reference frame has it, (H, W) each.
 
-    frames: those of the group, in its order; one, others: places in it.
+    frames: those of the group, in its order.  reference, numbers: indices into them; the reference
+    frame itself is returned as it is.
     """
-    own = group.shifts_px[one]
+    own = group.shifts_px[reference]
     return [
-        frames[other] if other == one else shifted(frames[other], group.shifts_px[other] - own)
-        for other in others
+        frames[number]
+        if number == reference
+        else shifted(frames[number], group.shifts_px[number] - own)
+        for number in numbers
     ]
 
 
@@ -121,8 +124,8 @@ def moving(frames: Sequence[Gray], sector: Mask, *, times: float = 4.0) -> Mask:
     smooth = np.stack([cv2.GaussianBlur(frame, (0, 0), 3.0) for frame in frames])
     spread = smooth.std(axis=0)
     usual = float(np.median(spread[sector])) if sector.any() else 0.0
-    found = (spread > times * max(usual, _LEAST_SPREAD)) & sector
-    return cv2.dilate(found.astype(np.uint8), np.ones((15, 15), np.uint8)).astype(bool)
+    is_moving = (spread > times * max(usual, _LEAST_SPREAD)) & sector
+    return cv2.dilate(is_moving.astype(np.uint8), np.ones((15, 15), np.uint8)).astype(bool)
 
 
 def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
@@ -131,9 +134,11 @@ def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
     Cubic, the border reflected.
     """
     matrix = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]], np.float64)
-    how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    interpolation = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     border = cv2.BORDER_REFLECT
-    moved = cv2.warpAffine(frame, matrix, frame.shape[1::-1], flags=how, borderMode=border)
+    moved = cv2.warpAffine(
+        frame, matrix, frame.shape[1::-1], flags=interpolation, borderMode=border
+    )
     return np.asarray(moved, np.float32)
 
 

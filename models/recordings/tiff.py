@@ -100,9 +100,9 @@ class Directory:
         """
         if self.number(COMPRESSION, 1) != UNCOMPRESSED or STRIP_OFFSETS not in self.numbers:
             return 1
-        found = re.search(r"^images=(\d{1,9})$", self.text, re.MULTILINE)
-        if self.text.startswith("ImageJ=") and found is not None:
-            return max(1, int(found[1]))
+        count = re.search(r"^images=(\d{1,9})$", self.text, re.MULTILINE)
+        if self.text.startswith("ImageJ=") and count is not None:
+            return max(1, int(count[1]))
         return _count_of_shape(self.text, self.size)
 
 
@@ -128,19 +128,19 @@ def directories_of(
     form = _form_of(file)
     if form is None:
         return [], False
-    found: list[Directory] = []
-    seen: set[int] = set()
+    directories: list[Directory] = []
+    visited: set[int] = set()
     offset = _first_offset(file, form)
-    while offset and len(found) < most:
-        if offset in seen:  # a ring
-            return found, False
-        seen.add(offset)
+    while offset and len(directories) < most:
+        if offset in visited:  # a ring
+            return directories, False
+        visited.add(offset)
         directory = _directory_at(file, size, offset, form)
         if directory is None:
-            return found, True
-        found.append(directory[0])
+            return directories, True
+        directories.append(directory[0])
         offset = directory[1]
-    return found, False
+    return directories, False
 
 
 def _form_of(file: IO[bytes]) -> _Form | None:
@@ -188,7 +188,7 @@ def _directory_at(
             file.seek(place)
             text = file.read(length).rstrip(b"\0").decode("latin-1")
     following = next(_numbers_at(file, link_place, 1, f"{form.order}{link}"), 0)
-    values = {tag: found for tag, found in numbers.items() if found}
+    values = {tag: value_list for tag, value_list in numbers.items() if value_list}
     return Directory(values, text, places, form.order), following
 
 

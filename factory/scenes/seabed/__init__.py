@@ -131,14 +131,14 @@ class SeabedSettings(SceneSettings):
     @property
     def moving(self) -> dict[str, Moving]:
         """How each of the moving objects moves, by its configuration key."""
-        found = {
+        moving_by_key = {
             f"scenes.moving_objects.{number}": item.moving
             for number, item in enumerate(self.moving_objects)
         }
         for number, own in enumerate(self.own_objects):
             if own.moving is not None:
-                found[f"scenes.own_objects.{number}"] = own.moving
-        return found
+                moving_by_key[f"scenes.own_objects.{number}"] = own.moving
+        return moving_by_key
 
     @property
     def is_recording(self) -> bool:
@@ -245,7 +245,9 @@ class SeabedReader:
     @cached_property
     def _own(self) -> list[tuple[OwnObject, Mesh, tuple[str, ...], tuple[str, ...]]]:
         listed = enumerate(self._settings.own_objects)
-        return [(one, *one.read(f"scenes.own_objects.{k}")) for k, one in listed]
+        return [
+            (own_object, *own_object.read(f"scenes.own_objects.{k}")) for k, own_object in listed
+        ]
 
     def _built(self, location: int) -> World:
         from .world import World
@@ -253,8 +255,8 @@ class SeabedReader:
         settings = self._settings
         places = settings.places or PLACE_NAMES
         own = [
-            (one.label, one.per_place, one.tilt_deg, one.burial, solid)
-            for one, solid, *_ in self._own
-            if one.moving is None
+            (own_object.label, own_object.per_place, own_object.tilt_deg, own_object.burial, solid)
+            for own_object, solid, *_ in self._own
+            if own_object.moving is None
         ]
         return World(location, places, settings.objects, settings.kinds, own)

@@ -161,7 +161,7 @@ class ZBuffer:
 
     def __init__(
         self,
-        where: Pose,
+        viewpoint: Pose,
         optics: Optics,
         objects: Objects,
         ground: Floats | None = None,
@@ -170,7 +170,7 @@ class ZBuffer:
     ) -> None:
         from .kernels import paint
 
-        self.where = where
+        self.viewpoint = viewpoint
         self.optics = optics
         self.objects = objects
         self._first_object = 0
@@ -178,32 +178,32 @@ class ZBuffer:
         lens = np.array(optics.lens)
         self.inverse = np.zeros(shape, np.float32)
         self.which = np.full(shape, -1, np.int32)
-        self.sight = (where.eye, where.rotation, lens)
-        seen = (self.inverse, self.which)
+        self.sight = (viewpoint.eye, viewpoint.rotation, lens)
+        planes = (self.inverse, self.which)
         if ground is not None:
             triangles = grid_triangles(*ground.shape[:2])
             points = ground.reshape(-1, 3)
             self._first_object = len(triangles)
             whole = np.array([[0, 0, len(points), len(triangles)]], np.int64)
-            paint(points, triangles, whole, 0, self.sight, seen)
+            paint(points, triangles, whole, 0, self.sight, planes)
         near = self._in_sight(reach_m)
         parts = np.ascontiguousarray(objects.parts[near if wanted is None else wanted & near])
         solid = objects.mesh
-        paint(solid.vertices, solid.triangles, parts, self._first_object, self.sight, seen)
+        paint(solid.vertices, solid.triangles, parts, self._first_object, self.sight, planes)
 
     def _in_sight(self, reach_m: float) -> npt.NDArray[np.bool_]:
         """(N,) whether the balls around objects touch what the camera sees."""
-        where = self.where
+        viewpoint = self.viewpoint
         radius = self.objects.balls[:, 3]
-        ways = (self.objects.balls[:, :3] - where.eye)[:, None] * where.rotation.T
+        ways = (self.objects.balls[:, :3] - viewpoint.eye)[:, None] * viewpoint.rotation.T
         x, y, z = ways.sum(axis=2).T
         fx, fy, cx, cy = self.optics.lens
         right = self.optics.width - 1 - cx
         bottom = self.optics.height - 1 - cy
-        seen = (z > -radius) & (z < reach_m + radius)
+        in_sight = (z > -radius) & (z < reach_m + radius)
         for offset, slope in ((x, right / fx), (-x, cx / fx), (y, bottom / fy), (-y, cy / fy)):
-            seen &= offset - slope * z < radius * np.hypot(1, slope)
-        return np.asarray(seen)
+            in_sight &= offset - slope * z < radius * np.hypot(1, slope)
+        return np.asarray(in_sight)
 
     @property
     def depth_m(self) -> Floats:
@@ -228,7 +228,9 @@ class ZBuffer:
         for instance in np.unique(number[number > 0]).tolist():
             which = int(np.flatnonzero(objects.instances == instance)[0])
             first, _, last, _ = objects.parts[which]
-            points = (objects.mesh.vertices[first:last] - self.where.eye) @ self.where.rotation
+            points = (
+                objects.mesh.vertices[first:last] - self.viewpoint.eye
+            ) @ self.viewpoint.rotation
             box = oriented(np.stack([points[:, 2], -points[:, 0], -points[:, 1]], axis=-1))
             rows.append([instance, int(objects.labels[which]), *box, *self._cover(which, points)])
         return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
@@ -248,7 +250,7 @@ class ZBuffer:
         lens = fx / step, fy / step, (cx - left) / step, (cy - top) / step
         optics = Optics(lens, int((right - left) / step) + 2, int((bottom - top) / step) + 2)
         wanted = np.arange(len(self.objects.parts)) == which
-        alone = ZBuffer(self.where, optics, self.objects, wanted=wanted).inverse
+        alone = ZBuffer(self.viewpoint, optics, self.objects, wanted=wanted).inverse
         rows, columns = np.nonzero(alone)
         near = alone[rows, columns]
         rows, columns = (np.rint(v).astype(int) for v in (top + step * rows, left + step * columns))
@@ -279,9 +281,9 @@ def _narrowest(flat: Points, yaws_deg: Points) -> tuple[float, Points, Points]:
     cosine = np.cos(np.deg2rad(yaws_deg))
     sine = np.sin(np.deg2rad(yaws_deg))
     axes = np.array([[cosine, -sine], [sine, cosine]])
-    seen = np.tensordot(flat, axes, 1)
-    least = seen.min(axis=0)
-    most = seen.max(axis=0)
+    turned = np.tensordot(flat, axes, 1)
+    least = turned.min(axis=0)
+    most = turned.max(axis=0)
     at = int(np.argmin(np.prod(most - least, axis=0)))
     centre = axes[:, :, at] @ (most + least)[:, at] / 2
     return float(yaws_deg[at]), (most - least)[:, at], centre

@@ -199,17 +199,15 @@ def _placed(point: Any, eye: Any, axes: Any) -> Any:
 
 
 @compiled(f"void({_ROWS}, {_WHOLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
-def paint(
-    points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, seen_so_far: Any
-) -> None:
+def paint(points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, planes: Any) -> None:
     """Paint parts of a mesh into the picture of a camera; triangle numbers begin at `offset`.
 
     parts: (N, 4) first point, first triangle and the ends of both.  camera: eye (3,), axes (3, 3)
-    world from camera, lens (4,) fx, fy, cx, cy.  seen_so_far: (H, W) one over the depth along the
+    world from camera, lens (4,) fx, fy, cx, cy.  planes: (H, W) one over the depth along the
     optical axis, 0 where nothing was met so far, and (H, W) number of the triangle met.
     """
     eye, axes, lens = camera
-    inverse, which = seen_so_far
+    inverse, which = planes
     height, width = inverse.shape
     fx = lens[0]
     fy = lens[1]
@@ -223,7 +221,7 @@ def paint(
     bottom_slope = (height - 1 - middle_y) * step_y
     across_by_column = (np.arange(width) - middle_x) * step_x
     placed = np.empty((len(points), 3), np.float64)  # in camera axes
-    seen = np.empty((len(points), 2), np.float32)  # column and row
+    pixels = np.empty((len(points), 2), np.float32)  # column and row
     for part in range(len(parts)):
         for k in range(parts[part, 0], parts[part, 2]):
             across, down, depth = _placed(points[k], eye, axes)
@@ -231,8 +229,8 @@ def paint(
             placed[k, 1] = down
             placed[k, 2] = depth
             over = 1 / max(depth, _NEAR_M)
-            seen[k, 0] = across * over * fx + middle_x
-            seen[k, 1] = down * over * fy + middle_y
+            pixels[k, 0] = across * over * fx + middle_x
+            pixels[k, 1] = down * over * fy + middle_y
         for k in range(parts[part, 1], parts[part, 3]):
             a = _U(triangles[k, 0])
             b = _U(triangles[k, 1])
@@ -241,10 +239,10 @@ def paint(
             bz = placed[b, 2]
             cz = placed[c, 2]
             if min(az, bz, cz) > _NEAR_M:
-                left = min(seen[a, 0], seen[b, 0], seen[c, 0])
-                right = max(seen[a, 0], seen[b, 0], seen[c, 0])
-                top = min(seen[a, 1], seen[b, 1], seen[c, 1])
-                bottom = max(seen[a, 1], seen[b, 1], seen[c, 1])
+                left = min(pixels[a, 0], pixels[b, 0], pixels[c, 0])
+                right = max(pixels[a, 0], pixels[b, 0], pixels[c, 0])
+                top = min(pixels[a, 1], pixels[b, 1], pixels[c, 1])
+                bottom = max(pixels[a, 1], pixels[b, 1], pixels[c, 1])
                 if left > width - 1 or right < 0 or top > height - 1 or bottom < 0:
                     continue
                 first = max(int(np.ceil(left)), 0)
@@ -291,7 +289,7 @@ def paint(
                 u0 = uy * y + uz
                 v0 = vy * y + vz
                 w0 = wy * y + wz
-                here = _U(row)
+                pixel_row = _U(row)
                 for column in range(_U(first), _U(last + 1)):
                     x = across_by_column[column]
                     u = (ux * x + u0) * scale
@@ -299,9 +297,9 @@ def paint(
                     w = (wx * x + w0) * scale
                     if u >= 0 and v >= 0 and w >= 0:
                         near = np.float32(u + v + w)
-                        if near > inverse[here, column]:
-                            inverse[here, column] = near
-                            which[here, column] = offset + k
+                        if near > inverse[pixel_row, column]:
+                            inverse[pixel_row, column] = near
+                            which[pixel_row, column] = offset + k
 
 
 @compiled()
@@ -364,7 +362,9 @@ def _thing(noise: Any, detail: Any, close: Any, up: Any, finish: Any) -> Any:
     up: of its normal.  finish: fouling, silt and bump.
     """
     broad, grain, cells, speckle = noise
-    fouling, silt, bump = (finish[0], finish[1], finish[2])
+    fouling = finish[0]
+    silt = finish[1]
+    bump = finish[2]
     fine_broad, fine_grain, fine_cells, _ = detail
     patchy = _F(0.6) * broad + _HALF * cells + _F(0.4) * fine_broad
     grown = _ramp(_ZERO, _F(0.9), patchy + _F(2.2) * fouling - _F(1.3)) * _F(0.85)
@@ -393,14 +393,14 @@ def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
     rx = corners[c, 0] - eye[0]
     ry = corners[c, 1] - eye[1]
     rz = corners[c, 2] - eye[2]
-    one = x * (qy * rz - qz * ry) + y * (qz * rx - qx * rz) + z * (qx * ry - qy * rx)
-    two = x * (ry * pz - rz * py) + y * (rz * px - rx * pz) + z * (rx * py - ry * px)
-    three = x * (py * qz - pz * qy) + y * (pz * qx - px * qz) + z * (px * qy - py * qx)
-    facing = one + two + three
+    weight_a = x * (qy * rz - qz * ry) + y * (qz * rx - qx * rz) + z * (qx * ry - qy * rx)
+    weight_b = x * (ry * pz - rz * py) + y * (rz * px - rx * pz) + z * (rx * py - ry * px)
+    weight_c = x * (py * qz - pz * qy) + y * (pz * qx - px * qz) + z * (px * qy - py * qx)
+    facing = weight_a + weight_b + weight_c
     share = _ONE / facing
-    u = one * share
-    v = two * share
-    w = three * share
+    u = weight_a * share
+    v = weight_b * share
+    w = weight_c * share
     normal = (
         u * facings[a, 0] + v * facings[b, 0] + w * facings[c, 0],
         u * facings[a, 1] + v * facings[b, 1] + w * facings[c, 1],
@@ -418,18 +418,18 @@ def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
     f"float32[::1], {_WHOLES}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
 )
 def look(
-    ground: Any, things: Any, owners: Any, finishes: Any, sight: Any, seen: Any, palette: Any,
+    ground: Any, things: Any, owners: Any, finishes: Any, sight: Any, planes: Any, palette: Any,
     turf: Any, offset: Any, texture: Any, water: Any, sun: Any, sun_sight: Any, sun_inverse: Any,
 ) -> Any:  # fmt: skip
     """(h, w, 3) linear colour of every second pixel and row, from what a z-buffer met.
 
     ground, things: points, normals, attributes or colours, and triangles.  sight: eye, axes, lens.
-    seen: see `paint`.  finishes: (N, 3) fouling, silt and bump of each object.  palette, turf,
+    planes: see `paint`.  finishes: (N, 3) fouling, silt and bump of each object.  palette, turf,
     water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a camera in the
     sun and its (S, S) picture of the objects.
     """
     eye, axes, lens = sight
-    inverse, which = seen
+    inverse, which = planes
     sun_eye, sun_axes, sun_lens = sun_sight
     side = sun_inverse.shape[0]
     height, width = which.shape

@@ -98,7 +98,9 @@ def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
     """(V, 3) unit normals, the area-weighted mean of the triangles around each vertex."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     areas = np.repeat(np.cross(b - a, c - a), 3, axis=0).T
-    total = np.array([np.bincount(triangles.ravel(), one, len(vertices)) for one in areas])
+    total = np.array(
+        [np.bincount(triangles.ravel(), component, len(vertices)) for component in areas]
+    )
     lengths = np.maximum(np.sqrt((total**2).sum(axis=0)), 1e-20)
     return np.ascontiguousarray((total * (1 / lengths)).T, np.float32)
 
@@ -230,8 +232,8 @@ def sphere(subdivisions: int) -> Mesh:
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     sides = np.abs(apart - apart[apart > 0].min()) < 1e-9
     triples = itertools.combinations(range(len(points)), 3)
-    found = [list(t) for t in triples if all(sides[t[k], t[k - 1]] for k in range(3))]
-    outward = (t if np.linalg.det(points[t]) > 0 else t[::-1] for t in found)
+    face_corners = [list(t) for t in triples if all(sides[t[k], t[k - 1]] for k in range(3))]
+    outward = (t if np.linalg.det(points[t]) > 0 else t[::-1] for t in face_corners)
     faces = np.array(list(outward), np.int32)
     for _ in range(subdivisions):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)

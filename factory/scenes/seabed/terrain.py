@@ -44,8 +44,8 @@ def catalogue() -> dict[str, Any]:
     import yaml
 
     text = Path(__file__).with_name("places.yaml").read_text("utf-8")
-    found: dict[str, Any] = yaml.safe_load(text)
-    return found
+    document: dict[str, Any] = yaml.safe_load(text)
+    return document
 
 
 def pick(rng: Draws, colours: Sequence[Colour], shades: Range = (0.75, 1.2)) -> Points:
@@ -289,15 +289,17 @@ class Terrain:
         grid_r, grid_a = np.meshgrid(ranges, headings, indexing="ij")
         heights = self.height_m(eye[0] + grid_r * np.cos(grid_a), eye[1] + grid_r * np.sin(grid_a))
         # Rows are dealt out by the angle that a stretch of ground fills in the view, hidden or not.
-        seen = np.clip(np.arctan2(heights - eye[2], grid_r), *elevations_rad)
-        angle = np.abs(np.diff(seen, axis=0))
+        elevation_rad = np.clip(np.arctan2(heights - eye[2], grid_r), *elevations_rad)
+        angle = np.abs(np.diff(elevation_rad, axis=0))
         share = 0.72 * angle / np.maximum(angle.sum(axis=0), 1e-6) + 0.28 / (len(ranges) - 1)
         # Neighbouring columns get nearly the same rows: a sheared grid has bad normals.
         share = _mean_down(_mean_down(share.T, coarse // 2 | 1).T, 5)
         share /= share.sum(axis=0)
         reached = np.concatenate([np.zeros((1, coarse)), np.cumsum(share, axis=0)])
         even = np.linspace(0, 1, rows)
-        log_r = np.stack([np.interp(even, one, np.log(ranges)) for one in reached.T], axis=-1)
+        log_r = np.stack(
+            [np.interp(even, share_of_ray, np.log(ranges)) for share_of_ray in reached.T], axis=-1
+        )
         between = np.clip((np.arange(columns) + 0.5) * coarse / columns - 0.5, 0, coarse - 1)
         low = np.minimum(between.astype(np.int64), coarse - 2)
         radius = np.exp(log_r[:, low] + (between - low) * (log_r[:, low + 1] - log_r[:, low]))

@@ -375,7 +375,8 @@ def _nursery(rng: Draws) -> Mesh:
     """A table of slats on legs, with corals planted on it."""
     length, width, height = rng.uniform([1.2, 0.6, 0.5], [2.2, 1.0, 0.9]).tolist()
     parts = []
-    left, right = (-width / 2, width / 2)
+    left = -width / 2
+    right = width / 2
     for x in (-length / 2, length / 2):
         parts.append(bars((((x, y, 0), (x, y, height)) for y in (left, right)), 0.028))
         parts.append(bars([((x, left, height * 0.45), (x, right, height * 0.45))], 0.02))
@@ -468,8 +469,8 @@ def chain(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
     long = 1.5 * wire * np.cos(bend) + 1.25 * wire * np.sign(np.cos(bend))
     ring = np.column_stack([long, 1.3 * wire * np.sin(bend), np.zeros(16)])
     link = tube(ring, wire / 2, 7, closed=True, colour=metal)
-    where = np.arange(0, 0.05 * (len(line) - 1), pitch) / 0.05
-    x, y = (np.interp(where, np.arange(len(line)), axis) for axis in line.T)
+    position = np.arange(0, 0.05 * (len(line) - 1), pitch) / 0.05
+    x, y = (np.interp(position, np.arange(len(line)), axis) for axis in line.T)
     z = np.asarray(ground(x, y), dtype=np.float64) + 0.6 * wire
     heading = np.arctan2(np.gradient(y), np.gradient(x))
     climb = np.arctan2(np.gradient(z), pitch)

@@ -36,37 +36,37 @@ def take(
     The pose is the one that FLSea's camera would choose, however wide this one sees, or as its
     stance says; with a movement, of a platform that begins there.
     """
-    where = choose_pose(world, frame, stance)
+    viewpoint = choose_pose(world, frame, stance)
     if movement is not None:
-        where = moved(where, movement)
-    azimuths, elevations = field_of_view(where, optics)
+        viewpoint = moved(viewpoint, movement)
+    azimuths, elevations = field_of_view(viewpoint, optics)
     # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
     fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
     shape = (int(370 * fine), int(280 * fine * optics.across))
-    ground = world.terrain.seen_from(where.eye, azimuths, elevations, shape)
-    seen = ZBuffer(where, optics, world.objects, ground[0])
+    ground = world.terrain.seen_from(viewpoint.eye, azimuths, elevations, shape)
+    z_buffer = ZBuffer(viewpoint, optics, world.objects, ground[0])
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
-    rgb = photograph(world, ground, seen, rng.uniform(0.68, 0.92))
-    depth_m = seen.depth_m
+    rgb = photograph(world, ground, z_buffer, rng.uniform(0.68, 0.92))
+    depth_m = z_buffer.depth_m
     clear_m = world.look.clear_m
     intrinsics = Intrinsics(*optics.lens)
     x, y = intrinsics.directions(optics.height, optics.width)
     lengths = np.sqrt(1 + (x**2).astype(np.float32) + (y[:, None] ** 2).astype(np.float32))
     range_m = depth_m * lengths
     keep = measured(rng, depth_m, range_m, clear_m)
-    segmentation, instance = (of * (range_m < clear_m) for of in seen.shown)
-    height_m = world.terrain.height_m(*where.eye[:2, None])[0]
+    segmentation, instance = (of * (range_m < clear_m) for of in z_buffer.shown)
+    height_m = world.terrain.height_m(*viewpoint.eye[:2, None])[0]
     return Frame(
         ref=ref,
         rgb=rgb,
         depth_m=np.where(keep, depth_m, np.float32(0)),
         intrinsics=intrinsics,
-        world_from_camera=where.matrix,
+        world_from_camera=viewpoint.matrix,
         segmentation=segmentation,
         instance=instance,
         time_s=None if movement is None else movement.get("time_s"),
-        altitude_m=float(where.eye[2] - height_m),
-        boxes=seen.boxes(instance) if boxes else None,
+        altitude_m=float(viewpoint.eye[2] - height_m),
+        boxes=z_buffer.boxes(instance) if boxes else None,
     )
 
 
@@ -82,10 +82,12 @@ def surroundings(world: World, stance: Stance) -> Surroundings:
     return Surroundings(start.matrix, world.terrain.height_m(x, y), _AROUND_STEP_M)
 
 
-def field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tuple[float, float]]:
+def field_of_view(
+    viewpoint: Pose, optics: Optics
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Azimuths (in order, within a turn) and elevations, with a margin, of a view's directions."""
     every = max(optics.width // 121, 1)
-    toward = optics.directions(where.rotation, every, every).astype(np.float64)
+    toward = optics.directions(viewpoint.rotation, every, every).astype(np.float64)
     border = np.concatenate([toward[0], toward[-1], toward[:, 0], toward[:, -1]])
     middle = toward[toward.shape[0] // 2, toward.shape[1] // 2]
     centre = np.arctan2(middle[1], middle[0])
@@ -98,7 +100,7 @@ def field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tup
 
 
 def photograph(
-    world: World, ground: tuple[Floats, Floats, Floats], seen: ZBuffer, exposure: float
+    world: World, ground: tuple[Floats, Floats, Floats], z_buffer: ZBuffer, exposure: float
 ) -> npt.NDArray[np.uint8]:
     """The (H, W, 3) picture of what a z-buffer met.
 
@@ -108,12 +110,12 @@ def photograph(
 
     look = world.look
     objects = world.objects
-    sun = sunlit(world, seen.where)
-    sights = [tuple(part.astype(np.float32) for part in one.sight) for one in (seen, sun)]
+    sun = sunlit(world, z_buffer.viewpoint)
+    sights = [tuple(part.astype(np.float32) for part in buffer.sight) for buffer in (z_buffer, sun)]
     colour = kernels.look(
         (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground[0].shape[:2])),
         (objects.mesh.vertices, objects.normals, objects.mesh.colours, objects.mesh.triangles),
-        objects.owner, world.finishes, sights[0], (seen.inverse, seen.which),
+        objects.owner, world.finishes, sights[0], (z_buffer.inverse, z_buffer.which),
         look.palette, np.float32(look.turf), world.terrain.offset_m,
         tiles()[0], look.water, look.sun_direction.astype(np.float32),
         sights[1], sun.inverse,
@@ -126,15 +128,15 @@ def photograph(
     bright = max(float(np.percentile((some - black).max(axis=-1), 97)), 1e-3)
     gamma = np.round(255 * (np.arange(4096) / 4095) ** (1 / 2.2)).astype(np.uint8)
     gain = np.float32(exposure / bright)
-    rgb: npt.NDArray[np.uint8] = kernels.expose(colour, black, gain, gamma, *seen.which.shape)
+    rgb: npt.NDArray[np.uint8] = kernels.expose(colour, black, gain, gamma, *z_buffer.which.shape)
     return rgb
 
 
-def sunlit(world: World, where: Pose) -> ZBuffer:
+def sunlit(world: World, viewpoint: Pose) -> ZBuffer:
     """What a camera in the sun sees of the objects before a camera."""
     x, y, z = world.look.sun_direction
-    ahead = where.rotation[:2, 2] / np.sqrt((where.rotation[:2, 2] ** 2).sum())
-    middle = np.append(where.eye[:2] + 0.4 * _SHADE_M * ahead, where.eye[2] - 1)
+    ahead = viewpoint.rotation[:2, 2] / np.sqrt((viewpoint.rotation[:2, 2] ** 2).sum())
+    middle = np.append(viewpoint.eye[:2] + 0.4 * _SHADE_M * ahead, viewpoint.eye[2] - 1)
     heading, pitch = np.rad2deg([np.arctan2(-y, -x), np.arcsin(z)])
     sun = pose(middle + _SUN_M * np.array([x, y, z]), heading, pitch, 0)
     optics = centred(_SUN_M * _SHADE_CELLS / _SHADE_M, _SHADE_CELLS, _SHADE_CELLS)
@@ -224,24 +226,24 @@ def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
     y = eye[1] + ranges * np.sin(azimuths)
     ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).astype(np.float32)
     pictures = []
-    for where in lookouts:
-        seen = ZBuffer(where, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
-        pictures.append((seen.inverse, seen.shown[1]))
+    for lookout in lookouts:
+        z_buffer = ZBuffer(lookout, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
+        pictures.append((z_buffer.inverse, z_buffer.shown[1]))
     rays = camera(968, 608).directions(np.eye(3), 32).reshape(-1, 3)
     length = np.sqrt((rays**2).sum(axis=1))
     fx, fy, cx, cy = _LOOKOUT.lens
 
     def cost(candidate: Pose) -> float:
         toward = np.einsum("ij,rj->ir", candidate.rotation, rays)
-        axes = [np.einsum("ij,ir->jr", where.rotation, toward) for where in lookouts]
+        axes = [np.einsum("ij,ir->jr", lookout.rotation, toward) for lookout in lookouts]
         # The lookout on whose side a ray is: the one that looks more its way.
         left = axes[0][2] >= axes[1][2]
         x, y, ahead = np.where(left, *axes)
         column = np.clip((x / ahead * fx + cx + 0.5).astype(np.int64), 0, _LOOKOUT.width - 1)
         row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
         inverse, thing = (
-            np.where(left, one[row, column], other[row, column])
-            for one, other in zip(*pictures, strict=True)
+            np.where(left, left_plane[row, column], right_plane[row, column])
+            for left_plane, right_plane in zip(*pictures, strict=True)
         )
         met = inverse * ahead > 0
         depth = 1 / np.where(met, inverse * ahead, 1e-9)

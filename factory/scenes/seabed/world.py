@@ -55,7 +55,9 @@ class Path:
         self.length_m = float(travelled[-1])
         even = np.arange(SAMPLES) / SAMPLES * self.length_m
         closed = np.append(points, points[:1], axis=0)
-        self.points = np.stack([np.interp(even, travelled, one) for one in closed.T], axis=-1)
+        self.points = np.stack(
+            [np.interp(even, travelled, coordinate) for coordinate in closed.T], axis=-1
+        )
         ahead = 6  # the heading looks a little ahead, as a diver does
         self.tangents = _unit(np.roll(self.points, -ahead, 0) - np.roll(self.points, ahead, 0))
 
@@ -78,10 +80,10 @@ class Path:
 
     def at(self, distance_m: npt.ArrayLike) -> tuple[Points, Points]:
         """Positions and unit tangents, (..., 2) each, after distances (...) along the loop."""
-        where = (np.asarray(distance_m) / self.length_m) % 1 * SAMPLES
-        low = where.astype(np.int64) % SAMPLES
+        sample = (np.asarray(distance_m) / self.length_m) % 1 * SAMPLES
+        low = sample.astype(np.int64) % SAMPLES
         high = (low + 1) % SAMPLES
-        part = (where - np.floor(where))[..., None]
+        part = (sample - np.floor(sample))[..., None]
         point = self.points[low] * (1 - part) + self.points[high] * part
         return point, _unit(self.tangents[low] * (1 - part) + self.tangents[high] * part)
 
@@ -92,8 +94,10 @@ class Path:
         """
         travelled = self.start_m + self.step_m * frame
         (x, y), tangent = self.at(travelled)
-        where = (travelled / self.length_m) % 1 * SAMPLES
-        floor = np.interp(where, np.arange(SAMPLES + 1), np.append(self._floor_m, self._floor_m[0]))
+        sample = (travelled / self.length_m) % 1 * SAMPLES
+        floor = np.interp(
+            sample, np.arange(SAMPLES + 1), np.append(self._floor_m, self._floor_m[0])
+        )
         below = float(self._terrain.height_m([x], [y])[0])
         altitude = self._altitude_m + 0.25 * _wander(self._altitude, travelled)
         altitude = min(max(altitude, LOWEST_M), HIGHEST_M - 0.3)
@@ -273,9 +277,9 @@ class World:
         build = things.sheet_pile if rng.random() < 0.35 else things.quay
         self._items.append((build(rng, length, height).rotated(turn).moved(foot), "Wall"))
         for along in np.arange(-18, 18, 2.2):
-            where = np.array([along + rng.uniform(-0.8, 0.8), -0.28, rng.uniform(0.7, 2.4)])
+            place = np.array([along + rng.uniform(-0.8, 0.8), -0.28, rng.uniform(0.7, 2.4)])
             if rng.random() < 0.5:
-                offset = np.einsum("ij,j->i", turn, where) + foot
+                offset = np.einsum("ij,j->i", turn, place) + foot
                 self._items.append((things.fender(rng).rotated(turn).moved(offset), "Tire"))
         behind = (self._on_axis(along, face + 0.4) for along in np.arange(-20, 20, 0.8))
         self._taken += [(float(x), float(y), 0.8) for x, y, _ in behind]
@@ -283,7 +287,7 @@ class World:
     def _spot(self, rng: Draws, reach: float, height: float) -> tuple[float, float] | None:
         """A free place for a thing of that reach and height, or None after 40 tries."""
         nearest = 0.0 if height < LOW_M else reach + CLEAR_M
-        there = np.array(self._taken, dtype=np.float64).reshape(-1, 3)
+        taken = np.array(self._taken, dtype=np.float64).reshape(-1, 3)
         for _ in range(5):  # eight tries at once
             aside = nearest + rng.exponential(self._place["spread_m"], 8)
             points = self._near_path(rng, aside * rng.choice([-1, 1], 8))
@@ -292,8 +296,8 @@ class World:
             if self.terrain.banks is not None:
                 behind = self.terrain.banks.behind_foot_m(*points.T.astype(np.float32))
                 free &= behind <= 0.3 * reach
-            apart = np.hypot(*(points[:, :, None] - there[:, :2].T).transpose(1, 0, 2))
-            free &= (apart > reach + there[:, 2]).all(axis=1)
+            apart = np.hypot(*(points[:, :, None] - taken[:, :2].T).transpose(1, 0, 2))
+            free &= (apart > reach + taken[:, 2]).all(axis=1)
             if free.any():
                 x, y = points[np.argmax(free)].tolist()
                 return x, y

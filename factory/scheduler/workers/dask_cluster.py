@@ -74,8 +74,10 @@ class DaskBackend(Backend):
                         silence_logs=logging.CRITICAL,
                     )
                 self._cluster.wait_for_workers(workers, timeout=_START_S)
-            where = address or self._cluster.scheduler_address
-            self._client = self._distributed.Client(where, timeout=_CONNECT_S, set_as_default=False)
+            scheduler_address = address or self._cluster.scheduler_address
+            self._client = self._distributed.Client(
+                scheduler_address, timeout=_CONNECT_S, set_as_default=False
+            )
             self._client.subscribe_topic(self._topic, self._heard)
             self._count()
             if not self._workers:
@@ -92,12 +94,14 @@ class DaskBackend(Backend):
     def _count(self) -> None:
         """Take in workers that have come or gone."""
         with suppress(Exception):
-            self._workers = len(self._asked("identity", n_workers=-1)["workers"]) or self._workers
+            self._workers = (
+                len(self._ask_scheduler("identity", n_workers=-1)["workers"]) or self._workers
+            )
 
-    def _asked(self, what: str, **given: Any) -> Any:
+    def _ask_scheduler(self, method: str, **arguments: Any) -> Any:
         """The scheduler's answer."""
-        function = getattr(self._client.scheduler, what)
-        return self._client.sync(function, **given, callback_timeout=_RESTART_S)
+        function = getattr(self._client.scheduler, method)
+        return self._client.sync(function, **arguments, callback_timeout=_RESTART_S)
 
     def free(self, kind: str) -> bool:
         """Whether fewer tasks are under way than there are workers."""
@@ -155,14 +159,18 @@ class DaskBackend(Backend):
         while not self._stopped.wait(_LOOK_S):
             self._count()
             with self._lock:
-                silent = (name for name, one in self._tasks.items() if one.is_late())
+                silent = (name for name, task in self._tasks.items() if task.is_late())
                 self._late = [self._tasks.pop(name) for name in tuple(silent)]
-            for one in self._late:
+            for task in self._late:
                 with suppress(Exception):
-                    processing = self._asked("processing", workers=None)
-                    where = [place for place, keys in processing.items() if one.remote.key in keys]
-                    self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
-                one.future.set_exception(TimeoutError())
+                    processing = self._ask_scheduler("processing", workers=None)
+                    addresses = [
+                        place for place, keys in processing.items() if task.remote.key in keys
+                    ]
+                    self._client.restart_workers(
+                        addresses, timeout=_RESTART_S, raise_for_error=False
+                    )
+                task.future.set_exception(TimeoutError())
             self._late = []
 
     def close(self) -> None:
@@ -170,10 +178,10 @@ class DaskBackend(Backend):
         self._stopped.set()
         with self._lock:
             self._tasks.clear()
-        for one in (self._client, self._cluster):
+        for connection in (self._client, self._cluster):
             with suppress(Exception):
-                if one is not None:
-                    one.close(timeout=_STOP_S)
+                if connection is not None:
+                    connection.close(timeout=_STOP_S)
 
 
 def _run(request: bytes, topic: str, key: str) -> bytes:

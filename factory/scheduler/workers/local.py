@@ -79,7 +79,9 @@ class LocalBackend(Backend):
         left = self._workers
         deadline = time.monotonic() + _STOP_S
         # One may have been starting its process at that very moment.
-        while (left := [one for one in left if not one.closed()]) and time.monotonic() < deadline:
+        while (
+            left := [worker for worker in left if not worker.closed()]
+        ) and time.monotonic() < deadline:
             time.sleep(0.01)
         self._block.close()
 
@@ -113,8 +115,8 @@ class _Worker:
     def begin(self, task: Task) -> Future[Any]:
         """What comes of the task."""
         self._future = Future()
-        given = (self._future, task.request(), task)
-        threading.Thread(target=self._talk, args=given, daemon=True).start()
+        arguments = (self._future, task.request(), task)
+        threading.Thread(target=self._talk, args=arguments, daemon=True).start()
         return self._future
 
     def _talk(self, future: Future[Any], request: bytes, task: Task) -> None:

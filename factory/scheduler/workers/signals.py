@@ -53,13 +53,13 @@ def stop_signals() -> Iterator[None]:
         if time.monotonic() - first[0] > _ONE_KEYPRESS_S:
             os._exit(128 + number)
 
-    def thrown_away(what: sys.UnraisableHookArgs) -> None:
-        if not isinstance(what.exc_value, Interrupted):
-            tell(what)
+    def thrown_away(unraisable: sys.UnraisableHookArgs) -> None:
+        if not isinstance(unraisable.exc_value, Interrupted):
+            tell(unraisable)
             return
         first.clear()
-        lost[:] = [what.exc_value]
-        timer = threading.Timer(_ASK_AGAIN_S, send_again, (what.exc_value.exit_code - 128,))
+        lost[:] = [unraisable.exc_value]
+        timer = threading.Timer(_ASK_AGAIN_S, send_again, (unraisable.exc_value.exit_code - 128,))
         timer.start()
 
     def send_again(number: int) -> None:

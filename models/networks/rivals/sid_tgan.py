@@ -141,19 +141,19 @@ class SIDTGAN(AdversarialNetwork):
         self, content: Tensor, critic: nn.Module, noisy: Tensor, clean: Tensor, denoised: Tensor
     ) -> Tensor:
         """Content, texture, global features, and the judgement of the discriminator."""
-        seen = critic(noisy, denoised)
+        fake = critic(noisy, denoised)
         with torch.no_grad():
             true = critic(noisy, clean)
         # A texture is the correlation of features over the image, wherever things lie.
         textures = [
             (gram(features) - gram(true_features)).abs().mean()
-            for features, true_features in zip(seen.local, true.local, strict=True)
+            for features, true_features in zip(fake.local, true.local, strict=True)
         ]
         style = torch.stack(textures).mean()
-        unlike = 1 - functional.cosine_similarity(seen.overall, true.overall, dim=1).mean()
+        unlike = 1 - functional.cosine_similarity(fake.overall, true.overall, dim=1).mean()
         weights = self.settings
         total: Tensor = content + weights.style * style + weights.similarity * unlike
-        judgement: Tensor = seen.judgement.mean()
+        judgement: Tensor = fake.judgement.mean()
         return total - weights.adversarial * judgement
 
 

@@ -141,8 +141,8 @@ class SupervisedAttention(nn.Module):
     def forward(self, features: Tensor, noisy: Tensor) -> tuple[Tensor, Tensor]:
         """(N, width, H, W) and (N, 1, H, W) -> the features for the next stage, the image."""
         image: Tensor = noisy + self.residual(features)
-        kept: Tensor = features + self.features(features) * torch.sigmoid(self.weigh(image))
-        return kept, image
+        weighted: Tensor = features + self.features(features) * torch.sigmoid(self.weigh(image))
+        return weighted, image
 
 
 class ThreeStage(Network):

@@ -208,7 +208,7 @@ def test_a_recording_shares_one_render_and_its_surroundings_survive_the_cache():
     assert [chosen.time_s(ref) for ref in refs] == [0, 0.125, 0.25]
     frame, rendered = plane()
     view = view_of(frame, rendered, settings().sonar.mount)
-    read = decode(encode(view)).seen.surroundings
+    read = decode(encode(view)).unnamed_frame.surroundings
     assert read is not None
     assert frame.surroundings is not None
     np.testing.assert_array_equal(read.world_from_start, frame.surroundings.world_from_start)

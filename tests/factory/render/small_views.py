@@ -26,7 +26,7 @@ def config(folder: Path, **keys: object) -> FactoryConfig:
 
 
 def same(one: View, other: View) -> bool:
-    a, b = one.seen, other.seen
+    a, b = one.unnamed_frame, other.unnamed_frame
     return (
         a.depth_m.tobytes() == b.depth_m.tobytes()
         and one.radiance.tobytes() == other.radiance.tobytes()

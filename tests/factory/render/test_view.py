@@ -91,12 +91,12 @@ def test_what_is_stored_is_what_pictures_are_made_of() -> None:
     frame = ground_and_post()
     rendered = plain_render(frame)
     surface = rendered.surface
-    depth_error = np.abs(view.seen.depth_m[surface] / frame.depth_m[surface] - 1)
+    depth_error = np.abs(view.unnamed_frame.depth_m[surface] / frame.depth_m[surface] - 1)
     assert 0 < depth_error.max() < 1.01 * DEPTH.step / 2
     lit = surface & (rendered.radiance > 0)
     radiance_error = np.abs(view.radiance[lit] / rendered.radiance[lit] - 1)
     assert 0 < radiance_error.max() < 1.01 * RADIANCE.step / 2
-    assert not view.seen.depth_m[~surface].any()
+    assert not view.unnamed_frame.depth_m[~surface].any()
     assert not view.radiance[surface & ~lit].any()
 
 
@@ -124,9 +124,9 @@ def test_any_view_comes_back(seed: int, height: int, width: int, empty: bool) ->
     view = view_of(frame, Rendered(radiance, surface), mount)
     again = decode(encode(view))
     assert same(again, view)
-    assert view.seen.world_from_camera is frame.world_from_camera
+    assert view.unnamed_frame.world_from_camera is frame.world_from_camera
     for name in ("segmentation", "instance"):
-        np.testing.assert_array_equal(getattr(again.seen, name), getattr(frame, name))
+        np.testing.assert_array_equal(getattr(again.unnamed_frame, name), getattr(frame, name))
 
 
 @given(cut=st.integers(0, 4000), content=st.binary(max_size=60))

@@ -459,7 +459,7 @@ def test_renders_and_packs_keep_boxes_and_classes(folder: Path, tmp_path: Path) 
     ref = reader.discover().frames[0]
     frame, mount = reader.load(ref), config.sonar.mount
     view = view_of(frame, open_renderer(config.render).render(frame, mount), mount)
-    again = decode(encode(view)).seen
+    again = decode(encode(view)).unnamed_frame
     assert again.boxes is not None
     assert np.array_equal(again.boxes, np.round(np.asarray(frame.boxes), 5))
     classes = config.scenes.own_classes()

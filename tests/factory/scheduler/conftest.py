@@ -13,6 +13,6 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """Path below the dataset -> content, of every shard."""
     directory = tmp_path_factory.mktemp("undisturbed") / "dataset"
     report = make(directory, workers=1)
-    assert (report.samples, report.kept, report.failures) == (32, 0, ())
+    assert (report.samples, report.reused_shards, report.failures) == (32, 0, ())
     assert litter(directory) == []
     return shard_bytes(directory)

@@ -75,11 +75,11 @@ def test_frames_that_fail_kill_or_break_cost_themselves_alone(
     # The shards that are as good as they can be stay as they are; cured frames come in.
     before = {path: (directory / path).stat().st_mtime_ns for path in made}
     again = make(directory, FakeConfig(bad=config.bad, kills=config.kills, buggy=config.buggy))
-    assert again.kept == 4
+    assert again.reused_shards == 4
     assert {path: (directory / path).stat().st_mtime_ns for path in made} == before
     assert set(failures(directory)) == set(told)
     cured = make(directory)
-    assert (cured.samples, cured.kept, cured.failures) == (32, 2, ())
+    assert (cured.samples, cured.reused_shards, cured.failures) == (32, 2, ())
     assert failures(directory) == {}
     assert shard_bytes(directory) == undisturbed
 
@@ -122,7 +122,7 @@ def test_damaged_shards_are_made_again_and_the_rest_kept(
     (directory / "test/shard-00000.h5").unlink()
     kept = (directory / "train/shard-00002.h5").stat().st_mtime_ns
     report = make(directory)
-    assert report.kept == 1
+    assert report.reused_shards == 1
     told = capfd.readouterr().err
     assert "train/shard-00000.h5: " in told
     assert "bytes instead of" in told
@@ -209,7 +209,7 @@ def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
     before = {path: (directory / path).stat().st_mtime_ns for path in made}
     again = staged(directory, replace(config, hangs=(), kills=()), frame_timeout_s=1.0)
     assert {f.ref.name for f in again.failures} == {"reef/alpha/0000", "reef/alpha/0001"}
-    assert again.kept == 2
+    assert again.reused_shards == 2
     after = {path: (directory / path).stat().st_mtime_ns for path in shard_bytes(directory)}
     changed = [path for path in before if before[path] != after[path]]
     assert changed == ["train/shard-00001.h5", "train/shard-00002.h5"]
@@ -260,7 +260,7 @@ def test_slices_make_every_shard_once_and_the_whole_takes_them_up(tmp_path: Path
     assert manifest.samples() == 30
     assert [item["frame"] for item in load_failures(directory)] == ["reef/alpha/0000"]
     report = staged(directory, scheduler=SERIAL)
-    assert (report.kept, report.samples) == (3, 32)
+    assert (report.reused_shards, report.samples) == (3, 32)
     assert (directory / "README.md").exists()
     assert not list(directory.rglob("*-of-*"))
     assert not list(directory.glob("*/*.json")), "the results beside the shards have gone"

@@ -78,7 +78,7 @@ def test_signals_stop_quickly_leave_nobody_and_lose_nothing(
         assert litter(directory) == []
     kept = finished(directory)
     assert 1 <= kept < 4
-    assert make(directory).kept == kept
+    assert make(directory).reused_shards == kept
     assert litter(directory) == []
     assert shard_bytes(directory) == undisturbed
 
@@ -189,7 +189,7 @@ def test_a_signal_at_the_end_of_a_run_is_one_line_and_loses_nothing(
     assert {name: everything(folder)[name] for name in shards} == {
         name: whole_run[name] for name in shards
     }
-    assert make(folder, **AT_THE_END).kept == len(shards)
+    assert make(folder, **AT_THE_END).reused_shards == len(shards)
     assert everything(folder) == whole_run
 
 

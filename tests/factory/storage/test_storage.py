@@ -85,7 +85,7 @@ def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> No
     report = validate(local_folder(url, fresh=True), deep=True)
     assert not [line for line in report.findings if "1 location(s)" not in line]
     again = make(folder_of(url))
-    assert (again.kept, again.samples) == (4, 32)
+    assert (again.reused_shards, again.samples) == (4, 32)
 
 
 def test_what_is_damaged_or_gone_there_is_made_again(bucket: str, local: Path) -> None:
@@ -96,7 +96,7 @@ def test_what_is_damaged_or_gone_there_is_made_again(bucket: str, local: Path) -
     content = bytearray(shards_of(url)["train/shard-00000.h5"])
     content[-100] ^= 1
     store.put("train/shard-00000.h5", bytes(content))
-    assert make(folder_of(url)).kept == 2
+    assert make(folder_of(url)).reused_shards == 2
     assert shards_of(url) == shard_bytes(local)
 
 
@@ -123,7 +123,7 @@ def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_p
     with mock.patch.dict(os.environ, {"SIMNFND_CLOUD_CACHE": str(tmp_path / "copies")}):
         report = make(folder_of(url))
         assert report.samples == 32
-        assert report.kept >= 1
+        assert report.reused_shards >= 1
         left = {name for name in contents(url) if name.startswith(".")}
     assert left == set()
     assert shards_of(url) == shard_bytes(local)
@@ -213,7 +213,7 @@ def test_slices_make_one_dataset(bucket: str, local: Path) -> None:
         part = ShardSlice(index, 2)
         make(folder_of(url, part.part), shard=part)
     report = make(folder_of(url))
-    assert (report.kept, report.samples) == (4, 32)
+    assert (report.reused_shards, report.samples) == (4, 32)
     assert shards_of(url) == shard_bytes(local)
     assert not [name for name in contents(url) if "-of-" in name]
 

@@ -32,7 +32,7 @@ def test_shape_dtype_and_scale_stay(dtype: str, shape: tuple[int, ...]) -> None:
     full = {"uint8": 255, "uint16": 65535, "float32": 1}[dtype]
     image = np.random.default_rng(0).random(shape) * full
     image = image.astype(dtype) if dtype == "float32" else np.rint(image).astype(dtype)
-    result = Denoising(half).one(image, lambda picture: None).image
+    result = Denoising(half).denoise_image(image, lambda picture: None).image
     assert result.shape == shape
     assert result.dtype == image.dtype
     tolerance = 1e-6 if dtype == "float32" else 0.5
