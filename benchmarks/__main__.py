@@ -36,11 +36,11 @@ open(target, "w").write(json.dumps(dataclasses.asdict(section)))
 
 def discover(folder: Path = HERE) -> dict[str, str]:
     """Name -> module, sorted: `command` for bench_command.py."""
-    found = {}
+    modules = {}
     for path in folder.rglob("bench_*.py"):
         parts = path.relative_to(folder.parent).with_suffix("").parts
-        found[path.stem.removeprefix("bench_")] = ".".join(parts)
-    return dict(sorted(found.items()))
+        modules[path.stem.removeprefix("bench_")] = ".".join(parts)
+    return dict(sorted(modules.items()))
 
 
 def machine() -> str:
@@ -70,8 +70,8 @@ def run(name: str, options: Options) -> Section:
         code = subprocess.run([sys.executable, "-c", _CHILD, *words], check=False).returncode
         if code or not target.exists():
             return Section(failed=f"ended with exit code {code}")
-        found = json.loads(target.read_text(encoding="utf-8"))
-    return Section(tuple(Table(**table) for table in found["tables"]), found["failed"])
+        section = json.loads(target.read_text(encoding="utf-8"))
+    return Section(tuple(Table(**table) for table in section["tables"]), section["failed"])
 
 
 def write_report(
@@ -109,29 +109,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, default=Path("outputs/benchmarks"), metavar="DIR", help="for the report"
     )
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     known = discover()
-    if given.list:
+    if options.list:
         print("\n".join(known))
         return 0
-    unknown = [name for name in given.names if name not in known]
+    unknown = [name for name in options.names if name not in known]
     if unknown:
         print(
             f"error: no benchmark {', '.join(unknown)}; there are: {', '.join(known)}",
             file=sys.stderr,
         )
         return 2
-    if given.frame and not Path(given.frame).is_dir():
-        print(f"error: --frame {given.frame}: no such folder", file=sys.stderr)
+    if options.frame and not Path(options.frame).is_dir():
+        print(f"error: --frame {options.frame}: no such folder", file=sys.stderr)
         return 2
-    options = Options(given.quick, given.frame)
+    bench_options = Options(options.quick, options.frame)
     print(f"# Benchmarks\n\n{machine()}", flush=True)
     sections: dict[str, Section] = {}
-    for name in given.names or known:
-        sections[name] = run(name, options)
+    for name in options.names or known:
+        sections[name] = run(name, bench_options)
         print(f"\n{sections[name].markdown(name)}", flush=True)
-    stem = ("quick-" if given.quick else "") + ("-".join(given.names) or "report")
-    for path in write_report(given.out, stem, sections, options):
+    stem = ("quick-" if options.quick else "") + ("-".join(options.names) or "report")
+    for path in write_report(options.out, stem, sections, bench_options):
         print(f"report: {path}")
     failed = [name for name, section in sections.items() if section.failed]
     if failed:

@@ -77,16 +77,21 @@ def _table(
         f"cache.dir={folder / 'no cache'}", f"dataset.dir={folder / 'no'}",
     )  # fmt: skip
     for renderer in RENDERERS:
-        how = [*words, *PICTURES, *ONE, f"render={renderer}"]
+        overrides = [*words, *PICTURES, *ONE, f"render={renderer}"]
         for state in ("cold", "warm"):
             spent = []
             for count in counts:
                 times = []
                 for turn in range(options.amount(TURNS)):
-                    kept = folder / renderer / str(count) / str(turn)
+                    turn_folder = folder / renderer / str(count) / str(turn)
                     # A warm run has the cache of the cold one before it.
-                    places = [f"cache.dir={kept / 'cache'}", f"dataset.dir={kept / state}"]
-                    times.append(run_command("make", *how, f"frames.limit={count}", *places).cpu)
+                    places = [
+                        f"cache.dir={turn_folder / 'cache'}",
+                        f"dataset.dir={turn_folder / state}",
+                    ]
+                    times.append(
+                        run_command("make", *overrides, f"frames.limit={count}", *places).cpu
+                    )
                 spent.append(median(times))
             (less, more), (few, many) = spent, counts
             frame = (more - less) / (many - few)

@@ -33,7 +33,7 @@ def measure(options: Options) -> Section:
             run_command("denoise", f"{folder}/frame.png", "--out", f"{folder}/image-{turn}")
             for turn in range(options.amount(TURNS))
         ]
-        cpu, wall = (median(getattr(one, key) for one in turns) for key in ("cpu", "wall"))
+        cpu, wall = (median(getattr(turn, key) for turn in turns) for key in ("cpu", "wall"))
         rows.append(("one PNG, from Enter to file", cpu, wall))
         for label, words in (("single frames", ("--frames", "1")), ("in time", ())):
             less, more = (
@@ -52,10 +52,10 @@ def measure(options: Options) -> Section:
 
 def _frames(count: int) -> list[np.ndarray]:
     video = cv2.VideoCapture(str(LAMPREY))
-    found: list[np.ndarray] = []
-    while len(found) < count and (read := video.read())[0]:
-        found.append(cv2.resize(read[1], (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA))
-    return (found * (count // len(found) + 1))[:count]
+    frames: list[np.ndarray] = []
+    while len(frames) < count and (read := video.read())[0]:
+        frames.append(cv2.resize(read[1], (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA))
+    return (frames * (count // len(frames) + 1))[:count]
 
 
 def _write(path: Path, frames: list[np.ndarray]) -> None:

@@ -27,10 +27,10 @@ def measure(options: Options) -> Section:
                 f"dataset.dir={folder}/{shards}", f"cache.dir={folder}/cache",
             )  # fmt: skip
             plan = run_command("plan", *words)
-            made = run_command("make", *words, "scheduler.workers=2")
+            making = run_command("make", *words, "scheduler.workers=2")
             again = run_command("make", *words)
             validated = run_command("validate", f"{folder}/{shards}")
-            rows.append((shards, plan.cpu, made.cpu, again.cpu, validated.cpu))
+            rows.append((shards, plan.cpu, making.cpu, again.cpu, validated.cpu))
     columns = ("shards", "plan, CPU s", "make", "make again (resume)", "validate")
     slopes = [
         1e3 * (float(last) - float(first)) / (amounts[1] - amounts[0])

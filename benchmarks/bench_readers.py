@@ -39,11 +39,13 @@ def measure(options: Options) -> Section:
                 f"cache.dir={folder}/cache", "dataset.preview_pairs=0",
             )  # fmt: skip
             rows.append(_compare(root, compression, options.amount(ROUNDS)))
-        one, two = (_loader(Path(folder) / "gzip", n, options.amount(5, 2)) for n in (1, 2))
+        one_worker, two_workers = (
+            _loader(Path(folder) / "gzip", n, options.amount(5, 2)) for n in (1, 2)
+        )
     columns = ("compression", "of bare h5py", "PairDataset, pairs/s", "bare h5py", "wanted")
     loaders = Table(
         ("DataLoader, gzip, batches of 8", "times one worker", "pairs/s"),
-        (("1 worker", 1.0, one), ("2 workers", two / one, two)),
+        (("1 worker", 1.0, one_worker), ("2 workers", two_workers / one_worker, two_workers)),
     )
     return Section((Table(columns, rows), loaders))
 

@@ -49,10 +49,10 @@ def _table(options: Options) -> Table:
     observed = pairs.observe(frame, rendered, config)
     window, names = observed.window, StreamNames.of(frame.ref, 0, has_pose=True)
     echoes = insonified(frame, rendered, window, sonar).echoes
-    kept = pointwise.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
+    echo_subset = pointwise.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
     draws = draw(config.noise, config.seed, names)
-    made = effect_clouds(draws.effects, kept, window)
-    cloud, *added = noisy_cloud(kept, made, 1.0)
+    clouds = effect_clouds(draws.effects, echo_subset, window)
+    cloud, *added = noisy_cloud(echo_subset, clouds, 1.0)
     level = polar.accumulate(cloud, window, sonar, *added)
     full_scale = transfer.full_scale(level, sonar.transfer)
     grey = transfer.grey(level, full_scale, sonar.transfer)
@@ -72,7 +72,7 @@ def _table(options: Options) -> Table:
         ),
     }
     for effect in draws.effects:
-        stages[f"noise: {effect.name}"] = partial(effect_clouds, (effect,), kept, window)
+        stages[f"noise: {effect.name}"] = partial(effect_clouds, (effect,), echo_subset, window)
     stages |= {
         "accumulate in bins": lambda: polar.accumulate(cloud, window, sonar, *added),
         "point-spread": lambda: polar.spread_points(level, sonar),
@@ -83,7 +83,7 @@ def _table(options: Options) -> Table:
     plain = cpu_seconds(lambda: np.stack([cloud.range_m, cloud.azimuth_rad]).copy(), repeats)
     rows = tuple(
         (name, spent / plain, 1000 * spent)
-        for name, spent in ((name, cpu_seconds(one, repeats)) for name, one in stages.items())
+        for name, spent in ((name, cpu_seconds(stage, repeats)) for name, stage in stages.items())
     )
     note = f"{len(echoes)} echoes, {len(cloud)} points in the noisy cloud."
     columns = ("stage", "times one plain pass", "CPU ms")

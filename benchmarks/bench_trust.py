@@ -56,10 +56,10 @@ class Tally:
     wrong: list[str] = field(default_factory=list)
     note: str = ""
 
-    def must(self, holds: bool, what: str) -> None:
+    def must(self, holds: bool, problem: str) -> None:
         """Count what went wrong."""
         if not holds:
-            self.wrong.append(what)
+            self.wrong.append(problem)
 
 
 def measure(options: Options) -> Section:
@@ -72,13 +72,13 @@ def measure(options: Options) -> Section:
             rows.append((name, storms(root / f"storm-{workers}", workers, amount(8))))
         rows.append(("bits flipped in shards", flipped(root / "flips", amount(1600, 20))))
         for file, count in ((INDEX_NAME, 200), (MANIFEST_NAME, 200)):
-            found = flipped_file(root / f"flips-{file}", file, amount(count, 5))
-            rows.append((f"bits flipped in {file}", found))
+            tally = flipped_file(root / f"flips-{file}", file, amount(count, 5))
+            rows.append((f"bits flipped in {file}", tally))
         rows.append(("forged and damaged datasets", forged(root / "forged", amount(300, 10))))
         rows.append(("bombs, by simnfnd denoise", bombs(root / "bombs")))
         for name in WRITERS:
-            found = in_own_process(damaged, root / f"damaged-{name}", name, amount(300, 10))
-            rows.append((f"damaged {name}", found))
+            tally = in_own_process(damaged, root / f"damaged-{name}", name, amount(300, 10))
+            rows.append((f"damaged {name}", tally))
     table = Table(
         ("attack", "times", "went wrong", "beside"),
         [(name, tally.done, len(tally.wrong), tally.note) for name, tally in rows],
@@ -96,32 +96,36 @@ def storms(folder: Path, workers: int, rounds: int) -> Tally:
     tally.must(len(expected) > 10, "the quiet run made too little")
     chance = random.Random(workers)
     for number in range(rounds):
-        made, cache = folder / f"made-{number}", folder / f"cache-{number}"
+        dataset, cache = folder / f"made-{number}", folder / f"cache-{number}"
         for _ in range(4):
-            run = _start(made, cache, workers)
+            run = _start(dataset, cache, workers)
             acts += _fire(run, chance)
             begun = time.monotonic()
             _finish(run, tally, f"round {number}")
             longest = max(longest, time.monotonic() - begun)
-        last = _start(made, cache, workers)
+        last = _start(dataset, cache, workers)
         _finish(last, tally, f"round {number}")
         tally.must(last.returncode == 0, f"round {number}: exit code {last.returncode}")
-        tally.must(_hashes(made) == expected, f"round {number}: lost or other shards")
-        left = [one.pid for one in psutil.process_iter(["cmdline"]) if _belongs(one, made)]
+        tally.must(_hashes(dataset) == expected, f"round {number}: lost or other shards")
+        left = [
+            process.pid
+            for process in psutil.process_iter(["cmdline"])
+            if _belongs(process, dataset)
+        ]
         tally.must(not left, f"round {number}: processes left: {left}")
         tally.done += 1
-        shutil.rmtree(made)
+        shutil.rmtree(dataset)
         shutil.rmtree(cache)
     tally.note = f"{acts} kills and stops; at most {longest:.0f} s from one to the end of its run"
     return tally
 
 
-def _start(made: Path, cache: Path, workers: int) -> subprocess.Popen[bytes]:
-    words = [*_TINY, f"dataset.dir={made}", f"cache.dir={cache}", f"scheduler.workers={workers}"]
+def _start(dataset: Path, cache: Path, workers: int) -> subprocess.Popen[bytes]:
+    words = [*_TINY, f"dataset.dir={dataset}", f"cache.dir={cache}", f"scheduler.workers={workers}"]
     if workers == 1:
         words.append("scheduler=serial")
-    made.parent.mkdir(parents=True, exist_ok=True)
-    with (made.parent / "errors.txt").open("ab") as errors:
+    dataset.parent.mkdir(parents=True, exist_ok=True)
+    with (dataset.parent / "errors.txt").open("ab") as errors:
         return subprocess.Popen(
             [sys.executable, "-m", "simnfnd", "make", *words],
             stdout=errors, stderr=errors, start_new_session=True,
@@ -150,26 +154,26 @@ def _fire(run: subprocess.Popen[bytes], chance: random.Random) -> int:
     return acts
 
 
-def _finish(run: subprocess.Popen[bytes], tally: Tally, what: str) -> None:
+def _finish(run: subprocess.Popen[bytes], tally: Tally, label: str) -> None:
     """Wait for a run; one that takes more than a minute more hangs."""
     try:
         run.wait(HUNG_S)
     except subprocess.TimeoutExpired:
-        tally.must(False, f"{what}: hangs")
+        tally.must(False, f"{label}: hangs")
         os.killpg(run.pid, signal.SIGKILL)
         run.wait()
 
 
-def _belongs(process: psutil.Process, made: Path) -> bool:
+def _belongs(process: psutil.Process, dataset: Path) -> bool:
     words = process.info["cmdline"] or []
-    return any(str(made) in word for word in words)
+    return any(str(dataset) in word for word in words)
 
 
-def _hashes(made: Path) -> dict[str, str]:
+def _hashes(dataset: Path) -> dict[str, str]:
     """Shard -> hash of its bytes."""
     return {
-        path.relative_to(made).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(made.glob("*/shard-*.h5"))
+        path.relative_to(dataset).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(dataset.glob("*/shard-*.h5"))
     }
 
 
@@ -183,10 +187,10 @@ def flipped(folder: Path, times: int) -> Tally:
         path = shards[rng.integers(len(shards))]
         place, bit = flips.any_bit(path, rng)
         flips.flip(path, place, bit)
-        found = flips.outcome(root, sound)
+        outcome = flips.outcome(root, sound)
         flips.flip(path, place, bit)
-        refused += found == "refused"
-        tally.must(found in ("same", "refused"), f"{path.name} {place}.{bit}: {found}")
+        refused += outcome == "refused"
+        tally.must(outcome in ("same", "refused"), f"{path.name} {place}.{bit}: {outcome}")
         tally.done += 1
     tally.note = f"{refused} refused, the rest changed nothing"
     return tally
@@ -196,7 +200,7 @@ def flipped_file(folder: Path, name: str, times: int) -> Tally:
     """Single bits of the index or manifest; `validate` finds them, or they change nothing."""
     folder.mkdir()
     root, tally, rng = hostile.whole(folder / "sound"), Tally(), np.random.default_rng(2)
-    sound, found = flips.given_out(root), 0
+    sound, detected = flips.given_out(root), 0
     for _ in range(times):
         place, bit = flips.any_bit(root / name, rng)
         flips.flip(root / name, place, bit)
@@ -209,10 +213,10 @@ def flipped_file(folder: Path, name: str, times: int) -> Tally:
         elif valid:
             read = flips.outcome(root, sound)
             tally.must(read in ("same", "refused"), f"{name} {place}.{bit}: {read}")
-        found += not valid
+        detected += not valid
         flips.flip(root / name, place, bit)
         tally.done += 1
-    tally.note = f"{found} found by validate"
+    tally.note = f"{detected} found by validate"
     return tally
 
 
@@ -223,14 +227,14 @@ def forged(folder: Path, times: int) -> Tally:
     readable, reader = 0, IsolatedProcess()
     for number in range(times):
         root = hostile.copy(sound, folder / "forged")
-        what = hostile.mutate(root, number)
+        mutation = hostile.mutate(root, number)
         begun = time.monotonic()
         try:
             read, _ = hostile.check(root, reader)
             readable += read == "read"
         except Exception as error:
-            tally.must(False, f"{what}: {type(error).__name__} {error}"[:200])
-        tally.must(time.monotonic() - begun < HUNG_S, f"{what}: hangs")
+            tally.must(False, f"{mutation}: {type(error).__name__} {error}"[:200])
+        tally.must(time.monotonic() - begun < HUNG_S, f"{mutation}: hangs")
         tally.done += 1
     tally.note = f"{readable} still readable"
     return tally
@@ -299,9 +303,9 @@ def _h5(path: Path) -> None:
     import h5py
 
     with h5py.File(path, "w") as file:
-        made: Any = {"chunks": (1, 3000, 30_000), "compression": "gzip", "fillvalue": 7}
+        storage: Any = {"chunks": (1, 3000, 30_000), "compression": "gzip", "fillvalue": 7}
         for name in ("noisy", "clean"):
-            file.create_dataset(name, (4, 30_000, 30_000), "u1", **made)
+            file.create_dataset(name, (4, 30_000, 30_000), "u1", **storage)
         file.attrs["schema"] = "simnfnd/1"
         file.attrs["config"] = json.dumps({})
 

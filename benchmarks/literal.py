@@ -153,5 +153,5 @@ def _with_noise(
     added = np.stack([r * np.sin(theta), np.zeros_like(r), r * np.cos(theta)], axis=1)
     cloud = np.concatenate([spread, added])
     level = np.concatenate([strength, rng.random(len(r))])
-    kept = rng.random(len(cloud)) < 0.5
-    return cloud[kept], level[kept]
+    is_sampled = rng.random(len(cloud)) < 0.5
+    return cloud[is_sampled], level[is_sampled]

@@ -83,17 +83,19 @@ def main() -> int:
     )
     parser.add_argument("--only", nargs="*", help="names of datasets; the rest is left out")
     parser.add_argument("--flsea", type=Path, default=Path("../shared/data/flsea-vi"))
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="same-bytes-") as folder:
-        hashes = everything(Path(folder), given.only)
-        if given.flsea.is_dir():
-            hashes |= of_real_frames(Path(folder), given.flsea.resolve(), given.only, given.keep)
-    if given.write:
-        given.write.write_text(json.dumps(hashes, indent=1, sort_keys=True) + "\n")
-        print(f"{len(hashes)} hashes: {given.write}")
+        hashes = everything(Path(folder), options.only)
+        if options.flsea.is_dir():
+            hashes |= of_real_frames(
+                Path(folder), options.flsea.resolve(), options.only, options.keep
+            )
+    if options.write:
+        options.write.write_text(json.dumps(hashes, indent=1, sort_keys=True) + "\n")
+        print(f"{len(hashes)} hashes: {options.write}")
         return 0
-    expected = json.loads(given.against.read_text())
-    if given.only:
+    expected = json.loads(options.against.read_text())
+    if options.only:
         expected = {key: value for key, value in expected.items() if key in hashes}
     different = sorted(key for key in {*expected, *hashes} if expected.get(key) != hashes.get(key))
     for key in different:
@@ -108,10 +110,10 @@ def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
     for name, words in DATASETS.items():
         if only is not None and name not in only:
             continue
-        made = folder / name
-        run("simnfnd.factory", *words, f"dataset.dir={made}", f"cache.dir={folder / 'cache'}")
-        run("simnfnd.factory", "validate", str(made), "--deep")
-        hashes |= {f"{name}/{key}": value for key, value in dataset_hashes(made).items()}
+        dataset = folder / name
+        run("simnfnd.factory", *words, f"dataset.dir={dataset}", f"cache.dir={folder / 'cache'}")
+        run("simnfnd.factory", "validate", str(dataset), "--deep")
+        hashes |= {f"{name}/{key}": value for key, value in dataset_hashes(dataset).items()}
     if only is not None:
         return hashes
     # The points of a sweep name their own folders, by the hash of their configuration.
@@ -152,17 +154,26 @@ def of_real_frames(folder: Path, root: Path, only: list[str] | None, keep: Path)
         if only is not None and name not in only:
             continue
         words = (*words, *FEW, f"cache.dir={folder / 'real-cache'}")
-        made = folder / name
-        run("simnfnd.factory", *words, *scenes, *ONE, f"dataset.dir={made}")
-        expected = dataset_hashes(made)
+        dataset = folder / name
+        run("simnfnd.factory", *words, *scenes, *ONE, f"dataset.dir={dataset}")
+        expected = dataset_hashes(dataset)
         hashes |= {f"{name}/{key}": value for key, value in expected.items()}
         ways = {"many": MANY, "killed": (*ONE, "cache.enabled=false")}
-        for way, how in ways.items():
-            other = folder / f"{name}_{way}"
+        for way, overrides in ways.items():
+            second_dataset = folder / f"{name}_{way}"
             if way == "killed":
-                kill_in_the_middle(other, *words, *scenes, *how, f"dataset.dir={other}")
-            run("simnfnd.factory", *words, *scenes, *how, f"dataset.dir={other}")
-            same(f"{name}, {way}", expected, dataset_hashes(other), made, other, keep)
+                kill_in_the_middle(
+                    second_dataset, *words, *scenes, *overrides, f"dataset.dir={second_dataset}"
+                )
+            run("simnfnd.factory", *words, *scenes, *overrides, f"dataset.dir={second_dataset}")
+            same(
+                f"{name}, {way}",
+                expected,
+                dataset_hashes(second_dataset),
+                dataset,
+                second_dataset,
+                keep,
+            )
         pack, packed = folder / f"{name}.pack", folder / f"{name}_packed"
         run("simnfnd.factory", "cache", "pack", "--out", str(pack), *words, *scenes)
         run("simnfnd.factory", *words, "scenes=pack", f"scenes.root={pack}", *ONE,
@@ -172,9 +183,9 @@ def of_real_frames(folder: Path, root: Path, only: list[str] | None, keep: Path)
 
 
 def same(
-    what: str,
+    label: str,
     expected: dict[str, str],
-    found: dict[str, str],
+    actual: dict[str, str],
     first: Path,
     second: Path,
     keep: Path,
@@ -183,17 +194,19 @@ def same(
 
     Shards that hold the same and are not the same bytes are copied to `keep`.
     """
-    if expected == found:
+    if expected == actual:
         return
-    keys = sorted(k for k in {*expected, *found} if expected.get(k) != found.get(k))
+    keys = sorted(k for k in {*expected, *actual} if expected.get(k) != actual.get(k))
     stray = [key for key in keys if key.endswith(".h5") and not _parts_differ(key, keys)]
     for shard in stray:
         for name, folder in (("first", first), ("second", second)):
             copy = keep / name / shard
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(folder / shard, copy)
-    kept = f"; both files of {', '.join(stray)} are in {keep}" if stray else ""
-    raise SystemExit(f"{what}: {len(keys)} parts have other bytes: {', '.join(keys[:5])}{kept}")
+    copies_note = f"; both files of {', '.join(stray)} are in {keep}" if stray else ""
+    raise SystemExit(
+        f"{label}: {len(keys)} parts have other bytes: {', '.join(keys[:5])}{copies_note}"
+    )
 
 
 def _parts_differ(shard: str, keys: list[str]) -> bool:
@@ -207,11 +220,11 @@ def kill_in_the_middle(folder: Path, *words: str) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "simnfnd.factory", *words], start_new_session=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    ) as made:  # fmt: skip
-        while made.poll() is None and not any(folder.glob("*/shard-*.h5")):
+    ) as process:  # fmt: skip
+        while process.poll() is None and not any(folder.glob("*/shard-*.h5")):
             time.sleep(0.02)
-        if made.poll() is None:
-            os.killpg(made.pid, signal.SIGKILL)
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def run(*words: str) -> None:
@@ -239,19 +252,19 @@ def dataset_hashes(folder: Path) -> dict[str, str]:
 
 def shard_hashes(path: Path) -> dict[str, str]:
     """Part of a shard -> hash: its datasets and attributes one by one, so a change has a name."""
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     with h5py.File(path) as file:
 
         def note(name: str, item: h5py.Dataset | h5py.Group) -> None:
             for key, value in sorted(item.attrs.items()):
                 if isinstance(value, str | bytes | np.generic):
-                    found[f"{name}@{key}"] = hashlib.sha256(repr(value).encode()).hexdigest()
+                    hashes[f"{name}@{key}"] = hashlib.sha256(repr(value).encode()).hexdigest()
             if isinstance(item, h5py.Dataset):
-                found[name] = hashlib.sha256(np.ascontiguousarray(item[()]).tobytes()).hexdigest()
+                hashes[name] = hashlib.sha256(np.ascontiguousarray(item[()]).tobytes()).hexdigest()
 
         note("", file)
         file.visititems(note)
-    return found
+    return hashes
 
 
 def weights_hash(path: Path) -> str:

@@ -205,16 +205,16 @@ class Simulation:
         self.grid = grid
         self._plain = plain(self.config)
         views = open_views(self.config)
-        found = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
-        there = [ref for ref in found if views.holds(ref)]
-        if len(there) < min(8, len(found)):
+        refs = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
+        rendered = [ref for ref in refs if views.holds(ref)]
+        if len(rendered) < min(8, len(refs)):
             raise FactoryError(
-                f"recipe: only {len(there)} of its {len(found)} frames are rendered in "
+                f"recipe: only {len(rendered)} of its {len(refs)} frames are rendered in "
                 f"{self.config.cache.folder}; run `simnfnd make {shlex.join(recipe)}` first"
             )
-        spread = evenly(there, frames)
-        self._kept = Views({ref: views.view(ref) for ref in spread})
-        maker = PairMaker(self.config, self._kept)
+        spread = evenly(rendered, frames)
+        self._views = Views({ref: views.view(ref) for ref in spread})
+        maker = PairMaker(self.config, self._views)
         self.refs: list[FrameRef] = []
         for ref in spread:
             with suppress(FrameError):  # the factory leaves out frames that make no picture
@@ -241,7 +241,7 @@ class Simulation:
         import pandas as pd
 
         config = self.configured(values)
-        maker = PairMaker(config, self._kept)
+        maker = PairMaker(config, self._views)
         rows = []
         for ref in self.refs:
             (pair,) = maker.pairs(ref, (0,))

@@ -103,20 +103,20 @@ def _named(words: Sequence[str], first: str | None, rest: str | None = None) -> 
 def _as_keys(words: Sequence[str]) -> list[str]:
     """`--weights FILE` and `--frames N` of `simnfnd denoise` as keys of the configuration."""
     keys = {"--weights": "models", "--frames": "frames"}
-    found: list[str] = []
+    keywords: list[str] = []
     left = iter(words)
     for word in left:
         option, _, value = word.partition("=")
         if option not in keys:
-            found.append(word)
+            keywords.append(word)
             continue
         value = value or next(left, "")
         if not value:
             raise FactoryError(f"{option}: a value is missing")
-        found.append(
+        keywords.append(
             f"{keys[option]}={_listed([value]) if option == '--weights' else f'[{value}]'}"
         )
-    return found
+    return keywords
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -222,12 +222,12 @@ def _fit(config: DictConfig) -> None:
     search(settings)
 
 
-def _checked(config: DictConfig, kind: type[S], **asked: str) -> S:
-    """The settings; asked: key that must be given -> what to give."""
+def _checked(config: DictConfig, kind: type[S], **required: str) -> S:
+    """The settings; required: key that must be given -> what to give."""
     values = _values(config)
-    for key, what in asked.items():
+    for key, hint in required.items():
         if not values[key]:
-            raise FactoryError(f"{key}: give {what} (see `simnfnd evaluate --help`)")
+            raise FactoryError(f"{key}: give {hint} (see `simnfnd evaluate --help`)")
     settings: S = build(kind, values)
     return settings
 

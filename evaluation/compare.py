@@ -62,30 +62,32 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
 
     Raises FactoryError when a folder is no report, has no such row, or the pairs are not the same.
     """
-    name_a, one = _row(a, row_a)
-    name_b, other = _row(b, row_b)
-    common = one.index.intersection(other.index, sort=True)
+    name_a, row_values_a = _row(a, row_a)
+    name_b, row_values_b = _row(b, row_b)
+    common = row_values_a.index.intersection(row_values_b.index, sort=True)
     if common.empty:
         raise FactoryError(
             f"{a} and {b}: reports on different pairs, none in common; give two on one dataset"
         )
     groups = ["/".join(key[1:]) for key in common]
-    found: dict[str, Paired] = {}
+    results: dict[str, Paired] = {}
     for name, metric in METRIC_NAMES.items():
-        if name in one and name in other:
-            first, second = (row.loc[common, name].to_numpy(float) for row in (one, other))
-            found[name] = paired(
+        if name in row_values_a and name in row_values_b:
+            first, second = (
+                row.loc[common, name].to_numpy(float) for row in (row_values_a, row_values_b)
+            )
+            results[name] = paired(
                 first, second, groups, better=metric.better, resamples=2000, seed=0
             )
-    judged = [name for name in found if METRIC_NAMES[name].better]
-    adjusted = dict(zip(judged, holm([found[name].p for name in judged]), strict=True))
+    judged = [name for name in results if METRIC_NAMES[name].better]
+    adjusted = dict(zip(judged, holm([results[name].p for name in judged]), strict=True))
     return {
         "a": {"folder": a.name, "row": name_a},
         "b": {"folder": b.name, "row": name_b},
         "pairs": len(common),
         "frames": len(set(groups)),
-        "left_out": len(one.index.symmetric_difference(other.index)),
-        "metrics": {n: _line(n, result, adjusted.get(n)) for n, result in found.items()},
+        "left_out": len(row_values_a.index.symmetric_difference(row_values_b.index)),
+        "metrics": {n: _line(n, result, adjusted.get(n)) for n, result in results.items()},
     }
 
 
@@ -107,12 +109,12 @@ def text_of(result: dict[str, Any]) -> str:
     a, b = (f"{result[side]['row']} ({result[side]['folder']})" for side in "ab")
     left_out = f", {result['left_out']} in one report only" if result["left_out"] else ""
     rows = []
-    for name, one in result["metrics"].items():
+    for name, figures in result["metrics"].items():
         metric = METRIC_NAMES[name]
         digits = metric.digits + 1
-        figures = written(one["difference"], digits, True), interval(one, digits, True)
-        wins = percent(one["wins"]) if metric.better else "-"
-        rows.append([metric.label, *figures, written_p(one["p_holm"]), wins, one["verdict"]])
+        cells = written(figures["difference"], digits, True), interval(figures, digits, True)
+        wins = percent(figures["wins"]) if metric.better else "-"
+        rows.append([metric.label, *cells, written_p(figures["p_holm"]), wins, figures["verdict"]])
     head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
     about = f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}"
     return "\n\n".join([about, as_markdown(as_table(head, rows), "lrcrrl")])
@@ -145,8 +147,8 @@ def _row(folder: Path, name: str | None) -> tuple[str, pd.DataFrame]:
         means = results.groupby("method", sort=False)["psnr"].mean()
         others = means.drop("noisy", errors="ignore")
         name = str((means if others.empty else others).idxmax())
-    found = results[results["method"] == name]
-    if found.empty:
+    rows = results[results["method"] == name]
+    if rows.empty:
         known = ", ".join(results["method"].unique())
         raise FactoryError(f"{folder}: no row {name!r}; it has {known}")
-    return name, found.set_index(["pair", "location", "scene", "frame"])
+    return name, rows.set_index(["pair", "location", "scene", "frame"])

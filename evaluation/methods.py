@@ -30,8 +30,8 @@ class Method:
     name: of the baseline in the registry, or of a network.
     form: '', 'tuned', '+ levels' or 'tuned + levels'.
     weights: of a network, else None.
-    given: what gives its pictures, where it is no function: the folder of another program's, or
-        what a subject knows by this word.
+    pictures_source: of a row that is no function: the folder of another program's images, or a
+        word that its subjects know; else ''.
     ablation: which row of the paper's Table 3 a network is, or ''.
     """
 
@@ -41,7 +41,7 @@ class Method:
     levels: Levels | None = None
     weights: str | None = None
     ablation: str = ""
-    given: str = ""
+    pictures_source: str = ""
 
     @property
     def label(self) -> str:
@@ -54,14 +54,14 @@ class Method:
         """What made it: noisy (nothing), baseline, network, or pictures (of another program)."""
         if self.name == "identity" and not self.form:
             return "noisy"
-        if self.given:
+        if self.pictures_source:
             return "pictures"
         return "baseline" if self.weights is None else "network"
 
     @property
     def output(self) -> str:
         """Equal for rows that differ in their levels alone, so that they share the filtering."""
-        source = self.given or self.weights or self.name
+        source = self.pictures_source or self.weights or self.name
         return f"{source} {sorted(self.parameters.items())}"
 
 
@@ -70,7 +70,7 @@ NOISY = Method("identity", "", {})
 
 def baselines_of(names: Sequence[str]) -> list[Baseline]:
     """The baselines of `baselines=[...]`, groups of names spelt out."""
-    return chosen([one for name in names for one in GROUPS.get(name, (name,))])
+    return chosen([baseline for name in names for baseline in GROUPS.get(name, (name,))])
 
 
 def methods_of(baselines: Sequence[Baseline], tuned: Mapping[str, Any]) -> list[Method]:
@@ -119,16 +119,16 @@ def networks_at(
     models: Sequence[str], ablation: Mapping[str, str | None] | None = None
 ) -> list[Method]:
     """The same of these weights; `ablation`: row of the paper's Table 3 -> weights or None."""
-    given = [(path, "", "models") for path in models]
-    given += [(path, row, f"ablation.{row}") for row, path in (ablation or {}).items() if path]
-    found: dict[Path, Method] = {}
-    for text, row, key in given:
+    requested = [(path, "", "models") for path in models]
+    requested += [(path, row, f"ablation.{row}") for row, path in (ablation or {}).items() if path]
+    methods: dict[Path, Method] = {}
+    for text, row, key in requested:
         path = _weights(Path(text).expanduser(), key)
         name = path.parent.name if path.name == WEIGHTS_NAME else path.stem
-        if any(method.name == name for other, method in found.items() if other != path):
+        if any(method.name == name for known_path, method in methods.items() if known_path != path):
             name = str(path)
-        found[path] = Method(name, "", {}, weights=str(path), ablation=row)
-    return list(found.values())
+        methods[path] = Method(name, "", {}, weights=str(path), ablation=row)
+    return list(methods.values())
 
 
 @lru_cache(maxsize=2)

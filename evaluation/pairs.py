@@ -59,7 +59,7 @@ class Item(Subject):
         """What shares one clean image: the unit of the bootstrap."""
         return f"{self.location}/{self.scene}/{self.frame}"
 
-    def seen(self) -> Gray:
+    def noisy_image(self) -> Gray:
         """The noisy image (H, W)."""
         return picture(self.place).noisy
 
@@ -67,11 +67,11 @@ class Item(Subject):
         """Where range and bearing are, as the dataset says."""
         return geometry_of(self.place)
 
-    def given(self, method: Method) -> Gray:
+    def read_denoised(self, method: Method) -> Gray:
         """See `Subject`."""
-        image = given_picture(Path(method.given), names_of(self))
-        if image.shape != (shape := self.seen().shape):
-            sizes = ["x".join(map(str, reversed(one))) for one in (image.shape, shape)]
+        image = given_picture(Path(method.pictures_source), names_of(self))
+        if image.shape != (shape := self.noisy_image().shape):
+            sizes = ["x".join(map(str, reversed(size))) for size in (image.shape, shape)]
             name = names_of(self)[0]
             raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
         return image
@@ -79,10 +79,10 @@ class Item(Subject):
     def measure(self, image: Gray) -> Figures:
         """All metrics; identical images count as the PSNR of `finite_psnr`."""
         try:
-            found = _scene(self).figures(image)
+            figures = _scene(self).figures(image)
         except MetricError as error:
             raise FactoryError(f"{self.shard}: sample {self.place[1]}: {error}") from error
-        return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in found.items()}
+        return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in figures.items()}
 
 
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
@@ -97,15 +97,15 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     for path in pairs.paths:
         name = path.relative_to(root).as_posix()
         digests[path] = name, manifest.shards[name].sha256 if manifest else sha256_of(path)
-    found = []
-    for one in pairs.names():
-        name, digest = digests[one.path]
-        place = (str(one.path), one.row)
-        key = f"{digest[:24]}:{one.row}"
-        identity = one.location, one.scene, one.frame, one.variant
-        found.append(Item(name, place, one.split, counts[one.split], key, *identity))
-        counts[one.split] += 1
-    return found[:limit]
+    items = []
+    for sample in pairs.names():
+        name, digest = digests[sample.path]
+        place = (str(sample.path), sample.row)
+        key = f"{digest[:24]}:{sample.row}"
+        identity = sample.location, sample.scene, sample.frame, sample.variant
+        items.append(Item(name, place, sample.split, counts[sample.split], key, *identity))
+        counts[sample.split] += 1
+    return items[:limit]
 
 
 def drawn_of(items: Sequence[Item]) -> pd.DataFrame:
@@ -201,15 +201,19 @@ def given_methods(
 
     names: of each picture, where it may lie there.  Raises FactoryError for a folder without one.
     """
-    found: dict[str, Method] = {}
-    for one in folders:
-        if one.name in (*found, *REGISTRY, "noisy"):
-            raise FactoryError(f"pictures: {one.name}: another row has this name; choose another")
-        if lacking := [some[0] for some in names if given_file(Path(one.dir), some) is None]:
+    methods: dict[str, Method] = {}
+    for folder in folders:
+        if folder.name in (*methods, *REGISTRY, "noisy"):
             raise FactoryError(
-                f"pictures: {one.name}: {one.dir}: {len(lacking)} of {len(names)} pictures are "
-                f"missing, the first is {lacking[0]}.png (or .npy); names are those of `simnfnd "
+                f"pictures: {folder.name}: another row has this name; choose another"
+            )
+        place = Path(folder.dir)
+        lacking = [some_names[0] for some_names in names if given_file(place, some_names) is None]
+        if lacking:
+            raise FactoryError(
+                f"pictures: {folder.name}: {folder.dir}: {len(lacking)} of {len(names)} "
+                f"pictures are missing, the first is {lacking[0]}.png (or .npy); names are those of `simnfnd "
                 "export --to png` and of `simnfnd denoise`"
             )
-        found[one.name] = Method(one.name, "", {}, given=one.dir)
-    return list(found.values())
+        methods[folder.name] = Method(folder.name, "", {}, pictures_source=folder.dir)
+    return list(methods.values())

@@ -53,8 +53,8 @@ class Plan:
     @property
     def about(self) -> str:
         """One sentence for the tables."""
-        where = "procedural places" if self.scenes is None else self.scenes.name
-        pairs = f"{self.frames * (1 + self.quick)} pairs of {self.frames} frames at most ({where})"
+        source = "procedural places" if self.scenes is None else self.scenes.name
+        pairs = f"{self.frames * (1 + self.quick)} pairs of {self.frames} frames at most ({source})"
         text = f"{pairs}, {self.steps} steps a training"
         text += "" if self.real else ", without OldData"
         return f"Quick mode, no reproduction: {text}." if self.quick else f"{text}."
@@ -71,17 +71,17 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--frames", type=int, help="to render (default: 8000; quick: 32)")
     parser.add_argument("--steps", type=int, help="of each training (default: 4000; quick: 200)")
     parser.add_argument("--out", type=Path, default=Path("outputs/paper"), help="folder of all")
-    given = parser.parse_args(list(words))
+    options = parser.parse_args(list(words))
     for key, least in (("frames", 4), ("steps", 1)):
-        if (value := getattr(given, key)) is not None and value < least:
+        if (value := getattr(options, key)) is not None and value < least:
             raise FactoryError(f"--{key}: at least {least}, given {value}")
     for key in ("scenes", "real"):
-        if (folder := getattr(given, key)) is not None and not folder.is_dir():
+        if (folder := getattr(options, key)) is not None and not folder.is_dir():
             raise FactoryError(f"--{key} {folder}: no such folder")
-    check_writable(given.out, "--out")
-    frames = given.frames or (32 if given.quick else 8000)
-    steps = given.steps or (200 if given.quick else 4000)
-    plan = Plan(given.out, given.scenes, given.real, given.quick, frames, steps)
+    check_writable(options.out, "--out")
+    frames = options.frames or (32 if options.quick else 8000)
+    steps = options.steps or (200 if options.quick else 4000)
+    plan = Plan(options.out, options.scenes, options.real, options.quick, frames, steps)
     print(plan.about, flush=True)
     for step in steps_of(plan):
         print("simnfnd " + " ".join(step), flush=True)
@@ -159,10 +159,10 @@ def _figure_14(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> str:
         psnr_db = f"{means['psnr']:.2f}"
         lines.append([_FIGURE_ROWS.get(row["label"], "as made"), psnr_db, f"{means['ssim']:.3f}"])
     table = as_markdown(as_table(["method", "PSNR, dB", "SSIM"], lines), "lrr")
-    where = "Real images: none, without `--real`."
+    note = "Real images: none, without `--real`."
     if plan.real is not None:
-        where = f"Real images, which have no truth: `{plan.out / 'figure14' / 'real.html'}`."
-    return f"{table}\n\n{where}"
+        note = f"Real images, which have no truth: `{plan.out / 'figure14' / 'real.html'}`."
+    return f"{table}\n\n{note}"
 
 
 def _olddata(folder: Path) -> list[str]:

@@ -37,7 +37,9 @@ def evaluate(settings: RealismSettings) -> None:
     """Measure, compare, print the table and write the report.  Raises FactoryError."""
     real = real_pictures(settings.real).at_most(settings.limit)
     collections = {REAL: real, **_simulations(settings)}
-    measured = {name: described(one, settings.grid) for name, one in collections.items()}
+    measured = {
+        name: described(collection, settings.grid) for name, collection in collections.items()
+    }
     table, overall = distances(measured.pop(REAL), measured, settings.seed)
     out = Path(settings.out or Path("outputs", "realism", next(iter(measured))))
     rows = [
@@ -46,8 +48,8 @@ def evaluate(settings: RealismSettings) -> None:
     ]
     rows.append(["overall", "1", *(f"{value:.1f}" for value in overall.values())])
     shown = as_table(["real against", *table], rows)
-    counts = {name: len(one.sources) for name, one in collections.items()}
-    notes = [note for one in collections.values() for note in one.notes]
+    counts = {name: len(collection.sources) for name, collection in collections.items()}
+    notes = [note for collection in collections.values() for note in collection.notes]
     grid = settings.grid
     rule = (
         "Kolmogorov-Smirnov distances of the images' features, 0 to 1. `real` is that of two "
@@ -55,12 +57,14 @@ def evaluate(settings: RealismSettings) -> None:
         "mean of the earth mover's distances over those of the halves, each at least 1."
     )
     about = ", ".join(f"{count} images of {name}" for name, count in counts.items())
-    pictures = {name: one.at_most(_EXAMPLES).sources for name, one in collections.items()}
+    pictures = {
+        name: collection.at_most(_EXAMPLES).sources for name, collection in collections.items()
+    }
     examples = [
         # Far range on top.
         Example(
             f"images {number + 1}",
-            {name: found[number].polar(grid)[::-1] for name, found in pictures.items()},
+            {name: sources[number].polar(grid)[::-1] for name, sources in pictures.items()},
         )
         for number in range(min(map(len, pictures.values())))
     ]
@@ -85,16 +89,16 @@ def evaluate(settings: RealismSettings) -> None:
 
 def _simulations(settings: RealismSettings) -> dict[str, Collection]:
     """Name -> pictures; the second folder of a name goes by its path."""
-    found: dict[str, Collection] = {}
+    collections: dict[str, Collection] = {}
     for folder in settings.sim:
         path = Path(folder).expanduser()
         if (path / GEOMETRY_FILE).is_file():
             opened = real_pictures(path)
         else:
             opened = open_dataset(path, "all")
-        name = opened.name if opened.name not in (REAL, *found) else folder
-        found[name] = opened.at_most(settings.limit)
-    return found
+        name = opened.name if opened.name not in (REAL, *collections) else folder
+        collections[name] = opened.at_most(settings.limit)
+    return collections
 
 
 REAL = "real"
@@ -109,12 +113,12 @@ def described(collection: Collection, grid: Grid) -> pd.DataFrame:
     """(pictures x features) of a collection.  Raises FactoryError when a picture is unreadable."""
     import pandas as pd
 
-    found = []
+    rows = []
     with progress_bar(total=len(collection.sources), unit="picture", desc=collection.name) as bar:
-        for one in collection.sources:
-            found.append(features_of(one.polar(grid), one.geometry.range_span_m))
+        for source in collection.sources:
+            rows.append(features_of(source.polar(grid), source.geometry.range_span_m))
             bar.update()
-    return pd.DataFrame(found)
+    return pd.DataFrame(rows)
 
 
 def distances(
@@ -132,14 +136,15 @@ def distances(
     from scipy.stats import ks_2samp, wasserstein_distance
 
     sets = {REAL: real, **simulated}
-    for name, one in sets.items():
-        if len(one) < SMALLEST:
+    for name, features_of_set in sets.items():
+        if len(features_of_set) < SMALLEST:
             raise FactoryError(
-                f"{name}: {len(one)} pictures; at least {SMALLEST} are needed to compare halves"
+                f"{name}: {len(features_of_set)} pictures; at least {SMALLEST} are needed to "
+                "compare halves"
             )
     size = min(map(len, sets.values())) // 2
     # Ranges in metres are not always known.
-    metric = all(one["slope_per_m"].notna().any() for one in sets.values())
+    metric = all(features_of_set["slope_per_m"].notna().any() for features_of_set in sets.values())
     features = [n for n in FEATURES if real[n].notna().any() and (metric or n != "slope_per_m")]
     rng = stream(seed, "realism", "halves")
     sums = {name: np.zeros((2, len(features))) for name in sets}
@@ -147,17 +152,20 @@ def distances(
         order = rng.permutation(len(real))
         first = real.iloc[order[:size]]
         drawn = {
-            name: one.iloc[rng.permutation(len(one))[:size]] for name, one in simulated.items()
+            name: features_of_set.iloc[rng.permutation(len(features_of_set))[:size]]
+            for name, features_of_set in simulated.items()
         }
-        for name, other in {REAL: real.iloc[order[size : 2 * size]], **drawn}.items():
+        for name, second in {REAL: real.iloc[order[size : 2 * size]], **drawn}.items():
             for number, feature in enumerate(features):
-                pair = [part[feature].dropna().to_numpy(float) for part in (first, other)]
+                pair = [part[feature].dropna().to_numpy(float) for part in (first, second)]
                 if all(map(len, pair)):
                     apart = ks_2samp(*pair, method="asymp").statistic
                     sums[name][:, number] += apart, wasserstein_distance(*pair)
                 else:
                     sums[name][:, number] = np.nan
-    table = pd.DataFrame({name: found[0] / RESAMPLES for name, found in sums.items()}, features)
+    table = pd.DataFrame(
+        {name: sums_of_set[0] / RESAMPLES for name, sums_of_set in sums.items()}, features
+    )
     overall = {}
     for name in simulated:
         ratios = sums[name][1] / np.maximum(sums[REAL][1], 1e-9)
@@ -231,7 +239,7 @@ def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[
 def real_pictures(folder: str | Path) -> Collection:
     """See `open_real`."""
     shots, notes = open_real(folder)
-    sources = [Source(one.known, one) for one in shots if one.known]
+    sources = [Source(shot.known, shot) for shot in shots if shot.known]
     return Collection(Path(folder).expanduser().resolve().name, tuple(sources), notes)
 
 

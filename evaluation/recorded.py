@@ -91,37 +91,37 @@ class Stretch:
 
 
 def open_input(
-    given: str | Path, most: int | None = None, key: str = "real"
+    location: str | Path, most: int | None = None, key: str = "real"
 ) -> tuple[list[Stretch], tuple[str, ...]]:
     """All folders and recordings at a path, and notes for the report.
 
     most: of each so many shots, the first ones.  key: of the configuration, for errors.
     Raises FactoryError when there is nothing, or a recording cannot be opened.
     """
-    root = Path(given).expanduser()
+    root = Path(location).expanduser()
     if not root.exists():
         raise FactoryError(f"{key}={root}: no such folder or recording")
     notes: tuple[str, ...] = ()
     if (root / "Images").is_dir() or (root / GEOMETRY_FILE).is_file():
         shots, notes = _with_geometry(root)
-        found = [Stretch(root.resolve().name, shots)]
+        stretches = [Stretch(root.resolve().name, shots)]
     else:
-        found = _below(root)
-    if not found:
+        stretches = _below(root)
+    if not stretches:
         raise FactoryError(f"{key}={root}: holds no pictures and no recordings")
-    for stretch in found:
+    for stretch in stretches:
         if most is not None and (count := len(stretch.shots)) > most:
             notes += (f"of the {count} frames of {stretch.name} the first {most} are used",)
-    return [Stretch(one.name, one.shots[:most]) for one in found], notes
+    return [Stretch(stretch.name, stretch.shots[:most]) for stretch in stretches], notes
 
 
-def open_real(given: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
+def open_real(location: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
     """The same shots, each with its geometry: given, or found in the image.
 
     Raises FactoryError, also where nothing says where range and bearing are.
     """
-    stretches, notes = open_input(given)
-    found: list[Shot] = []
+    stretches, notes = open_input(location)
+    shots_with_fans: list[Shot] = []
     trackers: dict[Path, FanTracker] = {}
     for shot in (shot for stretch in stretches for shot in stretch.shots):
         known = shot.known
@@ -133,8 +133,8 @@ def open_real(given: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
                 f"real={shot.path}: no fan is seen in it; write a {GEOMETRY_FILE} beside pictures "
                 "(docs/realism.md says how)"
             )
-        found.append(replace(shot, known=known))
-    return found, notes
+        shots_with_fans.append(replace(shot, known=known))
+    return shots_with_fans, notes
 
 
 def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
@@ -230,7 +230,7 @@ def _line(row: Mapping[str, str | None]) -> tuple[str, FanGeometry]:
 def _below(root: Path) -> list[Stretch]:
     if root.is_file():
         return [_recording(root, root.name)]
-    found = []
+    stretches = []
     folders = [root, *(path for path in sorted(root.rglob("*")) if path.is_dir())]
     for folder in folders:
         parts = folder.relative_to(root).parts
@@ -241,11 +241,11 @@ def _below(root: Path) -> list[Stretch]:
         images = in_order([path for path, kind in kinds.items() if kind == "pictures"])
         shots = tuple(Shot(path, 0, path.name) for path in images)
         if shots:
-            found.append(Stretch("/".join(parts) or root.resolve().name, shots))
+            stretches.append(Stretch("/".join(parts) or root.resolve().name, shots))
         for path, kind in kinds.items():
             if kind not in (None, "pictures"):
-                found.append(_recording(path, path.relative_to(root).as_posix()))
-    return found
+                stretches.append(_recording(path, path.relative_to(root).as_posix()))
+    return stretches
 
 
 def _recording(path: Path, name: str) -> Stretch:

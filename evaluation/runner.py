@@ -32,7 +32,7 @@ SECONDS = "cpu_s"
 class Subject:
     """A picture that methods are judged on; it travels to the workers."""
 
-    def seen(self) -> Gray:
+    def noisy_image(self) -> Gray:
         """(H, W) in 0..1.  Raises FactoryError for a damaged picture."""
         raise NotImplementedError
 
@@ -40,7 +40,7 @@ class Subject:
         """Where range and bearing are; None where nothing says so."""
         return None
 
-    def given(self, method: Method) -> Gray:
+    def read_denoised(self, method: Method) -> Gray:
         """What another program made of it.  Raises FactoryError where there is nothing."""
         raise NotImplementedError
 
@@ -90,9 +90,9 @@ class Measured:
 
         rows = [
             {"method": label, "picture": number, **figures}
-            for label, found in self.figures.items()
+            for label, figures_of_picture in self.figures.items()
             if label not in self.lost
-            for number, figures in sorted(found.items())
+            for number, figures in sorted(figures_of_picture.items())
         ]
         return pd.DataFrame(rows, columns=None if rows else ["method", "picture"])
 
@@ -123,13 +123,13 @@ def run(
     A method that fails on a picture, or whose worker dies twice, loses its row.  Raises
     FactoryError for a picture that cannot be read.
     """
-    found = Measured({method.label: {} for method in methods})
+    measured = Measured({method.label: {} for method in methods})
     for batch in batches:
         every = list(batch.items())
         waiting: deque[Task] = deque()
         for first in range(0, len(every), chunk):
             some = dict(every[first : first + chunk])
-            if todo := tuple(one for one in methods if one.label not in found.lost):
+            if todo := tuple(item for item in methods if item.label not in measured.lost):
                 waiting.append(Task(todo, some, device, frozenset(filter(keep, some))))
         for task, results in pool.run(
             measure_task,
@@ -144,20 +144,20 @@ def run(
             for method, result in zip(task.methods, results, strict=True):
                 tick(len(task.subjects))
                 if result.lost is not None:
-                    found.lost.setdefault(method.label, result.lost)
-                if method.label in found.lost:
+                    measured.lost.setdefault(method.label, result.lost)
+                if method.label in measured.lost:
                     continue
-                found.figures[method.label] |= result.figures
-                found.images |= {(method.label, n): one for n, one in result.images.items()}
-            if found.lost:
+                measured.figures[method.label] |= result.figures
+                measured.images |= {(method.label, n): item for n, item in result.images.items()}
+            if measured.lost:
                 alive = [
-                    replace(one, methods=left)
-                    for one in waiting
-                    if (left := tuple(m for m in one.methods if m.label not in found.lost))
+                    replace(item, methods=left)
+                    for item in waiting
+                    if (left := tuple(m for m in item.methods if m.label not in measured.lost))
                 ]
                 waiting.clear()
                 waiting.extend(alive)
-    return found
+    return measured
 
 
 def _again(task: Task) -> list[Task]:
@@ -200,17 +200,17 @@ def _applied(method: Method, task: Task) -> dict[int, tuple[Gray, float]] | str:
     Seconds are NaN where another program took them.  Or why the method failed.  Raises FactoryError
     for a damaged subject.
     """
-    found = {}
+    results = {}
     for number, subject in task.subjects.items():
-        seen = None if method.given else subject.seen()
+        noisy = None if method.pictures_source else subject.noisy_image()
         try:
-            if seen is None:
-                found[number] = subject.given(method), math.nan
+            if noisy is None:
+                results[number] = subject.read_denoised(method), math.nan
             else:
-                found[number] = _timed(method, subject, seen, task.device)
+                results[number] = _timed(method, subject, noisy, task.device)
         except Exception as error:  # a method that crashes loses its row, not the report
             return reason(error)
-    return found
+    return results
 
 
 def _timed(method: Method, subject: Subject, image: Gray, device: str) -> tuple[Gray, float]:

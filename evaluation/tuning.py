@@ -45,12 +45,12 @@ _LEAST_SIDE = 96  # pixels of the middle of a frame
 class Sample:
     """A picture to tune on.
 
-    noisy, reference: (H, W) in 0..1.  where: (H, W) bool, what counts; None: all.
+    noisy, reference: (H, W) in 0..1.  mask: (H, W) bool, what counts; None: all.
     """
 
     noisy: Gray
     reference: Gray
-    where: npt.NDArray[np.bool_] | None = None
+    mask: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +93,11 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
         points = len(method_of(task.baseline).points()) + 1
         return settings.image_timeout_s * len(items) * points
 
-    for task, found in run_tasks(on_pairs, tasks, pool, limit_s):
-        if isinstance(found, str):
-            lost[task.baseline] = found
+    for task, outcome in run_tasks(on_pairs, tasks, pool, limit_s):
+        if isinstance(outcome, str):
+            lost[task.baseline] = outcome
         else:
-            known[task.baseline] = {"key": keys[task.baseline], **found}
+            known[task.baseline] = {"key": keys[task.baseline], **outcome}
             _save(path, known, items)
     return [_line(name, known, lost) for name in keys] + [f"tuned: {path}"]
 
@@ -110,9 +110,9 @@ def run_tasks(
 ) -> Iterator[tuple[Task, dict[str, Any] | str]]:
     """Each task with what `function` found, or why it failed, as they are done."""
     with progress_bar(total=len(tasks), unit="filter", desc="tuning") as bar:
-        for task, found in pool.run(function, deque(tasks), limit_s):
+        for task, outcome in pool.run(function, deque(tasks), limit_s):
             bar.update()
-            yield task, found.reason if isinstance(found, TaskLost) else found
+            yield task, outcome.reason if isinstance(outcome, TaskLost) else outcome
 
 
 def on_pairs(task: Task) -> dict[str, Any] | str:
@@ -149,23 +149,23 @@ def on_frames(task: Task) -> Parameters | str:
 
 def _mean_psnr(images: Sequence[Gray], samples: Sequence[Sample]) -> float:
     return float(np.mean([
-        finite_psnr(psnr(one.reference, image, data_range=1.0, mask=one.where))
-        for image, one in zip(images, samples, strict=True)
+        finite_psnr(psnr(sample.reference, image, data_range=1.0, mask=sample.mask))
+        for image, sample in zip(images, samples, strict=True)
     ]))  # fmt: skip
 
 
 def _measured(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> Point:
-    images = [baseline(one.noisy, point) for one in samples]
+    images = [baseline(sample.noisy, point) for sample in samples]
     levels = fit_levels((i, s.reference) for i, s in zip(images, samples, strict=True))
     corrected = [levels(image) for image in images]
     return Point(point, _mean_psnr(images, samples), _mean_psnr(corrected, samples), levels)
 
 
 def _score(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> float:
-    images = [baseline(one.noisy, point) for one in samples]
+    images = [baseline(sample.noisy, point) for sample in samples]
     fitted = [
-        fit_levels([(image[one.where], one.reference[one.where])])(image)
-        for image, one in zip(images, samples, strict=True)
+        fit_levels([(image[sample.mask], sample.reference[sample.mask])])(image)
+        for image, sample in zip(images, samples, strict=True)
     ]
     return _mean_psnr(fitted, samples)
 
@@ -173,16 +173,16 @@ def _score(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> 
 def _middle(frame: Sample) -> Sample:
     """The middle of what is judged of a frame, half as high and half as wide."""
     cut = []
-    assert frame.where is not None
-    for places, size in zip(np.nonzero(frame.where), frame.where.shape, strict=True):
+    assert frame.mask is not None
+    for places, size in zip(np.nonzero(frame.mask), frame.mask.shape, strict=True):
         side = min(max(size // 2, _LEAST_SIDE), size)
         first = min(max(int(places.mean()) - side // 2, 0), size - side)
         cut.append(slice(first, first + side))
     part = tuple(cut)
-    if not frame.where[part].any():
+    if not frame.mask[part].any():
         return frame
     planes = {n: np.ascontiguousarray(getattr(frame, n)[part]) for n in ("noisy", "reference")}
-    return replace(frame, **planes, where=np.ascontiguousarray(frame.where[part]))
+    return replace(frame, **planes, mask=np.ascontiguousarray(frame.mask[part]))
 
 
 def validation_items(settings: EvaluationSettings) -> list[Item]:
@@ -277,7 +277,9 @@ def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> 
     for name, axis in baseline.grid.items():
         best = _finer(best, name, axis, value)
     # Of equal ones the first, which is nearer to the default.
-    tried = sorted(known.values(), key=lambda one: (one[1] != best, -one[0]))
+    tried = sorted(
+        known.values(), key=lambda point_score: (point_score[1] != best, -point_score[0])
+    )
     return [point for _, point in tried]
 
 
@@ -287,13 +289,13 @@ def _along(
     """The best value of one parameter, from the present one outwards until two falls."""
     best = start
     top = value(start)
-    above = [one for one in axis if one > start[name]]
-    below = [one for one in reversed(axis) if one < start[name]]
+    above = [step_value for step_value in axis if step_value > start[name]]
+    below = [step_value for step_value in reversed(axis) if step_value < start[name]]
     for outwards in (above, below):
         last = value(start)
         falls = 0
-        for one in outwards:
-            point = {**start, name: one}
+        for step_value in outwards:
+            point = {**start, name: step_value}
             now = value(point)
             if now > top + _LEAST:
                 best = point
@@ -309,7 +311,7 @@ def _finer(
     start: Parameters, name: str, axis: Sequence[float], value: Callable[[Parameters], float]
 ) -> Parameters:
     """The best of the present value and those half way, in ratio, to its neighbours on the grid."""
-    if not all(isinstance(one, float) for one in axis) or start[name] not in axis:
+    if not all(isinstance(step_value, float) for step_value in axis) or start[name] not in axis:
         return start
     place = axis.index(start[name])
     best = start

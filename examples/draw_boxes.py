@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 folder, out, *wanted = sys.argv[1:]
-found = []
+samples = []
 for path in sorted(Path(folder).glob("*/shard-*.h5")):
     with h5py.File(path) as shard:
         if "boxes" not in shard["meta"].dtype.names:
@@ -24,10 +24,10 @@ for path in sorted(Path(folder).glob("*/shard-*.h5")):
         for number, row in enumerate(shard["meta"]):
             boxes = [box for box in json.loads(row["boxes"]) if box["class"] in own]
             heard = sum(box["insonified"] for box in boxes)
-            found.append((heard, -len(found), shard["noisy"][number], row, boxes))
+            samples.append((heard, -len(samples), shard["noisy"][number], row, boxes))
 
 tiles = []
-for _, _, picture, row, boxes in sorted(found, key=lambda one: one[:2], reverse=True)[:3]:
+for _, _, picture, row, boxes in sorted(samples, key=lambda entry: entry[:2], reverse=True)[:3]:
     grey = np.uint8(picture if picture.dtype == np.uint8 else np.rint(255 * picture))
     tile = cv2.cvtColor(grey.repeat(2, axis=0).repeat(2, axis=1), cv2.COLOR_GRAY2BGR)
     for box in boxes:
@@ -55,4 +55,4 @@ for _, _, picture, row, boxes in sorted(found, key=lambda one: one[:2], reverse=
         cv2.putText(tile, text, (left, top - 4), 0, 0.4, (90, 200, 255), 1, cv2.LINE_AA)
     tiles.append(tile)
 cv2.imwrite(out, np.hstack(tiles))
-print(f"{out}: {len(found)} pictures, {sum(len(one[4]) for one in found)} boxes")
+print(f"{out}: {len(samples)} pictures, {sum(len(entry[4]) for entry in samples)} boxes")

@@ -76,17 +76,17 @@ def main() -> None:
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, default=Path("outputs/figures"))
     parser.add_argument("--only", choices=("paper", "devices"))
-    given = parser.parse_intermixed_args()
-    own = any(word.startswith("scenes=") for word in given.settings)
-    config = compose_config([*(() if own else SCENES), *PICTURE, *given.settings])
+    options = parser.parse_intermixed_args()
+    own = any(word.startswith("scenes=") for word in options.settings)
+    config = compose_config([*(() if own else SCENES), *PICTURE, *options.settings])
     matplotlib.use("Agg")
-    given.out.mkdir(parents=True, exist_ok=True)
-    if given.only != "devices":
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.only != "devices":
         for name, rows in figures(views(config), config).items():
-            save(given.out / f"{name}.png", rows)
-    if given.only != "paper":
-        renders = [word for word in given.settings if word.startswith("render=")]
-        save(given.out / "devices.png", devices(renders))
+            save(options.out / f"{name}.png", rows)
+    if options.only != "paper":
+        renders = [word for word in options.settings if word.startswith("render=")]
+        save(options.out / "devices.png", devices(renders))
 
 
 def views(config: FactoryConfig, most: int = 3) -> list[View]:
@@ -96,34 +96,34 @@ def views(config: FactoryConfig, most: int = 3) -> list[View]:
     for ref in choose_frames(reader.discover().frames, config):
         first.setdefault((ref.location, ref.scene), ref)
     renderer = open_renderer(config.render)
-    found = []
+    views_of_scenes = []
     for ref in list(first.values())[:most]:
         frame = reader.load(ref)
         rendered = renderer.render(frame, config.sonar.mount)
-        found.append(View(frame, rendered, observe(frame, rendered, config)))
-    return found
+        views_of_scenes.append(View(frame, rendered, observe(frame, rendered, config)))
+    return views_of_scenes
 
 
-def figures(seen: Sequence[View], config: FactoryConfig) -> dict[str, list[list[Panel]]]:
+def figures(observed_views: Sequence[View], config: FactoryConfig) -> dict[str, list[list[Panel]]]:
     """File name -> rows of panels."""
-    first = seen[0]
+    first = observed_views[0]
     alike = clean(first, config)
-    found = {
-        "figure-03": [[photo(v), depth(v), radiance(v)] for v in seen],
-        "figure-04": [[radiance(v), from_above(v, config)] for v in seen[:2]],
+    rows_of_figure = {
+        "figure-03": [[photo(v), depth(v), radiance(v)] for v in observed_views],
+        "figure-04": [[radiance(v), from_above(v, config)] for v in observed_views[:2]],
     }
     for figure, effect in EFFECTS.items():
         weak, strong = (alone(config, effect, end) for end in (0.0, 1.0))
         row = [alike, noisy(first, weak, f"{effect}, weak end"), noisy(first, strong, "strong end")]
         if hasattr(getattr(config.noise, effect), "density"):
             row.append(noisy(first, more(strong, effect), f"{MANY} times as many points"))
-        found[f"figure-{figure:02d}"] = [row]
-    found["figure-12"] = [
+        rows_of_figure[f"figure-{figure:02d}"] = [row]
+    rows_of_figure["figure-12"] = [
         [photo(v), radiance(v), clean(v, config)]
         + [noisy(v, at_rate(config, rate), f"noisy, rate {rate:g}") for rate in RATES]
-        for v in seen
+        for v in observed_views
     ]
-    return found
+    return rows_of_figure
 
 
 def alone(config: FactoryConfig, effect: str, quantile: float) -> FactoryConfig:
@@ -212,7 +212,7 @@ def noisy(view: View, config: FactoryConfig, title: str) -> Panel:
 def devices(settings: Sequence[str]) -> list[list[Panel]]:
     """One procedural place through every device, by the sonar equation."""
     folder = resources.files("simnfnd.conf") / "sonar"
-    names = sorted(one.name.removesuffix(".yaml") for one in folder.iterdir())
+    names = sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir())
     panels = []
     for name in names:
         words = [*SCENES, "scenes.locations=1", "experiment=physical", "dataset.dtype=float32"]

@@ -33,11 +33,13 @@ def point_cloud(shard: h5py.File, number: int) -> np.ndarray:
         points = points @ (np.eye(3) + 2 * w * cross + 2 * cross @ cross).T
         points += [row[f"sonar.{axis}_m"] for axis in "xyz"]
     kinds = [(axis, "<f4") for axis in "xyz"]
-    made = np.empty(len(r), [*kinds, ("strength", "<f4"), ("class", "u1"), ("instance", "<u2")])
-    made["x"], made["y"], made["z"] = points.T
-    made["strength"] = picture["intensity_db"][heard]
-    made["class"], made["instance"] = (picture[name][heard] for name in NEEDED[4:])
-    return made
+    points_out = np.empty(
+        len(r), [*kinds, ("strength", "<f4"), ("class", "u1"), ("instance", "<u2")]
+    )
+    points_out["x"], points_out["y"], points_out["z"] = points.T
+    points_out["strength"] = picture["intensity_db"][heard]
+    points_out["class"], points_out["instance"] = (picture[name][heard] for name in NEEDED[4:])
+    return points_out
 
 
 def write_ply(path: Path, points: np.ndarray) -> None:

@@ -40,12 +40,12 @@ def pairs(
         first, last = (bisect.bisect(times, time + way * APART_S) for way in (-1, 1))
         near += [(abs(times[k] - time), colour, depths[k][1]) for k in range(first, last)]
     taken: set[str] = set()
-    found = []
+    matches = []
     for _, colour, depth in sorted(near):
         if not taken & {colour, depth}:
             taken |= {colour, depth}
-            found.append((colour, depth))
-    return sorted(found)
+            matches.append((colour, depth))
+    return sorted(matches)
 
 
 def main() -> None:
@@ -53,12 +53,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, usage="%(prog)s RECORDING")
     parser.add_argument("recording", type=Path, help="folder of rgb.txt and depth.txt")
     folder = parser.parse_args().recording
-    found = pairs(listed(folder / "rgb.txt"), listed(folder / "depth.txt"))
+    matches = pairs(listed(folder / "rgb.txt"), listed(folder / "depth.txt"))
     target, name = folder / "frames.csv", folder.resolve().name
     with target.open("w", newline="") as file:
-        csv.writer(file).writerows((*pair, name) for pair in found)
+        csv.writer(file).writerows((*pair, name) for pair in matches)
     camera = next((value for key, value in CAMERAS.items() if key in name), "FX,FY,CX,CY")
-    print(f"{len(found)} frames in {target}; make pairs with")
+    print(f"{len(matches)} frames in {target}; make pairs with")
     print(
         f"simnfnd make scenes=csv_list scenes.file={target} scenes.intrinsics='[{camera}]' "
         f"scenes.depth_scale={DEPTH_SCALE} dataset.dir=outputs/{name}"

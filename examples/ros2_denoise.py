@@ -32,9 +32,9 @@ class Worker:
 
     def __call__(self, message):
         """The message with denoised samples.  Raises FactoryError, or ValueError for odd floats."""
-        what = f"message {self.count}"
+        label = f"message {self.count}"
         self.count += 1
-        frame = frame_of(message, self.kind, self.count, 0.0, what)
+        frame = frame_of(message, self.kind, self.count, 0.0, label)
         if frame.beams is not None:
             geometry = polar_geometry(frame.beams, len(frame.samples))
         else:
@@ -43,7 +43,7 @@ class Worker:
                 self.fans[shape] = find_geometry(frame.samples)
             geometry = self.fans[shape]
         denoised = self.denoising.denoise_image(frame.samples, lambda picture: geometry).image
-        return with_samples(message, self.kind, denoised, what)
+        return with_samples(message, self.kind, denoised, label)
 
 
 def main():
@@ -52,21 +52,21 @@ def main():
     parser.add_argument("topic")
     parser.add_argument("--sonar", action="store_true", help="of ProjectedSonarImage, not Image")
     parser.add_argument("--weights", help="weights.safetensors of a training")
-    given, ros = parser.parse_known_args()
+    options, ros = parser.parse_known_args()
 
     # Only here: the rest of this file needs no ROS.
     import rclpy
     from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-    if given.sonar:
+    if options.sonar:
         from marine_acoustic_msgs.msg import ProjectedSonarImage as Message
     else:
         from sensor_msgs.msg import Image as Message
 
-    worker = Worker(SONAR if given.sonar else IMAGE, given.weights)
+    worker = Worker(SONAR if options.sonar else IMAGE, options.weights)
     rclpy.init(args=ros)
     node = rclpy.create_node("simnfnd_denoise")
-    publisher = node.create_publisher(Message, f"{given.topic}/denoised", 1)
+    publisher = node.create_publisher(Message, f"{options.topic}/denoised", 1)
     # Hears publishers of either reliability.
     latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -76,8 +76,8 @@ def main():
         except (FactoryError, ValueError) as error:
             node.get_logger().warning(f"left out: {error}")
 
-    node.create_subscription(Message, given.topic, on, latest)
-    node.get_logger().info(f"{given.topic} -> {given.topic}/denoised")
+    node.create_subscription(Message, options.topic, on, latest)
+    node.get_logger().info(f"{options.topic} -> {options.topic}/denoised")
     try:
         rclpy.spin(node)
     except KeyboardInterrupt:

@@ -109,10 +109,10 @@ def denoise(
         if geometry == "find" and picture.geometry is not None:
             geometry = picture.geometry
         picture = picture.noisy
-    given = np.asarray(picture)
-    if given.ndim not in (2, 3):
+    values = np.asarray(picture)
+    if values.ndim not in (2, 3):
         raise ValueError(
-            f"picture has shape {given.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
+            f"picture has shape {values.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
         )
     path = find_weights(weights)
     if not 0 <= strength <= 1:
@@ -126,16 +126,16 @@ def denoise(
             return FanGeometry.polar().with_size(*image.shape[:2])
         return find_geometry(image) if isinstance(geometry, str) else geometry
 
-    known = given.astype(np.float32) if given.dtype.kind == "f" else given
+    known = values.astype(np.float32) if values.dtype.kind == "f" else values
     denoising = Denoising(network, frames=frames, causal=causal, calibrated=strength == 1)
-    if given.ndim == 2 or given.shape[2] <= 4:
+    if values.ndim == 2 or values.shape[2] <= 4:
         single = denoising.denoise_image(known, place)
-        image = single.image.astype(given.dtype)
+        image = single.image.astype(values.dtype)
         return DenoisedImage(image, single.removed.signal) if return_removed else image
-    result = np.empty(given.shape, given.dtype)
-    removed = np.empty(given.shape if return_removed else 0, np.float32)
+    result = np.empty(values.shape, values.dtype)
+    removed = np.empty(values.shape if return_removed else 0, np.float32)
     shots = (denoising.shot(number, image, place) for number, image in enumerate(known))
-    for denoised in denoising.sequence(shots, alone=len(given) < 2):
+    for denoised in denoising.sequence(shots, alone=len(values) < 2):
         result[denoised.key] = denoised.image
         if return_removed:
             removed[denoised.key] = denoised.removed.signal

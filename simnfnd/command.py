@@ -27,19 +27,19 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     default: the verb that is meant where the first word is a setting or one of its own verbs.
     0, 1 (some frames failed), 2 (bad input) or 130/143 (interrupted).
     """
-    given = list(sys.argv[1:] if words is None else words)
-    if "--version" in given[:2]:
+    arguments = list(sys.argv[1:] if words is None else words)
+    if "--version" in arguments[:2]:
         return _print(f"simnfnd {__version__}")
     if default is not None and (
-        not given or _is_option(given[0]) or f"{default} {given[0]}" in VERBS
+        not arguments or _is_option(arguments[0]) or f"{default} {arguments[0]}" in VERBS
     ):
-        given.insert(0, default)
-    if not given or given[0] in (*_HELP, "help"):
+        arguments.insert(0, default)
+    if not arguments or arguments[0] in (*_HELP, "help"):
         return _print(overview())
     from .factory.scheduler.workers.signals import stop_signals
 
     def run() -> int | None:
-        others, folders = take_config_folders(given)
+        others, folders = take_config_folders(arguments)
         name, verb, rest = find(others)
         if any(word in _HELP for word in rest):
             print(f"{head(name, verb)}\n", flush=True)
@@ -59,7 +59,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
             code: int | None = action(rest)
         return code
 
-    return guard(run, debug="debug=true" in given)
+    return guard(run, debug="debug=true" in arguments)
 
 
 def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
@@ -69,7 +69,7 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
     """
     name = words[0]
     rest = list(words[1:])
-    own = [one for one in VERBS if one.startswith(f"{name} ")]
+    own = [full_name for full_name in VERBS if full_name.startswith(f"{name} ")]
     second = bool(rest and own) and not _is_option(rest[0])
     if second:
         name = f"{name} {rest.pop(0)}"
@@ -81,8 +81,10 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
             f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
         )
     # By the last word, too: people leave `evaluate` out.
-    known = {one.rpartition(" ")[2]: one for one in VERBS}
-    near = [known[one] for one in difflib.get_close_matches(word, known, n=3, cutoff=0.5)]
+    known = {full_name.rpartition(" ")[2]: full_name for full_name in VERBS}
+    near = [
+        known[full_name] for full_name in difflib.get_close_matches(word, known, n=3, cutoff=0.5)
+    ]
     close = f"did you mean `simnfnd {'` or `simnfnd '.join(near)}`?"
     listed = f"`simnfnd {f'{words[0]} ' if second else ''}--help` lists them"
     raise FactoryError(f"{word}: no such verb; {close if near else listed}")
@@ -93,7 +95,9 @@ def overview() -> str:
     lines = ["simnfnd VERB ...: sonar pictures with a known truth, and denoisers made of them"]
     for group in dict.fromkeys(verb.group for verb in VERBS.values()):
         lines += ["", f"{group}:"]
-        lines += [f"  {name:<17} {one.line}" for name, one in VERBS.items() if one.group == group]
+        lines += [
+            f"  {name:<17} {verb.line}" for name, verb in VERBS.items() if verb.group == group
+        ]
     more = "`simnfnd VERB --help` tells more about one, `simnfnd --version` the version."
     return "\n".join([*lines, "", more])
 

@@ -77,8 +77,8 @@ def make_dataset(
         if not had_template:
             template.kill()
     # Warnings of the plan come again at the end of a run.
-    told = tuple(dict.fromkeys(notes))
-    return DatasetResult(str(shown(directory)), report.samples, report.failures, told)
+    warnings = tuple(dict.fromkeys(notes))
+    return DatasetResult(str(shown(directory)), report.samples, report.failures, warnings)
 
 
 def make_pair(

@@ -90,13 +90,13 @@ def measured(reports: Path, groups: Path | None, before: Mapping[str, Any]) -> F
             if code := simnfnd([*words, str(source), *models, f"out={report.parent}"]):
                 raise SystemExit(code)
         contents[name] = json.loads(report.read_text(encoding="utf-8"))
-    found: Figures = {
+    figures: Figures = {
         "real": {**_in_time(contents["real"]), **_single(contents["real"])},
         "detect": _targets(contents["detect"]),
         "groups": _single(contents["groups"]) if groups else before["groups"],
         "probe": probe(),
     }
-    return found
+    return figures
 
 
 def lines_of(figures: Mapping[str, Any]) -> str:
@@ -142,9 +142,9 @@ def draw_image() -> None:
             top = _CAPTION_PX + row * (side + _GAP_PX)
             brightest = np.quantile(frames[middle][crop], 0.998)
             pixels = np.clip(image[crop] / brightest, 0, 1) * 255
-            how = cv2.INTER_AREA if pixels.shape[0] > side else cv2.INTER_NEAREST
+            interpolation = cv2.INTER_AREA if pixels.shape[0] > side else cv2.INTER_NEAREST
             sheet[top : top + side, left : left + side] = cv2.resize(
-                pixels.astype(np.float32), (side, side), interpolation=how
+                pixels.astype(np.float32), (side, side), interpolation=interpolation
             )
     cv2.imwrite(str(IMAGE), sheet)
 
@@ -157,11 +157,11 @@ def _mean_outside(frames: Frames, middle: int) -> Frames:
 
 def _in_time(report: Mapping[str, Any]) -> Figures:
     """Kind of input -> row -> PSNR and SSIM."""
-    found: Figures = {}
+    figures: Figures = {}
     for row in report["in_time"]:
         scores = {name: round(row[name], 4) for name in ("psnr_db", "ssim")}
-        found.setdefault(row["kind"], {})[row["row"]] = scores
-    return found
+        figures.setdefault(row["kind"], {})[row["row"]] = scores
+    return figures
 
 
 def _single(report: Mapping[str, Any]) -> Figures:

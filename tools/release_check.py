@@ -13,13 +13,13 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def problems(root: Path = ROOT) -> Iterator[str]:
     """One line for each thing that stands in the way of a release from `root`."""
-    version = _found(root / "factory" / "__init__.py", r'^__version__ = "(.+)"')
+    version = _first_match(root / "factory" / "__init__.py", r'^__version__ = "(.+)"')
     if not re.fullmatch(r"\d+\.\d+\.\d+", version or ""):
         yield f"factory/__init__.py: __version__ is {version}; expected three numbers"
-    cited = _found(root / "CITATION.cff", r"^version: (.+)")
+    cited = _first_match(root / "CITATION.cff", r"^version: (.+)")
     if cited != version:
         yield f"CITATION.cff: version is {cited}; factory/__init__.py says {version}"
-    if not _found(root / "CITATION.cff", r"^date-released: (\d{4}-\d\d-\d\d)$"):
+    if not _first_match(root / "CITATION.cff", r"^date-released: (\d{4}-\d\d-\d\d)$"):
         yield "CITATION.cff: no date-released; add `date-released: YYYY-MM-DD`"
     changelog = (root / "CHANGELOG.md").read_text(encoding="utf-8")
     parts = re.split(r"^## ", changelog, flags=re.MULTILINE)[1:]
@@ -36,7 +36,7 @@ def problems(root: Path = ROOT) -> Iterator[str]:
         yield f"git: the tag v{version} is there already"
 
 
-def _found(file: Path, pattern: str) -> str | None:
+def _first_match(file: Path, pattern: str) -> str | None:
     match = re.search(pattern, file.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return match.group(1) if match else None
 
@@ -48,10 +48,10 @@ def _git(root: Path, *words: str) -> str:
 
 def main() -> int:
     """Print what stands in the way; 0 if nothing does."""
-    found = list(problems())
-    for line in found:
+    lines = list(problems())
+    for line in lines:
         print(f"error: {line}", file=sys.stderr)
-    return 2 if found else 0
+    return 2 if lines else 0
 
 
 if __name__ == "__main__":

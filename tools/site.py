@@ -87,14 +87,14 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
             return match.group(0)
         wanted = posixpath.normpath(posixpath.join(posixpath.dirname(origin), target))
         if wanted in pages:
-            found = pages[wanted]
+            target = pages[wanted]
         elif wanted.startswith("docs/"):
-            found = wanted.removeprefix("docs/")
+            target = wanted.removeprefix("docs/")
         elif (ROOT / wanted).exists():
             raise PluginError(f"{origin}: links to {wanted}, which no page shows (tools/site.py)")
         else:
             return match.group(0)
-        link = posixpath.relpath(found, posixpath.dirname(place) or ".")
+        link = posixpath.relpath(target, posixpath.dirname(place) or ".")
         return f"{match.group(1)}{link}{'#' * bool(anchor)}{anchor}{match.group(3)}"
 
     # Code blocks stay as they are.

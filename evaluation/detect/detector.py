@@ -76,7 +76,7 @@ def responses_of(
     track_numbers: list[int] = []
     present: list[float] = []
     absent: list[float] = []
-    found: list[float] = []
+    target_changes: list[float] = []
     for track_number, track in enumerate(tracks):
         for number, y, x in track.sightings:
             if number not in judged:
@@ -87,12 +87,12 @@ def responses_of(
             top = max(0, int(y) - _FOUND_PX)
             left = max(0, int(x) - _FOUND_PX)
             around = change[number, top : int(y) + _FOUND_PX + 1, left : int(x) + _FOUND_PX + 1]
-            found.append(float(around.max()))
+            target_changes.append(float(around.max()))
     return Responses(
         np.array(track_numbers, np.int64),
         np.array(present),
         np.array(absent),
-        np.array(found),
+        np.array(target_changes),
         alarm_frame,
         alarm_change,
         len(without),

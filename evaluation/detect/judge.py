@@ -134,7 +134,9 @@ def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
     examples = _examples(sequences, settings)
     tasks: list[Task] = []
     for number, rows in enumerate(rows_by_sequence):
-        frames = tuple({one.sighting.frame for one in examples if one.sequence == number})
+        frames = tuple(
+            {example.sighting.frame for example in examples if example.sequence == number}
+        )
         tasks += [Task(number, row, sequences[number], settings.device, frames) for row in rows]
     results, lost = _run(tasks, pool, settings.image_timeout_s * len(recordings[0].frames))
     labels = dict.fromkeys(task.row.label for task in tasks)
@@ -177,7 +179,7 @@ def run_row(task: Task) -> Result:
 
 
 def _mean_figures(figures: Sequence[Figures]) -> Figures:
-    return {name: float(np.mean([one[name] for one in figures])) for name in figures[0]}
+    return {name: float(np.mean([single[name] for single in figures])) for name in figures[0]}
 
 
 def _static_recordings(

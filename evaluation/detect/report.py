@@ -46,8 +46,8 @@ def evaluate(settings: DetectSettings) -> None:
     """Measure, print the table and write the report.  Raises FactoryError."""
     stretches: list[Stretch] = []
     for path in settings.recordings:
-        found, _ = open_input(path, key="recordings")
-        stretches += found
+        opened, _ = open_input(path, key="recordings")
+        stretches += opened
     if len({stretch.name for stretch in stretches}) < len(stretches):
         raise FactoryError("recordings: two have one name; give each once, in one folder")
     check_writable(settings.folder, "out")
@@ -118,7 +118,13 @@ def class_table(settings: DetectSettings, outcome: Outcome) -> pd.DataFrame:
     classes = classes_of(settings.sizes, settings.contrasts)
     head = ["AUC / contrast / detection", *(target.label for target in classes)]
     lines = [
-        [label, *(" / ".join(written(one.value, 2) for one in own[:3]) for own in figures.by_class)]
+        [
+            label,
+            *(
+                " / ".join(written(figure.value, 2) for figure in own[:3])
+                for own in figures.by_class
+            ),
+        ]
         for label, figures in outcome.figures.items()
     ]
     return as_table(head, lines)
@@ -158,8 +164,8 @@ def _facts(settings: DetectSettings, outcome: Outcome) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "sequences": [
-            {"name": one.name, "frames": len(one.with_targets), "tracks": len(one.tracks)}
-            for one in outcome.sequences
+            {"name": item.name, "frames": len(item.with_targets), "tracks": len(item.tracks)}
+            for item in outcome.sequences
         ],
         "classes": [target._asdict() for target in classes],
         "speed_px": settings.speed_px,
@@ -167,11 +173,11 @@ def _facts(settings: DetectSettings, outcome: Outcome) -> dict[str, Any]:
         "rows": [
             {
                 "label": label,
-                **{name: _plain(one) for name, one in figures.overall._asdict().items()},
+                **{name: _plain(item) for name, item in figures.overall._asdict().items()},
                 "false_alarms": _plain(figures.false_alarms),
                 **{name: plain(value) for name, value in outcome.ratios[label].items()},
                 "classes": {
-                    target.label: {name: _plain(one) for name, one in own._asdict().items()}
+                    target.label: {name: _plain(item) for name, item in own._asdict().items()}
                     for target, own in zip(classes, figures.by_class, strict=True)
                 },
                 "detection_at_false_alarms": dict(

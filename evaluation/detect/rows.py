@@ -112,7 +112,7 @@ def denoised(
     mean = registered_mean if row.kind == "registered mean" else mean_around
     means = (mean(frames, number, REACH) for number in range(len(frames)))
     if row.parameters:
-        means = (method_of(row.name)(one, row.parameters) for one in means)
+        means = (method_of(row.name)(mean_frame, row.parameters) for mean_frame in means)
     return np.stack(list(means))
 
 

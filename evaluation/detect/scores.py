@@ -97,7 +97,7 @@ def figures_of(
         for number in range(len(classes))
     )
     overall = ClassFigures(
-        *(_estimate(_mean(np.stack([_mean(one) for one in figure]))) for figure in draws)
+        *(_estimate(_mean(np.stack([_mean(values) for values in figure]))) for figure in draws)
     )
     return MethodFigures(
         by_class,
@@ -123,8 +123,8 @@ def auc_of(present: Values, absent: Values) -> float:
 
 def _tracks_of(answers: Answers, target: TargetClass) -> list[int]:
     """Numbers of the tracks of a class that have sightings."""
-    seen = set(answers.denoised.track.tolist())
-    return [n for n, track in enumerate(answers.tracks) if track.target == target and n in seen]
+    sighted = set(answers.denoised.track.tolist())
+    return [n for n, track in enumerate(answers.tracks) if track.target == target and n in sighted]
 
 
 def _draws(count: int, resamples: int, rng: np.random.Generator) -> Values:
@@ -152,7 +152,7 @@ def _auc(responses: Responses, tracks: Sequence[int], weights: Values) -> Values
     """
     present = [responses.present[responses.track == track] for track in tracks]
     absent = [responses.absent[responses.track == track] for track in tracks]
-    wins = np.array([[_wins(own, other) for other in absent] for own in present])
+    wins = np.array([[_wins(own, background) for background in absent] for own in present])
     sightings = np.array([len(own) for own in present], float)
     pairs = np.outer(sightings, sightings)
     within = (weights @ np.diag(wins)) / (weights @ np.diag(pairs))
@@ -181,9 +181,9 @@ def _contrast(answers: Answers, tracks: Sequence[int], weights: Values) -> Value
 
 def _detection(responses: Responses, tracks: Sequence[int], weights: Values) -> Values:
     """Of each draw: the share of its sightings found at one false alarm per frame."""
-    found = responses.change > threshold_of(responses, 1.0)
-    sightings = _sums(responses, np.ones(len(found)), tracks)
-    return np.asarray((weights @ _sums(responses, found, tracks)) / (weights @ sightings))
+    is_found = responses.change > threshold_of(responses, 1.0)
+    sightings = _sums(responses, np.ones(len(is_found)), tracks)
+    return np.asarray((weights @ _sums(responses, is_found, tracks)) / (weights @ sightings))
 
 
 def _sums(responses: Responses, values: npt.NDArray[np.generic], tracks: Sequence[int]) -> Values:
@@ -216,8 +216,8 @@ def _detection_curve(
     for answers in recordings:
         thresholds = [threshold_of(answers.denoised, alarms) for alarms in CURVE_ALARMS]
         for target in classes:
-            here = np.isin(answers.denoised.track, _tracks_of(answers, target))
-            change = answers.denoised.change[here]
+            of_class = np.isin(answers.denoised.track, _tracks_of(answers, target))
+            change = answers.denoised.change[of_class]
             if len(change):
                 rates.append([(change > threshold).mean() for threshold in thresholds])
     return tuple(np.mean(rates, axis=0).tolist())
@@ -227,12 +227,12 @@ def _roc_curve(recordings: Sequence[Answers], classes: Sequence[TargetClass]) ->
     curves = []
     for answers in recordings:
         for target in classes:
-            here = np.isin(answers.denoised.track, _tracks_of(answers, target))
-            if not here.any():
+            of_class = np.isin(answers.denoised.track, _tracks_of(answers, target))
+            if not of_class.any():
                 continue
-            absent = np.sort(answers.denoised.absent[here])
+            absent = np.sort(answers.denoised.absent[of_class])
             thresholds = np.quantile(absent, 1 - np.array(CURVE_RATES))
-            present = answers.denoised.present[here]
+            present = answers.denoised.present[of_class]
             rates = (present[None] > thresholds[:, None]).mean(axis=1)
             rates[-1] = 1.0
             curves.append(rates)

@@ -67,10 +67,10 @@ class Track:
     angle_rad: float
     sightings: tuple[Sighting, ...]
 
-    def moved_apart(self, other: Track) -> bool:
+    def moved_apart(self, track: Track) -> bool:
         """Whether no two positions of the tracks come near each other."""
         own = np.array([[sighting.y, sighting.x] for sighting in self.sightings])
-        others = np.array([[sighting.y, sighting.x] for sighting in other.sightings])
+        others = np.array([[sighting.y, sighting.x] for sighting in track.sightings])
         distance = np.linalg.norm(own[:, None] - others[None], axis=-1)
         return bool(distance.min() > _APART_PX)
 

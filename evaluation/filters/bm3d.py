@@ -99,10 +99,10 @@ def _alike(compared, row, column, tau, places, distances):  # type: ignore[no-un
     """Fill `places` with the nearest blocks, the reference first; returns how many (2^n)."""
     rows, columns, size = compared.shape
     room = distances.shape[0]
-    found = 0
+    block_count = 0
     for r in range(max(0, row - _REACH), min(rows, row + _REACH + 1)):
         for c in range(max(0, column - _REACH), min(columns, column + _REACH + 1)):
-            limit = tau if found < room else min(tau, distances[found - 1])
+            limit = tau if block_count < room else min(tau, distances[block_count - 1])
             distance = np.float32(0)
             if r == row and c == column:
                 distance = np.float32(-1)  # the block itself always stays
@@ -115,7 +115,7 @@ def _alike(compared, row, column, tau, places, distances):  # type: ignore[no-un
                     k += 16
             if distance >= limit:
                 continue
-            i = found if found < room else room - 1
+            i = block_count if block_count < room else room - 1
             while i > 0 and distances[i - 1] > distance:
                 distances[i] = distances[i - 1]
                 places[i, 0], places[i, 1] = places[i - 1, 0], places[i - 1, 1]
@@ -123,9 +123,9 @@ def _alike(compared, row, column, tau, places, distances):  # type: ignore[no-un
             distances[i] = distance
             places[i, 0] = r
             places[i, 1] = c
-            found = min(found + 1, room)
+            block_count = min(block_count + 1, room)
     count = 1
-    while 2 * count <= found:
+    while 2 * count <= block_count:
         count *= 2
     return count
 

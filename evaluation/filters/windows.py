@@ -25,10 +25,10 @@ def registered_mean(frames: Gray, number: int, reach: int) -> Gray:
     fixed = frames[number]
     total = fixed.astype(np.float64)
     count = np.ones_like(total)
-    for other in range(max(0, number - reach), min(number + reach + 1, len(frames))):
-        if other == number:
+    for index in range(max(0, number - reach), min(number + reach + 1, len(frames))):
+        if index == number:
             continue
-        laid = _moved(frames[other], shift_px(fixed, frames[other]))
+        laid = _moved(frames[index], shift_px(fixed, frames[index]))
         shown = laid != _UNKNOWN
         total += np.where(shown, laid, 0)
         count += shown

@@ -116,9 +116,12 @@ class Reference:
 
     def gms_map(self, image: Values, *, pooled: bool = True) -> Values:
         """(H, W) or (ceil(H/2), ceil(W/2)) gradient magnitude similarity."""
-        own = self._own_gradients[pooled]
-        other = self._gradients(image, pooled)
-        return np.asarray((2 * own * other + GMSD_C) / (other * other + (own * own + GMSD_C)))
+        own_gradients = self._own_gradients[pooled]
+        image_gradients = self._gradients(image, pooled)
+        return np.asarray(
+            (2 * own_gradients * image_gradients + GMSD_C)
+            / (image_gradients * image_gradients + (own_gradients * own_gradients + GMSD_C))
+        )
 
     def edges_kept(self, image: Values, mask: Mask | None = None) -> float:
         """See `edge_preservation`."""
@@ -126,13 +129,15 @@ class Reference:
         inside[1:-1, 1:-1] = True
         if mask is not None:
             inside = checked_mask(mask & inside, image)
-        own, other = (one[inside] for one in (self._laplacian, cv2.Laplacian(image, cv2.CV_64F)))
-        own = own - own.mean()
-        other = other - other.mean()
-        norm = math.sqrt(float(own @ own) * float(other @ other))
+        own_edges, image_edges = (
+            edges[inside] for edges in (self._laplacian, cv2.Laplacian(image, cv2.CV_64F))
+        )
+        own_edges = own_edges - own_edges.mean()
+        image_edges = image_edges - image_edges.mean()
+        norm = math.sqrt(float(own_edges @ own_edges) * float(image_edges @ image_edges))
         # A flat picture leaves rounding errors of the Laplacian, which are no edges.
-        least = 1e-16 * self.data_range**2 * own.size
-        return math.nan if norm < least else float(own @ other) / norm
+        least = 1e-16 * self.data_range**2 * own_edges.size
+        return math.nan if norm < least else float(own_edges @ image_edges) / norm
 
     @cached_property
     def _halved(self) -> Reference:

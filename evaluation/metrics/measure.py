@@ -185,12 +185,12 @@ def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
     inf when both are constant and differ.
     """
     gray = np.asarray(image, dtype=np.float64)
-    one = gray[bright]
-    other = gray[dark]
-    if not one.size or not other.size:
+    bright_values = gray[bright]
+    dark_values = gray[dark]
+    if not bright_values.size or not dark_values.size:
         return math.nan
-    difference = abs(float(one.mean() - other.mean()))
-    noise = math.sqrt(float(one.var() + other.var()))
+    difference = abs(float(bright_values.mean() - dark_values.mean()))
+    noise = math.sqrt(float(bright_values.var() + dark_values.var()))
     if noise == 0:
         return math.inf if difference else 0.0
     return difference / noise
@@ -224,9 +224,9 @@ def ratio_figures(noisy: Image, denoised: Image, region: Mask | None = None) -> 
     }
 
 
-def _correlation(values: Values, others: Values, where: Mask) -> float:
+def _correlation(values: Values, others: Values, mask: Mask) -> float:
     """Pearson's; NaN where nothing varies."""
-    first = values[where] - values[where].mean() if where.any() else np.zeros(0)
-    second = others[where] - others[where].mean() if where.any() else np.zeros(0)
+    first = values[mask] - values[mask].mean() if mask.any() else np.zeros(0)
+    second = others[mask] - others[mask].mean() if mask.any() else np.zeros(0)
     power = float((first @ first) * (second @ second))
     return float(first @ second) / math.sqrt(power) if power > _NO_POWER else math.nan

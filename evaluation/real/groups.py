@@ -42,7 +42,7 @@ class Group:
     """Frames of a scene that stands still.
 
     shifts_px: (N, 2) as `StaticGroup` has them.  geometry: of all its frames.
-    where: (H, W) bool, the sector without its rim and without what moves; what is judged.
+    mask: (H, W) bool, the sector without its rim and without what moves; what is judged.
     still: share of the sector that is judged.
     """
 
@@ -50,7 +50,7 @@ class Group:
     shots: tuple[Shot, ...]
     shifts_px: np.ndarray
     geometry: FanGeometry | None
-    where: Mask
+    mask: Mask
     still: float
 
     @property
@@ -67,7 +67,7 @@ class Judged:
     shot: Shot
     noisy: Gray
     reference: Gray | None
-    where: Mask
+    mask: Mask
     geometry: FanGeometry | None
 
 
@@ -110,7 +110,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
         sectors.append(sector_of(picture, geometry))
     if copies:
         notes.append(f"{stretch.name}: {copies} frames left out that are copies of others")
-    found = []
+    groups = []
     pictures = _Pictures(shots)
     for static in find_groups(pictures, sectors, least=LEAST):
         group = _group(stretch.name, shots, fans, sectors, static, limit)
@@ -118,10 +118,12 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
             count = len(static.numbers)
             notes.append(f"{stretch.name}: {count} alike frames left out, too much of them moves")
         else:
-            found.append(group)
-    if len(found) > 1:
-        found = [replace(one, name=f"{one.name} ({n})") for n, one in enumerate(found, start=1)]
-    return found, shots, notes
+            groups.append(group)
+    if len(groups) > 1:
+        groups = [
+            replace(group, name=f"{group.name} ({n})") for n, group in enumerate(groups, start=1)
+        ]
+    return groups, shots, notes
 
 
 @dataclass(frozen=True)
@@ -150,13 +152,13 @@ def parts_of(groups: Sequence[Group]) -> list[Part]:
     # Of many groups a part is enough to tune on.
     most = MOST_FRAMES // FRAMES_OF_A_GROUP
     used = {n for fold in range(FOLDS) for n in evenly(range(fold, len(groups), FOLDS), most)}
-    found = []
+    parts = []
     for number, group in enumerate(groups):
         every = range(len(group.shots))
-        other = (number + 1) % FOLDS
-        tuning = {other: tuple(evenly(every, FRAMES_OF_A_GROUP))} if number in used else {}
-        found.append(Part(tuple(every), number % FOLDS, tuning))
-    return found
+        next_fold = (number + 1) % FOLDS
+        tuning = {next_fold: tuple(evenly(every, FRAMES_OF_A_GROUP))} if number in used else {}
+        parts.append(Part(tuple(every), number % FOLDS, tuning))
+    return parts
 
 
 def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Judged]:
@@ -164,11 +166,11 @@ def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Judged]
     frames = [shot.read()[0] for shot in group.shots]
     static = StaticGroup(tuple(range(len(frames))), group.shifts_px)
     for place in places:
-        others = [one for one in nearest(len(frames), place, MOST_OTHERS + 1) if one != place]
+        others = [index for index in nearest(len(frames), place, MOST_OTHERS + 1) if index != place]
         laid = laid_over(frames, static, place, others)
         reference = np.asarray(np.mean(laid, axis=0, dtype=np.float64), np.float32)
         shot = group.shots[place]
-        yield Judged(number, shot, frames[place], reference, group.where, group.geometry)
+        yield Judged(number, shot, frames[place], reference, group.mask, group.geometry)
 
 
 def alone(shot: Shot) -> Judged:
@@ -215,9 +217,9 @@ def _group(
     framed = np.pad(sector, 1).astype(np.uint8)
     distance = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     inner = np.asarray(distance[1:-1, 1:-1] > reach)
-    where = inner & ~moving(laid, inner)
-    still = float(where.sum() / max(inner.sum(), 1))
-    return Group(name, tuple(shots[n] for n in chosen), shifts, geometry, where, still)
+    static_mask = inner & ~moving(laid, inner)
+    still = float(static_mask.sum() / max(inner.sum(), 1))
+    return Group(name, tuple(shots[n] for n in chosen), shifts, geometry, static_mask, still)
 
 
 class _Pictures(Sequence[Gray]):

@@ -76,15 +76,15 @@ class Judged:
         """The frames that are judged: they have a whole window."""
         return range(AWAY + 1, len(self.frames) - AWAY - 1, step)
 
-    def score(self, number: int, made: Gray) -> dict[str, float]:
+    def score(self, number: int, image: Gray) -> dict[str, float]:
         """PSNR (dB) and SSIM of a frame that was made, where its mask is."""
         mask = self.masks[number]
         truth = self.references[number]
-        levels = fit_levels([(made[mask], truth[mask])]) if self.levels else Levels(1, 0)
-        made = levels(made)
+        levels = fit_levels([(image[mask], truth[mask])]) if self.levels else Levels(1, 0)
+        image = levels(image)
         return {
-            "psnr_db": psnr(truth, made, data_range=1, mask=mask),
-            "ssim": float(ssim_map(truth, made, data_range=1)[mask].mean()),
+            "psnr_db": psnr(truth, image, data_range=1, mask=mask),
+            "ssim": float(ssim_map(truth, image, data_range=1)[mask].mean()),
         }
 
 
@@ -102,7 +102,7 @@ def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
 
 def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callable[[int], Gray]]:
     """Row -> what it makes of a frame.  weight: of the total variation."""
-    fused, denoised = (_in_time(judged.frames, one) for one in (None, network))
+    fused, denoised = (_in_time(judged.frames, model) for model in (None, network))
     tv = REGISTRY["tv"]
 
     def mean(number: int) -> Gray:
@@ -127,14 +127,16 @@ def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
     """The weight of total variation that is best for means of 7 of other recordings."""
     tv = REGISTRY["tv"]
     means = [
-        (one, number, mean_around(one.frames, number, AWAY))
-        for one in others
-        for number in one.numbers(step)
+        (judged, number, mean_around(judged.frames, number, AWAY))
+        for judged in others
+        for number in judged.numbers(step)
     ]
 
     def gain(weight: float) -> float:
-        found = [one.score(number, tv(mean, {"weight": weight})) for one, number, mean in means]
-        return float(np.mean([each["psnr_db"] for each in found]))
+        scores = [
+            judged.score(number, tv(mean, {"weight": weight})) for judged, number, mean in means
+        ]
+        return float(np.mean([each["psnr_db"] for each in scores]))
 
     return max(WEIGHTS, key=gain)
 
@@ -180,7 +182,7 @@ def _moving(static: Judged, rng: np.random.Generator) -> Judged:
         place = np.clip(place + speed, 0, room)
 
     def cut(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return np.stack([plane[one] for plane, one in zip(planes, windows, strict=True)])
+        return np.stack([plane[window] for plane, window in zip(planes, windows, strict=True)])
 
     return Judged("moving", cut(static.frames), cut(static.references), cut(static.masks))
 
@@ -201,8 +203,8 @@ def _ghost(static: Judged, rng: np.random.Generator) -> Judged:
         across = 0.94 * right - 0.34 * down
         body = np.exp(-(((along / _LENGTH) ** 2 + (across / _WIDTH) ** 2) ** 2)).astype(np.float32)
         grain = cv2.GaussianBlur(rng.normal(0, 1, (height, width)).astype(np.float32), (0, 0), 0.7)
-        seen = _LEVEL + _GRAIN * grain / grain.std()
-        frames[number] = np.clip(frames[number] * (1 - body) + seen * body, 0, 1)
+        body_grain = _LEVEL + _GRAIN * grain / grain.std()
+        frames[number] = np.clip(frames[number] * (1 - body) + body_grain * body, 0, 1)
         references[number] = references[number] * (1 - body) + _LEVEL * body
         masks[number] = cv2.dilate((body > 0.1).astype(np.uint8), wake) > 0
     frames = np.rint(frames * 255) / np.float32(255)
@@ -258,9 +260,9 @@ def wide(table: pd.DataFrame, *, resamples: int, seed: int) -> pd.DataFrame:
         return f"{psnr_db.mean:.2f}{between} / {scores['ssim'].mean():.3f}"
 
     text = table.groupby(["row", "kind"], sort=False)[["recording", "psnr_db", "ssim"]].apply(cell)
-    found = text.unstack("kind").loc[table["row"].unique(), table["kind"].unique()]
-    found.columns = [f"{kind}, dB / SSIM" for kind in found.columns]
-    return found.rename_axis("row").reset_index()
+    cells = text.unstack("kind").loc[table["row"].unique(), table["kind"].unique()]
+    cells.columns = [f"{kind}, dB / SSIM" for kind in cells.columns]
+    return cells.rename_axis("row").reset_index()
 
 
 def _judged(
@@ -270,9 +272,9 @@ def _judged(
     number, recordings, method, device, most = task
     group = recordings[number]
     frames = _frames(group, most)
-    others = [one for one in recordings if one is not group]
-    tuning = [next(kinds_of(_frames(one, most))) for one in others]
-    tuned_on = ", ".join(one.name for one in others)
+    others = [recording for recording in recordings if recording is not group]
+    tuning = [next(kinds_of(_frames(recording, most))) for recording in others]
+    tuned_on = ", ".join(recording.name for recording in others)
     if not others:
         # Of a single recording the half that comes first, and the whole is judged: said so.
         half = frames[: max(len(frames) // 2, LEAST_FRAMES)]
@@ -286,7 +288,8 @@ def _judged(
             scores = [kind.score(number, make(number)) for number in kind.numbers()]
             label = f"{method.label}: {name}" if name in _OF_NETWORK else name
             psnr_db, similarity = (
-                float(np.mean([one[key] for one in scores])) for key in ("psnr_db", "ssim")
+                float(np.mean([recording[key] for recording in scores]))
+                for key in ("psnr_db", "ssim")
             )
             rows.append((group.name, kind.name, label, len(scores), psnr_db, similarity))
     return rows, f"{group.name}: tuned TV has weight {weight:g}, tuned on {tuned_on}"

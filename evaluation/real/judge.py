@@ -83,7 +83,7 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     baselines = baselines_of(settings.baselines)
     networks = networks_at(settings.models)
     warnings = learned_notes(stretches, networks)
-    groups, shots, notes = _found(settings, stretches, pool)
+    groups, shots, notes = _search_groups(settings, stretches, pool)
     parts = parts_of(groups)
     lost: dict[str, str] = {}
     if groups:
@@ -91,15 +91,15 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
         shots = [g.shots[place] for g, p in zip(groups, parts, strict=True) for place in p.judged]
         points, lost = _tuned(settings, groups, parts, baselines, pool)
         filters = [
-            tuple(Method(name, TUNED, point) for _, point in sorted(found.items()))
-            for name, found in points.items()
+            tuple(Method(name, TUNED, point) for _, point in sorted(point_of_fold.items()))
+            for name, point_of_fold in points.items()
         ]
         member = np.repeat(np.arange(len(parts)), [len(part.judged) for part in parts])
     else:
         shots = evenly(shots, settings.limit)
-        filters = [(Method(one.name, "", dict(one.default)),) for one in baselines]
+        filters = [(Method(method.name, "", dict(method.default)),) for method in baselines]
         member = np.arange(len(shots))  # every picture is a group
-    every = [(NOISY,), *filters, *((one,) for one in networks)]
+    every = [(NOISY,), *filters, *((method,) for method in networks)]
     methods = {folds[0].label: folds for folds in every}
     places = np.linspace(0, len(shots) - 1, min(settings.examples, len(shots)))
     picked = set(places.round().astype(int).tolist())
@@ -115,27 +115,27 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     return Outcome(groups, parts, files, rows, measured, shown, best, in_time, notes)
 
 
-def _found(
+def _search_groups(
     settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool
 ) -> tuple[list[Group], list[Shot], list[str]]:
     """Static groups, where they are looked for; all shots that can be read; and notes."""
     if not settings.groups:
         return [], [shot for stretch in stretches for shot in stretch.shots], []
-    waiting = deque((number, one, settings.limit) for number, one in enumerate(stretches))
+    waiting = deque((number, outcome, settings.limit) for number, outcome in enumerate(stretches))
     searched: dict[int, Searched] = {}
     with progress_bar(total=len(waiting), unit="folder", desc="static groups") as bar:
-        for (number, stretch, _), one in pool.run(search, waiting, lambda _: _SEARCH_S):
+        for (number, stretch, _), outcome in pool.run(search, waiting, lambda _: _SEARCH_S):
             bar.update()
-            if isinstance(one, TaskLost):
-                one = [], [], [f"{stretch.name}: lost ({one.reason})"]
-            searched[number] = one
+            if isinstance(outcome, TaskLost):
+                outcome = [], [], [f"{stretch.name}: lost ({outcome.reason})"]
+            searched[number] = outcome
     groups = list[Group]()
     shots = list[Shot]()
     notes = list[str]()
-    for _, (found, seen, said) in sorted(searched.items()):
-        groups += found
-        shots += seen
-        notes += said
+    for _, (stretch_groups, stretch_shots, stretch_notes) in sorted(searched.items()):
+        groups += stretch_groups
+        shots += stretch_shots
+        notes += stretch_notes
     if not groups:
         notes.append(
             f"no static group was found ({LEAST} frames at least of a scene that stands still), "
@@ -154,26 +154,26 @@ def _tuned(
     pool: TaskPool,
 ) -> tuple[dict[str, dict[int, Parameters]], dict[str, str]]:
     """Filter -> fold -> parameters; and label -> why a filter could not be tuned."""
-    filters = [one.name for one in baselines if one.grid]
+    filters = [baseline.name for baseline in baselines if baseline.grid]
     samples: dict[int, list[tuning.Sample]] = {}
     for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
         for fold, places in part.tuning.items():
             samples.setdefault(fold, []).extend(
-                tuning.Sample(one.noisy, one.reference, one.where)
-                for one in judged(number, group, places)
-                if one.reference is not None
+                tuning.Sample(baseline.noisy, baseline.reference, baseline.mask)
+                for baseline in judged(number, group, places)
+                if baseline.reference is not None
             )
     folds = sorted(samples.items())
     tasks = [tuning.Task(name, tuple(own), fold) for name in filters for fold, own in folds]
     points: dict[str, dict[int, Parameters]] = {name: {} for name in filters}
     lost: dict[str, str] = {}
     longest_s = settings.image_timeout_s * max(map(len, samples.values()))
-    for task, found in tuning.run_tasks(tuning.on_frames, tasks, pool, lambda _: longest_s):
-        if isinstance(found, str):
-            lost.setdefault(f"{task.baseline} {TUNED}", f"tuning: {found}")
+    for task, outcome in tuning.run_tasks(tuning.on_frames, tasks, pool, lambda _: longest_s):
+        if isinstance(outcome, str):
+            lost.setdefault(f"{task.baseline} {TUNED}", f"tuning: {outcome}")
             points.pop(task.baseline, None)
         elif task.baseline in points:
-            points[task.baseline][task.fold] = found
+            points[task.baseline][task.fold] = outcome
     return points, lost
 
 
@@ -202,12 +202,12 @@ def _measured(
     def batches(fold: int) -> Iterator[dict[int, Subject]]:
         left = pictures(fold)
         while some := dict(islice(left, _BATCH)):
-            shown.update({number: one for number, one in some.items() if number in picked})
-            yield {number: RealPicture(one) for number, one in some.items()}
+            shown.update({number: frame for number, frame in some.items() if number in picked})
+            yield {number: RealPicture(frame) for number, frame in some.items()}
 
     with progress_bar(total=len(shots) * len(methods), unit="picture", desc="judging") as bar:
         for fold in sorted({part.fold for part in parts}) or [0]:
-            found = run(
+            measured = run(
                 [folds[fold % len(folds)] for folds in methods.values()],
                 batches(fold),
                 pool,
@@ -216,10 +216,10 @@ def _measured(
                 keep=picked.__contains__,
                 tick=bar.update,
             )
-            for label, figures in found.figures.items():
+            for label, figures in measured.figures.items():
                 every.figures.setdefault(label, {}).update(figures)
-            every.lost = {**found.lost, **every.lost}
-            every.images |= found.images
+            every.lost = {**measured.lost, **every.lost}
+            every.images |= measured.images
     return every, shown
 
 
@@ -264,22 +264,22 @@ def rows_of(
         if label not in kinds:
             continue
         own = cast("pd.DataFrame", by_group.loc[label]).reindex(range(count))
-        for name, other in best.items():
-            if label != other:
-                own[MARGINS[name]] = own[name] - by_group.loc[other][name]
+        for name, best_label in best.items():
+            if label != best_label:
+                own[MARGINS[name]] = own[name] - by_group.loc[best_label][name]
         own = own.drop(columns=SECONDS).dropna(axis="columns", how="all")
         pictures = table[table["method"] == label]
         for figure, column in own.items():
-            one = estimate(column.to_numpy(float), names, resamples=resamples, seed=seed)
-            row["means"][str(figure)] = plain(one.mean)
+            row_estimate = estimate(column.to_numpy(float), names, resamples=resamples, seed=seed)
+            row["means"][str(figure)] = plain(row_estimate.mean)
             if static:
                 row["by_group"][str(figure)] = [plain(value) for value in column]
-                if one.count > 1:
-                    row["intervals"][str(figure)] = [one.low, one.high]
+                if row_estimate.count > 1:
+                    row["intervals"][str(figure)] = [row_estimate.low, row_estimate.high]
         row["means"][SECONDS] = float(pictures[SECONDS].median())
         row["pictures"] = [
-            {name: plain(value) for name, value in one.items()}
-            for _, one in sorted(measured.figures[label].items())
+            {name: plain(value) for name, value in row_estimate.items()}
+            for _, row_estimate in sorted(measured.figures[label].items())
         ]
     return rows, best
 
@@ -306,12 +306,12 @@ _DARKEST = 0.1  # share of the sector
 _BRIGHTER = 0.5  # share of the sector
 
 
-def score(picture: Gray, reference: Gray, where: Mask) -> tuple[float, float]:
+def score(picture: Gray, reference: Gray, mask: Mask) -> tuple[float, float]:
     """PSNR in dB and SSIM of a picture against its reference, after one gain and offset."""
-    fitted = fit_levels([(picture[where], reference[where])])(picture)
+    fitted = fit_levels([(picture[mask], reference[mask])])(picture)
     return (
-        finite_psnr(psnr(reference, fitted, data_range=1.0, mask=where)),
-        ssim(reference, fitted, data_range=1.0, mask=where),
+        finite_psnr(psnr(reference, fitted, data_range=1.0, mask=mask)),
+        ssim(reference, fitted, data_range=1.0, mask=mask),
     )
 
 
@@ -364,7 +364,7 @@ class RealPicture(Subject):
 
     judged: Judged
 
-    def seen(self) -> Gray:
+    def noisy_image(self) -> Gray:
         """See `Subject`."""
         return self.judged.noisy
 
@@ -378,16 +378,16 @@ class RealPicture(Subject):
         figures = figures_of(image, self._scene)
         if judged.reference is None:
             return figures
-        psnr_db, similarity = score(image, judged.reference, judged.where)
+        psnr_db, similarity = score(image, judged.reference, judged.mask)
         near = {"psnr_db": psnr_db, "ssim": similarity, "gain_db": psnr_db - self._before_db}
         return near | figures
 
     @cached_property
     def _scene(self) -> Scene:
-        return scene_of(self.judged.noisy, self.judged.where, str(self.judged.shot.path))
+        return scene_of(self.judged.noisy, self.judged.mask, str(self.judged.shot.path))
 
     @cached_property
     def _before_db(self) -> float:
         """PSNR of the picture as it is."""
         assert self.judged.reference is not None
-        return score(self.judged.noisy, self.judged.reference, self.judged.where)[0]
+        return score(self.judged.noisy, self.judged.reference, self.judged.mask)[0]

@@ -130,7 +130,9 @@ def table_of(rows: Sequence[Row]) -> pd.DataFrame:
 
 def _words(row: Mapping[str, Any]) -> str:
     """The label, and the parameters of each fold."""
-    chosen = dict.fromkeys(shown(one).strip(" ()") for one in row["parameters"] if one)
+    chosen = dict.fromkeys(
+        shown(parameters).strip(" ()") for parameters in row["parameters"] if parameters
+    )
     return str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
 
 
@@ -155,7 +157,7 @@ def _examples(outcome: Outcome) -> list[Example]:
     """What the rows made of some pictures."""
     truth = "mean of the other frames"
     measured = outcome.measured
-    found = []
+    examples = []
     for number, judged in sorted(outcome.shown.items()):
         name = judged.shot.name
         if judged.group is not None:
@@ -164,8 +166,8 @@ def _examples(outcome: Outcome) -> list[Example]:
         known = [label for label in alive if (label, number) in measured.images]
         images = {label: measured.images[label, number] for label in known}
         if judged.reference is None:
-            found.append(Example(name, images))
+            examples.append(Example(name, images))
             continue
         psnr = {label: measured.figures[label][number]["psnr_db"] for label in known}
-        found.append(Example(name, {**images, truth: judged.reference}, psnr, truth))
-    return found
+        examples.append(Example(name, {**images, truth: judged.reference}, psnr, truth))
+    return examples

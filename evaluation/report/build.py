@@ -40,7 +40,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     baselines = baselines_of(settings.baselines)
     networks = networks_of(settings)
     items = items_of(Path(settings.dataset.dir), settings.split, settings.limit)
-    given = given_methods(settings.pictures, [names_of(item) for item in items])
+    given_rows = given_methods(settings.pictures, [names_of(item) for item in items])
     check_writable(out, "out")
     with TaskPool(settings.workers) as pool:
         if settings.tuning.auto and baselines:
@@ -50,7 +50,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
                 # Without pairs to tune on there are still the rows by default.
                 print(f"not tuned: {error}")
         tuned = tuning.load_tuned(settings.tuned_file)
-        named = [NOISY, *methods_of(baselines, tuned), *networks, *given]
+        named = [NOISY, *methods_of(baselines, tuned), *networks, *given_rows]
         methods = list({method.label: method for method in named}.values())
         measured = measure(settings, items, methods, pool)
         content = content_of(methods, measured, items, settings, tuned)
@@ -127,15 +127,15 @@ def sections_of(content: Content) -> list[Section]:
     more = len(rows) - len(best)
     note = f"Of each method its best form here; {more} more in report.md." if more else ""
     said = (note, verdict(content))
-    found = [Section("Leaderboard", [tables.leaderboard(best)], said)]
+    sections = [Section("Leaderboard", [tables.leaderboard(best)], said)]
     if more:
-        found.append(Section(f"All {len(rows)} forms", [tables.leaderboard(rows)], folded=True))
+        sections.append(Section(f"All {len(rows)} forms", [tables.leaderboard(rows)], folded=True))
     for number in (2, 3):
         if lines := content[f"table_{number}"]:
             title = f"The paper's Table {number}"
-            found.append(Section(title, [tables.beside_paper(lines)]))
+            sections.append(Section(title, [tables.beside_paper(lines)]))
     return [
-        *found,
+        *sections,
         Section("More metrics", [tables.more_metrics(rows)]),
         Section("How it was measured", text=facts["rules"]),
     ]
@@ -155,13 +155,15 @@ def _examples(
     noisy = measured.wide()["psnr"][NOISY.label].to_numpy()
     places = np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))
     chosen = [items[number] for number in np.argsort(noisy, kind="stable")[places]]
-    made = measure(settings, chosen, methods, pool, keep=True)
+    measured_images = measure(settings, chosen, methods, pool, keep=True)
     examples = []
     for number, item in enumerate(chosen):
         # A method that fails is left out.
-        labels = [one.label for one in methods if (one.label, number) in made.images]
-        images = {label: made.images[label, number] for label in labels}
-        psnr = {label: made.figures[label][number]["psnr"] for label in labels}
+        labels = [
+            method.label for method in methods if (method.label, number) in measured_images.images
+        ]
+        images = {label: measured_images.images[label, number] for label in labels}
+        psnr = {label: measured_images.figures[label][number]["psnr"] for label in labels}
         title = f"{item.scene} {item.frame}" + (f" #{item.variant}" if item.variant else "")
         images["clean"] = picture(item.place).clean
         examples.append(Example(title, images, psnr, truth="clean"))

@@ -64,25 +64,25 @@ def content_of(
     groups = [item.group for item in items]
     options = {"resamples": settings.bootstrap, "seed": settings.seed}
 
-    def compared(label: str, other: str) -> dict[str, Any]:
+    def compared(label: str, reference: str) -> dict[str, Any]:
         """Pair by pair, metric by metric."""
-        found = {}
+        lines = {}
         for name in (name for name in _COMPARED if name in figures):
-            first, second = (figures[name][one].to_numpy() for one in (label, other))
+            first, second = (figures[name][side].to_numpy() for side in (label, reference))
             better = METRIC_NAMES[name].better
             result = paired(first, second, groups, better=better, **options)
             both = {"p": plain(result.p), "wins": plain(result.wins)}
-            found[name] = _as_dict(result.difference) | both
-        return found
+            lines[name] = _as_dict(result.difference) | both
+        return lines
 
-    found = []
+    lines = []
     for method in methods:
         label = method.label
         lost = measured.lost.get(method.label)
         seconds = math.nan if lost else float(np.median(figures[SECONDS][label]))
         noisy = lost is not None or method.kind == "noisy"
         metrics = [] if lost else [name for name in figures if name != SECONDS]
-        found.append(
+        lines.append(
             {
                 **{n: getattr(method, n) for n in ("label", "name", "form", "kind")},
                 "parameters": dict(method.parameters),
@@ -98,22 +98,22 @@ def content_of(
                 "against_best": {},
             }
         )
-    _adjust(found, "against_noisy")
-    best, chosen_on = best_classical(found, tuned)
+    _adjust(lines, "against_noisy")
+    best, chosen_on = best_classical(lines, tuned)
     if best is not None:
-        for line in found:
+        for line in lines:
             if line["kind"] in ("network", "pictures") and line["lost"] is None:
                 line["against_best"] = compared(line["label"], best)
-        _adjust(found, "against_best")
-    found.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
-    third = paper_table(TABLE_3, found)
+        _adjust(lines, "against_best")
+    lines.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
+    third = paper_table(TABLE_3, lines)
     facts = _facts(settings, items, int((figures["psnr"]["noisy"] >= PSNR_CAP_DB).sum()))
     return {
         "schema": SCHEMA,
         "facts": facts,
-        "rows": found,
+        "rows": lines,
         "best_classical": {"row": best, "chosen_on": chosen_on},
-        "table_2": paper_table(TABLE_2, found),
+        "table_2": paper_table(TABLE_2, lines),
         # Weights of Table 3 are seldom given; without any there is nothing to say of it.
         "table_3": third if any(line["ours"] for line in third) else [],
     }
@@ -207,9 +207,9 @@ def _adjust(rows: Sequence[dict[str, Any]], key: str) -> None:
     """Add Holm's p over the rows, metric by metric."""
     for name in _COMPARED:
         family = [row[key][name] for row in rows if name in row[key]]
-        values = [np.nan if one["p"] is None else one["p"] for one in family]
-        for one, adjusted in zip(family, holm(values), strict=True):
-            one["p_holm"] = plain(adjusted)
+        values = [np.nan if result["p"] is None else result["p"] for result in family]
+        for result, adjusted in zip(family, holm(values), strict=True):
+            result["p_holm"] = plain(adjusted)
 
 
 def paper_table(
@@ -220,7 +220,7 @@ def paper_table(
     Baselines as their library has them, networks by `ablation`; for OURS in Table 2 else the best
     of the given networks.  rows: the best first, those that are lost last.
     """
-    found: list[dict[str, Any]] = []
+    lines: list[dict[str, Any]] = []
     for name, (title, paper) in table.items():
         named = (row for row in rows if row["name"] == name and not row["form"])
         same = [row for row in named if row["kind"] in ("noisy", "baseline")]
@@ -234,5 +234,5 @@ def paper_table(
         line |= {"ours": None, "row": same[0]["label"] if same else None}
         if same and same[0]["lost"] is None:
             line["ours"] = {name: same[0]["metrics"][name]["mean"] for name in TABLE_METRICS}
-        found.append(line)
-    return found
+        lines.append(line)
+    return lines

@@ -80,11 +80,17 @@ def write_report(
 
     facts: the JSON.  Raises FactoryError when the folder cannot be written to.
     """
-    shown = [one for one in sections if one.tables or one.drawings or any(one.text)]
+    shown = [
+        section for section in sections if section.tables or section.drawings or any(section.text)
+    ]
     parts = [f"# {title}", about]
-    for one in shown:
-        parts += [f"## {one.title}", *map(as_markdown, one.tables), *filter(None, one.text)]
-        parts += [f"![{drawing.caption}]({drawing.name})" for drawing in one.drawings]
+    for section in shown:
+        parts += [
+            f"## {section.title}",
+            *map(as_markdown, section.tables),
+            *filter(None, section.text),
+        ]
+        parts += [f"![{drawing.caption}]({drawing.name})" for drawing in section.drawings]
     page = _environment().get_template("report.html")
     html = page.render(
         title=title, about=about, sections=shown, examples=_data(examples), file=_own_file
@@ -92,7 +98,7 @@ def write_report(
     markdown = "\n\n".join(parts) + "\n"
     data = json.dumps(facts, indent=1, allow_nan=False) + "\n"
     files: dict[str, str | bytes] = {f"{name}.json": data, f"{name}.md": markdown}
-    files |= {drawing.name: drawing.content for one in shown for drawing in one.drawings}
+    files |= {drawing.name: drawing.content for section in shown for drawing in section.drawings}
     write_files(out, {**files, f"{name}.html": html.lstrip()})
 
 
@@ -117,8 +123,11 @@ def _data(examples: Sequence[Example]) -> Markup:
     if not examples:
         return Markup("")
     data = [
-        {**vars(one), "images": {name: as_data_uri(image) for name, image in one.images.items()}}
-        for one in examples
+        {
+            **vars(example),
+            "images": {name: as_data_uri(image) for name, image in example.images.items()},
+        }
+        for example in examples
     ]
     # "</script>" in a name would end the element.
     return Markup(json.dumps(data).replace("<", "\\u003c"))

@@ -117,8 +117,8 @@ def _shrink(band: Complexes, parents: Complexes, noise: float) -> Complexes:
     length = np.hypot(magnitude, parent_magnitude)
     power = ndimage.uniform_filter(magnitude**2 / 2, (1, _WINDOW_PX, _WINDOW_PX), mode="wrap")
     sigma = np.sqrt(np.maximum(power - noise**2, 1e-12))
-    kept = np.maximum(length - np.sqrt(3) * noise**2 / sigma, 0)
-    return np.asarray(band * kept / np.maximum(length, 1e-12), np.complex64)
+    shrunk = np.maximum(length - np.sqrt(3) * noise**2 / sigma, 0)
+    return np.asarray(band * shrunk / np.maximum(length, 1e-12), np.complex64)
 
 
 def transform(image: Floats, levels: int) -> Coefficients:

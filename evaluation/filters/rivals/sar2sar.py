@@ -51,9 +51,9 @@ def sar2sar(image: Gray, amplitude: float) -> Gray:
     network = _load_network()
     network.height, network.width = normalised.shape
     with torch.inference_mode():
-        found = network(torch.from_numpy(normalised.astype(np.float32)))[0, 0].numpy()
+        prediction = network(torch.from_numpy(normalised.astype(np.float32)))[0, 0].numpy()
 
-    logarithm = np.clip(found, 0, None) * (_MOST_LOG - _LEAST_LOG) + _LEAST_LOG
+    logarithm = np.clip(prediction, 0, None) * (_MOST_LOG - _LEAST_LOG) + _LEAST_LOG
     denoised = np.exp(logarithm)[:height, :width] / amplitude
     has_echoes = ndimage.maximum_filter(image, _BLACK_PX) > 0
     return np.asarray(np.where(has_echoes, denoised, 0), np.float32)
