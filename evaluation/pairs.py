@@ -212,8 +212,8 @@ def given_methods(
         if lacking:
             raise FactoryError(
                 f"pictures: {folder.name}: {folder.dir}: {len(lacking)} of {len(names)} "
-                f"pictures are missing, the first is {lacking[0]}.png (or .npy); names are those of `simnfnd "
-                "export --to png` and of `simnfnd denoise`"
+                f"pictures are missing, the first is {lacking[0]}.png (or .npy); names are those "
+                "of `simnfnd export --to png` and of `simnfnd denoise`"
             )
         methods[folder.name] = Method(folder.name, "", {}, pictures_source=folder.dir)
     return list(methods.values())
