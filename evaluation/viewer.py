@@ -4,19 +4,10 @@ from __future__ import annotations
 
 import colorsys
 import io
-import json
 import re
-import secrets
-import socket
-import sys
-import tempfile
-import threading
-import webbrowser
-from contextlib import closing, suppress
+from contextlib import closing
 from functools import cached_property
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +25,7 @@ from ..factory.files import write_atomically
 from ..models.recordings import Recording, is_recording, open_recording
 from ..models.recordings.views import fan_of, grey_of
 from .metrics.statistics import evenly
+from .page_server import Answer, PageServer, add_page_options, json_answer
 
 
 def view(words: list[str]) -> None:
@@ -41,22 +33,10 @@ def view(words: list[str]) -> None:
     parser = Parser(prog="simnfnd view")
     parser.add_argument("path", type=Path, help="dataset, recording, bag, video, or pictures")
     parser.add_argument("after", type=Path, nargs="?", help="the same recording, denoised")
-    parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1; default: a free one")
-    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    add_page_options(parser)
     given = parser.parse_args(words)
-    with (
-        Viewer(open_shown(given.path, given.after), given.port) as viewer,
-        tempfile.TemporaryDirectory(prefix="simnfnd-view-", ignore_cleanup_errors=True) as folder,
-    ):
-        print(f"view: {viewer.url} (Ctrl-C ends)", flush=True)
-        if not given.no_browser:
-            # Every user can read the words of a browser's process: a file of ours has the address.
-            page = Path(folder, "open.html")
-            page.write_text(f'<meta http-equiv="refresh" content="0; url={viewer.url}">')
-            webbrowser.open(page.as_uri())
-        with suppress(KeyboardInterrupt):
-            viewer.serve_forever()
-        print()
+    with Viewer(open_shown(given.path, given.after), given.port) as viewer:
+        viewer.serve_until_interrupted(opens_browser=not given.no_browser)
 
 
 def sheet(words: list[str]) -> None:
@@ -92,100 +72,36 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
     return out
 
 
-ADDRESS = "127.0.0.1"
 _PAGE = Path(__file__).with_name("view.html")
 _ASKED = re.compile(r"/(?:picture|facts)/(\d{1,12})(?:/(\d{1,3})\.png|\.json)")
 
 
-class Viewer(ThreadingHTTPServer):
-    """Serves what is shown until it is shut down.
+class Viewer(PageServer):
+    """Serves the page of `simnfnd view`."""
 
-    url: where; it holds a random token, without which other users of the machine get nothing.
-    hosts: names of this server; a page elsewhere whose name was bound to this address has another.
-    """
-
-    daemon_threads = True
-    request_queue_size = 256
-    """Connections that wait to be accepted: a page may ask for many images at once."""
+    verb = "view"
 
     def __init__(self, shown: Shown, port: int = 0) -> None:
-        """port: 0 takes a free one.  Raises FactoryError when it is taken."""
-        try:
-            super().__init__((ADDRESS, port), _Handler)
-        except (OSError, OverflowError) as error:
-            raise FactoryError(f"--port {port}: cannot be used ({error})") from error
+        """See `PageServer`."""
+        super().__init__(port)
         self.shown = shown
-        # Files are read by one thread at a time.
-        self.lock = threading.Lock()
-        self.token = secrets.token_urlsafe(24)
-        self.url = f"http://{ADDRESS}:{self.server_port}/{self.token}/"
-        self.hosts = {f"{name}:{self.server_port}" for name in (ADDRESS, "localhost")}
 
-    def handle_error(
-        self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any
-    ) -> None:
-        """Nothing of a browser that went away; one line of anything else."""
-        error = sys.exc_info()[1]
-        if not isinstance(error, ConnectionError | TimeoutError):
-            print(f"view: {type(error).__name__}: {error}", file=sys.stderr)
-
-
-class _Handler(BaseHTTPRequestHandler):
-    server: Viewer
-    timeout = 10.0
-    """Seconds that a connection may say nothing."""
-
-    def do_GET(self) -> None:
-        if self.headers.get("Host") not in self.server.hosts:
-            self._send(403, "text/plain", b"open the address that `simnfnd view` printed")
-            return
-        token, slash, wanted = self.path.removeprefix("/").partition("/")
-        # In bytes, because a path may have any letters.
-        if not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            self._send(403, "text/plain", b"open the address that `simnfnd view` printed")
-            return
-        try:
-            with self.server.lock:
-                kind, content = self._answer(slash + wanted)
-            self._send(200, kind, content)
-        except LookupError:
-            self._send(404, "text/plain", b"not found")
-        except FactoryError as error:
-            self._send(500, "text/plain; charset=utf-8", str(error).encode())
-
-    def _answer(self, path: str) -> tuple[str, bytes]:
-        shown = self.server.shown
+    def answer(self, path: str) -> Answer:
+        """See `PageServer`."""
+        shown = self.shown
         if path == "/":
-            return "text/html; charset=utf-8", _PAGE.read_bytes()
+            return Answer("text/html; charset=utf-8", _PAGE.read_bytes())
         if path == "/about.json":
-            return _json({"title": shown.title, "layers": shown.layers, "count": len(shown)})
+            return json_answer({"title": shown.title, "layers": shown.layers, "count": len(shown)})
         found = _ASKED.fullmatch(path)
         number, layer = (int(one or 0) for one in found.groups()) if found else (len(shown), 0)
         if number >= len(shown) or layer >= len(shown.layers):
             raise LookupError
         if path.startswith("/facts"):
-            return _json(shown.facts(number))
+            return json_answer(shown.facts(number))
         buffer = io.BytesIO()
         Image.fromarray(shown.picture(number, layer)).save(buffer, "PNG", compress_level=1)
-        return "image/png", buffer.getvalue()
-
-    def _send(self, code: int, kind: str, content: bytes) -> None:
-        self.send_response(code)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(content)))
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        own = "default-src 'self'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-        self.send_header("Content-Security-Policy", own)
-        self.end_headers()
-        self.wfile.write(content)
-
-    def log_message(self, *_: object) -> None:
-        """Nothing: the terminal is the user's."""
-
-
-def _json(value: Any) -> tuple[str, bytes]:
-    return "application/json", json.dumps(value).encode()
+        return Answer("image/png", buffer.getvalue())
 
 
 Picture = npt.NDArray[np.uint8]

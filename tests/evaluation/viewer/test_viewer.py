@@ -22,6 +22,7 @@ import h5py
 import numpy as np
 import pytest
 
+from simnfnd.evaluation import page_server
 from simnfnd.evaluation import viewer as server
 from simnfnd.evaluation.viewer import Shown, Viewer, open_shown
 from simnfnd.factory.errors import FactoryError
@@ -141,7 +142,7 @@ def test_a_name_bound_to_this_address_gets_nothing(
 def test_half_open_connections_end_and_hold_nobody_up(
     dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server._Handler, "timeout", 0.5)
+    monkeypatch.setattr(page_server._Handler, "timeout", 0.5)
     with served(open_shown(dataset)) as url, ExitStack() as stack:
         address = ("127.0.0.1", connection(url).port)
         silent = [stack.enter_context(create_connection(address, 30)) for _ in range(40)]
