@@ -110,17 +110,21 @@ def half_widths(polar: Gray) -> tuple[float, float]:
     What is larger than 31 cells is taken out first: the local mean is subtracted and the local
     standard deviation divides.  NaN for a picture without any variation.
     """
-    mean = cv2.blur(polar, (_SMOOTH, _SMOOTH))
-    residual = polar - mean
-    spread = np.sqrt(np.maximum(cv2.blur(residual**2, (_SMOOTH, _SMOOTH)), 0))
-    grain = np.where(spread > 1e-3, residual / np.maximum(spread, 1e-3), 0)
-    correlation = [_correlation(grain, axis) for axis in (0, 1)]
-    first, second = (_half(values) for values in correlation)
+    grain = grain_of(polar)
+    first, second = (_half(autocorrelation(grain, axis)) for axis in (0, 1))
     return first, second
 
 
-def _correlation(grain: Gray, axis: int) -> Values:
-    """Autocorrelation at lags 0, 1, ... along an axis, each over the pairs that exist."""
+def grain_of(polar: Gray) -> Gray:
+    """The speckle alone: the local mean subtracted, over the local standard deviation."""
+    mean = cv2.blur(polar, (_SMOOTH, _SMOOTH))
+    residual = polar - mean
+    spread = np.sqrt(np.maximum(cv2.blur(residual**2, (_SMOOTH, _SMOOTH)), 0))
+    return np.asarray(np.where(spread > 1e-3, residual / np.maximum(spread, 1e-3), 0))
+
+
+def autocorrelation(grain: Gray, axis: int) -> Values:
+    """At lags 0, 1, ... along an axis, each over the pairs that exist."""
     size = grain.shape[axis]
     power = np.abs(fft.rfft(grain, 2 * size, axis=axis)) ** 2
     raw = fft.irfft(power.sum(axis=1 - axis), 2 * size)[: min(_LAGS, size - 1)]

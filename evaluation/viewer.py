@@ -170,10 +170,19 @@ class ShownRecording:
         frame = self._recordings[layer][number]
         grey = grey_of(frame)
         if frame.beams is not None:
-            black, white = self._window
-            fan = fan_of(grey, frame.beams)[0]
-            return _grey(np.clip((fan - black) / (white - black), 0, 1))
+            return self._windowed(fan_of(grey, frame.beams)[0])
         return _grey(grey[..., 2::-1] if grey.ndim == 3 else grey)
+
+    def polar_picture(self, number: int, layer: int) -> Picture:
+        """Of pings the samples, near range first; of images the same as `picture`."""
+        frame = self._recordings[layer][number]
+        if frame.beams is None:
+            return self.picture(number, layer)
+        return self._windowed(grey_of(frame))
+
+    def _windowed(self, grey: npt.NDArray[np.floating]) -> Picture:
+        black, white = self._window
+        return _grey(np.clip((grey - black) / (white - black), 0, 1))
 
     @cached_property
     def _window(self) -> tuple[float, float]:

@@ -16,8 +16,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, PlainSerializer
 
-_KINDS = ("uniform", "choice", "normal")
-_FORMS = "a number, {uniform: [low, high]}, {choice: [a, b, ...]} or {normal: [mean, std]}"
+FORMS = ("uniform", "choice", "normal")
+_WRITTEN_FORMS = "a number, {uniform: [low, high]}, {choice: [a, b, ...]} or {normal: [mean, std]}"
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,10 @@ def _parse_mapping(mapping: Mapping[Any, Any]) -> tuple[str, tuple[float, ...]]:
             "the form that is not wanted to null"
         )
     kind, numbers = next(iter(present.items()), ("", 0))
-    if kind not in _KINDS:
-        raise ValueError(f"must be {_FORMS}")
+    if kind not in FORMS:
+        raise ValueError(f"must be {_WRITTEN_FORMS}")
     if isinstance(numbers, str) or not hasattr(numbers, "__iter__"):
-        raise ValueError(f"{kind} takes a list; write {_FORMS}")
+        raise ValueError(f"{kind} takes a list; write {_WRITTEN_FORMS}")
     return kind, tuple(_number(item) for item in numbers)
 
 
@@ -109,7 +109,7 @@ def _check_limits(numbers: tuple[float, ...], low: float, high: float) -> None:
 
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise ValueError(f"must be {_FORMS}, got {value!r}")
+        raise ValueError(f"must be {_WRITTEN_FORMS}, got {value!r}")
     if not math.isfinite(value):
         raise ValueError(f"must be finite, got {value}")
     return float(value)
@@ -141,7 +141,7 @@ def as_override(word: str) -> str:
     refused, or would leave both.  Sets the other forms to null, which `parse` takes as absent.
     """
     key, _, value = word.partition("=")
-    kind_in_mapping = rf"\{{\s*({'|'.join(_KINDS)})\s*:"
+    kind_in_mapping = rf"\{{\s*({'|'.join(FORMS)})\s*:"
     replaced = re.sub(kind_in_mapping, _with_other_kinds_null, value)
     if replaced == value:
         return word
@@ -150,5 +150,5 @@ def as_override(word: str) -> str:
 
 def _with_other_kinds_null(match: re.Match[str]) -> str:
     """Return `{other:null,...kind:` for a match of `{kind:`."""
-    nulls = "".join(f"{kind}:null," for kind in _KINDS if kind != match[1])
+    nulls = "".join(f"{kind}:null," for kind in FORMS if kind != match[1])
     return f"{{{nulls}{match[1]}:"

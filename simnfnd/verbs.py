@@ -89,6 +89,16 @@ VERBS: dict[str, Verb] = {
         "simnfnd.evaluation.viewer:view",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
+    "lab": Verb(
+        LOOK, "noise parameters chosen by eye in the browser, beside a real image",
+        "simnfnd.evaluation.lab.command:main",
+        (
+            "simnfnd lab didson_hf dive.avi",
+            "simnfnd lab outputs/demo-physical dive.aris",
+            "simnfnd lab experiment=aris_raw seabed/seabed-0001/0001 dive.aris",
+        ),
+        needs=_SONAR,
+    ),
     "inspect": Verb(
         LOOK, "what is in a dataset", f"{_COMMANDS}.inspect:main", ("simnfnd inspect outputs/demo",)
     ),

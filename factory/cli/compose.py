@@ -7,9 +7,10 @@ import itertools
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import extensions
 from ..distribution import as_override
@@ -20,6 +21,8 @@ from .hydra_loader import config_folders, load, searched_folders, take_config_fo
 from .text_values import Form, form_of, hydra_value
 
 if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
     from ..config import FactoryConfig
 
 _SWEEP = ("-m", "--multirun")
@@ -44,41 +47,83 @@ def compose_points(
     words: Sequence[str], scenes: Mapping[str, Any] | None = None
 ) -> list[FactoryConfig]:
     """The configurations of a sweep's points (one without `-m`); see `compose_config`."""
-    # Hydra brings antlr and plugins; those who only look at a folder must not pay for it.
-    from hydra.errors import HydraException
-    from omegaconf import OmegaConf, open_dict
-    from omegaconf.errors import OmegaConfBaseException
+    with _one_line_errors(words) as readable:
+        overrides = [word for word in readable if not word.startswith("-")]
+        points = [overrides]
+        if any(word in _SWEEP for word in words):
+            # Those that choose groups: enough to know what an experiment sweeps over.
+            recipes = [word for word in overrides if word.startswith("experiment=")]
+            root = load("factory", recipes)
+            # None in a plain sweep, a mapping where an experiment brings its own.
+            points = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
+        return [_compose(point, scenes).config for point in points]
 
-    from ..config import FactoryConfig, composed_values, from_mapping
+
+class Composition(NamedTuple):
+    """What words mean.
+
+    values: plain ones, as the YAML files and words give them.  config: the same, validated.
+    overrides: the words as Hydra reads them.
+    pins: words that keep, in a sweep, what the experiment would sweep over by itself.
+    """
+
+    values: dict[str, Any]
+    config: FactoryConfig
+    overrides: list[str]
+    pins: list[str]
+
+
+def compose(words: Sequence[str]) -> Composition:
+    """As `compose_config`, with the values that the configuration was built from."""
+    with _one_line_errors(words) as readable:
+        return _compose([word for word in readable if not word.startswith("-")])
+
+
+def _compose(overrides: list[str], scenes: Mapping[str, Any] | None = None) -> Composition:
+    from omegaconf import OmegaConf, open_dict
+
+    from ..config import composed_values, from_mapping
     from ..key_effects import refuse_keys_without_effect
     from .named_keys import named_keys
 
+    composed = load("factory", overrides)
+    pins = _pins(composed, overrides)
+    with open_dict(composed):
+        del composed["hydra"]
+    if scenes is not None:
+        OmegaConf.set_struct(composed, False)
+        composed.scenes = dict(scenes)
+    values = composed_values(composed)
+    config = from_mapping(values)
+    refuse_keys_without_effect(config, named_keys(overrides))
+    return Composition(values, config, overrides, pins)
+
+
+def _pins(composed: DictConfig, overrides: Sequence[str]) -> list[str]:
+    from omegaconf import OmegaConf
+
+    named = {word.split("=")[0] for word in overrides}
+    choices = composed.hydra.runtime.choices
+    swept = [str(key) for key in composed.hydra.sweeper.params or {} if str(key) not in named]
+    return [f"{key}={choices.get(key, OmegaConf.select(composed, key))}" for key in swept]
+
+
+@contextmanager
+def _one_line_errors(words: Sequence[str]) -> Iterator[list[str]]:
+    """Gives the words in Hydra's grammar; what Hydra raises inside becomes a FactoryError."""
+    # Hydra brings antlr and plugins; those who only look at a folder must not pay for it.
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    from ..config import FactoryConfig
+
     settings, folders = take_config_folders(words)
     readable = hydra_words(settings, "factory", FactoryConfig)
-    overrides = [word for word in readable if not word.startswith("-")]
-    points = [overrides]
-    configs = []
     with config_folders(folders):
         try:
-            if any(word in _SWEEP for word in words):
-                # Those that choose groups: enough to know what an experiment sweeps over.
-                recipes = [word for word in overrides if word.startswith("experiment=")]
-                root = load("factory", recipes)
-                # None in a plain sweep, a mapping where an experiment brings its own.
-                points = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
-            for chosen in points:
-                composed = load("factory", chosen)
-                with open_dict(composed):
-                    del composed["hydra"]
-                if scenes is not None:
-                    OmegaConf.set_struct(composed, False)
-                    composed.scenes = dict(scenes)
-                config = from_mapping(composed_values(composed))
-                refuse_keys_without_effect(config, named_keys(chosen))
-                configs.append(config)
+            yield readable
         except (HydraException, OmegaConfBaseException) as error:
             raise FactoryError(config_line(error, "factory")) from error
-    return configs
 
 
 def sweep_points(overrides: Sequence[str], params: Mapping[str, Any]) -> list[list[str]]:

@@ -57,7 +57,11 @@ class RangeSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class PointSpread:
-    """Standard deviations of the Gaussian point-spread: along range in bins, across in beams."""
+    """Keys of `sonar.point_spread`: the Gaussian that blurs polar images of acoustics=pointwise.
+
+    range_bins: its standard deviation along range, range bins.
+    beams: its standard deviation across the beams, beams.
+    """
 
     range_bins: NotNegative = 0.7
     beams: NotNegative = 0.7
@@ -95,6 +99,8 @@ class TransferSettings:
         scale: a logarithm that ends in a straight line at nothing instead of a step).
     percentile: this percentile of the clean picture's echoing bins is shown at `reference`.
     reference: grey value in (0, 1] of that percentile.
+    exponent: of kind power.
+    dynamic_range_db: how far below full scale black lies, dB; of kinds log and soft_log.
     black: grey value of no echo at all, of soft_log.
     full_scale_db: what grey value 1 stands for in every picture, as a device of fixed gain has it:
         echo intensity after time-varying gain over the source level, dB; of
@@ -128,6 +134,8 @@ class SonarSettings:
     frequency_khz: of the device; decides absorption and noise of acoustics=coherent, and is
         only kept with the data otherwise (resample.rate stands for its effect).
     hfov_deg, vfov_deg: insonified sector; echoes outside are dropped.
+    beams: number of beams.
+    range_bins: number of range bins of a beam.
     samples_per_bin: raw samples whose intensities a range bin averages (multi-look); of
         acoustics=coherent.
     beam_azimuths_deg: directions of the beams from left to right where they are not uniform.

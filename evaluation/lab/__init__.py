@@ -1,0 +1,1 @@
+"""`simnfnd lab`: noise parameters chosen by eye, beside a real image."""
