@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import json
 import re
 import shlex
@@ -16,7 +15,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
-from urllib.parse import quote
+from urllib.parse import quote, unquote, urlsplit
 from urllib.request import urlopen
 
 import cv2
@@ -31,6 +30,7 @@ from simnfnd.evaluation.lab.parameters import parameters_of, sentences_of, slide
 from simnfnd.evaluation.lab.server import LabServer
 from simnfnd.evaluation.lab.session import Session
 from simnfnd.evaluation.lab.stored_words import words_of_dataset
+from simnfnd.evaluation.page_server import Answer, json_answer
 from simnfnd.factory.cli.compose import compose_config, compose_points
 from simnfnd.factory.dataset.pair_dataset import PairDataset
 from simnfnd.factory.errors import FactoryError
@@ -297,26 +297,45 @@ def test_bad_requests_get_one_line(session: Session, request_values: Any, named:
 
 # --- the page ---
 
-# Moves a slider, marks a parameter for a sweep, and keeps what was shown before and after.
+# Moves a slider, marks a parameter for a sweep, and sends what was shown before and after.
 _SCRIPT = """
 const greyOf = canvas => btoa(String.fromCharCode(...canvas.getContext("2d")
   .getImageData(0, 0, canvas.width, canvas.height).data.filter((_, index) => index % 4 === 0)));
+const kept = {};
 const whenAnswered = (count, then) => setTimeout(
-  () => +document.body.dataset.answers < count || isBusy ? whenAnswered(count, then) : then(), 20);
+  () => (answers >= count && !isBusy ? then() : whenAnswered(count, then)), 20);
 whenAnswered(1, () => {
-  document.body.dataset.before = greyOf(at("left"));
+  kept.before = greyOf(at("left"));
   const slider = at("control-noise.receiver.level_db");
   slider.value = 31;
   slider.dispatchEvent(new Event("input"));
   document.querySelector("[aria-label='sweep sonar.transfer.percentile']").click();
   whenAnswered(2, () => {
-    document.body.dataset.after = greyOf(at("left"));
-    for (const name of ["command", "sweep", "recipe"]) document.body.dataset[name] = at(name).value;
-    document.body.dataset.unnamed = document.querySelectorAll(
+    kept.after = greyOf(at("left"));
+    for (const name of ["command", "sweep", "recipe"]) kept[name] = at(name).value;
+    kept.unnamed = document.querySelectorAll(
       "#controls input:not([aria-label]):not([id]), #controls select:not([id])").length;
+    fetch(`kept?${encodeURIComponent(JSON.stringify(kept))}`);
   });
 });
 """
+
+
+class _WatchedLab(LabServer):
+    """Takes what the script has kept."""
+
+    def __init__(self, session: Session) -> None:
+        super().__init__(session)
+        self.kept: dict[str, Any] = {}
+        self.has_kept = threading.Event()
+
+    def answer(self, path: str) -> Answer:
+        parts = urlsplit(path)
+        if parts.path != "/kept":
+            return super().answer(path)
+        self.kept = json.loads(unquote(parts.query))
+        self.has_kept.set()
+        return json_answer({})
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
@@ -327,20 +346,25 @@ def test_a_slider_moves_the_image(
     with (folder / "page.js").open("a") as file:
         file.write(_SCRIPT)
     monkeypatch.setattr(server, "_FOLDER", folder)
-    flags = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--dump-dom")
-    options = ["--virtual-time-budget=8000", f"--user-data-dir={tmp_path / 'profile'}"]
-    with served(session) as url:
-        command = [str(CHROMIUM), *flags, *options, url]
-        page = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
-    kept = dict(re.findall(r'data-(\w+)="([^"]*)"', page.split("<body")[1].split(">")[0]))
+    profile = f"--user-data-dir={tmp_path / 'profile'}"
+    flags = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", profile)
+    with _WatchedLab(session) as lab:
+        threading.Thread(target=lab.serve_forever, daemon=True).start()
+        # A port to be debugged by keeps it open.
+        command = [str(CHROMIUM), *flags, "--remote-debugging-port=0", lab.url]
+        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as browser:
+            try:
+                assert lab.has_kept.wait(120)
+            finally:
+                browser.terminate()
+        lab.shutdown()
+    kept = lab.kept
     before, after = (base64.b64decode(kept[name]) for name in ("before", "after"))
     # The lower end of the range, which takes the upper one along.
     changes = {"noise.receiver.level_db": {"uniform": [31, 31]}}
     assert before == session.pairs({}, 0, (0,))[0].noisy.tobytes()
     assert after == session.pairs(changes, 0, (0,))[0].noisy.tobytes()
     assert after != before
-    exports = session.exports(changes, ("sonar.transfer.percentile", "70,85,100"))
-    assert kept["unnamed"] == "0"
-    assert html.unescape(kept["command"]) == exports.command
-    assert html.unescape(kept["recipe"]) == exports.recipe
-    assert html.unescape(kept["sweep"]).startswith("simnfnd make -m")
+    exports = session.exports(changes, ("sonar.transfer.percentile", "0,50,100"))
+    assert kept["unnamed"] == 0
+    assert {name: kept[name] for name in exports._fields} == exports._asdict()
