@@ -365,6 +365,6 @@ def test_a_slider_moves_the_image(
     assert before == session.pairs({}, 0, (0,))[0].noisy.tobytes()
     assert after == session.pairs(changes, 0, (0,))[0].noisy.tobytes()
     assert after != before
-    exports = session.exports(changes, ("sonar.transfer.percentile", "0,50,100"))
+    exports = session.exports(changes, ("sonar.transfer.percentile", "0.5,50.25,100"))
     assert kept["unnamed"] == 0
     assert {name: kept[name] for name in exports._fields} == exports._asdict()
