@@ -105,7 +105,7 @@ def shipped_for(dataset: Path) -> list[str]:
     """Name of the weights that `simnfnd denoise` takes here; [] where nothing runs them."""
     if not all(map(find_spec, ("onnxruntime", "safetensors"))):
         return []
-    from ..models.denoise.files import made_of_points, opened_shard
+    from ..models.denoise.shards import made_of_points, opened_shard
     from ..models.pretrained import DEFAULT, POINTS
 
     shard = next(dataset.glob("*/shard-*.h5"), None)

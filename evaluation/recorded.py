@@ -18,9 +18,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from ..factory.dataset import PairDataset
 from ..factory.errors import FactoryError
 from ..factory.sonar.geometry import FanGeometry
-from ..models.recordings import PICTURE_SUFFIXES, kind_of, open_recording
+from ..models.recordings import DATASET, PICTURE_SUFFIXES, dataset_of, kind_of, open_recording
 from ..models.recordings.fan_tracking import FanTracker
 from ..models.recordings.names import in_order
 from ..models.recordings.views import frame_picture
@@ -93,16 +94,21 @@ class Stretch:
 def open_input(
     location: str | Path, most: int | None = None, key: str = "real"
 ) -> tuple[list[Stretch], tuple[str, ...]]:
-    """All folders and recordings at a path, and notes for the report.
+    """All folders and recordings at a path, or of a dataset, and notes for the report.
 
     most: of each so many shots, the first ones.  key: of the configuration, for errors.
     Raises FactoryError when there is nothing, or a recording cannot be opened.
     """
     root = Path(location).expanduser()
-    if not root.exists():
-        raise FactoryError(f"{key}={root}: no such folder or recording")
     notes: tuple[str, ...] = ()
-    if (root / "Images").is_dir() or (root / GEOMETRY_FILE).is_file():
+    if dataset_of(root) == root:
+        names = PairDataset(root, "all", trusted=True).recordings.names
+        stretches = [_recording(root / name, name) for name in names]
+    elif kind_of(root) == DATASET:
+        stretches = [_recording(root, root.name)]
+    elif not root.exists():
+        raise FactoryError(f"{key}={root}: no such folder or recording")
+    elif (root / "Images").is_dir() or (root / GEOMETRY_FILE).is_file():
         shots, notes = _with_geometry(root)
         stretches = [Stretch(root.resolve().name, shots)]
     else:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import colorsys
 import io
 import re
-from contextlib import closing
+from collections.abc import Sequence
+from contextlib import closing, suppress
 from functools import cached_property
 from pathlib import Path
 
@@ -15,14 +16,20 @@ from PIL import Image
 
 from ..factory.cli import Parser
 from ..factory.dataset.layout import optional_layers
-from ..factory.dataset.manifest import MANIFEST_NAME
 from ..factory.dataset.pair_dataset import PairDataset
 from ..factory.dataset.preview import Shown as OnSheet
 from ..factory.dataset.preview import draw, preview
 from ..factory.dataset.reader import reading
 from ..factory.errors import FactoryError
 from ..factory.files import write_atomically
-from ..models.recordings import Recording, is_recording, open_recording
+from ..models.recordings import (
+    DATASET,
+    Recording,
+    dataset_of,
+    is_recording,
+    kind_of,
+    open_recording,
+)
 from ..models.recordings.views import fan_of, grey_of
 from .metrics.statistics import evenly
 from .page_server import Answer, PageServer, add_page_options, json_answer
@@ -31,7 +38,9 @@ from .page_server import Answer, PageServer, add_page_options, json_answer
 def view(words: list[str]) -> None:
     """Serve what `words` ask for until Ctrl-C."""
     parser = Parser(prog="simnfnd view")
-    parser.add_argument("path", type=Path, help="dataset, recording, bag, video, or pictures")
+    parser.add_argument(
+        "path", type=Path, help="dataset, DATASET/LOCATION/SCENE, recording, bag, video"
+    )
     parser.add_argument("after", type=Path, nargs="?", help="the same recording, denoised")
     add_page_options(parser)
     given = parser.parse_args(words)
@@ -72,6 +81,8 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
     return out
 
 
+_RATE_HZ = 10.0
+_MOST_RATE_HZ = 30.0
 _PAGE = Path(__file__).with_name("view.html")
 _ASKED = re.compile(r"/(?:picture|facts)/(\d{1,12})(?:/(\d{1,3})\.png|\.json)")
 
@@ -92,7 +103,8 @@ class Viewer(PageServer):
         if path == "/":
             return Answer("text/html; charset=utf-8", _PAGE.read_bytes())
         if path == "/about.json":
-            return json_answer({"title": shown.title, "layers": shown.layers, "count": len(shown)})
+            about = {"title": shown.title, "layers": shown.layers, "count": len(shown)}
+            return json_answer({**about, "rate_hz": shown.rate_hz})
         found = _ASKED.fullmatch(path)
         number, layer = (int(one or 0) for one in found.groups()) if found else (len(shown), 0)
         if number >= len(shown) or layer >= len(shown.layers):
@@ -116,24 +128,36 @@ _LABELS = ("segmentation", "instance")
 
 
 class ShownDataset:
-    """All samples of a dataset; layers: of each, the first is shown before the second."""
+    """All samples of a dataset, or the frames of one recording in the order of time.
 
-    def __init__(self, folder: Path) -> None:
-        """Raises FactoryError when it is no dataset."""
-        self.title = folder.resolve().name
+    layers: of each, the first is shown before the second.  rate_hz: frames a second when played.
+    """
+
+    def __init__(self, folder: Path, recording: str = "") -> None:
+        """recording: its name; empty: all samples.
+
+        Raises FactoryError when it is no dataset, or has no such recording.
+        """
+        self.title = f"{folder.resolve().name} {recording}".rstrip()
         with reading(PairDataset(folder, "all").paths[0]) as file:
             self.layers = ("noisy", "clean", "shadow", *optional_layers(file))
         # Checked a moment ago.
         self._pairs = PairDataset(folder, "all", layers=self.layers, scaled=True, trusted=True)
         self._table = self._pairs.meta()
+        self._samples: Sequence[int] = range(len(self._pairs))
+        if recording:
+            self._samples = self._pairs.recordings.samples(recording)
+        has_times = "time_s" in (self._table.dtype.names or ())
+        times_s = self._table["time_s"][list(self._samples)] if recording and has_times else ()
+        self.rate_hz = _rate_hz(times_s)
 
     def __len__(self) -> int:
-        return len(self._pairs)
+        return len(self._samples)
 
     def picture(self, number: int, layer: int) -> Picture:
         """One layer of one.  Raises FactoryError when it is damaged."""
         name = self.layers[layer]
-        image = self._pairs[number][name]
+        image = self._pairs[self._samples[number]][name]
         if name in _LABELS:
             # Colours that neighbours do not share; 0 is black.
             numbers = image.astype(np.int64)[..., None]
@@ -143,7 +167,7 @@ class ShownDataset:
 
     def facts(self, number: int) -> Facts:
         """Names and values of the row of /meta.  Raises FactoryError when it is damaged."""
-        row, found = self._table[number], Facts()
+        row, found = self._table[self._samples[number]], Facts()
         for name in self._table.dtype.names or ():
             value = row[name]
             if isinstance(value, bytes):
@@ -161,6 +185,8 @@ class ShownRecording:
         self.title = path.resolve().name
         self.layers: tuple[str, ...] = ("before", "after") if after else ("recorded",)
         self._recordings = [_opened(one) for one in (path, after) if one is not None]
+        first = self._recordings[0]
+        self.rate_hz = _rate_hz([first[number].time_s for number in range(min(2, len(first)))])
 
     def __len__(self) -> int:
         return min(map(len, self._recordings))
@@ -207,16 +233,28 @@ class ShownRecording:
         return found
 
 
+def _rate_hz(times_s: Sequence[float | None]) -> float:
+    """Frames a second of a recording, within what a browser can show; `_RATE_HZ` where unknown."""
+    known = [time_s for time_s in times_s if time_s is not None and np.isfinite(time_s)]
+    steps_s = np.diff(known)
+    steps_s = steps_s[steps_s > 0]
+    if not len(steps_s):
+        return _RATE_HZ
+    return float(np.clip(1 / np.median(steps_s), 1, _MOST_RATE_HZ))
+
+
 Shown = ShownDataset | ShownRecording
 
 
 def open_shown(path: Path, after: Path | None = None) -> Shown:
-    """A dataset by its manifest or else a recording.  Raises FactoryError when it is neither."""
-    if (path / MANIFEST_NAME).is_file():
-        if after is not None:
-            raise FactoryError(f"{after}: a dataset is shown alone, its layers beside each other")
-        return ShownDataset(path)
-    return ShownRecording(path, after)
+    """A dataset, a recording of one, or a recording.  Raises FactoryError when it is neither."""
+    folder = dataset_of(path)
+    if folder != path and kind_of(path) != DATASET:
+        return ShownRecording(path, after)
+    if after is not None:
+        raise FactoryError(f"{after}: a dataset is shown alone, its layers beside each other")
+    assert folder is not None
+    return ShownDataset(folder, "" if folder == path else path.relative_to(folder).as_posix())
 
 
 def _opened(path: Path) -> Recording:

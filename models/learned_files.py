@@ -42,7 +42,9 @@ def learned_files(weights: Path) -> list[LearnedFile]:
 
 
 def known_as(path: Path, learned: Iterable[LearnedFile]) -> str | None:
-    """The name under which a file was learned from; None where it was not."""
+    """The name under which a file was learned from; None where it was not, or is no file."""
+    if not path.is_file():
+        return None
     size = path.stat().st_size
     same_size = [entry for entry in learned if entry.bytes == size]
     if not same_size:

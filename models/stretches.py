@@ -166,7 +166,7 @@ def _shot_of(frame: Frame, item: Item, geometries: Geometries) -> Shot:
         return Shot(grey_of(frame), polar_geometry(frame.beams, len(frame.samples)))
     is_grey = frame.samples.ndim == 2
     grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
-    return Shot(grey, geometries.of(item, grey))
+    return Shot(grey, frame.geometry or geometries.of(item, grey))
 
 
 @dataclass(frozen=True, eq=False)

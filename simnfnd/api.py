@@ -209,6 +209,8 @@ class OpenRecording:
 
         if frame.beams is not None:
             return RecordedFrame(*fan_of(grey_of(frame), frame.beams), frame.time_s, frame)
+        if frame.geometry is not None:
+            return RecordedFrame(frame.samples, frame.geometry, frame.time_s, frame)
         from .models.recordings.fan_finder import find_geometry  # of the extra sonar
         from .models.recordings.fan_tracking import FanTracker
         from .models.recordings.pictures import Pictures

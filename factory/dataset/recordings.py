@@ -59,6 +59,15 @@ class _Row(NamedTuple):
     tracks: tuple[Track, ...]
 
 
+def is_of_recordings(config: Mapping[str, Any]) -> bool:
+    """Whether the frames of a dataset's scenes are pings of one sonar, one after another.
+
+    config: as shards and manifest state it.
+    """
+    scenes = config.get("scenes")
+    return isinstance(scenes, Mapping) and scenes.get("frame_rate_hz") is not None
+
+
 class Recordings:
     """The recordings of an open dataset, of one variant of the noise.
 
@@ -82,13 +91,20 @@ class Recordings:
 
     def sequence(self, name: str) -> FrameSequence:
         """All frames of a recording.  Raises FactoryError for a name that the dataset lacks."""
+        return self._read(name, self._rows_of(name))
+
+    def samples(self, name: str) -> tuple[int, ...]:
+        """Numbers of the samples of a recording.  Raises FactoryError as `sequence` does."""
+        return tuple(row.sample for row in self._rows_of(name))
+
+    def _rows_of(self, name: str) -> list[_Row]:
         if name not in self._rows:
             known = ", ".join(self.names[:3])
             raise FactoryError(
                 f"{self._pairs.folder}: no recording {name!r} in the split {self._pairs.split}; "
                 f"there are {len(self.names)}, such as {known}"
             )
-        return self._read(name, self._rows[name])
+        return self._rows[name]
 
     def windows(self, frames: int = WINDOW_FRAMES, step: int = 1) -> Iterator[FrameSequence]:
         """Windows of `frames` frames without a gap, every `step`-th of each recording."""

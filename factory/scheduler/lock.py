@@ -45,7 +45,8 @@ def locked(folder: Path, part: str = "") -> Iterator[None]:
     part: of a run that makes a slice of the dataset; other slices may run beside it.
     """
     path = folder / _name(part)
-    lock = FileLock(path, thread_local=False)
+    # A soft lock would outlive a run that is killed.
+    lock = FileLock(path, thread_local=False, fallback_to_soft=False)
     with explain_os_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         try:

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...factory.errors import FactoryError, FrameError
-from ...factory.files import remove_stale_temporaries, write_atomically
-from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+from ...factory.files import remove_stale_temporaries
+from ...factory.sonar.geometry import FanGeometry
 from ..pretrained import DEFAULT, POINTS
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
@@ -28,15 +28,12 @@ from .inputs import Geometries, Item
 from .journal import Journal
 from .pictures import Denoised, Denoising, Picture
 from .removed import RemovedReport
+from .shards import denoise_shards
 from .temporal.stream import Shot
 from .unchanged import UnchangedReport
 from .video_writer import TimedImage
 from .writers import COMPARED, Compared, write_compared, write_frames, write_image
 
-if TYPE_CHECKING:
-    import h5py
-
-SCHEMA = "simnfnd-denoised/1"
 _PING = re.compile(r"\d{6}(_polar)?\.png")
 
 
@@ -86,26 +83,25 @@ class Job:
 
 
 def denoise_files(items: Sequence[Item], job: Job) -> None:
-    """Denoise picture files that follow each other in time, or one other file.
+    """Denoise picture files or shards that follow each other in time, or one other file.
 
     Those of an earlier run are left out.
     """
+    if all(item in job.journal for item in items):
+        return
     if items[0].kind == "pictures":
         _denoise_pictures(items, job)
-    elif items[0] not in job.journal:
+    elif items[0].kind == "shard":
+        denoise_shards(items, job)
+    else:
         try:
-            if items[0].kind == "shard":
-                _denoise_shard(items[0], job)
-            else:
-                _denoise_recording(items[0], job)
+            _denoise_recording(items[0], job)
         except FrameError as error:
             job.failures.append(str(error))
 
 
 def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
     finished = {item for item in items if item in job.journal}
-    if len(finished) == len(items):
-        return
 
     def read() -> Iterator[Shot]:
         # Finished files, too: what a stream learns from them is part of the bytes of the others.
@@ -184,109 +180,23 @@ def _denoise_recording(item: Item, job: Job) -> None:
 
 
 def _write_pings(folder: Path, frames: Iterable[tuple[Frame, Picture]]) -> None:
-    """A fan and the samples of each ping; images of a longer run of before go."""
+    """A fan and the samples of each ping, or its image; those of a longer run before go."""
     remove_stale_temporaries(folder)
     written = set()
     for frame, samples in frames:
-        full = FULL_SCALE[str(samples.dtype)]
-        fan = _view(frame, samples)
-        if full > 1:
-            fan = np.rint(fan * full).astype(samples.dtype)
-        for name, image in ((f"{frame.number:06d}", fan), (f"{frame.number:06d}_polar", samples)):
+        images = {f"{frame.number:06d}": samples}
+        if frame.beams is not None:
+            full = FULL_SCALE[str(samples.dtype)]
+            fan = _view(frame, samples)
+            if full > 1:
+                fan = np.rint(fan * full).astype(samples.dtype)
+            images = {f"{frame.number:06d}": fan, f"{frame.number:06d}_polar": samples}
+        for name, image in images.items():
             write_image(folder / f"{name}.png", image)
             written.add(f"{name}.png")
     for path in folder.glob("*.png"):
         if _PING.fullmatch(path.name) and path.name not in written:
             path.unlink()
-
-
-def _denoise_shard(item: Item, job: Job) -> None:
-    """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along."""
-    import h5py  # for datasets alone
-
-    from ...factory.dataset.layout import config_of
-    from ...factory.dataset.reader import ImageStack, value_range
-
-    # Made in memory and written in one go, like the shards themselves.
-    with (
-        opened_shard(item.source) as source,
-        h5py.File("denoised.h5", "w", driver="core", backing_store=False) as target,
-    ):
-        of_points = made_of_points(source)
-        denoise = job.points() if of_points else job.denoise
-        noisy = ImageStack(source["noisy"])
-        clean = ImageStack(source["clean"])
-        form = source["noisy"]
-        full = value_range(source)
-        job.bar.total += len(noisy)
-        target.attrs["schema"] = SCHEMA
-        target.attrs["config_hash"] = source.attrs["config_hash"]
-        target.attrs["weights_sha256"] = denoise.digest
-        for name in ("meta", "axes"):
-            if name in source:
-                source.copy(name, target)
-        denoised = target.create_dataset(
-            "denoised",
-            shape=form.shape,
-            dtype=form.dtype,
-            chunks=(1, *form.shape[1:]),
-            compression="gzip",
-            compression_opts=1,
-            fletcher32=True,
-            track_times=False,
-        )
-        shown: list[Compared] = []
-        # Simulated images have noise around their fan, too.
-        denoising = Denoising(denoise, keeps_outside=False)
-        sonar = recorded_sonar(config_of(source))
-
-        def place(row: int, _: Picture) -> FanGeometry | None:
-            return None if sonar is None else FanGeometry.from_record(sonar, source["meta"][row])
-
-        for row in range(len(noisy)):
-            try:
-                image = noisy[row]
-                result = denoising.denoise_image(image, partial(place, row))
-                denoised[row] = result.image
-                job.removed.add(f"{item.relative}, pair {row}", result.removed)
-                if job.video is not None:
-                    job.video.add(image / full, denoised[row] / full)
-                if row < COMPARED:
-                    panels = image / full, denoised[row] / full, result.removed.shown()
-                    shown.append(Compared(*panels, clean=clean[row] / full))
-            except (FactoryError, LookupError, ValueError) as error:
-                raise FrameError(f"{item.source}: {error}") from error
-            job.bar.update()
-        target.flush()
-        content = target.id.get_file_image()
-    path = job.out / item.relative
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, content)
-    if job.compare and shown:
-        write_compared(job.out / item.compared, shown)
-    job.done(item, denoise.name, of_points=of_points)
-
-
-def opened_shard(path: Path) -> h5py.File:
-    """The shard, opened, by another process first.
-
-    Raises FrameError when it is not a shard of this program, or damaged.
-    """
-    from ...factory.dataset import reader
-
-    try:
-        reader.check_in_isolation([path])
-        return reader.open_shard(path)
-    except FactoryError as error:
-        raise FrameError(str(error)) from error
-
-
-def made_of_points(shard: h5py.File) -> bool:
-    """Whether the pictures of a shard have the paper's noise: acoustics=pointwise."""
-    from ...factory.dataset.layout import config_of
-    from ...factory.dataset.meaning import formation_of
-
-    return formation_of(config_of(shard)) == "pointwise"
 
 
 def _opened(item: Item, topics: Sequence[str]) -> Recording:
@@ -308,7 +218,7 @@ def _frames(
     def place(frame: Frame, picture: Picture) -> FanGeometry | None:
         if frame.beams is not None:
             return polar_geometry(frame.beams, len(picture))
-        return job.geometries.of(item, picture)
+        return frame.geometry or job.geometries.of(item, picture)
 
     def read() -> Iterator[Shot]:
         before = None

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ..data.fans import read_fans
-from ..recordings import READERS, is_bag_folder, kind_of
+from ..recordings import DATASET, READERS, is_bag_folder, kind_of
 from ..recordings.arrays import is_shard_file, is_table
 from ..recordings.base import ARRAY_SUFFIX, ARRAY_SUFFIXES, HDF5_SUFFIXES
 from ..recordings.fan_finder import find_geometry
@@ -30,10 +30,14 @@ _MOST_FOLDERS_SAID = 5
 
 @dataclass(frozen=True)
 class Item:
-    """One input file (or a folder that is a bag) and its name below the output folder."""
+    """One input file (or a folder that is a bag) and its name below the output folder.
+
+    dataset: of recordings, which a shard belongs to; None for all other files.
+    """
 
     source: Path
     relative: Path
+    dataset: Path | None = None
 
     @property
     def compared(self) -> Path:
@@ -85,12 +89,15 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
 def sequences(items: Sequence[Item]) -> list[list[Item]]:
     """Picture files that follow each other in time, as their names say; other files alone.
 
-    The files of a sequence lie in one folder; see `sequences_of`.
+    The files of a sequence lie in one folder; see `sequences_of`.  Shards of a dataset of
+    recordings come together.
     """
     runs: list[list[Item]] = []
     for folder, in_folder in _by_folder(items).items():
         if folder is None:
-            runs += [[item] for item in in_folder]
+            runs += [[item] for item in in_folder if item.dataset is None]
+            datasets = dict.fromkeys(item.dataset for item in in_folder if item.dataset)
+            runs += [[item for item in in_folder if item.dataset == one] for one in datasets]
             continue
         names = [item.source.name for item in in_folder]
         runs += [[in_folder[index] for index in sequence] for sequence in sequences_of(names)]
@@ -122,6 +129,8 @@ def said_of_sequences(items: Sequence[Item]) -> Iterator[str]:
 
 
 def _of_input(path: Path, out: Path) -> list[Item]:
+    if kind_of(path) == DATASET:
+        return [Item(path, Path(path.name))]
     if not path.exists():
         raise FactoryError(f"{path}: no such file or folder")
     if path.is_dir() and is_bag_folder(path):
@@ -129,12 +138,15 @@ def _of_input(path: Path, out: Path) -> list[Item]:
     if path.is_dir():
         # These load h5py, which a single picture can do without.
         from ...factory.dataset import PairDataset
-        from ...factory.dataset.manifest import MANIFEST_NAME
+        from ...factory.dataset.manifest import load_manifest
+        from ...factory.dataset.recordings import is_of_recordings
 
-        if (path / MANIFEST_NAME).is_file():
+        manifest = load_manifest(path)
+        if manifest is not None:
             # Each is looked at when it is opened.
             shards = PairDataset(path, "all", trusted=True).paths
-            return [Item(shard, shard.relative_to(path)) for shard in shards]
+            dataset = path if is_of_recordings(manifest.config) else None
+            return [Item(shard, shard.relative_to(path), dataset) for shard in shards]
         items = items_below(path, out)
     else:
         items = [_item(path, path.parent)] if path.suffix.lower() in SUFFIXES else []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
@@ -91,9 +92,9 @@ class Denoising:
         self.frames = frames
         self._tally = defaultdict[str, float](float)
         self._strengths: list[str] = []
+        self._network = network
         self._in_time = partial(
             InTime,
-            network,
             causal=causal,
             calibrated=calibrated,
             keeps_outside=keeps_outside,
@@ -102,6 +103,13 @@ class Denoising:
         self._inverts = inverts
         self.maps: Counter[str] = Counter()
         self._last_map: Palette | None = None
+
+    def of_simulated(self, network: Network) -> Denoising:
+        """The same run with the network for simulated images, which have noise around their fan."""
+        other = copy(self)
+        other._network = network
+        other._in_time = partial(self._in_time, keeps_outside=False)
+        return other
 
     def shot(
         self,
@@ -153,7 +161,7 @@ class Denoising:
 
     def _denoised(self, shots: Iterable[Shot], alone: bool) -> Iterator[Denoised]:
         frames, at_once = (1, 1) if alone else (self.frames, usable_cores())
-        stream = self._in_time(frames=frames, at_once=at_once)
+        stream = self._in_time(self._network, frames=frames, at_once=at_once)
         denoised = Unrepeated(stream, self._tally)(shots) if frames > 1 else stream(shots)
         source: _Source
         for source, levels in denoised:

@@ -6,6 +6,7 @@ says which files it reads.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
@@ -33,9 +34,12 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "animation": ("animations:Animation", (".gif", ".apng")),
     "array": ("arrays:ArrayFile", (".npz", ".mat")),
     "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),
+    "dataset": ("simulated:DatasetRecording", ()),
 }
 """Kind -> ("module:class", suffixes of its files); `kind_of` says what else files of images are."""
 
+DATASET = "dataset"
+"""Kind of the recordings of a dataset: `DATASET/LOCATION/SCENE`, which is no file."""
 SEQUENCES = ("video", "stack", "animation", "array")
 """Kinds whose frames are pictures, one after the other."""
 
@@ -53,8 +57,11 @@ def kind_of(path: Path) -> str | None:
     A TIFF file of several pages is a `stack`, a PNG or WebP file of several frames an `animation`;
     a .npy file of several pictures, .npz, .mat, and HDF5 files that are no shard of a dataset are
     an `array`, and of no kind when they hold no pictures.  A folder is `rosbag` when it holds a bag
-    of ROS 2, and `pictures` otherwise.
+    of ROS 2, and `pictures` otherwise.  A path that names a scene of a dataset, and no file, is a
+    `dataset`.
     """
+    if not path.exists() and dataset_of(path) is not None:
+        return DATASET
     if path.is_dir():
         return "rosbag" if is_bag_folder(path) else "pictures"
     suffix = path.suffix.lower()
@@ -77,7 +84,22 @@ def kind_of(path: Path) -> str | None:
 
 def is_recording(path: Path) -> bool:
     """Whether a file or folder is one by its name: of a sonar, a bag or a video, not pictures."""
-    return path.exists() and kind_of(path) not in (None, "pictures")
+    kind = kind_of(path)
+    return kind == DATASET or (path.exists() and kind not in (None, "pictures"))
+
+
+def dataset_of(path: Path) -> Path | None:
+    """The folder of the dataset that a path, DATASET or DATASET/LOCATION/SCENE, names or None."""
+    for folder in (path, *path.parents[:2]):
+        manifest = folder / "manifest.json"
+        with suppress(OSError, ValueError):
+            if not manifest.is_file():
+                continue
+            with manifest.open("rb") as file:
+                # It begins with the name of its format: other programs have files of this name.
+                if b'"simnfnd/' in file.read(64):
+                    return folder
+    return None
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -86,15 +108,18 @@ def open_recording(path: str | Path) -> Recording:
     Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
     """
     location = Path(path).expanduser()
-    if not location.exists():
+    is_dataset = dataset_of(location) == location or kind_of(location) == DATASET
+    if not is_dataset and not location.exists():
         raise FactoryError(f"{path}: no such file or folder")
     is_array = location.suffix.lower() in (*ARRAY_SUFFIXES, *HDF5_SUFFIXES)
-    kind = kind_of(location) or ("array" if is_array else None)  # which says what it lacks
+    kind = DATASET if is_dataset else kind_of(location)
+    if kind is None and is_array:
+        kind = "array"  # which says what it lacks
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
     module, name = READERS[kind][0].split(":")
-    if module != "sonar_files":
+    if module not in ("sonar_files", "simulated"):
         require([Need(f"{path}", "cv2")])
     recording: Recording = getattr(import_module(f".{module}", __name__), name)(location)
     return recording

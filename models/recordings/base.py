@@ -13,13 +13,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.small_files import open_regular
+
+if TYPE_CHECKING:
+    from ...factory.sonar.geometry import FanGeometry
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 ANIMATED_SUFFIXES = (".png", ".webp")
@@ -94,6 +97,7 @@ class Frame:
     beams: None for a picture, of which only the pixels are known.
     time_s: seconds since 1970 (UTC), or since the start where the file has no clock; None: unknown.
     duration_s: how long a video or an animation shows it; None: unknown.
+    geometry: where range and bearing lie in a picture, if the file says it.
     """
 
     number: int
@@ -103,6 +107,7 @@ class Frame:
     duration_s: float | None = None
     pose: Pose = field(default_factory=Pose)
     device: Device = field(default_factory=Device)
+    geometry: FanGeometry | None = None
 
 
 class Ended(FrameError):

@@ -110,7 +110,7 @@ def frame_picture(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
         from .palettes import grey_of_colours  # needs an extra
 
         grey = grey_of_colours(grey)
-    return np.ascontiguousarray(np.clip(grey, 0, 1)), None
+    return np.ascontiguousarray(np.clip(grey, 0, 1)), frame.geometry
 
 
 _SHARE = 99.5  # percentile of the pixels that are not zero

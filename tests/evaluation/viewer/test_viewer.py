@@ -28,6 +28,7 @@ from simnfnd.evaluation.viewer import Shown, Viewer, open_shown
 from simnfnd.factory.errors import FactoryError
 from tests.factory.export.export_dataset import SHAPE, write
 from tests.models.recordings.recording_files import pings, write_aris
+from tests.recorded_dataset import FRAMES, recorded_pair, write_recordings
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 # Pressed one after the other: to the last, two back by ten (to the first), two on, swap.
@@ -166,6 +167,7 @@ def test_a_recording_before_and_after(tmp_path: Path) -> None:
     after = write_aris(tmp_path / "after.aris", given // np.uint8(2))
     with served(open_shown(before, after)) as url:
         about = json.loads(fetched(f"{url}about.json"))
+        assert about.pop("rate_hz") == pytest.approx(10, abs=0.01)
         assert about == {"title": "before.aris", "count": 3, "layers": ["before", "after"]}
         fans = [picture(url, 2, layer).astype(int) for layer in (0, 1)]
         assert fans[0].shape == fans[1].shape
@@ -186,21 +188,62 @@ def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> Non
             Viewer(open_shown(tmp_path), int(url.split(":")[2].split("/")[0]))
 
 
+def test_a_recording_of_a_dataset_is_shown_alone_at_its_rate(tmp_path: Path) -> None:
+    folder = write_recordings(tmp_path / "dataset", shard_size=6)
+    with served(open_shown(folder / "sea/1")) as url:
+        about = json.loads(fetched(f"{url}about.json"))
+        assert (about["title"], about["count"]) == ("dataset sea/1", FRAMES)
+        assert about["rate_hz"] == 4
+        for number in (0, FRAMES - 1):
+            expected = recorded_pair("1", number).noisy
+            np.testing.assert_array_equal(picture(url, number, 0), expected)
+            assert json.loads(fetched(f"{url}facts/{number}.json"))["frame"] == f"{number:04d}"
+    with pytest.raises(FactoryError, match="sea/0"):
+        open_shown(folder / "sea/9")
+
+
+def page_after(shown: Shown, script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The page in Chromium after a script that is appended to it."""
+    page = folder / "page.html"
+    page.write_text(server._PAGE.read_text(encoding="utf-8") + script, encoding="utf-8")
+    monkeypatch.setattr(server, "_PAGE", page)
+    with served(shown) as url:
+        command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+        options = ["--virtual-time-budget=5000", f"--user-data-dir={folder / 'profile'}"]
+        done = subprocess.run(
+            [*command, *options, url], capture_output=True, text=True, timeout=120
+        )
+    return done.stdout
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_the_page_plays_a_recording_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = write_recordings(tmp_path / "dataset")
+    script = """
+<script>
+  const wait = setInterval(() => {
+    if (document.body.dataset.shown !== "0") return;
+    clearInterval(wait);
+    document.dispatchEvent(new KeyboardEvent("keydown", {key: "p", bubbles: true}));
+    document.body.dataset.began = document.getElementById("play").textContent;
+  }, 50);
+</script>
+"""
+    found = page_after(open_shown(folder / "sea/0"), script, tmp_path, monkeypatch)
+    assert 'data-began="pause"' in found
+    assert f'data-shown="{FRAMES - 1}"' in found
+    assert 'aria-pressed="false">play<' in found
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 def test_the_page_steps_by_keyboard(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = tmp_path / "page.html"
-    page.write_text(server._PAGE.read_text(encoding="utf-8") + _KEYS, encoding="utf-8")
-    monkeypatch.setattr(server, "_PAGE", page)
-    with served(open_shown(dataset)) as url:
-        command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
-        options = ["--virtual-time-budget=5000", f"--user-data-dir={tmp_path / 'profile'}"]
-        done = subprocess.run(
-            [*command, *options, url], capture_output=True, text=True, timeout=120
-        )
+    found = page_after(open_shown(dataset), _KEYS, tmp_path, monkeypatch)
     # First, last, first, two on, one back, ten on, one back: number 10 of 0 to 11.
     for part in ('data-shown="10"', ">11 of 12<", "inset(0px 0px 0px 100%)",
                  'src="picture/10/0.png"', "<td>range_max_m</td>"):  # fmt: skip
-        assert part in done.stdout
-    assert "noise.range_spreading.mode" not in done.stdout  # not drawn, so not said
+        assert part in found
+    assert "noise.range_spreading.mode" not in found  # not drawn, so not said

@@ -17,9 +17,9 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser
-from simnfnd.models.denoise.files import opened_shard
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.pictures import Denoising
+from simnfnd.models.denoise.shards import opened_shard
 from simnfnd.models.denoise.writers import CAPTION_PX
 from tests.factory.export.export_dataset import write
 from tests.models.denoise.untrained import half, through_network, untrained_sonarnet
