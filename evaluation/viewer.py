@@ -147,8 +147,9 @@ class ShownDataset:
         self._samples: Sequence[int] = range(len(self._pairs))
         if recording:
             self._samples = self._pairs.recordings.samples(recording)
-        has_times = "time_s" in (self._table.dtype.names or ())
-        times_s = self._table["time_s"][list(self._samples)] if recording and has_times else ()
+        times_s: list[float] = []
+        if recording and "time_s" in (self._table.dtype.names or ()):
+            times_s = self._table["time_s"][list(self._samples)].tolist()
         self.rate_hz = _rate_hz(times_s)
 
     def __len__(self) -> int:
@@ -185,8 +186,6 @@ class ShownRecording:
         self.title = path.resolve().name
         self.layers: tuple[str, ...] = ("before", "after") if after else ("recorded",)
         self._recordings = [_opened(one) for one in (path, after) if one is not None]
-        first = self._recordings[0]
-        self.rate_hz = _rate_hz([first[number].time_s for number in range(min(2, len(first)))])
 
     def __len__(self) -> int:
         return min(map(len, self._recordings))
@@ -215,6 +214,14 @@ class ShownRecording:
         """Grey values of pings shown black and white: raw ones fill a part of the scale."""
         black, white = np.quantile(grey_of(self._recordings[0][0]), (0.01, 0.999))
         return (float(black), float(white)) if white > black else (0.0, 1.0)
+
+    @cached_property
+    def rate_hz(self) -> float:
+        """By the times of the first two frames."""
+        times_s: list[float | None] = []
+        with suppress(FactoryError):
+            times_s += [self._recordings[0][number].time_s for number in range(min(2, len(self)))]
+        return _rate_hz(times_s)
 
     def close(self) -> None:
         """Let go of the files."""

@@ -58,3 +58,6 @@ class DatasetRecording(Recording):
     def close(self) -> None:
         """Let go of the files."""
         self._pairs.close()
+
+    def __del__(self) -> None:
+        """Nothing: the dataset lets go of its files by itself, also where Python is ending."""

@@ -209,7 +209,7 @@ def page_after(shown: Shown, script: str, folder: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(server, "_PAGE", page)
     with served(shown) as url:
         command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
-        options = ["--virtual-time-budget=5000", f"--user-data-dir={folder / 'profile'}"]
+        options = ["--virtual-time-budget=60000", f"--user-data-dir={folder / 'profile'}"]
         done = subprocess.run(
             [*command, *options, url], capture_output=True, text=True, timeout=120
         )
