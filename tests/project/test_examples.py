@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import runpy
 import shlex
 import sys
@@ -15,7 +16,7 @@ import pytest
 import torch
 from PIL import Image as Picture
 
-from simnfnd import denoise, make_dataset
+from simnfnd import denoise, make_dataset, open_recording
 from simnfnd.command import main
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
@@ -192,6 +193,33 @@ def test_a_listed_recording_becomes_pairs(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     assert main([*words, "render=analytic", "scheduler=serial", "dataset.preview_pairs=0"]) == 0
     assert len(list(tmp_path.glob(f"outputs/{folder.name}/*/*.h5"))) == 1
+
+
+def test_labels_of_real_fish_lie_on_echoes() -> None:
+    """Every plain box is brighter than the background of the recording, most by far."""
+    frames = np.stack(
+        [
+            shot.frame.samples.reshape(774, 400, -1)[..., 0]
+            for shot in open_recording(EXAMPLES / "didson/lamprey1.avi")
+        ]
+    ).astype(np.float32)
+    change = frames - np.median(frames, axis=0)
+    with (EXAMPLES / "didson/lamprey1-fish.csv").open(encoding="utf-8") as file:
+        rows = [{key: int(text) for key, text in row.items()} for row in csv.DictReader(file)]
+    assert {row["id"] for row in rows} == {1, 2, 3}
+    assert len({(row["frame"], row["id"]) for row in rows}) == len(rows)
+    brighter = []
+    for row in rows:
+        right, bottom = row["x"] + row["w"], row["y"] + row["h"]
+        assert 0 <= row["frame"] < len(frames)
+        assert min(row["x"], row["y"]) >= 0
+        assert right <= 400
+        assert bottom <= 774
+        if row["visible"]:
+            box = change[row["frame"], row["y"] : bottom, row["x"] : right]
+            brighter.append(np.mean(box) / change[row["frame"]].std())
+    assert min(brighter) > 0.5
+    assert np.median(brighter) > 2
 
 
 def test_every_example_is_tested() -> None:
