@@ -156,10 +156,8 @@ def shown(parameters: Parameters) -> str:
 
 def _weights(path: Path, key: str) -> Path:
     """The weights file that is meant: in a folder of a training, a file, or one that ships."""
-    from ..models.pretrained import find_weights, shipped
+    from ..models.pretrained import find_weights
 
-    if path.is_dir() and str(path) not in shipped():  # a folder may have the name of weights
-        path /= WEIGHTS_NAME
     try:
         return find_weights(path).resolve()
     except FactoryError as error:

@@ -83,10 +83,9 @@ def entries_of(content: Mapping[str, Any]) -> list[LearnedFile]:
     files = []
     listed = content.get(KEY) if isinstance(content, dict) else None
     for entry in listed if isinstance(listed, list) else []:
-        values = entry.values() if isinstance(entry, dict) else entry
         try:
-            name, size, digest = values
+            name, size, digest = (entry[key] for key in LearnedFile._fields)
             files.append(LearnedFile(str(name), int(size), str(digest)))
-        except (TypeError, ValueError):
+        except (TypeError, KeyError, ValueError):
             continue
     return files

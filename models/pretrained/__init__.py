@@ -21,15 +21,18 @@ def shipped() -> dict[str, Path]:
 
 
 def find_weights(name_or_path: str | Path | None) -> Path:
-    """The weights file that is meant: a file, the name of one that ships, or None for the default.
+    """The weights that are meant: a file, a training's folder, a name that ships, None: the default.
 
     `OWNER/NAME`, where there is no such file, is a repository of the Hugging Face Hub that holds a
     `weights.safetensors`.
     Raises FactoryError when there is no such file.
     """
     known = shipped()
-    if name_or_path is not None and Path(name_or_path).expanduser().is_file():
-        return Path(name_or_path).expanduser()
+    if name_or_path is not None:
+        path = Path(name_or_path).expanduser()
+        weights = path / WEIGHTS_NAME if path.is_dir() else path
+        if weights.is_file():
+            return weights
     name = DEFAULT if name_or_path is None else str(name_or_path)
     if name in known:
         return known[name]

@@ -126,6 +126,7 @@ def test_weights_that_ship_are_found_by_name(
     assert pretrained.find_weights(None) == folder / "simnfnd.safetensors"
     assert pretrained.find_weights("other") == folder / "other.safetensors"
     assert pretrained.find_weights(weights) == weights
+    assert pretrained.find_weights(weights.parent) == weights
     with pytest.raises(FactoryError, match="weights that ship: other, simnfnd"):
         pretrained.find_weights("third")
 
