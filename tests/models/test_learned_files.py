@@ -51,7 +51,9 @@ def test_cards_and_headers_say_what_was_learned_from(recording: Path, tmp_path: 
     (first,) = described([recording])
     second = LearnedFile("second: #1.avi", 7, "ab" * 32)
     header = {"training": {KEY: [first._asdict()]}}
-    save_file({"w": np.zeros(1, np.float32)}, weights, {"simnfnd": json.dumps(header, sort_keys=True)})
+    save_file(
+        {"w": np.zeros(1, np.float32)}, weights, {"simnfnd": json.dumps(header, sort_keys=True)}
+    )
     assert learned_files(weights) == [first]
     card = f"---\nlicense: apache-2.0\n{as_front_matter([first, second])}---\n\n# own\n"
     weights.with_suffix(".md").write_text(card)
@@ -81,7 +83,9 @@ def test_weights_that_ship_say_it() -> None:
 def test_judging_on_training_files_is_said(recording: Path, tmp_path: Path) -> None:
     weights = tmp_path / "own.safetensors"
     header = {"training": {KEY: [entry._asdict() for entry in described([recording])]}}
-    save_file({"w": np.zeros(1, np.float32)}, weights, {"simnfnd": json.dumps(header, sort_keys=True)})
+    save_file(
+        {"w": np.zeros(1, np.float32)}, weights, {"simnfnd": json.dumps(header, sort_keys=True)}
+    )
     stretches, _ = open_input(recording)
     own, other = networks_at([str(weights), "simnfnd"])
     (note,) = learned_notes(stretches, [own, other])

@@ -30,7 +30,7 @@ def test_turned_fans_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
         name: np.asarray(cv2.imread(str(tmp_path / "out" / f"{name}.png"), 0)) for name in QUARTERS
     }
     usual = read["usual"].astype(np.float64)
-    assert np.abs(usual - grey).mean() > 4
+    assert np.abs(usual - grey).mean() > 3
     for name, turns in QUARTERS.items():
         again = np.rot90(read[name], -turns).astype(np.float64)
         assert np.abs(again - usual).mean() < 0.2, name
@@ -88,5 +88,5 @@ def test_samples_of_few_bits_in_files_of_sixteen(bits: int, tmp_path: Path) -> N
         cv2.imread(str(tmp_path / "out" / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in pictures
     )
     assert np.abs(few / scale - full / 257).mean() < 2
-    assert np.abs(full / 257 - grey).mean() > 4, "that is less than what denoising does"
+    assert np.abs(full / 257 - grey).mean() > 3, "that is less than what denoising does"
     assert few.max() > 100
