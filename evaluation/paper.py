@@ -32,6 +32,7 @@ _FIGURE_ROWS = {
 }
 """Methods of Figure 14: row of the report -> what it is."""
 _FIGURE_IMAGES = 16
+_QUICK_TIME = "3 minutes on two idle cores, 10 beside other work"
 _FIGURE_EXAMPLES = 6
 
 
@@ -63,7 +64,7 @@ class Plan:
 def main(words: Sequence[str]) -> int:
     """Make, train, judge, and print the tables; the exit code of the step that failed, or 0."""
     parser = Parser(prog="simnfnd evaluate paper")
-    parser.add_argument("--quick", action="store_true", help="3 minutes on two cores, few pairs")
+    parser.add_argument("--quick", action="store_true", help=f"few pairs: {_QUICK_TIME}")
     parser.add_argument("--scenes", type=Path, help="folder of FLSea VI (default: places made up)")
     parser.add_argument(
         "--real", type=Path, help="Marine Debris Dataset, for OldData (default: without that row)"
@@ -83,6 +84,8 @@ def main(words: Sequence[str]) -> int:
     steps = options.steps or (200 if options.quick else 4000)
     plan = Plan(options.out, options.scenes, options.real, options.quick, frames, steps)
     print(plan.about, flush=True)
+    if plan.quick:
+        print(f"time: {_QUICK_TIME}", flush=True)
     for step in steps_of(plan):
         print("simnfnd " + " ".join(step), flush=True)
         if code := run(step):

@@ -17,7 +17,10 @@ import numpy as np
 LEAST_PX = 8
 
 folder = Path(sys.argv[1])
-for path in sorted(folder.glob("*/shard-*.h5")):
+shards = sorted(folder.glob("*/shard-*.h5"))
+if not shards:
+    sys.exit(f"{folder}: no shards below it; give the folder of a dataset")
+for path in shards:
     with h5py.File(path) as shard:
         if "instance" not in shard:
             sys.exit(f"{folder} has no labels; make it as the first lines say")

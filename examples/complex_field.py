@@ -15,7 +15,10 @@ import h5py
 import numpy as np
 
 folder = Path(sys.argv[1])
-with h5py.File(sorted(folder.glob("*/shard-*.h5"))[0]) as shard:
+shards = sorted(folder.glob("*/shard-*.h5"))
+if not shards:
+    sys.exit(f"{folder}: no shards below it; give the folder of a dataset")
+with h5py.File(shards[0]) as shard:
     if "field" not in shard:
         sys.exit(f"{folder} has no layer field; make it as the first lines say")
     field, level_db, row = shard["field"][0], shard["intensity_db"][0], shard["meta"][0]

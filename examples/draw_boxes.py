@@ -16,7 +16,10 @@ import numpy as np
 
 folder, out, *wanted = sys.argv[1:]
 samples = []
-for path in sorted(Path(folder).glob("*/shard-*.h5")):
+shards = sorted(Path(folder).glob("*/shard-*.h5"))
+if not shards:
+    sys.exit(f"{folder}: no shards below it; give the folder of a dataset")
+for path in shards:
     with h5py.File(path) as shard:
         if "boxes" not in shard["meta"].dtype.names:
             sys.exit(f"{folder} has no boxes; make it with dataset.columns=[boxes]")

@@ -52,7 +52,10 @@ def write_ply(path: Path, points: np.ndarray) -> None:
 
 if __name__ == "__main__":
     folder, target = Path(sys.argv[1]), Path(sys.argv[2])
-    with h5py.File(sorted(folder.glob("*/shard-*.h5"))[0]) as shard:
+    shards = sorted(folder.glob("*/shard-*.h5"))
+    if not shards:
+        sys.exit(f"{folder}: no shards below it; give the folder of a dataset")
+    with h5py.File(shards[0]) as shard:
         missing = [name for name in NEEDED if name not in shard]
         if missing:
             sys.exit(f"{folder} has no layers {', '.join(missing)}; make it as the first lines say")

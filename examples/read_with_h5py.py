@@ -15,12 +15,16 @@ count = int(sys.argv[2]) if len(sys.argv) > 2 else 1000
 rng = np.random.default_rng(0)
 
 # One file shows all shards.  HDF5 fills a missing shard with zeros and says nothing: look first.
+if not (folder / "manifest.json").is_file():
+    sys.exit(f"{folder}: no manifest.json in it; give the folder of a dataset")
 listed = json.loads((folder / "manifest.json").read_text())["shards"]
 missing = [shard["path"] for shard in listed if not (folder / shard["path"]).is_file()]
 if missing:
     sys.exit(f"these shards are missing: {', '.join(missing)}")
 
 with h5py.File(folder / "index.h5") as index:
+    if not len(index["train/meta"]):
+        sys.exit(f"{folder}: all of its pairs test; this reads those that train")
     noisy, clean, meta = (index[f"train/{name}"] for name in ("noisy", "clean", "meta"))
     full = index.attrs["value_range"][1]
     squares = []

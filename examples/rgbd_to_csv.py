@@ -53,6 +53,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, usage="%(prog)s RECORDING")
     parser.add_argument("recording", type=Path, help="folder of rgb.txt and depth.txt")
     folder = parser.parse_args().recording
+    for name in ("rgb.txt", "depth.txt"):
+        if not (folder / name).is_file():
+            parser.error(f"{folder}: no {name} in it; give the folder of a TUM RGB-D recording")
     matches = pairs(listed(folder / "rgb.txt"), listed(folder / "depth.txt"))
     target, name = folder / "frames.csv", folder.resolve().name
     with target.open("w", newline="") as file:

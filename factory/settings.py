@@ -21,6 +21,7 @@ ClassName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,39}$")]
 """What the user may call a class of objects; see `labels`."""
 
 T = TypeVar("T")
+_MOST_KEYS_SHOWN = 4
 
 
 def build(kind: type[T] | Any, values: Mapping[str, Any], prefix: str = "") -> T:
@@ -32,10 +33,10 @@ def build(kind: type[T] | Any, values: Mapping[str, Any], prefix: str = "") -> T
         result: T = TypeAdapter(kind).validate_python(dict(values))
         return result
     except ValidationError as error:
-        raise FactoryError(_one_line(error, values, prefix)) from error
+        raise FactoryError(_one_line(error, kind, values, prefix)) from error
 
 
-def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) -> str:
+def _one_line(error: ValidationError, kind: Any, values: Mapping[str, Any], prefix: str) -> str:
     parts = []
     for item in error.errors():
         keys, beside = _place(item["loc"], values)
@@ -49,6 +50,9 @@ def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) ->
             parts.append(f"{name}: unknown key{hint}")
         elif item["type"] == "missing":
             parts.append(f"{name}: a value is required")
+        elif item["type"] == "dataclass_type":
+            inner = ", ".join(f"{name}.{key}" for key in _keys_of(kind, keys)[:_MOST_KEYS_SHOWN])
+            parts.append(f"{name}: holds other keys and no value of its own; set one of {inner}")
         else:
             message = item["msg"].removeprefix("Value error, ").rstrip(".")
             value = item.get("input")
@@ -56,6 +60,14 @@ def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) ->
             # What contradicts each other names its keys itself.
             parts.append(f"{name}: {message}{shown}" if item["loc"] else message)
     return "; ".join(dict.fromkeys(parts))
+
+
+def _keys_of(kind: Any, keys: list[str]) -> list[str]:
+    """The keys of the settings class at this place below `kind`, or where to find them."""
+    for key in keys:
+        settings = getattr(kind, "__pydantic_fields__", {})
+        kind = settings[key].annotation if key in settings else None
+    return list(getattr(kind, "__pydantic_fields__", {})) or ["its keys (see `--cfg job`)"]
 
 
 def _place(steps: tuple[int | str, ...], values: Any) -> tuple[list[str], Any]:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 
 from .factory import __version__, extensions
 from .factory.cli import guard
@@ -17,6 +18,8 @@ from .factory.errors import FactoryError
 from .verbs import VERBS, Verb
 
 _HELP = ("-h", "--help")
+# Not imported from the factory: help and mistakes must answer at once.
+_MANIFEST = "manifest.json"
 # Hydra prints something with these and does nothing.
 _SHOW = (*_HELP, "--cfg", "-c", "--info", "-i", "--hydra-help")
 
@@ -76,6 +79,8 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
     if name in VERBS:
         return name, VERBS[name], rest
     word = name.rpartition(" ")[2]
+    if second and ("/" in word or Path(word).exists()):
+        raise FactoryError(f"{word}: no such verb; {_verb_for(words[0], Path(word))}")
     if "=" in word:
         raise FactoryError(
             f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
@@ -88,6 +93,13 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
     close = f"did you mean `simnfnd {'` or `simnfnd '.join(near)}`?"
     listed = f"`simnfnd {f'{words[0]} ' if second else ''}--help` lists them"
     raise FactoryError(f"{word}: no such verb; {close if near else listed}")
+
+
+def _verb_for(verb: str, path: Path) -> str:
+    """What was meant by a path in the place of a verb's verb."""
+    is_recording = path.exists() and not (path / _MANIFEST).is_file()
+    meant = f"{verb} real {path}" if is_recording else f"{verb} dataset={path}"
+    return f"did you mean `simnfnd {meant}`?"
 
 
 def overview() -> str:
@@ -106,6 +118,10 @@ def head(name: str, verb: Verb) -> str:
     """What `simnfnd VERB --help` begins with; the options or configuration groups follow."""
     lines = [f"simnfnd {name}: {verb.line}", "", "Examples:"]
     lines += [f"  {example}" for example in verb.examples]
+    own = {key: other for key, other in VERBS.items() if key.startswith(f"{name} ")}
+    if own:
+        lines += ["", "Verbs of its own:"]
+        lines += [f"  {key:<17} {other.line}" for key, other in own.items()]
     if verb.hydra and (own := extensions.listed()):
         lines += ["", *own]
     if verb.needs:

@@ -5,7 +5,6 @@ Needs what `make setup` installs.  The tests run them too, and store nothing.
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 import tempfile
@@ -27,19 +26,13 @@ def executed(notebook: Path, folder: Path, timeout_s: float = 300) -> nbformat.N
     if not (folder / "examples").exists():
         shutil.copytree(ROOT / "examples" / "didson", folder / "examples" / "didson")
     document = nbformat.read(notebook, as_version=4)  # type: ignore[no-untyped-call]
-    # `!simnfnd` is the command of this environment, and the module that of this checkout.
-    path = os.environ["PATH"]
-    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
-    try:
-        client = NotebookClient(
-            document,
-            timeout=int(timeout_s),
-            kernel_name="python3",
-            resources={"metadata": {"path": str(folder)}},
-        )
-        client.execute()
-    finally:
-        os.environ["PATH"] = path
+    client = NotebookClient(
+        document,
+        timeout=int(timeout_s),
+        kernel_name="python3",
+        resources={"metadata": {"path": str(folder)}},
+    )
+    client.execute()
     return tidy(document)
 
 

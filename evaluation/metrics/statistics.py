@@ -57,12 +57,16 @@ def estimate(
     )
 
 
+LEAST_FRAMES = 6
+"""Frames from which on the test can fall below 0.05: its least p is 2 ** (1 - frames)."""
+
+
 @dataclass(frozen=True)
 class Paired:
     """One row against another, pair by pair.
 
     difference: mean of first minus second with its interval.
-    p: of the two-sided Wilcoxon signed-rank test over frames; NaN where it does not exist.
+    p: of the two-sided Wilcoxon signed-rank test over frames; NaN for fewer than `LEAST_FRAMES`.
     wins: share of pairs where the first is better, ties counted half.
     """
 
@@ -94,11 +98,11 @@ def paired(
     names, member = np.unique(np.asarray(groups)[both], return_inverse=True)
     frames = np.bincount(member, weights=difference[both]) / np.maximum(np.bincount(member), 1)
     p = np.nan
-    if names.size and np.any(frames != 0):
+    if names.size >= LEAST_FRAMES and np.any(frames != 0):
         from scipy.stats import wilcoxon  # a third of a second to import
 
         p = float(wilcoxon(frames).pvalue)
-    elif names.size:
+    elif names.size >= LEAST_FRAMES:
         p = 1.0
     return Paired(estimate(difference, groups, resamples=resamples, seed=seed), p, wins)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..methods import Method
 from ..metrics.fidelity import PSNR_CAP_DB
-from ..metrics.statistics import Estimate, estimate, holm, paired
+from ..metrics.statistics import LEAST_FRAMES, Estimate, estimate, holm, paired
 from ..pairs import Item
 from ..runner import SECONDS, Measured
 from ..settings import EvaluationSettings
@@ -162,8 +162,9 @@ def _facts(settings: EvaluationSettings, items: Sequence[Item], identical: int) 
     """What was measured, and how."""
     rules = [
         "Intervals: 95 % bootstrap that draws whole frames. p: Wilcoxon signed ranks of the mean "
-        f"differences of frames, Holm's correction over the rows. Identical pairs ({identical} "
-        f"here) count as {PSNR_CAP_DB:g} dB. ENL and the ratio image rank no methods alone. "
+        f"differences of frames, Holm's correction over the rows, from {LEAST_FRAMES} frames "
+        f"on. Identical pairs ({identical} here) count as {PSNR_CAP_DB:g} dB. ENL and the ratio "
+        "image rank no methods alone. "
         "`+ levels`: one gain and offset for all images; they and the parameters of `tuned` come "
         "from validation pairs. ms: median CPU time of an image (of networks on a GPU: elapsed "
         "time).",

@@ -58,13 +58,14 @@ def generate(composed: DictConfig) -> int:
     """
     from hydra.core.hydra_config import HydraConfig
 
-    from .sweep import each_its_folder, in_sweep, note
+    from .sweep import each_its_folder, in_sweep, note, reporter
 
     try:
         each_its_folder(composed)
         config = from_mapping(composed_values(composed))
         refuse_keys_without_effect(config, named_keys(HydraConfig.get().overrides.task))
-        report, directory = run(config, arguments=[*config_folder_words(), *sys.argv[1:]])
+        words = [*config_folder_words(), *sys.argv[1:]]
+        report, directory = run(config, words, reporter())
         code = 1 if report.failures else 0
     except FactoryError as error:
         note(state="failed", reason=" ".join(str(error).split()), exit_code=EXIT_BAD_INPUT)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback
 
 from ..errors import FactoryError
+from ..progress import RunReporter, print_fact, print_warning
 from . import markdown
+from .sweep_curve import draw_curve
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -29,6 +31,8 @@ _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reaso
 _IMAGES = "images"
 # Folder and points (the words of each) of the sweep of this process, until its table is written.
 _open: list[tuple[Path, list[list[str]]]] = []
+# Lines that points of this process have printed.
+_said: set[str] = set()
 
 
 def each_its_folder(composed: DictConfig) -> None:
@@ -41,6 +45,22 @@ def each_its_folder(composed: DictConfig) -> None:
     folder = OmegaConf.to_container(composed.dataset, resolve=False)["dir"]  # type: ignore[call-overload, index]
     if folder and "${" not in folder:
         composed.dataset.dir = None
+
+
+def reporter() -> RunReporter:
+    """Where a point of a sweep reports: lines that an earlier point has printed are left out."""
+    if not in_sweep():
+        return RunReporter()
+    return RunReporter(fact=_once(print_fact), warning=_once(print_warning))
+
+
+def _once(tell: Callable[[str], None]) -> Callable[[str], None]:
+    def tell_once(text: str) -> None:
+        if text not in _said:
+            _said.add(text)
+            tell(text)
+
+    return tell_once
 
 
 def in_sweep() -> bool:
@@ -90,6 +110,7 @@ def write_table() -> None:
     if not _open:
         return
     folder, points = _open.pop()
+    _said.clear()
     rows = []
     for number, words in enumerate(points):
         row: dict[str, Any] = {**_settings(words), "state": "not begun"}
@@ -117,6 +138,9 @@ def write_table() -> None:
     with suppress(FactoryError, OSError):
         if len(datasets) > 1 and side_by_side(datasets, sheet := folder / "sweep.png"):
             print(f"sweep: {sheet}: the same frames of every point, clean and noisy")
+    if curve := draw_curve(names, rows):
+        (folder / "sweep.svg").write_text(curve)
+        print(f"sweep: {folder / 'sweep.svg'}: noise against the swept values")
     print(f"sweep: {folder / 'sweep.md'}")
 
 

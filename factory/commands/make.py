@@ -14,7 +14,7 @@ from ..scheduler.workers import template
 
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
 # Words that say nothing of the profile: with others, one dataset is what was asked for.
-_OF_BOTH = ("render", "scenes.", "scheduler", "seed=", "dataset.dir=")
+_OF_BOTH = ("render", "scenes.", "frames.", "scheduler", "seed=", "cache.", "dataset.dir=")
 _FOLDER = "dataset.dir="
 
 

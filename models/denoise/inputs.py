@@ -42,7 +42,9 @@ class Item:
     @property
     def compared(self) -> Path:
         """Name of the sheet to compare by, below the output folder."""
-        return Path("compare") / f"{self.relative}.png"
+        is_png = self.relative.suffix.lower() == ".png"
+        name = self.relative if is_png else Path(f"{self.relative}.png")
+        return Path("compare") / name
 
     def results(self) -> tuple[Path, Path]:
         """Names of the result and of the sheet to compare by, below the output folder."""

@@ -10,6 +10,7 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import h5py
@@ -21,6 +22,7 @@ from hypothesis import strategies as st
 
 from simnfnd.command import main
 from simnfnd.factory.cli.compose import compose_config, compose_points, hydra_words
+from simnfnd.factory.cli.sweep_curve import draw_curve
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.selection import choose_frames, split_frames, split_warnings
@@ -168,6 +170,11 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
     assert noisy["0.1"] > noisy["0.5"]
     names = [cell.strip() for cell in table[0].split("|")]
     assert {"psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std"} < {*names}
+    curve = next(tmp_path.glob("outputs/sweeps/*/sweep.svg")).read_text()
+    assert curve.count("<polyline") == 2
+    assert curve.count("<circle") == 4
+    said = capfd.readouterr()
+    assert said.out.count("render: ") == 1, "what the points have in common is said once"
 
 
 def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, flsea):
@@ -499,3 +506,18 @@ def test_an_empty_split_is_told_first_and_last(tmp_path, capfd):
     assert told[1] == len(lines) - 1
     assert main(["plan", *words]) == 0
     assert "the test split is empty" in capfd.readouterr().err
+
+
+def test_a_sweep_draws_the_parameter_with_most_values() -> None:
+    rows = [
+        {"noise.looks": looks, "seed": seed, "psnr_db": 20 - float(looks)}
+        for looks in ("1", "2", "4")
+        for seed in ("0", "1")
+    ]
+    drawing = ElementTree.fromstring(draw_curve(["noise.looks", "seed"], rows))
+    lines = [item for item in drawing if item.tag.endswith("polyline")]
+    assert [len(line.attrib["points"].split()) for line in lines] == [3, 3]
+    texts = [item.text for item in drawing if item.tag.endswith("text")]
+    assert {"noise.looks", "seed=0", "seed=1", "1", "2", "4", "16.00", "19.00"} <= {*texts}
+    assert draw_curve(["sonar"], [{"sonar": name, "psnr_db": 9.0} for name in "ab"]) == ""
+    assert draw_curve(["seed"], [{"seed": "1", "state": "failed"}] * 2) == ""

@@ -196,3 +196,17 @@ def test_an_override_replaces_the_form_that_was_configured():
     assert swept.count("null") == 4
     for other in ("seed=3", "noise.background.density=0.1,0.5", "-m", "scenes.root=/a{b}"):
         assert as_override(other) == other
+
+
+@pytest.mark.parametrize(
+    ("word", "keys"),
+    [
+        ("sonar.range=10", ("sonar.range:", "sonar.range.auto", "sonar.range.max_m")),
+        ("noise.azimuth=1", ("noise.azimuth:", "noise.azimuth.count")),
+        ("frames=3", ("frames:", "frames.limit")),
+    ],
+)
+def test_a_value_for_a_group_of_keys_names_the_keys(word: str, keys: tuple[str, ...]) -> None:
+    with pytest.raises(FactoryError) as caught:
+        config(word)
+    assert all(key in str(caught.value) for key in keys)

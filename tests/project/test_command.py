@@ -44,6 +44,14 @@ def test_every_verb_is_listed_and_explains_itself(name: str, monkeypatch, capsys
     assert wanted.lower() in printed.lower()
 
 
+def test_a_verb_lists_the_verbs_of_its_own(monkeypatch, capsys) -> None:
+    assert run(monkeypatch, "evaluate", "--help") == 0
+    printed = capsys.readouterr().out
+    for name, verb in VERBS.items():
+        if name.startswith("evaluate "):
+            assert f"\n  {name:<17} {verb.line}" in printed
+
+
 def test_help_imports_the_standard_library_alone() -> None:
     code = (
         "import sys; before = set(sys.modules)\n"
@@ -69,6 +77,7 @@ def test_the_overview_and_the_version(monkeypatch, capsys) -> None:
         (("mkae",), "mkae: no such verb; did you mean `simnfnd make`"),
         (("tune", "dataset=x"), "did you mean `simnfnd evaluate tune`?"),
         (("cache", "sats"), "invalid choice: 'sats' (choose from"),
+        (("evaluate", "outputs/demo"), "did you mean `simnfnd evaluate dataset=outputs/demo`?"),
         (("evaluate", "qqqqq"), "qqqqq: no such verb; `simnfnd evaluate --help` lists them"),
         (("seed=3",), "seed=3: a setting needs a verb before it; did you mean `simnfnd make"),
         (("make", "demo"), "demo: not KEY=VALUE; see `--help`"),

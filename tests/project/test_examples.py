@@ -54,6 +54,27 @@ def test_examples_read_a_dataset_and_learn_from_it(dataset: Path, tmp_path: Path
     assert said.startswith("24 of 24 pairs, ")
 
 
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("read_with_h5py.py", ()),
+        ("boxes.py", ()),
+        ("complex_field.py", ()),
+        ("draw_boxes.py", ("out.png",)),
+        ("point_cloud.py", ("out.ply",)),
+        ("rgbd_to_csv.py", ()),
+    ],
+)
+def test_an_empty_folder_is_named(
+    script: str, words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.setattr(sys, "argv", [script, str(tmp_path), *words])
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_path(str(EXAMPLES / script), run_name="__main__")
+    assert str(tmp_path) in f"{caught.value.code}{capsys.readouterr().err}"
+    assert caught.value.code != 0
+
+
 def test_a_u_net_trains_on_the_stream(tmp_path: Path) -> None:
     make_dataset(
         "experiment=demo", "render=analytic", "scenes.locations=2", "scenes.frames_per_location=1",

@@ -58,6 +58,21 @@ def test_the_paired_test_sees_frames() -> None:
     assert found.difference.count == 23, "values that do not exist are left out"
 
 
+def test_few_frames_have_no_p() -> None:
+    """Their least p is above 0.05, whatever they show."""
+    for frames in (1, 4, 5):
+        better = np.arange(1.0, frames + 1)
+        groups = [str(index) for index in range(frames)]
+        found = statistics.paired(better, 0 * better, groups, better=1, resamples=50, seed=0)
+        assert np.isnan(found.p)
+        assert stats.wilcoxon(better).pvalue > 0.05
+        assert found.wins == 1
+    better = np.arange(1.0, statistics.LEAST_FRAMES + 1)
+    groups = [str(index) for index in range(len(better))]
+    found = statistics.paired(better, 0 * better, groups, better=1, resamples=50, seed=0)
+    assert found.p < 0.05
+
+
 def test_holm_is_the_published_procedure() -> None:
     """Worked by hand: the smallest p times 4, the next times 3, ..., never decreasing."""
     found = statistics.holm([0.01, 0.04, 0.03, 0.005, float("nan")])

@@ -57,7 +57,7 @@ def test_an_input_after_the_word_is_an_input(tmp_path: Path, place: str) -> None
     words = ["--compare", str(tmp_path / "a.png")]
     words = words if place == "after" else words[::-1]
     assert main([*words, "--out", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / "compare" / "a.png.png").is_file()
+    assert (tmp_path / "out" / "compare" / "a.png").is_file()
 
 
 def test_images_of_any_size_and_a_pause_fit(tmp_path: Path) -> None:
