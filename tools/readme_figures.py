@@ -1,8 +1,8 @@
 """Measure the figures of README.md anew: `python -m tools.readme_figures`.
 
 It runs the commands that README.md names, keeps what they say in docs/figures.json, writes the
-lines of README.md between its two marks and draws docs/images/in-time.png.  `--reports FOLDER`
-takes the reports that lie in FOLDER/real, FOLDER/detect and FOLDER/groups; what is absent is
+lines of README.md and paper/paper.md between two marks and draws docs/images/in-time.png.
+`--reports FOLDER` takes the reports that lie in FOLDER/real, FOLDER/detect and FOLDER/groups; what is absent is
 measured.  `--groups FOLDER`: the static groups of the Marine Debris Dataset; without them their
 figures stay as they are.
 """
@@ -29,6 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "didson" / "lamprey.avi"
 FIGURES = ROOT / "docs" / "figures.json"
 README = ROOT / "README.md"
+PAPER = ROOT / "paper" / "paper.md"
 IMAGE = ROOT / "docs" / "images" / "in-time.png"
 MARKS = "<!-- figures: python -m tools.readme_figures -->", "<!-- /figures -->"
 
@@ -112,8 +113,13 @@ def lines_of(figures: Mapping[str, Any]) -> str:
 """  # noqa: E501
 
 
+def without_links(lines: str) -> str:
+    """The lines for a page that stands alone: without the link that ends each."""
+    return re.sub(r" \[[^\]]+\]\([^)]+\)$", "", lines, flags=re.MULTILINE)
+
+
 def with_lines(readme: str, lines: str) -> str:
-    """README.md with these lines between its marks."""
+    """A page with these lines between its marks."""
     first, last = MARKS
     pattern = re.compile(f"{re.escape(first)}\n.*?{re.escape(last)}", re.DOTALL)
     return pattern.sub(lambda _: f"{first}\n{lines}{last}", readme)
@@ -196,7 +202,7 @@ def _share(value: float) -> str:
 
 
 def main() -> None:
-    """Measure, and write all three files."""
+    """Measure, and write all files."""
     parser = argparse.ArgumentParser(prog="python -m tools.readme_figures")
     parser.add_argument("--reports", type=Path, default=ROOT / "outputs" / "figures")
     parser.add_argument("--groups", type=Path)
@@ -207,6 +213,8 @@ def main() -> None:
     FIGURES.write_text(content + "\n", encoding="utf-8")
     readme = README.read_text(encoding="utf-8")
     README.write_text(with_lines(readme, lines_of(figures)), encoding="utf-8")
+    paper = PAPER.read_text(encoding="utf-8")
+    PAPER.write_text(with_lines(paper, without_links(lines_of(figures))), encoding="utf-8")
     draw_image()
     print(lines_of(figures))
 

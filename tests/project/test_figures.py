@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
+import yaml
 
 from tools import readme_figures
 
@@ -19,6 +21,23 @@ def test_readme_has_the_figures_that_its_commands_gave() -> None:
     assert readme_figures.MARKS[0] in readme
     assert content["commands"] == readme_figures.COMMANDS
     assert all(f"`{command}`" in readme for command in readme_figures.COMMANDS.values())
+
+
+def test_the_paper_has_the_same_figures_and_at_most_a_thousand_words() -> None:
+    content = json.loads(readme_figures.FIGURES.read_text(encoding="utf-8"))
+    paper = readme_figures.PAPER.read_text(encoding="utf-8")
+    lines = readme_figures.without_links(readme_figures.lines_of(content["figures"]))
+    assert readme_figures.with_lines(paper, lines) == paper, "run python -m tools.readme_figures"
+    assert readme_figures.MARKS[0] in paper
+    assert all(f"`{command}`" in paper for command in readme_figures.COMMANDS.values())
+    _, front_matter, body = paper.split("---\n", 2)
+    assert len(body.split()) <= 1000
+    assert yaml.safe_load(front_matter)["bibliography"] == "paper.bib"
+    entries = re.findall(
+        r"^@\w+\{(\w+),", (readme_figures.PAPER.parent / "paper.bib").read_text(), re.M
+    )
+    cited = set(re.findall(r"@(\w+)", body))
+    assert cited == set(entries)
 
 
 def test_the_denoiser_is_the_one_that_was_measured() -> None:
