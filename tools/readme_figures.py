@@ -2,9 +2,9 @@
 
 It runs the commands that README.md names, keeps what they say in docs/figures.json, writes the
 lines of README.md and paper/paper.md between two marks and draws docs/images/in-time.png.
-`--reports FOLDER` takes the reports that lie in FOLDER/real, FOLDER/detect and FOLDER/groups; what is absent is
-measured.  `--groups FOLDER`: the static groups of the Marine Debris Dataset; without them their
-figures stay as they are.
+`--reports FOLDER` takes the reports that lie in FOLDER/real, FOLDER/detect and FOLDER/groups;
+what is absent is measured.  `--groups FOLDER`: the static groups of the Marine Debris Dataset;
+without them their figures stay as they are.
 """
 
 from __future__ import annotations
