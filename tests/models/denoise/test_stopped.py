@@ -249,4 +249,4 @@ def test_sheets_of_one_name_are_kept_apart(tmp_path: Path, monkeypatch: pytest.M
     words = [str(tmp_path / "in"), "--out", str(out), "--compare", "--geometry", "none"]
     assert command.main(words) == 0
     names = sorted(path.name for path in (out / "compare").iterdir())
-    assert names == ["a.bmp.png", "a.png.png", "a.tif.png"]
+    assert names == ["a.bmp.png", "a.png", "a.tif.png"]
