@@ -118,12 +118,12 @@ def head(name: str, verb: Verb) -> str:
     """What `simnfnd VERB --help` begins with; the options or configuration groups follow."""
     lines = [f"simnfnd {name}: {verb.line}", "", "Examples:"]
     lines += [f"  {example}" for example in verb.examples]
-    own = {key: other for key, other in VERBS.items() if key.startswith(f"{name} ")}
-    if own:
+    sub_verbs = {key: other for key, other in VERBS.items() if key.startswith(f"{name} ")}
+    if sub_verbs:
         lines += ["", "Verbs of its own:"]
-        lines += [f"  {key:<17} {other.line}" for key, other in own.items()]
-    if verb.hydra and (own := extensions.listed()):
-        lines += ["", *own]
+        lines += [f"  {key:<17} {other.line}" for key, other in sub_verbs.items()]
+    if verb.hydra and (of_extensions := extensions.listed()):
+        lines += ["", *of_extensions]
     if verb.needs:
         lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]
     return "\n".join(lines)

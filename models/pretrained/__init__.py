@@ -21,7 +21,7 @@ def shipped() -> dict[str, Path]:
 
 
 def find_weights(name_or_path: str | Path | None) -> Path:
-    """The weights that are meant: a file, a training's folder, a name that ships, None: the default.
+    """The weights that are meant: a file, a training's folder, a name, or None: the default.
 
     `OWNER/NAME`, where there is no such file, is a repository of the Hugging Face Hub that holds a
     `weights.safetensors`.
