@@ -84,7 +84,8 @@ def test_images_keep_name_size_and_dtype(
         expected = through_network(weights, gray / full)
         assert np.abs(shown / full - expected).max() <= 0.51 / full + 1e-6
         assert not np.array_equal(result, image)
-        sheet = cv2.imread(str(out / "compare" / f"{name}.png"))
+        is_png = name.lower().endswith(".png")
+        sheet = cv2.imread(str(out / "compare" / (name if is_png else f"{name}.png")))
         assert sheet is not None
         assert sheet.shape[:2] == (CAPTION_PX + 31, 3 * 40 + 2 * 4)
         names = sheet[:CAPTION_PX]
