@@ -1,4 +1,4 @@
-"""Stretches of recordings in which the scene stands still: frames, and means of the others."""
+"""Stretches of recordings with a static scene: their frames, and means of the other frames."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -60,10 +61,10 @@ class Clip:
 
 @dataclass
 class ReadClips:
-    """What was read.
+    """Frames read from recordings.
 
-    frames: how many there were.  skipped: a line for each that was not read.  paths: of the files.
-    copies: how many were left out as they are copies of others.
+    frames: number of frames in the recordings.  skipped: a line for each frame that was not read.
+    paths: of the files.  copies: number of frames left out because they are copies of others.
     """
 
     clips: list[Clip] = field(default_factory=list)
@@ -112,24 +113,27 @@ def read_clips(
 
 
 def presented(shots: list[Shot]) -> list[Shot]:
-    """Frames of a clip as denoisers show them to the weights, all with one gain."""
+    """Return the frames of a clip as denoisers show them to the weights, all with one gain."""
     presentations = [presentation_of(shot.grey, shot.geometry) for shot in shots]
     gain = min(presentation.gain for presentation in presentations)
-    equalised = [replace(presentation, gain=gain) for presentation in presentations]
-    return [
-        Shot(presentation.shown(shot.grey), presentation.geometry)
-        for presentation, shot in zip(equalised, shots, strict=True)
-    ]
+    shown = []
+    for shot, presentation in zip(shots, presentations, strict=True):
+        equalised = replace(presentation, gain=gain)
+        shown.append(Shot(equalised.shown(shot.grey), equalised.geometry))
+    return shown
 
 
 def runs(count: int, share: float) -> list[int]:
-    """Numbers of about `share` of `count` frames: whole runs of `RUN`, evenly spread."""
+    """Return the numbers of about `share` of `count` frames: whole runs of `RUN`, evenly spread."""
     if share >= 1:
         return list(range(count))
     total = -(-count // RUN)
-    run_count = max(1, int(share * total))
-    first_runs = [number * total // run_count for number in range(run_count)]
-    return [frame for run in first_runs for frame in range(run * RUN, min(run * RUN + RUN, count))]
+    chosen = max(1, int(share * total))
+    numbers: list[int] = []
+    for index in range(chosen):
+        first = index * total // chosen * RUN
+        numbers += range(first, min(first + RUN, count))
+    return numbers
 
 
 def _opened(source: list[Item]) -> Recording:
@@ -171,18 +175,18 @@ def _shot_of(frame: Frame, item: Item, geometries: Geometries) -> Shot:
 
 @dataclass(frozen=True, eq=False)
 class Still:
-    """One stretch, its pictures (H, W) float32 in 0..1."""
+    """One stretch; its images are (H, W) float32 in 0..1."""
 
     frames: list[Image]
     targets: list[Image]
-    """One for each frame, NaN outside the sector and where something moves."""
+    """One for each frame, NaN outside the sector and on moving objects."""
     laid: list[Image]
-    """The frames with the scene where the first has it."""
+    """The frames, shifted so that their scene lies where the first frame has it."""
     geometry: FanGeometry | None
     recording: int = 0
 
     def averaged(self, first: int, count: int) -> tuple[Image, Image]:
-        """The mean of `count` frames from `first` on, and that of all others, NaN where unknown."""
+        """The mean of `count` frames from `first` on, and of all others, NaN where unknown."""
         own = np.mean(self.laid[first : first + count], axis=0)
         rest = np.mean(self.laid[:first] + self.laid[first + count :], axis=0)
         target = np.where(np.isfinite(self.targets[0]), rest, np.nan)
@@ -191,91 +195,119 @@ class Still:
 
 @dataclass(frozen=True, eq=False)
 class Lessons:
-    """Stretches that are learned from, and those that are held out to measure on."""
+    """Stretches to learn from, and stretches held out to measure on."""
 
     learning: list[Still]
     held: list[Still]
     same: bool  # whether the frames held out belong to the only stretch there is
 
 
-def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
-    """All stretches of the clips, a fifth of them (the last) held out; None when there are none.
+class _Stretch(NamedTuple):
+    """The frames of a stretch that fit, and what is known of it."""
 
-    A fifth of each clip's that has several, or, where none has, of all.  Of a single stretch the
-    last fifth of the frames is held out.  It still shows what was learned from, so figures measured
-    on it flatter.
+    shots: list[Shot]
+    still: Still
+
+
+def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
+    """Find all stretches of the clips and hold out a fifth of them; None when there are none.
+
+    Holds out the last fifth of the stretches of each clip that has several, or, if none has, of all
+    stretches.  Of a single stretch it holds out the last fifth of the frames; figures measured on
+    these flatter, because they show what was learned from.
     """
-    known = [
-        (shots_used, replace(still, recording=number))
-        for number, clip in enumerate(clips)
-        for shots in _stretches(clip)
-        for shots_used, still in _stills(shots)
-    ]
-    if len(known) == 1:
-        shots_used, whole = known[0]
-        count = max(1, len(known[0][0]) // 5)
-        # Targets of the frames that are learned from must not know the others.
-        learning = [still for _, still in _stills(shots_used[:-count])]
-        last = {name: getattr(whole, name)[-count:] for name in ("frames", "targets", "laid")}
-        held = replace(whole, **last)
-        return Lessons(learning, [held], same=True) if learning else None
-    stills = [still for _, still in known]
+    stretches: list[_Stretch] = []
+    for recording, clip in enumerate(clips):
+        for shots in _stretches(clip):
+            stretch = _stretch_of(shots)
+            if stretch is not None:
+                still = replace(stretch.still, recording=recording)
+                stretches.append(stretch._replace(still=still))
+    if not stretches:
+        return None
+    if len(stretches) == 1:
+        return _split_single(stretches[0])
+
+    stills = [stretch.still for stretch in stretches]
     parts = [list(part) for _, part in groupby(stills, key=lambda still: still.recording)]
     if all(len(part) == 1 for part in parts):
         parts = [stills]
     lessons = Lessons([], [], same=False)
     for part in parts:
-        count = max(1, round(len(part) / 5)) if len(part) > 1 else 0
-        lessons.learning.extend(part[: len(part) - count])
-        lessons.held.extend(part[len(part) - count :])
-    return lessons if stills else None
+        held_count = max(1, round(len(part) / 5)) if len(part) > 1 else 0
+        learning_count = len(part) - held_count
+        lessons.learning.extend(part[:learning_count])
+        lessons.held.extend(part[learning_count:])
+    return lessons
+
+
+def _split_single(stretch: _Stretch) -> Lessons | None:
+    """Hold out the last fifth of the frames; None when the others are no stretch by themselves."""
+    held_count = max(1, len(stretch.shots) // 5)
+    # The targets of frames that are learned from must not contain the frames held out.
+    learning = _stretch_of(stretch.shots[:-held_count])
+    if learning is None:
+        return None
+    still = stretch.still
+    held = replace(
+        still,
+        frames=still.frames[-held_count:],
+        targets=still.targets[-held_count:],
+        laid=still.laid[-held_count:],
+    )
+    return Lessons([learning.still], [held], same=True)
 
 
 def _stretches(clip: Clip) -> list[list[Shot]]:
-    """The shots of each stretch: of those that follow each other first, then of the rest."""
+    """The shots of each stretch: first of frames in sequence, then of the remaining frames."""
     numbers = range(len(clip.shots))
-    # Frames that follow each other show one scene unless it is plain that they do not.
+    # Frames in sequence show one scene unless they clearly differ.
     alike = _ALIKE if clip.shuffled else _FOLLOWS
-    pieces = np.array_split(numbers, max(1, math.ceil(len(numbers) / RUN)))
-    groups = [group for piece in pieces for group in _groups(clip, piece.tolist(), alike)]
+    groups: list[list[int]] = []
+    for piece in np.array_split(numbers, max(1, math.ceil(len(numbers) / RUN))):
+        groups += _groups(clip, piece.tolist(), alike)
     taken = set(chain(*groups))
     groups += _groups(clip, [number for number in numbers if number not in taken], _ALIKE)
-    return [[clip.shots[i] for i in group] for group in sorted(groups)]
+    return [[clip.shots[number] for number in group] for group in sorted(groups)]
 
 
 def _groups(clip: Clip, numbers: list[int], alike: float) -> list[list[int]]:
-    shots = [clip.shots[i] for i in numbers]
+    """Numbers of frames that show one scene, in groups of about `RUN`.
+
+    numbers: of the frames to search.  alike: see `static.find_groups`.
+    """
+    shots = [clip.shots[number] for number in numbers]
     greys = [shot.grey for shot in shots]
     sectors = [shot.sector for shot in shots]
-    groups = []
+    groups: list[list[int]] = []
     for group in find_groups(greys, sectors, least=LEAST, alike=alike):
-        own = sorted(numbers[i] for i in group.numbers)
-        groups += [part.tolist() for part in np.array_split(own, max(1, len(own) // RUN))]
+        members = sorted(numbers[index] for index in group.numbers)
+        parts = np.array_split(members, max(1, len(members) // RUN))
+        groups += [part.tolist() for part in parts]
     return groups
 
 
-def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
-    """The stretch of these shots with those of them that fit; nothing when too little does."""
+def _stretch_of(shots: list[Shot]) -> _Stretch | None:
+    """The stretch of these shots, without those that do not fit; None when too little fits."""
     sector = shots[0].sector
     group = aligned([shot.grey for shot in shots], sector)
     if len(group.numbers) < _LEAST_ALIGNED:
-        return []
-    used = [shots[i] for i in group.numbers]
-    frames = [shot.grey for shot in used]
-    laid = laid_over(frames, group, 0, range(len(frames)))
+        return None
+    fitting = [shots[number] for number in group.numbers]
+    frames = [shot.grey for shot in fitting]
+    indices = range(len(frames))
+    laid = laid_over(frames, group, 0, indices)
+
     # Where all frames show the sector and nothing moves.
     margin = 2 * math.ceil(float(np.abs(group.shifts_px).max())) + 3
     inner = cv2.erode(sector.astype(np.uint8), np.ones((margin, margin), np.uint8)).astype(bool)
     known = inner & ~moving(laid, sector)
     if known.sum() < _LEAST_KNOWN * sector.sum():
-        return []
-    places = range(len(frames))
-    others = (
-        laid_over(
-            frames, group, index, [other_index for other_index in places if other_index != index]
-        )
-        for index in places
-    )
-    means = (np.mean(each, axis=0, dtype=np.float64) for each in others)
-    targets = [np.where(known, mean, np.nan).astype(np.float32) for mean in means]
-    return [(used, Still(frames, targets, laid, shots[0].geometry))]
+        return None
+
+    targets = []
+    for index in indices:
+        others = [other for other in indices if other != index]
+        mean = np.mean(laid_over(frames, group, index, others), axis=0, dtype=np.float64)
+        targets.append(np.where(known, mean, np.nan).astype(np.float32))
+    return _Stretch(fitting, Still(frames, targets, laid, shots[0].geometry))

@@ -1,8 +1,8 @@
-"""What computes a network: onnxruntime where its graph ships, torch for any other.
+"""Runs a network: in onnxruntime if its graph ships, otherwise in torch.
 
-torch is not imported for a network whose graph ships (`models.pretrained`).
-What is quick in NumPy stands around the graph: the beam and the arc of each cell, the polar grid,
-the sector.
+torch is not imported for a network whose graph ships (`models.pretrained`).  NumPy computes what
+is fast enough there and is not part of the graph: the beam and the arc of each cell, the polar
+grid, the sector.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,10 +31,10 @@ _MOST = np.float32(80)  # of a logit, so that its exponential is a number
 
 
 def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
-    """The network of a weights file.
+    """Open the network of a weights file.
 
-    device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
-    not there, and packages that are not installed.
+    device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a missing GPU
+    and packages that are not installed.
     """
     graph = find_graph(weights)
     network = OnnxNetwork(weights, graph, device) if graph else TorchNetwork(weights, device)
@@ -81,15 +81,15 @@ def _on_gpu(device: str, is_available: bool) -> bool:
 
 
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
-    """What of a `model` configuration decides the graph."""
+    """Return the keys of a `model` configuration that determine the graph."""
     every = {"told": True, "frames": False, "mirror": False, "channels": 1, **model}
     return {key: value for key, value in every.items() if key not in ("forget", "wide_grain")}
 
 
 def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[Any]:
-    """Put weights into the options of a session of a graph without any.
+    """Put weights into the options of a session whose graph has none.
 
-    Returns what must be kept as long as the session: it shares the memory.
+    Returns the arrays whose memory the session uses: keep them as long as the session.
     """
     from onnxruntime import OrtValue
 
@@ -99,19 +99,27 @@ def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[
     return [arrays, ort_values]
 
 
+class _Session(NamedTuple):
+    """A session of onnxruntime, and the arrays whose memory it uses: keep them as long as it."""
+
+    session: Any
+    shared_arrays: list[Any]
+
+
 def _session_of(
     graph: Path, weights: Mapping[str, npt.NDArray[Any]], providers: list[str]
-) -> tuple[Any, list[Any]]:
-    """A session of a graph with these weights, and what must be kept as long as it."""
+) -> _Session:
+    """Open a session of a graph with these weights."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4  # what is wrong comes as an exception
-    # Waiting threads would burn as much time as computing ones.
+    options.log_severity_level = 4  # errors arrive as exceptions
+    # Waiting threads would use as much time as computing ones.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     named = {f"network.{name}": tensor for name, tensor in weights.items()}
     shared_arrays = give_weights(options, named)
-    return onnxruntime.InferenceSession(str(graph), options, providers=providers), shared_arrays
+    session = onnxruntime.InferenceSession(str(graph), options, providers=providers)
+    return _Session(session, shared_arrays)
 
 
 class OnnxNetwork:
@@ -131,13 +139,13 @@ class OnnxNetwork:
         providers = [*[cuda] * self.on_gpu, "CPUExecutionProvider"]
         header, weights = read_weights(path)
         try:
-            session, shared_arrays = _session_of(graph, weights, providers)
+            opened = _session_of(graph, weights, providers)
         except Exception as error:  # onnxruntime has a class of its own for each reason
             reason = " ".join(str(error).split())[:160]
             raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
-        self._session = session
-        self._shared_arrays = shared_arrays
-        facts = session.get_modelmeta().custom_metadata_map
+        self._session = opened.session
+        self._shared_arrays = opened.shared_arrays
+        facts = self._session.get_modelmeta().custom_metadata_map
         if not {"extras", "stride"} <= facts.keys() or not facts["stride"].isdigit():
             raise FactoryError(
                 f"{graph}: was not made by `simnfnd export-weights --to runtime`; make it again"
@@ -148,10 +156,10 @@ class OnnxNetwork:
         self.wide_grain = float(model.get("wide_grain", 1.0))
         self.is_polar = bool(model["polar"])
         self._mask = bool(model["mask"])
-        self._inputs = tuple(node.name for node in session.get_inputs())
+        self._inputs = tuple(node.name for node in self._session.get_inputs())
 
     def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
-        """The picture (H, W) with its whole change, and the part of that it should get, 0 to 1.
+        """Return the image (H, W) with its whole change, and the part of it to apply, 0 to 1.
 
         gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
         """
@@ -159,18 +167,20 @@ class OnnxNetwork:
         if grid is None:
             inputs = inputs_of(gray, maps, self._stride)
         else:
-            in_fan, in_grid, cells = grid
-            sector = _sampled(maps.get("sector", np.ones_like(gray)), in_fan)
-            cells = {**cells, "sector": sector}
-            inputs = inputs_of(_sampled(gray, in_fan), cells, self._stride, is_grid=True)
-        change, logits, weight = self._session.run(
+            sector = _sampled(maps.get("sector", np.ones_like(gray)), grid.cells_in_fan)
+            cells = {**grid.cells, "sector": sector}
+            cell_values = _sampled(gray, grid.cells_in_fan)
+            inputs = inputs_of(cell_values, cells, self._stride, is_grid=True)
+
+        changes, shadow_logits, weight = self._session.run(
             ["change", "shadow_logits", "weight"], {name: inputs[name] for name in self._inputs}
         )
-        change = change[0, 0]
-        logits = logits[0, 0]
+        change = changes[0, 0]
+        logits = shadow_logits[0, 0]
         if grid is not None:
-            change = _sampled(change, in_grid)
-            logits = _sampled(logits, in_grid)
+            change = _sampled(change, grid.pixels_in_grid)
+            logits = _sampled(logits, grid.pixels_in_grid)
+
         image = gray + change
         if self._mask:
             image = image / (1 + np.exp(np.minimum(logits, _MOST)))
@@ -180,7 +190,7 @@ class OnnxNetwork:
 
 
 def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:
-    """What a graph of `--to runtime` computes a picture from, (H, W) in 0..1.
+    """Return the inputs of a graph of `--to runtime` for an image, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
     all of the picture, `frames` (log2 of how many were averaged) where these are several.
@@ -192,7 +202,7 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     # Columns count as beams and rows as arcs where nothing else is known.
     arcs, beams = np.indices((rows, columns))
     nothing = np.zeros_like(gray)
-    planes = nothing, nothing, nothing - 1  # which occurs in no known geometry
+    planes = nothing, nothing, nothing - 1  # values that no known geometry has
     if "azimuth_rad" in maps:
         sector = maps.get("sector", np.ones_like(gray))
         radius = maps["range_fraction"]
@@ -213,14 +223,14 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
 
 
 def _cells(plane: Gray, stride: int) -> Gray:
-    """Every second pixel of a plane that is lengthened to a multiple of the stride."""
+    """Every second pixel of a plane, padded to a multiple of the stride."""
     height, width = plane.shape
     padded = np.pad(plane, ((0, -height % stride), (0, -width % stride)), mode="edge")
     return padded[::2, ::2]
 
 
 def _numbers(values: Gray, inside: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.int64]:
-    """Which of `count` even steps between the extremes inside a value lies in."""
+    """The index of each value among `count` even steps between the extremes inside."""
     least, most = (values[inside].min(), values[inside].max()) if inside.any() else (0, 1)
     extent = max(np.float32(most) - np.float32(least), np.float32(1e-6))
     step = (values - np.float32(least)) / extent
@@ -265,12 +275,23 @@ class TorchNetwork:
         return np.asarray(image[0, 0].float().cpu().numpy(), np.float32), weight
 
 
-def polar_grid(maps: Maps) -> tuple[Positions, Positions, Maps] | None:
-    """From a fan to range by bearing and back, in NumPy, as `models.networks.sonarnet` does it.
+class PolarGrid(NamedTuple):
+    """Cells of range by bearing, near range first, as many as a fan image has pixels.
 
-    Returns rows and columns (H, W), in pixels, of the grid's cells in the fan, and of the fan's
-    pixels in the grid; and range and bearing of the cells, near range first.
-    None for pictures that are polar already, or too small to tell.
+    cells_in_fan: rows and columns, (H, W) each, of the cells in the fan image, pixels.
+    pixels_in_grid: rows and columns, (H, W) each, of the fan image's pixels in the grid, cells.
+    cells: `range_fraction` and `azimuth_rad` of the cells, (H, W) each.
+    """
+
+    cells_in_fan: Positions
+    pixels_in_grid: Positions
+    cells: Maps
+
+
+def polar_grid(maps: Maps) -> PolarGrid | None:
+    """Return the polar grid of a fan image, in NumPy, as `models.networks.sonarnet` computes it.
+
+    None for images that are polar already, or too small to tell.
     """
     radius = maps["range_fraction"]
     azimuth = maps["azimuth_rad"]
@@ -280,34 +301,47 @@ def polar_grid(maps: Maps) -> tuple[Positions, Positions, Maps] | None:
     inside = maps["sector"] > 0 if "sector" in maps else np.ones(radius.shape, bool)
     if not inside.any():
         inside = np.ones_like(inside)
+
+    # Where the pixels lie: right of the sonar and ahead of it, as shares of the largest range.
     right = radius * np.sin(azimuth)
     ahead = radius * np.cos(azimuth)
     first_right = right[:, 0].mean()
     first_ahead = ahead[0].mean()
     right_step = (right[:, -1].mean() - first_right) / np.float32(width - 1)
     ahead_step = (ahead[-1].mean() - first_ahead) / np.float32(height - 1)
+
+    # Range and bearing of the centres of cells.
     near, far = _extent(radius[inside])
     left, right_end = _extent(azimuth[inside])
     down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
     across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(width)
     cell_range = np.broadcast_to((near + (far - near) * down)[:, None], radius.shape)
     cell_azimuth = np.broadcast_to(left + (right_end - left) * across, radius.shape)
+
+    # Positions from -1 to 1 over a side, as torch's `grid_sample` has them.
     row = (cell_range * np.cos(cell_azimuth) - first_ahead) / ahead_step
     column = (cell_range * np.sin(cell_azimuth) - first_right) / right_step
-    in_fan = [(2 * row + 1) / np.float32(height) - 1, (2 * column + 1) / np.float32(width) - 1]
-    in_grid = [
+    cells_in_fan = [
+        (2 * row + 1) / np.float32(height) - 1,
+        (2 * column + 1) / np.float32(width) - 1,
+    ]
+    pixels_in_grid = [
         2 * (radius - near) / (far - near) - 1,
         2 * (azimuth - left) / (right_end - left) - 1,
     ]
-    # Rounded as torch's `grid_sample` does, which has positions of -1 to 1 over a side.
-    fan, grid = (
-        [
-            ((at + 1) * np.float32(side) - 1) / 2
-            for at, side in zip(positions, radius.shape, strict=True)
-        ]
-        for positions in (in_fan, in_grid)
+    return PolarGrid(
+        _in_pixels(cells_in_fan, radius.shape),
+        _in_pixels(pixels_in_grid, radius.shape),
+        {"range_fraction": cell_range, "azimuth_rad": cell_azimuth},
     )
-    return fan, grid, {"range_fraction": cell_range, "azimuth_rad": cell_azimuth}
+
+
+def _in_pixels(positions: Positions, shape: tuple[int, ...]) -> list[Gray]:
+    """Turn positions from -1 to 1 over a side into pixels; rounds as `grid_sample` does."""
+    return [
+        ((position + 1) * np.float32(side) - 1) / 2
+        for position, side in zip(positions, shape, strict=True)
+    ]
 
 
 def _extent(values: Gray) -> tuple[np.float32, np.float32]:
@@ -315,18 +349,17 @@ def _extent(values: Gray) -> tuple[np.float32, np.float32]:
     return least, max(values.max(), least + _SMALLEST)
 
 
-def _sampled(picture: Gray, at: Positions) -> Gray:
-    """A picture between its pixels, bilinear; repeated outside."""
-    height, width = picture.shape
-    row, column = (
-        np.clip(place, 0, side - 1) for place, side in zip(at, picture.shape, strict=True)
-    )
+def _sampled(image: Gray, positions: Positions) -> Gray:
+    """Interpolate an image at rows and columns in pixels, bilinear; its border is repeated."""
+    height, width = image.shape
+    row = np.clip(positions[0], 0, height - 1)
+    column = np.clip(positions[1], 0, width - 1)
     top = row.astype(np.int64)
-    first = column.astype(np.int64)
-    lower = row - top
-    right = column - first
+    left = column.astype(np.int64)
+    lower_share = row - top
+    right_share = column - left
     bottom = np.minimum(top + 1, height - 1)
-    last = np.minimum(first + 1, width - 1)
-    above = picture[top, first] * (1 - right) + picture[top, last] * right
-    below = picture[bottom, first] * (1 - right) + picture[bottom, last] * right
-    return np.asarray(above * (1 - lower) + below * lower, np.float32)
+    right = np.minimum(left + 1, width - 1)
+    above = image[top, left] * (1 - right_share) + image[top, right] * right_share
+    below = image[bottom, left] * (1 - right_share) + image[bottom, right] * right_share
+    return np.asarray(above * (1 - lower_share) + below * lower_share, np.float32)

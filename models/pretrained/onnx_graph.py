@@ -1,7 +1,7 @@
-"""Networks as ONNX files, compared with torch before they are written.
+"""Exports networks as ONNX files and compares them with torch before writing them.
 
-They come of a trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
-graph of `sonarnet` after minutes where the trace takes seconds.
+The export traces the network.  torch's exporter with symbolic shapes (`dynamo=True`) produces the
+same ONNX graph of `sonarnet`, but takes minutes where the trace takes seconds.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -48,7 +48,7 @@ _WORDS = {
 
 
 class Graph(nn.Module):
-    """What `simnfnd denoise` computes of a picture that fits one tile, without choices at run time.
+    """What `simnfnd denoise` computes for an image that fits one tile, without run-time branches.
 
     Inputs, in this order: `noisy` (N, 1, H, W) float32 in 0..1; the maps of range, bearing and
     sector, each (N, 1, H, W), where layout is not `none`.  Outputs: `denoised` (N, 1, H, W), 0..1;
@@ -144,61 +144,80 @@ class RuntimeGraph(Graph):
 
 
 def write_onnx(weights: Path, out: Path, layout: Layout | None) -> float:
-    """Write a network as a `.onnx` file of any height and width; how far it is from torch.
+    """Write a network as a `.onnx` file for images of any height and width.
 
-    layout: of pictures, of any number of which it denoises; None: the graph that
-    `denoise.runtime` computes, without the weights: the same network and versions of torch and onnx
+    layout: of the images, of which it denoises any number at a time.  None: the graph that
+    `denoise.runtime` computes, without the weights; the same network and versions of torch and onnx
     give the same bytes.
-    Raises FactoryError for a network that cannot be written so, when onnxruntime does not get what
-    torch does, or the file cannot be written; nothing is written then.
+    Returns the largest difference from torch.  Raises FactoryError for a network that cannot be
+    exported, when onnxruntime and torch disagree, or when the file cannot be written; writes
+    nothing then.
     """
-    import onnxruntime
-
     trained = load_weights(weights)
-    bare = layout is None
-    model = structure(trained.model) if bare else dict(trained.model)
-    graph = Graph(trained.network, layout) if layout else RuntimeGraph(trained.network)
-    about = {"model": json.dumps(model, sort_keys=True)}
-    if isinstance(graph, RuntimeGraph):
-        about |= {
-            "extras": ",".join(graph.network.extras),
-            "stride": str(graph.network.core_stride),
+    if layout is None:
+        runtime_graph = RuntimeGraph(trained.network)
+        graph: Graph = runtime_graph
+        about = {
+            "model": json.dumps(structure(trained.model), sort_keys=True),
+            "extras": ",".join(runtime_graph.network.extras),
+            "stride": str(runtime_graph.network.core_stride),
         }
     else:
-        about |= {"simnfnd": __version__, "weights_sha256": sha256_of(weights)}
+        graph = Graph(trained.network, layout)
+        about = {
+            "model": json.dumps(dict(trained.model), sort_keys=True),
+            "simnfnd": __version__,
+            "weights_sha256": sha256_of(weights),
+        }
     check_writable(out.parent, "--out")
-    content = _content(graph, about, bare)
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    if bare:
-        parameters = {name: values.numpy() for name, values in graph.state_dict().items()}
-        shared_arrays = give_weights(options, parameters)  # noqa: F841  (the session shares their memory)
-    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    difference = compared(
-        graph,
-        lambda inputs: session.run(
-            list(graph.outputs), {name: values.numpy() for name, values in inputs.items()}
-        ),
-    )
+    content = _content(graph, about, bare=layout is None)
+    difference = _difference_in_onnxruntime(graph, content, bare=layout is None)
     write_atomically(out, content, key="--out")
     return difference
 
 
+def _difference_in_onnxruntime(graph: Graph, content: bytes, bare: bool) -> float:
+    """Largest difference of onnxruntime from torch; see `compared`.
+
+    content: of the `.onnx` file.  bare: whether it lacks the weights.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    shared_arrays = []
+    if bare:
+        parameters = {name: values.numpy() for name, values in graph.state_dict().items()}
+        shared_arrays = give_weights(options, parameters)
+    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+
+    def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
+        arrays = {name: values.numpy() for name, values in inputs.items()}
+        outputs: list[np.ndarray] = session.run(list(graph.outputs), arrays)
+        return outputs
+
+    difference = compared(graph, run)
+    del shared_arrays  # whose memory the session uses until here
+    return difference
+
+
 def compared(graph: Graph, run: Run) -> float:
-    """Largest difference of `run` from the graph in torch, over pictures of several sizes.
+    """Largest difference of `run` from the graph in torch, over images of several sizes.
 
     Raises FactoryError when it is above the graph's tolerance.
     """
     worst = 0.0
     for seed, size in enumerate(_COMPARED):
         inputs = graph.example(*size, seed=seed)
-        wished = [values.numpy() for values in graph(*inputs.values())]
-        for name, *pair in zip(graph.outputs, run(inputs), wished, strict=True):
-            if name == "shadow_logits":  # as it shows in a picture
-                pair = [1 / (1 + np.exp(-values)) for values in pair]
-            # NaN must not pass.
-            distance = float(np.abs(pair[0] - pair[1]).max())
-            worst = distance if not distance <= worst else worst
+        expected = [values.numpy() for values in graph(*inputs.values())]
+        for name, values, torch_values in zip(graph.outputs, run(inputs), expected, strict=True):
+            if name == "shadow_logits":  # compared as the shadow that an image shows
+                difference = np.abs(_sigmoid(values) - _sigmoid(torch_values)).max()
+            else:
+                difference = np.abs(values - torch_values).max()
+            # Written so that NaN does not pass.
+            if not difference <= worst:
+                worst = float(difference)
     if not worst <= graph.tolerance:
         raise FactoryError(
             f"onnxruntime differs from torch by {worst:.1e}, more than {graph.tolerance:.0e}; "
@@ -207,14 +226,37 @@ def compared(graph: Graph, run: Run) -> float:
     return worst
 
 
+def _sigmoid(values: np.ndarray) -> np.ndarray:
+    return np.asarray(1 / (1 + np.exp(-values)))
+
+
 def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
-    """The file, its inputs and itself explained; bare: without weights, and nothing of them."""
+    """Return the file, with descriptions of itself and its inputs.
+
+    about: facts that the file states.  bare: whether to leave out the weights.
+    """
     import onnx
 
+    model = onnx.load_model_from_string(_traced(graph, fold=not bare))
+    for value in (*model.graph.input, *model.graph.output):
+        value.doc_string = _WORDS.get(value.name, "")
+    _rename_values(model.graph)
+    model.doc_string = "A denoiser for forward-looking sonar pictures, made by SimNFND."
+    facts = {"geometry": graph.layout, "opset": OPSET, **about}
+    onnx.helper.set_model_props(model, {key: str(value) for key, value in sorted(facts.items())})
+    onnx.checker.check_model(model, full_check=True)
+    if bare:
+        _remove_weights(model.graph, graph.state_dict().keys())
+    written: bytes = model.SerializeToString(deterministic=True)
+    return written
+
+
+def _traced(graph: Graph, fold: bool) -> bytes:
+    """Trace the graph on an example and export it.  fold: whether constants are folded."""
     content = io.BytesIO()
     inputs = tuple(graph.example(*_TRACED).values())
     with warnings.catch_warnings(), torch.no_grad():
-        # It warns of every choice that it keeps; `compared` sees whether one was wrong.
+        # It warns of every branch that it fixes; `compared` shows whether one was wrong.
         warnings.simplefilter("ignore")
         traced: Any = torch.jit.trace(  # type: ignore[no-untyped-call]
             graph, inputs, check_trace=False, _store_inputs=False
@@ -225,37 +267,38 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
             content,  # type: ignore[arg-type]
             dynamo=False,
             opset_version=OPSET,
-            do_constant_folding=not bare,
+            do_constant_folding=fold,
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
             dynamic_axes=graph.axes,
         )
-    model = onnx.load_model_from_string(content.getvalue())
-    for value in (*model.graph.input, *model.graph.output):
-        value.doc_string = _WORDS.get(value.name, "")
-    # What was traced before in this process has a part in the names of nodes and values.
-    fixed_names = {
-        tensor.name
-        for tensor in (*model.graph.input, *model.graph.output, *model.graph.initializer)
-    }
-    numbers: dict[str, str] = {name: name for name in ("", *fixed_names)}
-    for node in model.graph.node:
-        node.name = node.doc_string = ""
+    return content.getvalue()
+
+
+def _rename_values(onnx_graph: Any) -> None:
+    """Number the values inside the graph in order.
+
+    Their names depend on what this process has traced before.
+    """
+    outer_tensors = (*onnx_graph.input, *onnx_graph.output, *onnx_graph.initializer)
+    new_names = {name: name for name in ("", *{tensor.name for tensor in outer_tensors})}
+    for node in onnx_graph.node:
+        node.name = ""
+        node.doc_string = ""
         for names in (node.input, node.output):
-            names[:] = [numbers.setdefault(name, f"v{len(numbers)}") for name in names]
-    del model.graph.value_info[:]
-    model.doc_string = "A denoiser for forward-looking sonar pictures, made by SimNFND."
-    facts = {"geometry": graph.layout, "opset": OPSET, **about}
-    onnx.helper.set_model_props(model, {key: str(value) for key, value in sorted(facts.items())})
-    onnx.checker.check_model(model, full_check=True)
-    weights = graph.state_dict().keys() if bare else ()
-    for tensor in model.graph.initializer:
-        if tensor.name in weights:  # whoever opens the file gives them by their names
+            names[:] = [new_names.setdefault(name, f"v{len(new_names)}") for name in names]
+    del onnx_graph.value_info[:]
+
+
+def _remove_weights(onnx_graph: Any, names: Collection[str]) -> None:
+    """Declare the weights external; whoever opens the file supplies them by their names."""
+    import onnx
+
+    for tensor in onnx_graph.initializer:
+        if tensor.name in names:
             tensor.ClearField("raw_data")
             tensor.data_location = onnx.TensorProto.EXTERNAL
             tensor.external_data.add(key="location", value="weights")
-    written: bytes = model.SerializeToString(deterministic=True)
-    return written
 
 
 def _maps(layout: Layout, height: int, width: int) -> dict[str, np.ndarray]:

@@ -1,11 +1,11 @@
-"""The geometry of a fan picture, found in the picture itself: where its black border ends.
+"""Finds the geometry of a fan image in the image itself: the outline at which it turns black.
 
-A fan picture is lit inside a sector and black outside it, mostly with far range on top.  A pixel is
-lit with one probability inside the sector and with another outside; the outline with the greatest
-likelihood wins, so holes (shadows, noise that reaches zero) and specks (ringing of JPEG or MPEG,
-text) cost little each.  The share of the outline that the picture really shows decides whether it
-is accepted.  Where none is, the picture is turned by quarters, then the largest area of a screen is
-tried alone, and last a V of white lines is searched, as chart plotters draw it.
+A fan image is lit inside a sector and black outside it, usually with far range on top.  A pixel is
+lit with one probability inside the sector and with another outside; the finder takes the outline
+with the greatest likelihood, so that holes (shadows, noise that reaches zero) and specks (ringing
+of JPEG or MPEG, text) cost little each.  An outline is accepted by the share of it that the image
+shows.  If none is accepted, the finder tries quarter turns of the image, then the largest area of
+a screen alone, and last a V of white lines, as chart plotters draw it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ from ...factory.sonar.geometry import FanGeometry
 from .palettes import find_painted
 
 Numbers = npt.NDArray[np.float64]
-# apex_x, apex_y, far_px, near_px, tangents of the edges' bearings, pixels along x for one along y.
-Sector = tuple[float, float, float, float, float, float, float]
 Bytes = npt.NDArray[np.uint8]
 
 _SURE = 0.7  # share of the outline that must be seen
@@ -43,6 +41,22 @@ _GROUND_SPREADS = 2, 6
 _LEAST_HALF_DEG = 2.0
 _MOST_HALF_DEG = 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
+
+
+class Sector(NamedTuple):
+    """A sector with far range on top, in pixels of the image.
+
+    left_tangent, right_tangent: of the bearings of both edges, positive to the right.
+    squeeze: pixels along x that are as long as one pixel along y.
+    """
+
+    apex_x: float
+    apex_y: float
+    far_px: float
+    near_px: float
+    left_tangent: float
+    right_tangent: float
+    squeeze: float
 
 
 def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
@@ -90,27 +104,36 @@ def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
         black = ringing
         sector = again
     lit = grey > black
-    apex_x, apex_y, far, near_px, *tangents, squeeze = sector
-    first, last = map(math.atan, tangents)
-    wider_half = max(-first, last)
-    other_half = min(-first, last)
-    if (
-        not _LEAST_HALF_DEG
-        <= math.degrees(other_half)
-        <= math.degrees(wider_half)
-        <= _MOST_HALF_DEG
-    ):
-        return None
-    if abs(math.log(squeeze)) > math.log(_SURE_SQUEEZE):
+    if not _is_plausible(sector):
         return None
     if (lit & (_inside(sector, *grey.shape) == 0)).mean() > _MOST_OUTSIDE:
         return None
-    place = {"apex_x_px": apex_x, "apex_y_px": apex_y, "near_px": near_px, "far_px": far}
-    fan = FanGeometry.fan(2 * wider_half, **place, x_scale=squeeze)
-    geometry = replace(fan, azimuth_min_rad=first, azimuth_max_rad=last)
-    if _confidence(lit, geometry) < sure:
+
+    first_rad = math.atan(sector.left_tangent)
+    last_rad = math.atan(sector.right_tangent)
+    symmetric_fan = FanGeometry.fan(
+        2 * max(-first_rad, last_rad),
+        apex_x_px=sector.apex_x,
+        apex_y_px=sector.apex_y,
+        near_px=sector.near_px,
+        far_px=sector.far_px,
+        x_scale=sector.squeeze,
+    )
+    fan = replace(symmetric_fan, azimuth_min_rad=first_rad, azimuth_max_rad=last_rad)
+    if _confidence(lit, fan) < sure:
         return None
-    return replace(geometry, apex_x_px=apex_x + left, apex_y_px=apex_y + top)
+    return replace(fan, apex_x_px=sector.apex_x + left, apex_y_px=sector.apex_y + top)
+
+
+def _is_plausible(sector: Sector) -> bool:
+    """Whether a sonar may have such a sector, and a screen such pixels."""
+    halves_deg = (
+        math.degrees(-math.atan(sector.left_tangent)),
+        math.degrees(math.atan(sector.right_tangent)),
+    )
+    if min(halves_deg) < _LEAST_HALF_DEG or max(halves_deg) > _MOST_HALF_DEG:
+        return False
+    return abs(math.log(sector.squeeze)) <= math.log(_SURE_SQUEEZE)
 
 
 def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
@@ -256,58 +279,91 @@ def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
     guess = _first_guess(lit)
     if guess is None:
         return None
-    outline, rows, cell = guess
-    fit = _Likelihood(lit, rows)
-    # Twice: after the first the shares inside and outside are known better.
-    for size_px in (cell, 1.0):
-        if not fit.learn(outline):
+    outline = guess.outline
+    likelihood = _Likelihood(lit, guess.rows)
+    # Twice: the first fit improves the shares of lit pixels inside and outside.
+    for size_px in (guess.cell_px, 1.0):
+        if not likelihood.learn(outline):
             return None
-        outline = fit.improve(outline, size_px, squeezed=False)
-    squeezed = fit.improve(outline, 0.5, squeezed=True)
-    # Pixels are square unless the arcs say plainly that they are not: by this log-likelihood.
-    changed, square = fit.costs([squeezed.tolist(), outline.tolist()])
-    outline = squeezed if changed < square - 30.0 else outline
-    return _sector(fit.polish(outline).tolist(), rows)
+        outline = likelihood.improve(outline, size_px, squeezed=False)
+
+    squeezed = likelihood.improve(outline, 0.5, squeezed=True)
+    squeezed_cost, square_cost = likelihood.costs([squeezed.tolist(), outline.tolist()])
+    # Pixels count as square unless the arcs contradict it by this log-likelihood.
+    if squeezed_cost < square_cost - 30.0:
+        outline = squeezed
+    return _sector(likelihood.polish(outline).tolist(), guess.rows)
 
 
-def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, float], float] | None:
-    """(outline, its two rows, pixels a cell) from the picture made small.
+class _FirstGuess(NamedTuple):
+    """An outline to start from.
 
-    The outline: columns of the left edge at two rows, columns of the right edge at these, rows of
-    the far and the near arc in the sonar's column, logarithm of the squeeze.
+    outline: (7,) columns of the left edge at two rows, columns of the right edge at these rows,
+        rows of the far and of the near arc in the sonar's column, logarithm of the squeeze.
+    rows: the two rows.  cell_px: pixels of the image per pixel of the thumbnail it was found in.
     """
+
+    outline: Numbers
+    rows: tuple[float, float]
+    cell_px: float
+
+
+def _first_guess(lit: npt.NDArray[np.bool_]) -> _FirstGuess | None:
+    """Guess the outline from a thumbnail of the lit pixels; None where they form no sector."""
     height, width = lit.shape
     scale = max(1, math.ceil(max(height, width) / _SIDE))
-    size = math.ceil(width / scale), math.ceil(height / max(1, math.ceil(height / _SIDE)))
-    share = cv2.resize(lit.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    share = cv2.blur(share, (3, 3))
-    some = share[share > 0.05]
-    if some.size < 20:
+    columns = math.ceil(width / scale)
+    rows = math.ceil(height / max(1, math.ceil(height / _SIDE)))
+    thumbnail = cv2.resize(lit.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    part = _largest_dense_part(thumbnail)
+    if part is None:
         return None
-    dense = (share > 0.4 * np.median(some)).astype(np.uint8)
-    dense = cv2.morphologyEx(dense, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=8)
-    part = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]) if count > 1 else labels > 0
-    if part.mean() < 0.03:
-        return None
-    rows = np.flatnonzero(part.any(axis=1))
+
+    part_rows = np.flatnonzero(part.any(axis=1))
     last_column = part.shape[1] - 1
-    left, mirrored = (_edge(rows, mask.argmax(axis=1)) for mask in (part[rows], part[rows, ::-1]))
+    left = _edge(part_rows, part[part_rows].argmax(axis=1))
+    mirrored = _edge(part_rows, part[part_rows, ::-1].argmax(axis=1))
     if left is None or mirrored is None or left[0] + mirrored[0] <= 1e-3:
         return None
     right = np.array([-mirrored[0], last_column - mirrored[1]])
+
+    # The edges meet at the sonar; the part begins and ends in its column at the arcs.
     apex_row = (right[1] - left[1]) / (left[0] - right[0])
     apex_column = int(np.clip(np.polyval(left, apex_row), 1, last_column - 1))
     ahead = np.flatnonzero(part[:, apex_column - 1 : apex_column + 2].any(axis=1))
     if not len(ahead):
         return None
-    across = width / size[0]
-    along = height / size[1]
-    pair = np.array([rows[len(rows) // 4], rows[-1]], float)
-    columns = [(np.polyval(line, pair) + 0.5) * across - 0.5 for line in (left, right)]
-    arcs = (np.array([ahead[0], ahead[-1]]) + 0.5) * along - 0.5
-    upper, lower = (pair + 0.5) * along - 0.5
-    return np.concatenate([*columns, arcs, [0.0]]), (float(upper), float(lower)), float(scale)
+
+    # From the centres of thumbnail pixels to pixels of the image.
+    across_px = width / columns
+    down_px = height / rows
+    two_rows = np.array([part_rows[len(part_rows) // 4], part_rows[-1]], float)
+    left_columns = (np.polyval(left, two_rows) + 0.5) * across_px - 0.5
+    right_columns = (np.polyval(right, two_rows) + 0.5) * across_px - 0.5
+    arc_rows = (np.array([ahead[0], ahead[-1]]) + 0.5) * down_px - 0.5
+    upper, lower = (two_rows + 0.5) * down_px - 0.5
+    outline = np.concatenate([left_columns, right_columns, arc_rows, [0.0]])
+    return _FirstGuess(outline, (float(upper), float(lower)), float(scale))
+
+
+def _largest_dense_part(share: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_] | None:
+    """Mask of the largest area in which many pixels are lit; None where it is next to nothing.
+
+    share: (h, w) share of lit pixels in each pixel of the thumbnail.
+    """
+    share = cv2.blur(share, (3, 3))
+    partly_lit = share[share > 0.05]
+    if partly_lit.size < 20:
+        return None
+    dense = (share > 0.4 * np.median(partly_lit)).astype(np.uint8)
+    dense = cv2.morphologyEx(dense, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=8)
+    part = labels > 0
+    if count > 1:
+        part = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])
+    if part.mean() < 0.03:
+        return None
+    return np.asarray(part)
 
 
 def _edge(rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> Numbers | None:
@@ -342,19 +398,20 @@ def _sector(outline: Sequence[float], rows: tuple[float, float]) -> Sector | Non
     near = max(apex_y - outline[5], 0.0)
     if not (far > near and 1 / _MOST_SQUEEZE < squeeze < _MOST_SQUEEZE):
         return None
-    return apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze
+    return Sector(apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze)
 
 
 class _Likelihood:
-    """How badly an outline tells lit from black, to be made small; a fit asks two thousand times.
+    """Cost of an outline: how badly it separates lit from black pixels; a fit takes 2000 of them.
 
-    A lit pixel inside gains and a black one costs, by logarithms of likelihood ratios.
+    The cost is a sum of logarithms of likelihood ratios: a lit pixel inside lowers it, a black
+    pixel inside raises it.
     """
 
     def __init__(self, lit: npt.NDArray[np.bool_], rows: tuple[float, float]) -> None:
         """rows: see `_first_guess`."""
         height, self._width = lit.shape
-        # How many of the pixels above each row's upper border are lit, and the last row once more.
+        # Number of lit pixels above the upper border of each row; the last row is there twice.
         above = np.zeros((height + 2, self._width), np.int32)
         np.cumsum(lit, axis=0, dtype=np.int32, out=above[1:-1])
         above[-1] = above[-2]
@@ -365,78 +422,85 @@ class _Likelihood:
         self._lit = int(above[-1].sum())
 
     def learn(self, outline: Numbers) -> bool:
-        """Take the shares of lit pixels inside and outside `outline`; False if it parts nothing."""
+        """Estimate the shares of lit pixels inside and outside; False if they do not differ."""
         sector = _sector(outline.tolist(), self._rows)
         if sector is None:
             return False
         area, lit = self.inside([sector], 1, False)[:, 0].tolist()
-        inside = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
-        outside = max(self._pixels - area, 1.0)
-        outside = float(np.clip((self._lit - lit) / outside, 1e-3, 0.05))
-        if inside <= outside:
+        area_outside = max(self._pixels - area, 1.0)
+        share_inside = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
+        share_outside = float(np.clip((self._lit - lit) / area_outside, 1e-3, 0.05))
+        if share_inside <= share_outside:
             return False
-        self._gain = math.log(inside / outside)
-        self._price = math.log((1 - outside) / (1 - inside))
+        self._gain = math.log(share_inside / share_outside)
+        self._price = math.log((1 - share_outside) / (1 - share_inside))
         return True
 
     def inside(self, sectors: Sequence[Sector], step: int, whole: bool) -> Numbers:
-        """Pixels in each of N sectors, and lit ones, of every `step`-th column; (2, N).
+        """(2, N) pixels and lit pixels in each of N sectors, of every `step`-th column.
 
-        whole: a pixel counts if its centre is in the sector; else parts of pixels count as such,
-        which is smoother and draws the outline outward.
+        whole: whether a pixel counts as a whole if its centre is in the sector.  Otherwise parts of
+        pixels count, which is smoother and draws the outline outward.
         """
         columns = np.arange(step // 2, self._width, step)
         borders = np.empty((2, 2, len(sectors), len(columns)))
         rows, lit = borders
-        # Pixel r reaches from r - 0.5 to r + 0.5.
+        # Borders instead of centres: pixel r reaches from r - 0.5 to r + 0.5.
         np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
         if whole:
             rows[0] = np.ceil(rows[0] - 0.5)
             rows[1] = np.floor(rows[1] + 0.5)
         np.minimum(np.maximum(rows, 0.0, out=rows), self._height, out=rows)
-        np.minimum(rows[0], rows[1], out=rows[0])  # nothing where last < first
+        np.minimum(rows[0], rows[1], out=rows[0])  # a column outside the sector counts nothing
         at = rows.astype(np.int64)
         part = rows - at
         at = at * self._width + columns
         above = self._above.take(at)
         lit[:] = part * (self._above.take(at + self._width) - above) + above
-        # One after the other, so that the sums do not depend on how NumPy splits them.
+        # Added in order, so that the sums do not depend on how NumPy splits them.
         sums: Numbers = (borders[:, 1] - borders[:, 0]).cumsum(axis=-1)[..., -1]
         return sums
 
     def costs(self, outlines: Sequence[Sequence[float]], whole: bool = False) -> Numbers:
-        """Minus the logarithms of their likelihoods, but for a constant."""
+        """(N,) negative log-likelihoods, up to a constant; `_NONE` for an outline of no sector."""
         sectors = [_sector(outline, self._rows) for outline in outlines]
-        valid = [sector for sector in sectors if sector is not None]
+        is_valid = [sector is not None for sector in sectors]
         costs = np.full(len(sectors), _NONE)
+        valid = [sector for sector in sectors if sector is not None]
         if valid:
             step = max(1, self._width // 400)
             area, lit = self.inside(valid, step, whole)
-            valid_costs = (self._price * (area - lit) - self._gain * lit) * step
-            costs[[sector is not None for sector in sectors]] = valid_costs
+            costs[is_valid] = (self._price * (area - lit) - self._gain * lit) * step
         return costs
 
     def improve(self, outline: Numbers, size_px: float, squeezed: bool) -> Numbers:
-        """The likeliest outline nearby; `size_px`: of the first steps; squeezed: of any squeeze."""
+        """Return the likeliest outline nearby.
+
+        size_px: of the first steps.  squeezed: whether the squeeze is fitted, too.
+        """
         free = 7 if squeezed else 6
-        steps = np.diag([size_px] * 6 + [0.05])[:free, :free]
         fixed = outline[free:].tolist()
+        steps = np.diag([size_px] * 6 + [0.05])[:free, :free]
         simplex = np.vstack([outline[:free], outline[:free] + steps])
-        best = _lowest(lambda values: self.costs([values.tolist() + fixed])[0], simplex, 40 * free)
+
+        def cost(values: Numbers) -> float:
+            return float(self.costs([values.tolist() + fixed])[0])
+
+        best = _lowest(cost, simplex, 40 * free)
         return np.concatenate([best, outline[free:]])
 
     def polish(self, outline: Numbers) -> Numbers:
-        """Each end of an edge and each arc moved by itself to where it fits best."""
+        """Move each end of an edge and each arc, one at a time, to where it fits best."""
         outline = outline.copy()
-        # The arcs first, from further away: a short one has hardly any weight until here.
-        for reach_px, parts in ((8.0, (5, 4)), (1.5, range(6)), (0.5, range(6))):
+        # The arcs first, and farther: short arcs hardly counted in the fit of the whole outline.
+        for reach_px, parameters in ((8.0, (5, 4)), (1.5, range(6)), (0.5, range(6))):
             moves = np.linspace(-reach_px, reach_px, 21)
-            for at in parts:
-                tried = np.repeat(outline[None], len(moves), axis=0)
-                tried[:, at] += moves
-                costs = self.costs(tried.tolist(), whole=True)
-                # The middle of the places that are as good as the best.
-                outline = tried[costs <= costs.min() + 1e-6].mean(axis=0)
+            for parameter in parameters:
+                candidates = np.repeat(outline[None], len(moves), axis=0)
+                candidates[:, parameter] += moves
+                costs = self.costs(candidates.tolist(), whole=True)
+                # The centre of all candidates that are as good as the best.
+                outline = candidates[costs <= costs.min() + 1e-6].mean(axis=0)
         return outline
 
 
@@ -534,15 +598,19 @@ class _Simplex:
 
 
 def limits(sectors: Numbers, x: Numbers) -> Numbers:
-    """First and last row of each sector, (N, 7), in each column, (W,); last < first outside it.
+    """Return the first and last row of sectors in columns of the image, last < first outside.
 
-    (2, N, W), fractions of a row.
+    sectors: (N, 7), see `Sector`.  x: (W,) columns.  Returns (2, N, W) fractions of a row.
     """
-    apex_x, apex_y, _, _, *_, squeeze = by_name = sectors.T[..., None]
-    across = (x - apex_x) / squeeze
-    ahead: Numbers = np.sqrt(np.maximum(np.square(by_name[2:4]) - across * across, 0.0))
-    # An edge lies ahead on its own side alone.
-    ahead[1] = np.maximum(ahead[1], (across / by_name[4:6]).max(axis=0))
+    fields = sectors.T[..., None]
+    apex_x = fields[0]
+    apex_y = fields[1]
+    radii = fields[2:4]
+    tangents = fields[4:6]
+    across = (x - apex_x) / fields[6]
+    ahead: Numbers = np.sqrt(np.maximum(np.square(radii) - across * across, 0.0))
+    # An edge limits the sector on its own side alone.
+    ahead[1] = np.maximum(ahead[1], (across / tangents).max(axis=0))
     return np.asarray(apex_y - ahead)
 
 
@@ -554,48 +622,70 @@ _TRIED = 8  # of the longest lines
 _ARC_SHARE = 0.35  # of an arc within the picture that must be white
 
 
+class _Line(NamedTuple):
+    """A white line: its length, pixels; its slope, degrees, positive downwards; its left end."""
+
+    length_px: float
+    slope_deg: float
+    x: float
+    y: float
+
+
 def _find_drawn(grey: Bytes) -> FanGeometry | None:
-    """The fan between two white lines as far as the outermost arc."""
+    """The fan bounded by two white side lines and the outermost arc."""
     mask = (grey >= _WHITE).astype(np.uint8)
-    # Echoes and panels are as wide as that, lines are not.
+    # The opening keeps wide echoes and panels; thin lines vanish.
     lines = mask - cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
     height, width = lines.shape
-    if lines.mean() > 0.05:  # where more is thin and bright, it is speckle
+    if lines.mean() > 0.05:  # so many thin bright pixels are speckle
         return None
-    # A fifth of the width or longer; there may be 12 pixels between the sonar and where one begins.
-    segments = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, 0.2 * width, 12.0)
-    sides: tuple[list[tuple[float, ...]], ...] = [], []
-    for x1, y1, x2, y2 in () if segments is None else segments.reshape(-1, 4).astype(float):
-        slope = math.degrees(math.atan2(y2 - y1, x2 - x1))  # x1 <= x2
-        if _LEAST_DEG <= abs(slope) <= _MOST_DEG:
-            sides[slope < 0].append((math.hypot(x2 - x1, y2 - y1), slope, x1, y1))
-    longest = (sorted(side, reverse=True)[:_TRIED] for side in sides)
-    for (_, down, x1, y1), (_, up, x2, y2) in product(*longest):
-        # Where both meet is the sonar.
-        fall = math.tan(math.radians(down))
-        rise = math.tan(math.radians(up))
-        x = (y2 - y1 + fall * x1 - rise * x2) / (fall - rise)
-        y = y1 + fall * (x - x1)
-        if abs(down + up) > _ALIKE_DEG or not (0 < x < width and height / 2 < y < height):
+    falling, rising = _side_lines(lines)
+    for left, right in product(falling[:_TRIED], rising[:_TRIED]):
+        # The side lines meet at the sonar.
+        fall = math.tan(math.radians(left.slope_deg))
+        rise = math.tan(math.radians(right.slope_deg))
+        x = (right.y - left.y + fall * left.x - rise * right.x) / (fall - rise)
+        y = left.y + fall * (x - left.x)
+        is_symmetric = abs(left.slope_deg + right.slope_deg) <= _ALIKE_DEG
+        if not is_symmetric or not (0 < x < width and height / 2 < y < height):
             continue
-        half = math.pi / 2 - math.radians(down - up) / 2
-        far = _farthest_arc(lines, x, y, half)
-        if far is not None:
-            return FanGeometry.fan(2 * half, apex_x_px=x, apex_y_px=y, near_px=0.0, far_px=far)
+        half_rad = math.pi / 2 - math.radians(left.slope_deg - right.slope_deg) / 2
+        far_px = _farthest_arc(lines, x, y, half_rad)
+        if far_px is not None:
+            return FanGeometry.fan(
+                2 * half_rad, apex_x_px=x, apex_y_px=y, near_px=0.0, far_px=far_px
+            )
     return None
 
 
-def _farthest_arc(lines: npt.NDArray[Any], x: float, y: float, half: float) -> float | None:
-    """Radius of the outermost circle about the sonar that is drawn in the fan."""
+def _side_lines(lines: Bytes) -> tuple[list[_Line], list[_Line]]:
+    """Lines that may be the left and the right side of a fan, the longest first.
+
+    lines: (H, W), not 0 on thin bright lines.
+    """
+    # A fifth of the width or longer; between the sonar and the line there may be 12 pixels.
+    shortest_px = 0.2 * lines.shape[1]
+    segments = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, shortest_px, 12.0)
+    falling: list[_Line] = []
+    rising: list[_Line] = []
+    for x1, y1, x2, y2 in () if segments is None else segments.reshape(-1, 4).astype(float):
+        slope_deg = math.degrees(math.atan2(y2 - y1, x2 - x1))  # x1 <= x2
+        if _LEAST_DEG <= abs(slope_deg) <= _MOST_DEG:
+            side = rising if slope_deg < 0 else falling
+            side.append(_Line(math.hypot(x2 - x1, y2 - y1), slope_deg, x1, y1))
+    return sorted(falling, reverse=True), sorted(rising, reverse=True)
+
+
+def _farthest_arc(lines: Bytes, x: float, y: float, half_rad: float) -> float | None:
+    """Radius of the outermost drawn arc about the sonar at (x, y), pixels; None without any."""
     height, width = lines.shape
-    bearings = np.linspace(-half, half, 720)[10:-10]
-    radii = np.arange(height / 4, math.hypot(width, height))[:, None]
-    lit, is_inside = _at(
-        cv2.dilate(lines, np.ones((3, 3), np.uint8)),
-        y - radii * np.cos(bearings),
-        x + radii * np.sin(bearings),
-    )
+    bearings_rad = np.linspace(-half_rad, half_rad, 720)[10:-10]
+    radii_px = np.arange(height / 4, math.hypot(width, height))[:, None]
+    widened = cv2.dilate(lines, np.ones((3, 3), np.uint8))
+    rows = y - radii_px * np.cos(bearings_rad)
+    columns = x + radii_px * np.sin(bearings_rad)
+    is_white, is_inside = _at(widened, rows, columns)
     count = is_inside.sum(axis=1)
-    share = np.where(count >= 180, lit.sum(axis=1) / np.maximum(count, 1), 0)
-    arcs = np.flatnonzero(share >= _ARC_SHARE)
-    return float(radii[arcs[-1], 0]) if len(arcs) else None
+    white_share = is_white.sum(axis=1) / np.maximum(count, 1)
+    arcs = np.flatnonzero((count >= 180) & (white_share >= _ARC_SHARE))
+    return float(radii_px[arcs[-1], 0]) if len(arcs) else None
