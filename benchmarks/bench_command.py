@@ -1,7 +1,7 @@
 """What a further frame costs through `simnfnd make` itself: by the difference of two runs.
 
 Each is the median of three.  Everything is in it that a user pays: finding and reading the frame,
-the render and its cache entry, both pictures (512x512), the shard, the bars, and nothing that is
+the render and its cache entry, both images (512x512), the shard, the bars, and nothing that is
 paid once a run.  With --frame frames of FLSea VI, too: copies of the first one there, of which one
 depth differs by a thousandth, so that no render serves two.
 """

@@ -178,7 +178,7 @@ def _hashes(dataset: Path) -> dict[str, str]:
 
 
 def flipped(folder: Path, times: int) -> Tally:
-    """Single bits of shards; a reader gives the same pictures or refuses."""
+    """Single bits of shards; a reader gives the same images or refuses."""
     folder.mkdir()
     root, tally, rng = hostile.whole(folder / "sound"), Tally(), np.random.default_rng(1)
     sound, refused = flips.given_out(root), 0

@@ -1,7 +1,7 @@
 """The paper's recipe taken to the letter, with the tools it names, to measure ours against.
 
 Open3D cloud, PLY file out, Blender import, Cycles with the default number of bounces and 16
-samples, PNG file out, noise points, matplotlib scatter pictures.  Written from the paper's text
+samples, PNG file out, noise points, matplotlib scatter images.  Written from the paper's text
 (sections 3.1 to 3.3 and 5.2); what it leaves open is taken as these tools have it by default.
 """
 
@@ -20,7 +20,7 @@ PICTURE_PX = 512
 
 
 class LiteralRecipe:
-    """Makes a pair of PNG pictures of a frame; keeps Blender open between frames."""
+    """Makes a pair of PNG images of a frame; keeps Blender open between frames."""
 
     def __init__(self, folder: Path) -> None:
         import bpy
@@ -31,7 +31,7 @@ class LiteralRecipe:
         self.bpy, self.open3d, self.folder = bpy, open3d, folder
 
     def pair(self, frame: Frame) -> list[Path]:
-        """The noisy and the clean picture of `frame`, as files."""
+        """The noisy and the clean image of `frame`, as files."""
         points_m = self._save_cloud(frame)
         self._fill_scene(frame)
         grey = self._render(frame)

@@ -3,10 +3,10 @@
     python -m benchmarks.same_bytes --write FILE       in a checkout of the one version
     python -m benchmarks.same_bytes --against FILE     in one of the other: exit 1 if they differ
 
-It makes a demo (Cycles), pictures of several devices and layouts with all optional layers, the
-physical profile, the ARIS fit, a sweep, short trainings, denoised pictures and a report; of FLSea
+It makes a demo (Cycles), images of several devices and layouts with all optional layers, the
+physical profile, the ARIS fit, a sweep, short trainings, denoised images and a report; of FLSea
 frames (--flsea) the paper's points, the complex field, drawn devices and a pack of renders, by one
-worker, by 48, and killed in the middle and resumed.  It notes the SHA-256 of every picture, mask,
+worker, by 48, and killed in the middle and resumed.  It notes the SHA-256 of every image, mask,
 table and attribute of every shard, of weights and of figures.  What is written beside them for
 people to read (cards, messages) is not compared.
 """

@@ -1,4 +1,4 @@
-"""How good are the pictures: metrics, measurements over whole datasets, reports."""
+"""How good are the images: metrics, measurements over whole datasets, reports."""
 
 if __name__ == "evaluation":
     from simnfnd.rooms import refuse_modules_of

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _SPREAD = "~spread"
-# The groups that form a picture.  What the recipe's renders, frames and files are is no part of a
+# The groups that form an image.  What the recipe's renders, frames and files are is no part of a
 # profile.
 _PROFILE = ("sonar", "resample", "acoustics", "water", "noise")
 _FORMS = ("uniform", "choice", "normal")
@@ -194,7 +194,7 @@ def _short(value: float) -> float:
 
 
 class Simulation:
-    """Makes and measures the pictures of a recipe, with any values of its other keys."""
+    """Makes and measures the images of a recipe, with any values of its other keys."""
 
     def __init__(self, recipe: tuple[str, ...], frames: int, grid: Grid) -> None:
         """Raises FactoryError when the recipe is wrong or no frame of it is rendered."""
@@ -217,7 +217,7 @@ class Simulation:
         maker = PairMaker(self.config, self._views)
         self.refs: list[FrameRef] = []
         for ref in spread:
-            with suppress(FrameError):  # the factory leaves out frames that make no picture
+            with suppress(FrameError):  # the factory leaves out frames that make no image
                 maker.pairs(ref, (0,))
                 self.refs.append(ref)
         if not self.refs:
@@ -237,7 +237,7 @@ class Simulation:
         return from_mapping(tree)
 
     def described(self, values: Mapping[str, Any]) -> pd.DataFrame:
-        """The features of the pictures that these values make."""
+        """The features of the images that these values make."""
         import pandas as pd
 
         config = self.configured(values)

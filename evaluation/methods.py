@@ -51,7 +51,7 @@ class Method:
 
     @property
     def kind(self) -> str:
-        """What made it: noisy (nothing), baseline, network, or pictures (of another program)."""
+        """What made it: noisy (nothing), baseline, network, or images (of another program)."""
         if self.name == "identity" and not self.form:
             return "noisy"
         if self.pictures_source:
@@ -133,7 +133,7 @@ def networks_at(
 
 @lru_cache(maxsize=2)
 def network(weights: str, device: str) -> Denoiser:
-    """The network of a weights file, kept between pictures.
+    """The network of a weights file, kept between images.
 
     Raises FactoryError for a file that holds no weights of a network.
     """

@@ -145,7 +145,7 @@ def picture(place: Place) -> Picture:
 
 @lru_cache(maxsize=64)
 def geometry_of(place: Place) -> FanGeometry | None:
-    """Where range and bearing are in a picture of a dataset; None where nothing says so."""
+    """Where range and bearing are in an image of a dataset; None where nothing says so."""
     from ..factory.sonar.geometry import FanGeometry, recorded_sonar
 
     path, row = place
@@ -164,7 +164,7 @@ def _scene(item: Item) -> Scene:
 
 
 def names_of(item: Item) -> list[str]:
-    """Where another program's picture may lie, without its suffix.
+    """Where another program's image may lie, without its suffix.
 
     As `simnfnd export --to png` and `simnfnd denoise` name it.
     """
@@ -176,7 +176,7 @@ _GIVEN = (".png", ".npy")
 
 
 def given_file(folder: Path, names: Sequence[str]) -> Path | None:
-    """The file of somebody's denoised picture, PNG or .npy, by the first of its names."""
+    """The file of somebody's denoised image, PNG or .npy, by the first of its names."""
     paths = (folder.expanduser() / f"{name}{suffix}" for name in names for suffix in _GIVEN)
     return next((path for path in paths if path.is_file()), None)
 
@@ -197,9 +197,9 @@ def given_picture(folder: Path, names: Sequence[str]) -> Gray:
 def given_methods(
     folders: Sequence[PicturesFolder], names: Sequence[Sequence[str]]
 ) -> list[Method]:
-    """A row for each folder of another program's denoised pictures.
+    """A row for each folder of another program's denoised images.
 
-    names: of each picture, where it may lie there.  Raises FactoryError for a folder without one.
+    names: of each image, where it may lie there.  Raises FactoryError for a folder without one.
     """
     methods: dict[str, Method] = {}
     for folder in folders:

@@ -88,7 +88,7 @@ def evaluate(settings: RealismSettings) -> None:
 
 
 def _simulations(settings: RealismSettings) -> dict[str, Collection]:
-    """Name -> pictures; the second folder of a name goes by its path."""
+    """Name -> images; the second folder of a name goes by its path."""
     collections: dict[str, Collection] = {}
     for folder in settings.sim:
         path = Path(folder).expanduser()
@@ -102,15 +102,15 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
 
 
 REAL = "real"
-"""What tables call the distance between two halves of the real pictures."""
+"""What tables call the distance between two halves of the real images."""
 SMALLEST = 8
-"""Pictures that each side needs: fewer leave no half to compare."""
+"""Images that each side needs: fewer leave no half to compare."""
 RESAMPLES = 20
 _FAR = 1e3
 
 
 def described(collection: Collection, grid: Grid) -> pd.DataFrame:
-    """(pictures x features) of a collection.  Raises FactoryError when a picture is unreadable."""
+    """(images x features) of a collection.  Raises FactoryError when an image is unreadable."""
     import pandas as pd
 
     rows = []
@@ -126,11 +126,11 @@ def distances(
 ) -> tuple[pd.DataFrame, dict[str, float]]:
     """(features x sets) Kolmogorov-Smirnov distances; and set -> the overall number.
 
-    Sets: REAL, between two halves of the real pictures, and each simulation.  Features that the
-    real pictures lack are left out.  The overall number is the geometric mean over the features of
+    Sets: REAL, between two halves of the real images, and each simulation.  Features that the
+    real images lack are left out.  The overall number is the geometric mean over the features of
     max(1, earth mover's distance over that of the halves): it goes on where a Kolmogorov-Smirnov
     distance has reached 1, so that a search has somewhere to go.  1 is a perfect simulation.
-    Means over RESAMPLES draws.  Raises FactoryError for too few pictures.
+    Means over RESAMPLES draws.  Raises FactoryError for too few images.
     """
     import pandas as pd
     from scipy.stats import ks_2samp, wasserstein_distance
@@ -175,13 +175,13 @@ def distances(
     return table, overall
 
 
-# Pictures with data in less of the sector than this say too little along the bearing.
+# Images with data in less of the sector than this say too little along the bearing.
 _LEAST = 0.25
 
 
 @dataclass(frozen=True)
 class Source:
-    """A picture that can be read when its turn comes: of a dataset, or a shot."""
+    """An image that can be read when its turn comes: of a dataset, or a shot."""
 
     geometry: FanGeometry
     place: Place | Shot
@@ -195,7 +195,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Collection:
-    """Pictures that belong together.  name: what tables call them.  notes: for the report."""
+    """Images that belong together.  name: what tables call them.  notes: for the report."""
 
     name: str
     sources: tuple[Source, ...]
@@ -209,7 +209,7 @@ class Collection:
 def to_polar(picture: npt.NDArray[Any], geometry: FanGeometry, grid: Grid) -> Gray:
     """(H, W) grey values -> (range_bins, beams with data) float32, near range and left first.
 
-    Inverse mapping: each cell of the grid looks up its place in the picture, bilinear.  Only whole
+    Inverse mapping: each cell of the grid looks up its place in the image, bilinear.  Only whole
     cells within `geometry.data_fraction` are kept.
     """
     columns, rows = _lookup(geometry, grid, picture.shape[:2])
@@ -222,7 +222,7 @@ def to_polar(picture: npt.NDArray[Any], geometry: FanGeometry, grid: Grid) -> Gr
 
 @lru_cache(maxsize=16)
 def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[Gray, Gray]:
-    """Column and row in the picture of each cell of the grid."""
+    """Column and row in the image of each cell of the grid."""
     start, end = geometry.data_fraction
     first = math.ceil(round(start * grid.beams, 6))
     last = max(math.floor(round(end * grid.beams, 6)), first + 1)
@@ -244,7 +244,7 @@ def real_pictures(folder: str | Path) -> Collection:
 
 
 def open_dataset(folder: str | Path, split: Split) -> Collection:
-    """The pictures of a dataset folder.  Raises FactoryError when there are none to compare."""
+    """The images of a dataset folder.  Raises FactoryError when there are none to compare."""
     root = Path(folder).expanduser()
     sources: list[Source] = []
     items = items_of(root, split)

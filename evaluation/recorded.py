@@ -1,7 +1,7 @@
-"""Pictures and frames of real sonars, read when their turn comes, with their geometry.
+"""Images and frames of real sonars, read when their turn comes, with their geometry.
 
-Folders whose geometry is known are the Marine Debris Dataset as it is, or pictures with
-geometry.csv, which has one line a picture and these columns (docs/realism.md): file (`*` for all
+Folders whose geometry is known are the Marine Debris Dataset as it is, or images with
+geometry.csv, which has one line an image and these columns (docs/realism.md): file (`*` for all
 that have no line of their own), layout, hfov_deg and, for fans, apex_x_px, apex_y_px, near_px,
 far_px; optional x_scale, range_min_m and range_max_m.
 """
@@ -43,20 +43,20 @@ MDD_GEOMETRIES = {
         x_scale=0.8,
     ),
 }
-"""The two fans that the pictures of the Marine Debris Dataset mix; metres are not published.
+"""The two fans that the images of the Marine Debris Dataset mix; metres are not published.
 
-Measured on the edges of the sector in its pictures, and drawn in by the one or two pixels over
+Measured on the edges of the sector in its images, and drawn in by the one or two pixels over
 which they fade to black; B shows x squeezed to 0.8 of y.
 """
-# The fit of a picture's black border to a fan: intersection over union below which it is none.
+# The fit of an image's black border to a fan: intersection over union below which it is none.
 _SAME = 0.9
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture, or a frame of a recording.
+    """An image, or a frame of a recording.
 
-    path, number: of the picture or recording, and of the frame in it.
+    path, number: of the image or recording, and of the frame in it.
     known: where range and bearing are, as a table says; None where it must be found or stands in
     the file.
     """
@@ -144,7 +144,7 @@ def open_real(location: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
 
 
 def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
-    """The pictures of a folder whose geometry is known, by name, and notes."""
+    """The images of a folder whose geometry is known, by name, and notes."""
     images = root / "Images" if (root / "Images").is_dir() else root
     files = sorted(path for path in images.iterdir() if path.is_file())
     paths = in_order([path for path in files if kind_of(path) == "pictures"])
@@ -171,9 +171,9 @@ def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
 
 
 def mdd_geometry(picture: npt.NDArray[np.floating]) -> str | None:
-    """Which fan of the Marine Debris Dataset a picture shows, by its black border; None: neither.
+    """Which fan of the Marine Debris Dataset an image shows, by its black border; None: neither.
 
-    The original download does not say it, so it is looked up in each picture.
+    The original download does not say it, so it is looked up in each image.
     """
     if picture.shape != MDD_SHAPE:
         return None
@@ -189,7 +189,7 @@ def mdd_geometry(picture: npt.NDArray[np.floating]) -> str | None:
 def outline(picture: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     """(H, W) bool: what lies between the first and the last lit pixel of each row.
 
-    A dark picture has black pixels inside, too: its outline is what counts.
+    A dark image has black pixels inside, too: its outline is what counts.
     """
     lit = picture > 0
     left = np.maximum.accumulate(lit, 1)
@@ -218,7 +218,7 @@ def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
 
 
 def _line(row: Mapping[str, str | None]) -> tuple[str, FanGeometry]:
-    """The picture's name and geometry in a line of geometry.csv; ValueError says what is wrong."""
+    """The image's name and geometry in a line of geometry.csv; ValueError says what is wrong."""
     known = {key: text.strip() for key, text in row.items() if key and text and text.strip()}
     name = known.pop("file", None)
     layout = known.pop("layout", "")

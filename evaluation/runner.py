@@ -1,8 +1,8 @@
-"""The engine of every report: methods on pictures, measured on worker processes.
+"""The engine of every report: methods on images, measured on worker processes.
 
-    methods x pictures -> run() -> Measured: a table of one row for each method and picture
+    methods x images -> run() -> Measured: a table of one row for each method and image
 
-A report brings its pictures (`Subject`) with what is measured on them; whatever it then says is
+A report brings its images (`Subject`) with what is measured on them; whatever it then says is
 computed from the table.
 """
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from ..factory.sonar.geometry import FanGeometry
 
 SECONDS = "cpu_s"
-"""Column of the seconds of a method on a picture: of the CPU, elapsed ones where a GPU works."""
+"""Column of the seconds of a method on an image: of the CPU, elapsed ones where a GPU works."""
 
 
 class Subject:
-    """A picture that methods are judged on; it travels to the workers."""
+    """An image that methods are judged on; it travels to the workers."""
 
     def noisy_image(self) -> Gray:
-        """(H, W) in 0..1.  Raises FactoryError for a damaged picture."""
+        """(H, W) in 0..1.  Raises FactoryError for a damaged image."""
         raise NotImplementedError
 
     def geometry(self) -> FanGeometry | None:
@@ -45,15 +45,15 @@ class Subject:
         raise NotImplementedError
 
     def measure(self, image: Gray) -> Figures:
-        """The figures of a denoised picture.  Raises FactoryError for a damaged subject."""
+        """The figures of a denoised image.  Raises FactoryError for a damaged subject."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Some methods on some pictures, by their numbers; the unit that travels to a worker.
+    """Some methods on some images, by their numbers; the unit that travels to a worker.
 
-    keep: numbers of the pictures whose denoised images come back.  again: a worker died with it.
+    keep: numbers of the images whose denoised images come back.  again: a worker died with it.
     """
 
     methods: tuple[Method, ...]
@@ -65,7 +65,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a method gave: figures and images by number of the picture, or why it failed."""
+    """What a method gave: figures and images by number of the image, or why it failed."""
 
     figures: dict[int, Figures] = field(default_factory=dict)
     images: dict[int, Gray] = field(default_factory=dict)
@@ -76,7 +76,7 @@ class Result:
 class Measured:
     """What was measured.
 
-    figures: label -> number of the picture -> its figures; a picture that a method has none of is
+    figures: label -> number of the image -> its figures; an image that a method has none of is
     absent.  lost: label -> why there are none at all.  images: (label, number) -> what was kept.
     """
 
@@ -85,7 +85,7 @@ class Measured:
     images: dict[tuple[str, int], Gray] = field(default_factory=dict)
 
     def table(self) -> pd.DataFrame:
-        """A row for each method and picture, in order: method, picture, and its figures."""
+        """A row for each method and image, in order: method, number of the image, figures."""
         import pandas as pd
 
         rows = [
@@ -97,7 +97,7 @@ class Measured:
         return pd.DataFrame(rows, columns=None if rows else ["method", "picture"])
 
     def wide(self) -> dict[str, pd.DataFrame]:
-        """Figure -> its values of each picture (rows, in order) by each method (columns)."""
+        """Figure -> its values of each image (rows, in order) by each method (columns)."""
         table = self.table().set_index(["picture", "method"])
         return {str(name): table[name].unstack("method") for name in table}
 
@@ -113,15 +113,15 @@ def run(
     keep: Callable[[int], bool] = lambda number: False,
     tick: Callable[[int], object] = lambda done: None,
 ) -> Measured:
-    """Every method on every picture.
+    """Every method on every image.
 
-    methods: of different labels.  batches: number -> picture; of a batch all are in memory.
-    timeout_s: for one method on one picture.  chunk: pictures in a task.
-    keep: whether the images of a picture come back.
+    methods: of different labels.  batches: number -> image; of a batch all are in memory.
+    timeout_s: for one method on one image.  chunk: images in a task.
+    keep: whether the denoised images of an image come back.
     tick: called with the number of results that are in.
 
-    A method that fails on a picture, or whose worker dies twice, loses its row.  Raises
-    FactoryError for a picture that cannot be read.
+    A method that fails on an image, or whose worker dies twice, loses its row.  Raises
+    FactoryError for an image that cannot be read.
     """
     measured = Measured({method.label: {} for method in methods})
     for batch in batches:
@@ -172,7 +172,7 @@ def _again(task: Task) -> list[Task]:
 def measure_task(task: Task) -> list[Result]:
     """Run the methods and measure what they give; a result for each, in their order.
 
-    Raises FactoryError for a damaged picture.
+    Raises FactoryError for a damaged image.
     """
     results = []
     outputs: dict[str, dict[int, tuple[Gray, float]] | str] = {}
@@ -195,7 +195,7 @@ def measure_task(task: Task) -> list[Result]:
 
 
 def _applied(method: Method, task: Task) -> dict[int, tuple[Gray, float]] | str:
-    """The method's picture of each subject without levels, (H, W) in 0..1, and its seconds.
+    """The method's image of each subject without levels, (H, W) in 0..1, and its seconds.
 
     Seconds are NaN where another program took them.  Or why the method failed.  Raises FactoryError
     for a damaged subject.

@@ -35,7 +35,7 @@ class TuningSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class PicturesFolder:
-    """An entry of `pictures`: the row's name, and the folder of its denoised pictures."""
+    """An entry of `pictures`: the row's name, and the folder of its denoised images."""
 
     name: Annotated[str, Field(min_length=1)]
     dir: Annotated[str, Field(min_length=1)]

@@ -1,4 +1,4 @@
-"""The best parameters of filters on pictures with references, and the file that keeps them.
+"""The best parameters of filters on images with references, and the file that keeps them.
 
 A line search changes one parameter after the other along its grid, then by half a step.
 
@@ -43,7 +43,7 @@ _LEAST_SIDE = 96  # pixels of the middle of a frame
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A picture to tune on.
+    """An image to tune on.
 
     noisy, reference: (H, W) in 0..1.  mask: (H, W) bool, what counts; None: all.
     """
@@ -136,7 +136,7 @@ def on_pairs(task: Task) -> dict[str, Any] | str:
 
 
 def on_frames(task: Task) -> Parameters | str:
-    """The best parameters after one gain and offset a picture; or why not."""
+    """The best parameters after one gain and offset an image; or why not."""
     baseline = method_of(task.baseline)
     try:
         frames = task.samples[:: _SLOWER if baseline.name in _SLOW else 1]

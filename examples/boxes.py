@@ -1,4 +1,4 @@
-"""Boxes of the objects in sonar pictures, for a detector.
+"""Boxes of the objects in sonar images, for a detector.
 
 simnfnd make experiment=physical render=embree scenes.locations=1 dataset.dir=outputs/boxes \
     dataset.layers=[segmentation]

@@ -1,4 +1,4 @@
-"""The complex field of a sonar: its level in decibels, and pictures with more looks than one.
+"""The complex field of a sonar: its level in decibels, and images with more looks than one.
 
 simnfnd make experiment=physical render=embree scenes.locations=1 dataset.dir=outputs/field \
     sonar.image.layout=polar dataset.layers=[field,intensity_db] dataset.columns=[calibration]

@@ -2,7 +2,7 @@
 
 python examples/draw_boxes.py outputs/valves valves.png
 
-Draws the pictures with most objects of a class of your own (a third word: of that class): the box
+Draws the images with most objects of a class of your own (a third word: of that class): the box
 around the echoes in range and bearing, and the ground of the 3-D box.
 """
 
@@ -44,10 +44,10 @@ for _, _, picture, row, boxes in sorted(samples, key=lambda entry: entry[:2], re
         ground = corners.real * box["size_m"][0] + 1j * corners.imag * box["size_m"][1]
         x, y, z = box["centre_m"]
         ground = x + 1j * y + ground * np.exp(1j * np.deg2rad(box["yaw_deg"]))
-        # A picture shows how far away things are, also those above or below.
+        # An image shows how far away things are, also those above or below.
         ground *= np.sqrt(1 + (z / np.abs(ground)) ** 2)
         for points, colour in ((ring, (90, 200, 255)), (ground, (120, 255, 120))):
-            # The sonar is below the middle of the picture, whose top is the far end of its range.
+            # The sonar is below the middle of the image, whose top is the far end of its range.
             place = np.stack([-points.imag, row["range_max_m"] - points.real], axis=-1)
             pixels = 2 * place / row["metres_per_pixel"] + (picture.shape[1], 0)
             cv2.polylines(tile, [np.int32(np.rint(pixels))], True, colour, 1, cv2.LINE_AA)

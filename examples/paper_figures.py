@@ -199,12 +199,12 @@ def from_above(view: View, config: FactoryConfig, cells: int = 420) -> Panel:
 
 
 def clean(view: View, config: FactoryConfig) -> Panel:
-    """The clean picture."""
+    """The clean image."""
     return Panel("clean", make_pair(view.observed, 0, config).clean)
 
 
 def noisy(view: View, config: FactoryConfig, title: str) -> Panel:
-    """A noisy picture, with the figure of how noisy it is."""
+    """A noisy image, with the figure of how noisy it is."""
     pair = make_pair(view.observed, 0, config)
     return Panel(f"{title}   {psnr_db(pair.clean, pair.noisy):.1f} dB", pair.noisy)
 

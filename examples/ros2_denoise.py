@@ -1,11 +1,11 @@
-"""A node of ROS 2 that denoises the pictures of a sonar as they come.
+"""A node of ROS 2 that denoises the images of a sonar as they come.
 
 python examples/ros2_denoise.py /sonar/image
 python examples/ros2_denoise.py /oculus/sonar_image --sonar
 
-The first is for a topic of sensor_msgs/Image, whose fan is found in the first picture; the second
+The first is for a topic of sensor_msgs/Image, whose fan is found in the first image; the second
 for one of marine_acoustic_msgs/ProjectedSonarImage, which says where its samples lie.  The same
-messages with denoised samples come out on TOPIC/denoised.  Of the pictures that come while one is
+messages with denoised samples come out on TOPIC/denoised.  Of the images that come while one is
 denoised, only the last waits.  Needs a sourced ROS 2 and `pip install 'simnfnd[train]'`.
 """
 

@@ -61,7 +61,7 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
 def compile_needed(*, scenes: str = "", field: bool = False) -> None:
     """Load the loops that a task needs, compiling what is not on disk yet.
 
-    scenes: the kind whose frames it makes.  field: whether it forms pictures by the complex field.
+    scenes: the kind whose frames it makes.  field: whether it forms images by the complex field.
     One process of a machine at a time does it: many workers would compile the same loops at once.
     """
     names = [*PICTURES]

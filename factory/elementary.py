@@ -110,14 +110,14 @@ def log(value: Any) -> Any:
 
 
 @compiled(f"void({FLOATS}, {_OUT})")
-def half_normal(lot: Any, size: Any) -> None:
-    """sqrt(2) erfinv(lot) of lots in [0, 1): |N(0, 1)| where the lots are even.
+def half_normal(chance: Any, size: Any) -> None:
+    """sqrt(2) erfinv(chance) of chances in [0, 1): |N(0, 1)| for uniform chances.
 
     erfinv in single precision after M. Giles, "Approximating the erfinv function", GPU Computing
     Gems 2 (2011): a polynomial of w = -log((1 - x)(1 + x)) below 5 and one of sqrt(w) above.
     """
-    for at in range(len(lot)):
-        x = lot[at]
+    for at in range(len(chance)):
+        x = chance[at]
         w = -log((_ONE - x) * (_ONE + x))
         w = w if w > _ZERO else _ZERO
         u = w - _F(2.5)

@@ -195,7 +195,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def temporary_folder(path: Path) -> Iterator[Path]:
-    """An empty folder beside `path`, which is gone at the end.
+    """An empty folder beside `path`, which is removed at the end.
 
     What a killed process left goes first.  Raises FactoryError when it cannot be written.
     """

@@ -164,7 +164,7 @@ class Frame:
     instance: (H, W) uint16 object number within the scene (0 = none), or None.
     time_s: when it was taken, seconds from any beginning, or None.
     altitude_m: height of the camera above the ground right under it, or None.
-    boxes: (N, 11) float64 of the objects in the picture, or None: number in `instance`, class; box
+    boxes: (N, 11) float64 of the objects in the image, or None: number in `instance`, class; box
         around it, centre ahead, left, up (m), length, width, height (m), yaw from ahead to the left
         (rad), all in the camera's own axes; pixels it would cover alone; those hidden by others.
     surroundings: of a recording in which objects can move, or None.

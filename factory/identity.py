@@ -1,7 +1,7 @@
 """The identity of a dataset: the settings and inputs that decide the bytes of its samples.
 
 Its hash names a dataset, so equal settings must keep it from version to version: keys and names
-that are gone stay in it as they were.
+that were removed stay in it unchanged.
 """
 
 from __future__ import annotations

@@ -102,10 +102,10 @@ class Lines:
 
     def due(self) -> bool:
         """Whether to write one now; if so, the next is due some time later."""
-        gone = time.monotonic() - self._begun
-        if gone < self._next:
+        elapsed_s = time.monotonic() - self._begun
+        if elapsed_s < self._next:
             return False
-        self._next = gone + min(_LINE_EVERY_S, max(2.0, gone))
+        self._next = elapsed_s + min(_LINE_EVERY_S, max(2.0, elapsed_s))
         return True
 
 

@@ -208,7 +208,7 @@ _POSE = (
     Column("sonar.roll_deg", "f8", "deg", "how far its left side is up"),
     Column("sonar.altitude_m", "f8", "m", "height above the ground right under the camera"),
 )
-# Of the picture in rgb and depth; distortion is 0 where it was taken out or is not known.
+# Of the image in rgb and depth; distortion is 0 where it was taken out or is not known.
 _LENS = tuple(
     Column(f"camera.{name}", "f8", unit, f"{description}, as OpenCV defines it")
     for name, unit, description in (
@@ -222,7 +222,7 @@ _LENS = tuple(
         ("p2", "1", "tangential distortion"),
     )
 )
-# What turns grey values into sound pressure: level at the receiver = full scale of the picture, its
+# What turns grey values into sound pressure: level at the receiver = full scale of the image, its
 # transfer curve backwards, less the gain, plus the source level; layer intensity_db is the result.
 _CALIBRATION = (
     Column("source_level_db", "f8", "dB re 1 uPa at 1 m", "of the device"),
@@ -449,7 +449,7 @@ class FrameCamera:
 class Camera:
     """The layers rgb and depth of frames.
 
-    A render has lost the colour and rounds the depth, so frames whose pictures are asked for are
+    A render has lost the colour and rounds the depth, so frames whose images are asked for are
     read, or made, once more.
     """
 
@@ -463,7 +463,7 @@ class Camera:
         """The requested of rgb (H, W, 3) uint8 and depth (H, W) float32, m, NaN where unknown.
 
         Raises FrameError when the frame is bad, or of another size than the first frame of the
-        dataset: its pictures have one size.
+        dataset: its images have one size.
         """
         if not self._requested:
             return {}

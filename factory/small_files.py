@@ -48,7 +48,7 @@ def parse_json(content: bytes | str) -> Any:
 
 def load_yaml(path: Path) -> Any:
     """What a regular file of YAML without aliases says.  Raises OSError or ValueError."""
-    import yaml  # whoever reads pictures alone does without
+    import yaml  # whoever reads images alone does without
 
     loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     depth = 0

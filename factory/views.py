@@ -44,7 +44,7 @@ _SUFFIX = ".view"
 _MOST_BYTES = 1 << 27
 # Of a file that is larger than any view, and of no file at all: reading again cannot help.
 _NO_VIEW = (errno.EFBIG, errno.EINVAL)
-# Room made at once, so that a full cache does not have to be gone through for every entry.
+# Evicted at once, so that a full cache is not scanned for every entry.
 _EVICT_TO = 0.9
 
 

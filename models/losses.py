@@ -15,10 +15,10 @@ from ..factory.settings import STRICT
 
 NotNegative = Annotated[float, Field(ge=0)]
 _PSNR_FLOOR = 1e-4  # added to the mean squares in `decibels`: below it, 40 dB, gains count little
-_EQUAL = 1e-10  # mean squared difference of pictures that count as equal: 100 dB
+_EQUAL = 1e-10  # mean squared difference of images that count as equal: 100 dB
 _NOTHING = 0.3  # factor on a change up to which the change is left out
 _WHOLE = 0.8  # factor on a change from which the change is made whole
-_CLEAN = 1e-4  # in `blend` the noise of a picture has at least this mean square, 40 dB
+_CLEAN = 1e-4  # in `blend` the noise of an image has at least this mean square, 40 dB
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -35,7 +35,7 @@ class Loss:
     et al., ECCV 2022, with a floor at 40 dB); nearly clean images count as much as noisy ones.
     mask: of the binary cross entropy between the true shadow and `shadow_logits`.
     blend: of the binary cross entropy between `weight`, the part of its change that a network
-    gives a picture, and the best one there is, each picture counting as the mean square of its
+    gives an image, and the best one there is, each image counting as the mean square of its
     change over that of its noise, at most 1; teaches that weight alone.
     """
 

@@ -81,7 +81,7 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     # Where a shown file stands in the checkout: its links start there.
     origin = sources.get(place, f"docs/{place}")
 
-    def mended(match: re.Match[str]) -> str:
+    def with_target(match: re.Match[str]) -> str:
         target, _, anchor = match.group(2).partition("#")
         if not target or "://" in target or target.startswith("mailto:"):
             return match.group(0)
@@ -100,9 +100,9 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     # Code blocks stay as they are.
     parts, last = [], 0
     for fence in _FENCE.finditer(markdown):
-        parts += [_LINK.sub(mended, markdown[last : fence.start()]), fence.group(0)]
+        parts += [_LINK.sub(with_target, markdown[last : fence.start()]), fence.group(0)]
         last = fence.end()
-    return "".join([*parts, _LINK.sub(mended, markdown[last:])])
+    return "".join([*parts, _LINK.sub(with_target, markdown[last:])])
 
 
 def commands_page() -> str:
@@ -146,9 +146,9 @@ def keys_page() -> str:
 
 
 def notebook_page(text: str, stem: str) -> tuple[str, dict[str, bytes]]:
-    """The page of a notebook (its JSON as `text`), and its pictures by file name.
+    """The page of a notebook (its JSON as `text`), and its images by file name.
 
-    Raises ValueError for an output that is neither text nor a PNG picture.
+    Raises ValueError for an output that is neither text nor a PNG image.
     """
     lines: list[str] = []
     pictures: dict[str, bytes] = {}

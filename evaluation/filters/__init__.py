@@ -61,7 +61,7 @@ class Baseline:
         return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
 
     def __call__(self, image: npt.NDArray[Any], parameters: Mapping[str, Number]) -> Gray:
-        """The denoised picture, (H, W) float32 clipped to 0..1.
+        """The denoised image, (H, W) float32 clipped to 0..1.
 
         Raises FactoryError when the method gives another shape or a value that is no number.
         """

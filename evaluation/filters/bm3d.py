@@ -3,7 +3,7 @@
 Two passes.  Each takes reference blocks, finds the blocks that look alike, stacks them, shrinks
 the stack's coefficients (2D DCT in the block, Walsh-Hadamard across the stack) and puts all blocks
 back as a weighted mean.  The first pass shrinks by a hard threshold; the second is a Wiener filter
-whose signal power is the first pass's picture.  Parameters are the paper's normal profile: block 8,
+whose signal power is the first pass's image.  Parameters are the paper's normal profile: block 8,
 step 3, search 39x39, stacks of up to 16 and 32, 2.7 sigma, Kaiser window with beta = 2.  Different:
 a DCT instead of biorthogonal wavelets in the first pass.
 """
@@ -28,7 +28,7 @@ _STACK_WIENER = 32
 _ALIKE_HARD = (2500 / 255**2, 5000 / 255**2)
 _ALIKE_WIENER = (400 / 255**2, 3500 / 255**2)
 _LOUD = 40 / 255
-_COARSE = 2.0  # threshold in units of sigma before comparing blocks of a loud picture
+_COARSE = 2.0  # threshold in units of sigma before comparing blocks of a loud image
 
 
 def bm3d(image: Gray, sigma: float) -> Gray:
@@ -44,7 +44,7 @@ def bm3d(image: Gray, sigma: float) -> Gray:
     window = np.outer(kaiser, kaiser)
 
     def filtered(compared: Floats, pilot: Floats, tau: float, stack: int, wiener: bool) -> Floats:
-        """One pass over (R, C, 64) coefficients -> (R + 7, C + 7) picture."""
+        """One pass over (R, C, 64) coefficients -> (R + 7, C + 7) image."""
         limit = np.float32(tau * _BLOCK**2)
         noise = np.float32(sigma)
         total, weights = _filter(

@@ -28,7 +28,7 @@ def identity(image: Gray) -> Gray:
 def median(image: Gray, size: int) -> Gray:
     """Median of size x size pixels.
 
-    A picture of 256 levels goes through OpenCV, which gives the same in a fraction of the time.
+    An image of 256 levels goes through OpenCV, which gives the same in a fraction of the time.
     """
     whole = _levels(image)
     if size % 2 and np.array_equal(whole / _WHITE, image):
@@ -55,7 +55,7 @@ def bilateral(image: Gray, sigma_px: float, sigma_gray: float) -> Gray:
 def nlm(image: Gray, strength: float) -> Gray:
     """Non-local means (Buades et al. 2005), OpenCV: 7x7 patches in a 21x21 window.
 
-    OpenCV's takes 8 bits, so the picture is rounded to 255 levels first.
+    OpenCV's takes 8 bits, so the image is rounded to 255 levels first.
     """
     result = cv2.fastNlMeansDenoising(_levels(image), None, strength * 255, 7, 21)
     return np.asarray(result / _WHITE)
@@ -77,7 +77,7 @@ def _levels(image: Gray) -> npt.NDArray[np.uint8]:
 def wavelet(image: Gray, strength: float, levels: int) -> Gray:
     """Translation-invariant soft thresholding (Coifman and Donoho 1995) with the Haar wavelet.
 
-    strength: the threshold as a grey value of the picture.  A detail of level j averages 4^j
+    strength: the threshold as a grey value of the image.  A detail of level j averages 4^j
     pixels, where white noise is 2^j times weaker, and so is the threshold.
     """
     height, width = image.shape

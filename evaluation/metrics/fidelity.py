@@ -135,7 +135,7 @@ class Reference:
         own_edges = own_edges - own_edges.mean()
         image_edges = image_edges - image_edges.mean()
         norm = math.sqrt(float(own_edges @ own_edges) * float(image_edges @ image_edges))
-        # A flat picture leaves rounding errors of the Laplacian, which are no edges.
+        # A flat image leaves rounding errors of the Laplacian, which are no edges.
         least = 1e-16 * self.data_range**2 * own_edges.size
         return math.nan if norm < least else float(own_edges @ image_edges) / norm
 

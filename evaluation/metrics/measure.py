@@ -58,7 +58,7 @@ class Levels:
     offset: float
 
     def __call__(self, image: Floats) -> Gray:
-        """The corrected picture, same shape, float32 in 0..1."""
+        """The corrected image, same shape, float32 in 0..1."""
         return np.clip(self.gain * image + self.offset, 0, 1).astype(np.float32)
 
 
@@ -126,7 +126,7 @@ class Scene:
 
     @cached_property
     def _zones(self) -> Zones:
-        """The even zones of the clean picture, the same for all methods."""
+        """The even zones of the clean image, the same for all methods."""
         return homogeneous_zones(self.pair.clean, data_range=1.0, sector=self.pair.sector)
 
 

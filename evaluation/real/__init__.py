@@ -1,1 +1,1 @@
-"""Pictures of a real sonar, to which no truth exists: what methods make of them."""
+"""Images of a real sonar, to which no truth exists: what methods make of them."""

@@ -79,7 +79,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     """The static groups of a stretch, of each at most so many frames, the first ones.
 
     task: a number that is not looked at, the stretch, and how many frames, None for all.
-    Raises FactoryError for a picture that cannot be read, and a recording without readable frames.
+    Raises FactoryError for an image that cannot be read, and a recording without readable frames.
     """
     _, stretch, limit = task
     recording = len(stretch.shots) > 1 and len({shot.path for shot in stretch.shots}) == 1
@@ -174,7 +174,7 @@ def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Judged]
 
 
 def alone(shot: Shot) -> Judged:
-    """A picture of no group: without a reference."""
+    """An image of no group: without a reference."""
     noisy, geometry = shot.read()
     geometry = geometry or find_geometry(noisy)
     return Judged(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
@@ -223,7 +223,7 @@ def _group(
 
 
 class _Pictures(Sequence[Gray]):
-    """Pictures that are read when they are looked at."""
+    """Images that are read when they are looked at."""
 
     def __init__(self, shots: Sequence[Shot]) -> None:
         self._shots = shots

@@ -49,7 +49,7 @@ TUNED = "tuned on others"
 MARGINS = {"psnr_db": "margin_db", "ssim": "margin_ssim"}
 """Figure -> name of what a row has more of it than the best filter."""
 
-_BATCH = 16  # pictures that are in memory at a time
+_BATCH = 16  # images that are in memory at a time
 _SEARCH_S = 3600.0  # for a stretch
 
 Row = dict[str, Any]
@@ -60,7 +60,7 @@ Row = dict[str, Any]
 class Outcome:
     """What was measured.
 
-    files: names of the pictures.  shown: number -> picture to look at, of those whose images are in
+    files: names of the images.  shown: number -> image to look at, of those whose images are in
     `measured`.  best: figure -> label of the filter that is best in it.
     """
 
@@ -98,7 +98,7 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     else:
         shots = evenly(shots, settings.limit)
         filters = [(Method(method.name, "", dict(method.default)),) for method in baselines]
-        member = np.arange(len(shots))  # every picture is a group
+        member = np.arange(len(shots))  # every image is a group
     every = [(NOISY,), *filters, *((method,) for method in networks)]
     methods = {folds[0].label: folds for folds in every}
     places = np.linspace(0, len(shots) - 1, min(settings.examples, len(shots)))
@@ -186,7 +186,7 @@ def _measured(
     picked: set[int],
     pool: TaskPool,
 ) -> tuple[Measured, dict[int, Judged]]:
-    """Every row on every picture, fold after fold; and number -> picture of those to look at."""
+    """Every row on every image, fold after fold; and number -> image of those to look at."""
     every = Measured()
     shown = dict[int, Judged]()
 
@@ -235,9 +235,9 @@ def rows_of(
     """The rows as plain data; and figure -> label of the best filter in it.
 
     methods: label -> of each fold; one for all folds where it is tuned on nothing, none where it is
-    lost.  member: (N,) group of each judged picture.  static: whether these are scenes at rest.
+    lost.  member: (N,) group of each judged image.  static: whether these are scenes at rest.
     means, intervals: figure -> mean over the groups and its 95 % interval, which there is of two
-    static groups at least; seconds are the median over the pictures, because the first loads and
+    static groups at least; seconds are the median over the images, because the first loads and
     compiles.  by_group: figure -> mean of each group.
     """
     table = measured.table().replace([np.inf, -np.inf], np.nan)
@@ -307,7 +307,7 @@ _BRIGHTER = 0.5  # share of the sector
 
 
 def score(picture: Gray, reference: Gray, mask: Mask) -> tuple[float, float]:
-    """PSNR in dB and SSIM of a picture against its reference, after one gain and offset."""
+    """PSNR in dB and SSIM of an image against its reference, after one gain and offset."""
     fitted = fit_levels([(picture[mask], reference[mask])])(picture)
     return (
         finite_psnr(psnr(reference, fitted, data_range=1.0, mask=mask)),
@@ -317,7 +317,7 @@ def score(picture: Gray, reference: Gray, mask: Mask) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Scene:
-    """What all methods share on a picture; all chosen on the picture as it is.
+    """What all methods share on an image; all chosen on the image as it is.
 
     sector, dark, bright: (H, W) bool.  zones: (N, 2) corners of even blocks.
     """
@@ -330,7 +330,7 @@ class Scene:
 
 
 def scene_of(noisy: Gray, sector: Mask, name: str) -> Scene:
-    """What is measured on a picture, (H, W) in 0..1; sector: (H, W) bool.
+    """What is measured on an image, (H, W) in 0..1; sector: (H, W) bool.
 
     Raises FactoryError, which names it, when it is too small or black.
     """
@@ -360,7 +360,7 @@ def figures_of(image: Gray, shared: Scene) -> Figures:
 
 @dataclass(frozen=True, eq=False)
 class RealPicture(Subject):
-    """A judged picture."""
+    """A judged image."""
 
     judged: Judged
 
@@ -388,6 +388,6 @@ class RealPicture(Subject):
 
     @cached_property
     def _before_db(self) -> float:
-        """PSNR of the picture as it is."""
+        """PSNR of the image as it is."""
         assert self.judged.reference is not None
         return score(self.judged.noisy, self.judged.reference, self.judged.mask)[0]

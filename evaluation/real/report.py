@@ -1,4 +1,4 @@
-"""The report on real pictures: real.json, real.md and real.html."""
+"""The report on real images: real.json, real.md and real.html."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def _verdict(outcome: Outcome) -> str:
 
 
 def _examples(outcome: Outcome) -> list[Example]:
-    """What the rows made of some pictures."""
+    """What the rows made of some images."""
     truth = "mean of the other frames"
     measured = outcome.measured
     examples = []

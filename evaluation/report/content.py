@@ -193,7 +193,7 @@ def best_forms(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 
 def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
-    """Labels for pictures: noisy, then of each method its best form, best first."""
+    """Labels for images: noisy, then of each method its best form, best first."""
     alive = [row for row in rows if row["lost"] is None]
     best = [row["label"] for row in best_forms(alive) if row["kind"] != "noisy"]
     return ["noisy", *best[:most]]

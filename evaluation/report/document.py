@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A picture of a section, a file beside the report.  name: of the file, .svg or .png."""
+    """An image of a section, a file beside the report.  name: of the file, .svg or .png."""
 
     name: str
     caption: str
@@ -55,9 +55,9 @@ class Section:
 
 @dataclass(frozen=True)
 class Example:
-    """Pictures to compare.  images: label -> (H, W) float32 in 0..1, the noisy one first.
+    """Images to compare.  images: label -> (H, W) float32 in 0..1, the noisy one first.
 
-    psnr: label -> dB.  truth: label of the picture that errors are against; '': there is none.
+    psnr: label -> dB.  truth: label of the image that errors are against; '': there is none.
     """
 
     title: str
@@ -112,7 +112,7 @@ def write_files(out: Path, files: Mapping[str, str | bytes]) -> None:
 
 
 def as_data_uri(image: npt.NDArray[np.float32]) -> str:
-    """The picture, (H, W) in 0..1, in 8 bits as a lossless data: URI."""
+    """The image, (H, W) in 0..1, in 8 bits as a lossless data: URI."""
     pixels = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
     _, content = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     return "data:image/png;base64," + base64.b64encode(content.tobytes()).decode("ascii")

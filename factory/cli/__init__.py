@@ -124,7 +124,7 @@ def run_app(
 
 
 def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
-    """Run `action`; turn what a user can mend into one line and an exit code."""
+    """Run `action`; turn an error that a user can correct into one line and an exit code."""
     try:
         result = action()
         return result if isinstance(result, int) else 0

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ..scheduler.results import RunReport
 
 PRINTING = RunReporter()
-# Pictures of which less is lit are hardly meant.
+# Images of which less is lit are hardly meant.
 _LEAST_LIT = 0.01
 _LIKELIEST = (
     "check sonar.hfov_deg (degrees), sonar.range (metres) and, of your own recordings, "

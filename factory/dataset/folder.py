@@ -18,7 +18,7 @@ from .schema import DATASET_NAME, SCHEMA, SPLITS, Provenance, plain_values
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
-# Of workers that crashed; gone after a run that ended by itself.
+# Of workers that crashed; a run that ends normally removes them.
 WORK_NAME = ".work"
 STATUS_NAME = "status.json"
 

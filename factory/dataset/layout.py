@@ -309,7 +309,7 @@ def crc32(values: npt.NDArray[Any]) -> int:
 def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
     """Write /checksums and seal the file, in which everything else stands already.
 
-    sums: layer -> `crc32` of each of its pictures.
+    sums: layer -> `crc32` of each of its images.
     """
     rows = len(next(iter(sums.values())))
     table = np.empty(rows, dtype=[(name, "<u4") for name in sums])

@@ -15,7 +15,7 @@ from .schema import CHECKSUMS
 
 Values = npt.NDArray[np.float64]
 
-# Equal pictures count as this much, so that a mean stays finite.
+# Equal images count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
 
 SIGMA_PX = 1.5

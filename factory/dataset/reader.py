@@ -1,4 +1,4 @@
-"""Finding and opening the shards of a dataset, and reading pictures that fit their checksums."""
+"""Finding and opening the shards of a dataset, and reading images that fit their checksums."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def check_in_isolation(paths: Iterable[Path]) -> None:
 
 
 def check_readable(path: Path) -> None:
-    """Read everything of a shard but its pictures.  Raises FactoryError when it is damaged."""
+    """Read everything of a shard but its images.  Raises FactoryError when it is damaged."""
     with reading(path) as file:
         file["meta"][()]
         check_texts(file)
@@ -119,7 +119,7 @@ def open_shard(path: Path) -> h5py.File:
             break  # another process may have made room meanwhile
     try:
         state = _state_of(path)
-        # A chunk is a picture and read whole: HDF5's cache would only copy it once more (a fifth
+        # A chunk is an image and read whole: HDF5's cache would only copy it once more (a fifth
         # of the time of an uncompressed one) and hold megabytes for every open dataset.
         file = h5py.File(path, "r", rdcc_nbytes=0)
     except OSError as error:
@@ -181,7 +181,7 @@ def value_range(file: h5py.File) -> float:
     return VALUE_RANGES[str(file["noisy"].dtype)][1]
 
 
-# --- pictures
+# --- images
 
 Image = npt.NDArray[Any]
 
@@ -190,10 +190,10 @@ _MOST_FILES = 64
 
 
 class ImageStack:
-    """`stack[row]` is one (H, W) picture, as stored and writable.
+    """`stack[row]` is one (H, W) image, as stored and writable.
 
-    Pictures in colour have a third dimension.
-    Raises FactoryError (without the file's name) for a picture that is damaged.
+    Images in colour have a third dimension.
+    Raises FactoryError (without the file's name) for an image that is damaged.
     """
 
     def __init__(self, dataset: h5py.Dataset) -> None:
@@ -203,16 +203,16 @@ class ImageStack:
         self._sums = dataset.file[CHECKSUMS][dataset.name[1:]]
 
     def __len__(self) -> int:
-        """Number of pictures."""
+        """Number of images."""
         return len(self._dataset)
 
     def __getitem__(self, row: int) -> Image:
-        """One picture."""
+        """One image."""
         number = range(len(self))[row]
         image: Image = np.empty(*self._form)
         try:
             if self._gzip:
-                # 1.5 times as fast as by HDF5, and never more bytes than a picture has.
+                # 1.5 times as fast as by HDF5, and never more bytes than an image has.
                 place = (number, *(0 for _ in image.shape))
                 _, packed = self._dataset.id.read_direct_chunk(place)
                 pixels = DEFLATE.decompressobj().decompress(packed, image.nbytes)

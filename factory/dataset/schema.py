@@ -33,11 +33,11 @@ DATASET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 # Every shard says whose sample a row is; a source adds its own columns to these.
 REQUIRED_COLUMNS = ("location", "scene", "frame", "variant")
 VALUE_RANGES: dict[str, tuple[float, float]] = {"uint8": (0, 255), "float32": (0.0, 1.0)}
-# A row a sample, a column a layer: CRC-32 of each picture.
+# A row a sample, a column a layer: CRC-32 of each image.
 CHECKSUMS = "checksums"
 # Root attributes that are made of all the rest.
 SEALS = ("checksum", "text_checksum")
-# A picture of 4096 x 4096; the largest imaging sonars have 2048 beams.
+# An image of 4096 x 4096; the largest imaging sonars have 2048 beams.
 MAX_PIXELS = 1 << 24
 
 
@@ -46,7 +46,7 @@ class Layer:
     """One image stack of a shard: (samples, rows, columns), chunked one image at a time.
 
     classes: what the values 0, 1, 2, ... mean, for labels.  least, most: limits of real numbers.
-    of_camera: names of the dimensions of a picture that is the camera's; it has a size of its own
+    of_camera: names of the dimensions of an image that is the camera's; it has a size of its own
         and no axes.  Empty for the sonar's.
     grey: whether it holds grey values, stored as uint8 or float32 as the user chose.
     """
@@ -72,7 +72,7 @@ class Layer:
         }
 
     def size_problem(self, shape: tuple[int, ...], sonar_shape: tuple[int, ...]) -> str | None:
-        """What is wrong with the shape of a picture.  sonar_shape: (H, W) of the sonar's."""
+        """What is wrong with the shape of an image.  sonar_shape: (H, W) of the sonar's."""
         fits = shape == sonar_shape
         if self.of_camera:
             fits = len(shape) == len(self.of_camera) and shape[2:] in ((), (CHANNELS,))
@@ -82,7 +82,7 @@ class Layer:
         return f"is {shape}; expected {expected} and at most {MAX_PIXELS} pixels"
 
     def value_problem(self, picture: npt.NDArray[np.generic]) -> str | None:
-        """What is wrong with the values of a picture of the right type."""
+        """What is wrong with the values of an image of the right type."""
         kind = picture.dtype.kind
         if self.classes and picture.max() >= len(self.classes):
             return f"has class {picture.max()}; the schema knows {len(self.classes)}"
@@ -210,7 +210,7 @@ class Pair:
     noisy, clean: (H, W) uint8, or float32 in [0, 1].
     shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
     record: column name -> value, everything needed to make this very sample again.
-    layers: name -> (H, W) optional picture (rgb: (H, W, 3)), as `OPTIONAL_LAYERS` describes them.
+    layers: name -> (H, W) optional image (rgb: (H, W, 3)), as `OPTIONAL_LAYERS` describes them.
     formation: how the device formed the image, by which `denoise` chooses its weights; "" where
         that is not known or was drawn.
     geometry: where range and bearing are in noisy and clean, or None where that is not known.
@@ -225,7 +225,7 @@ class Pair:
     geometry: FanGeometry | None = None
 
     def image(self, layer: str) -> npt.NDArray[np.generic]:
-        """The picture that goes to a layer: (H, W), of rgb (H, W, 3)."""
+        """The image that goes to a layer: (H, W), of rgb (H, W, 3)."""
         return np.asarray(getattr(self, layer)) if layer in CORE else self.layers[layer]
 
 

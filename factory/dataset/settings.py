@@ -24,8 +24,8 @@ class DatasetSettings:
     dtype: of /noisy and /clean: uint8 (0..255) or float32 (0..1).
     compression: none reads five times as fast as gzip, and takes more room.
     compression_level: of gzip.
-    layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
-        for each), `static` (the clean picture without moving objects), and what lies behind a
+    layers: more images for each sample: `effects` (the noisy image with one noise effect alone,
+        for each), `static` (the clean image without moving objects), and what lies behind a
         pixel: range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
         segmentation (of procedural scenes; brings instance); of acoustics=coherent also
         what was received: intensity_db and field (complex); and what the camera saw: rgb and

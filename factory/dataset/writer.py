@@ -133,7 +133,7 @@ def _create_stacks(
     shapes: Mapping[Layer, tuple[int, ...]],
     settings: DatasetSettings,
 ) -> dict[Layer, h5py.Dataset]:
-    """Empty, growing image stacks with their axes attached.  shapes: layer -> of its pictures."""
+    """Empty, growing image stacks with their axes attached.  shapes: layer -> of its images."""
     for axis in axes:
         _write_axis(file, axis)
     filters: dict[str, Any] = {}
@@ -179,7 +179,7 @@ def _write_gzip_chunk(
 ) -> None:
     """Store an image as chunk `number` of a stack that has gzip and fletcher32 as its filters.
 
-    HDF5's own deflate costs as much as forming the picture.  ISA-L makes the same format, as small,
+    HDF5's own deflate costs as much as forming the image.  ISA-L makes the same format, as small,
     seven times faster; HDF5 only stores what comes of it, and every reader opens it.
     """
     plain = np.ascontiguousarray(image).data

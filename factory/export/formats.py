@@ -229,7 +229,7 @@ def write_huggingface(pairs: PairDataset, folder: Path) -> str:
 
     `load_dataset("out")` gives train and test with images.  Parquet as the hub keeps it: each image
     is a struct of PNG bytes and a path, and the schema's metadata tell `datasets` that these are
-    images.  float32 pictures become Array2D columns.
+    images.  float32 images become Array2D columns.
     """
     import pyarrow
     from pyarrow import parquet
@@ -409,7 +409,7 @@ def write_coco(pairs: PairDataset, folder: Path) -> str:
     """images/SPLIT/NAME.png and annotations/instances_SPLIT.json, with boxes and masks.
 
     Categories have the numbers of the classes (`simnfnd.factory.labels`), from 1.  clean/SPLIT
-    holds the ideal pictures.  Format: https://cocodataset.org/#format-data.
+    holds the ideal images.  Format: https://cocodataset.org/#format-data.
     """
     height, width = pairs.shape
     counts = Counter[str]()

@@ -1,9 +1,9 @@
 """The physical image formation: a frame by the sonar equation.
 
     scatterers -> speckle, haze, multipath -> pulse and beams -> leaks, receiver noise
-      -> time-varying gain -> channels, interference, saturation -> transfer curve -> picture
+      -> time-varying gain -> channels, interference, saturation -> transfer curve -> image
 
-The clean picture comes through the same device, gain and transfer curve without the noise; see
+The clean image comes through the same device, gain and transfer curve without the noise; see
 `acoustics.target`.
 """
 
@@ -21,14 +21,14 @@ from ..sonar import polar, transfer
 from .contract import EffectCloud, Floats, Layers, Sample, effect_clouds
 from .effect import DrawnEffect
 from .expected import Expected, display, expected
-from .signal import Ping, Signal, averaged, beamform, beamform_power, sounds
+from .signal import Ping, Signal, averaged, beamform, beamform_power, is_audible
 
 
 @dataclass(frozen=True, eq=False)
 class CoherentScene(Ping):
     """A frame as the device receives it: what all its samples share; no randomness.
 
-    static: the same of the scene without moving objects, which decides the scale of the picture;
+    static: the same of the scene without moving objects, which decides the scale of the image;
         None where nothing moves.
     """
 
@@ -93,7 +93,7 @@ class CoherentSample(Sample):
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
         """Of intensity_db, field: (range_bins, beams) float32 dB re 1 uPa, complex64 uPa.
 
-        What saturates and what the device adds is in them as it is in the picture.
+        What saturates and what the device adds is in them as it is in the image.
         Raises FrameError for the field of several looks.
         """
         images: dict[str, Layers] = {}
@@ -134,7 +134,7 @@ class CoherentSample(Sample):
         return self._displayed(state, shown_names)
 
     def _displayed(self, state: Expected, effects: Collection[str]) -> Floats:
-        """The expected picture of intensities at the raw samples, and the clouds' echoes."""
+        """The expected image of intensities at the raw samples, and the clouds' echoes."""
         ping = self.scene
         state = state.averaged(ping.kernel, ping.surface.sonar.samples_per_bin)
         for extra in self._added(effects):
@@ -168,8 +168,8 @@ def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
     for effect in effects:
         if effect.stage == "echo":
             signal = effect.apply(signal, ping)
-    field = beamform(signal.field, ping) if sounds(signal.field) else signal.field
-    if sounds(signal.power):
+    field = beamform(signal.field, ping) if is_audible(signal.field) else signal.field
+    if is_audible(signal.power):
         # What has no speckle arrives at its expected strength, in phase.
         field[:, 0] += np.sqrt(beamform_power(signal.power, ping))
     for effect in effects:

@@ -1,4 +1,4 @@
-"""What an image formation is: from a frame's surface to clean and noisy polar pictures.
+"""What an image formation is: from a frame's surface to clean and noisy polar images.
 
 `simnfnd.factory.pairs` assembles pairs with it and knows no more.
 """
@@ -34,9 +34,9 @@ class EffectCloud(NamedTuple):
 class Sample(ABC):
     """One sample of a scene.
 
-    Pictures are (range_bins, beams) float32 grey values, 0 to 1, and 0 in beams without data.
+    Images are (range_bins, beams) float32 grey values, 0 to 1, and 0 in beams without data.
     effects: those drawn for it.  clouds: of each of stage points.
-    rate: fraction of the scene's points that are kept.  points: number of those in the pictures.
+    rate: fraction of the scene's points that are kept.  points: number of those in the images.
     full_scale: echo intensity, after time-varying gain, that is shown as grey value 1.
     """
 
@@ -54,16 +54,16 @@ class Sample(ABC):
     @property
     @abstractmethod
     def clean(self) -> Floats:
-        """The clean picture."""
+        """The clean image."""
 
     @abstractmethod
     def noisy(self, effects: Collection[str]) -> Floats:
-        """The picture with those of the drawn effects that are named."""
+        """The image with those of the drawn effects that are named."""
 
     def without(self, artefacts: Collection[str]) -> Floats:
-        """The picture as it would be without these artefacts, under the same random streams.
+        """The image as it would be without these artefacts, under the same random streams.
 
-        Without speckle it is the expected displayed picture: what averages out is averaged.
+        Without speckle it is the expected displayed image: what averages out is averaged.
         """
         return self.noisy(self.free_of(artefacts))
 

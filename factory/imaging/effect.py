@@ -22,7 +22,7 @@ Value = float | int | str
 # after beamforming; after time-varying gain.
 Stage = Literal["points", "echo", "beam", "picture"]
 
-# What an effect shows in a picture, and what a network can learn to remove: grain that averages
+# What an effect shows in an image, and what a network can learn to remove: grain that averages
 # out; a level added to the ground; bright beams and arcs; copies of objects at the wrong place;
 # smeared ranges; wrong gains of beams and ranges.
 Artefact = Literal["speckle", "haze", "spokes", "ghosts", "blur", "gains"]
@@ -58,17 +58,17 @@ class Effect:
     settings: its block of the configuration; every field but `enabled` is made by `parameter`.
     function: pure, `(subject, context, rng, **parameters) -> subject`.  Stage points: subject and
         result are Echoes, the context is the Window.  Stage echo: a Signal and the Ping; stages
-        beam and picture: the complex field and the Ping.  These may change the field in place.
-    artefact: what it shows in a picture and what a denoiser may be asked to remove; None: it is a
+        beam and image: the complex field and the Ping.  These may change the field in place.
+    artefact: what it shows in an image and what a denoiser may be asked to remove; None: it is a
         property of the scene, which a denoiser keeps.
     scope: what shares one draw and one random stream: a sample; all frames of a recording (the
         device's own effects); or "world", a recording whose frames have poses, else a sample.
     moves: of stage points, displaces the scene's own echoes; the others add echoes to them.
-    systematic: of the field's effects that are there in every picture of a scene and device, which
+    systematic: of the field's effects that are there in every image of a scene and device, which
         target mean_log keeps, what they do on average: changes an `expected.Expected` in place,
         `(expected, ping, rng, **parameters)`, with the random stream of `function`.
     expected: the same of random ones, which average out.  None: nothing.
-    realised: of random effects, the same for what they do in this one sample, where a picture
+    realised: of random effects, the same for what they do in this one sample, where an image
         without speckle still shows it.  None: as `expected`.
     name: of an effect of another package, what its block in `noise` is called; those of
         `NoiseSettings` have the names of its fields.

@@ -1,4 +1,4 @@
-"""The expected displayed picture: what the average of many noisy pictures of one scene shows.
+"""The expected displayed image: what the average of many noisy images of one scene shows.
 
 A display of levels shows less than the level of the mean intensity: speckle of L looks is
 gamma-distributed, and E[10 log10 I] lies psi(L) - ln L nepers below 10 log10 E[I], 2.51 dB for one
@@ -6,7 +6,7 @@ look (psi: digamma).  So every effect says what it makes of the expected intensi
 transfer curve is averaged over their distribution, clipping included.
 
 Random effects (speckle, texture, spokes) average out; systematic ones (haze, a wrong gain, ghosts)
-are there in every picture: target mean_log keeps them, target restored has none of them.
+are there in every image: target mean_log keeps them, target restored has none of them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..sonar import transfer
 from ..sonar.settings import TransferSettings
 from .contract import Floats
 from .effect import DrawnEffect
-from .signal import Ping, averaged, sounds
+from .signal import Ping, averaged, is_audible
 
 # The table of expected grey values: levels over full scale, dB, and their fluctuation.
 _BEYOND_DB = 30.0
@@ -114,7 +114,7 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     power = {"linear": 0.5, "power": 0.5 * settings.exponent}.get(settings.kind, 0.0)
     # E[x^p]^(1/p) of a log-normal x of median 1.
     full_scale /= float(np.exp(power * state.scintillation_nepers2 / 2))
-    if not (sounds(state.echo) or sounds(state.noise)):
+    if not (is_audible(state.echo) or is_audible(state.noise)):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
     unit = np.float32(1)
     total = state.total() + _FAINTEST

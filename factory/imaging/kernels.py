@@ -512,9 +512,9 @@ def scatter(
     table, turns = tables
     for i in range(bin_of.shape[0]):
         at = bin_of[i]
-        lot = mixed(np.uint32(name_of[i] ^ key)) >> _16
-        real = table[lot, 0]
-        imaginary = table[lot, 1]
+        entry = mixed(np.uint32(name_of[i] ^ key)) >> _16
+        real = table[entry, 0]
+        imaginary = table[entry, 1]
         if share_of.shape[0]:
             real = share_of[i] * real
             imaginary = share_of[i] * imaginary

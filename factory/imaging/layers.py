@@ -1,6 +1,6 @@
-"""What lies behind each pixel of a picture: optional layers that no noise touches.
+"""What lies behind each pixel of an image: optional layers that no noise touches.
 
-A picture has lost the elevation, and the object that an echo came from.  Both are known here: each
+An image has lost the elevation, and the object that an echo came from.  Both are known here: each
 range bin of each beam tells of the strongest echo in it.
 """
 
@@ -21,7 +21,7 @@ _OF_ECHOES = {"range", "azimuth", "elevation", "elevation_min", "elevation_max",
 
 
 def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture]:
-    """(range_bins, beams) pictures of the requested layers, by the names of `OPTIONAL_LAYERS`.
+    """(range_bins, beams) images of the requested layers, by the names of `OPTIONAL_LAYERS`.
 
     requested: of range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
         segmentation (which brings instance); other names are ignored.

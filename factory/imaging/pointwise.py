@@ -1,7 +1,7 @@
 """The paper's image formation: every echo is a point, a bin's level gathers its points.
 
-echoes -> resampled scene -+-> bins -> point-spread -> transfer curve -> clean picture
-+ noise  -+-> the same                               -> noisy picture
+echoes -> resampled scene -+-> bins -> point-spread -> transfer curve -> clean image
++ noise  -+-> the same                               -> noisy image
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .settings import ResampleSettings
 class PointwiseScene:
     """A frame as echoes at full density, and the seed of the random streams of its samples.
 
-    static: the same of the scene without moving objects, which decides the scale of the picture;
+    static: the same of the scene without moving objects, which decides the scale of the image;
         None where nothing moves.
     """
 
@@ -114,8 +114,8 @@ def random_subset(echoes: Echoes, rate: float, rng: np.random.Generator) -> Echo
         return echoes
     from ..sonar import kernels  # loads numba
 
-    lot = rng.random(len(echoes), dtype=np.float32)
+    chance = rng.random(len(echoes), dtype=np.float32)
     source = tuple(map(np.ascontiguousarray, vars(echoes).values()))
     subset = tuple(np.empty(len(echoes) + 1, np.float32) for _ in source)
-    count = kernels.thin(source, lot, np.float32(rate), subset)
+    count = kernels.thin(source, chance, np.float32(rate), subset)
     return Echoes(*(values[:count] for values in subset))

@@ -28,7 +28,7 @@ _WORTH_IT = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """Echoes before they are a picture.  Their intensity is power + |field|^2.
+    """Echoes before they are an image.  Their intensity is power + |field|^2.
 
     Intensities are those at the receiver over the source level (1 m from the source).
     power: (range_bins, beams) float32, mean intensity of what has no speckle (yet).
@@ -61,7 +61,7 @@ class PointEchoes(NamedTuple):
 class Ping:
     """One ping of the device at one frame, at its raw samples; no randomness.
 
-    surface: what it looks at; the sonar of it has the range bins of the picture.
+    surface: what it looks at; the sonar of it has the range bins of the image.
     """
 
     surface: LitSurface
@@ -162,17 +162,17 @@ class Ping:
 
     @cached_property
     def full_scale(self) -> float:
-        """Intensity, after that gain, which the picture shows as grey value 1."""
+        """Intensity, after that gain, which the image shows as grey value 1."""
         curve = self.sonar.transfer
         if curve.full_scale_db is not None:
             return float((10 ** (curve.full_scale_db / 20)) ** 2)
-        # Bins that hold an echo alone say how bright the picture is shown.
+        # Bins that hold an echo alone say how bright the image is shown.
         holding = (self.scatterers.power > 0) & polar.seen_beams(self.window, self.sonar)
         level = np.where(holding, np.sqrt(self.expected * self.gain[:, None]), np.float32(0))
         return transfer.full_scale(self.averaged(level), curve) ** 2
 
     def averaged(self, amplitude: Floats) -> Floats:
-        """(rows, beams) of the picture: the root of the mean intensity of its raw samples."""
+        """(rows, beams) of the image: the root of the mean intensity of its raw samples."""
         samples = self.surface.sonar.samples_per_bin
         return amplitude if samples == 1 else np.sqrt(averaged(amplitude**2, samples))
 
@@ -184,7 +184,7 @@ def averaged(intensity: Floats, samples: int) -> Floats:
     return np.ascontiguousarray(mean)
 
 
-def sounds(plane: Floats) -> bool:
+def is_audible(plane: Floats) -> bool:
     """Whether anything is not 0; a tenth of the time of `plane.any()`."""
     return bool((plane != 0).any())
 

@@ -12,7 +12,7 @@ from ..distribution import AnyNumber, NonNegative, Positive
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
 from ..imaging.scatterers import vertical_table
-from ..imaging.signal import Floats, Ping, Signal, mixing, sounds
+from ..imaging.signal import Floats, Ping, Signal, is_audible, mixing
 from ..settings import STRICT
 
 # A spoke is cut off this many standard deviations from its centre.
@@ -68,7 +68,7 @@ def _add_mirrored_echoes(signal: Signal, ping: Ping, plane: Plane) -> Signal:
     """
     from ..imaging import kernels  # loads numba
 
-    has_power = sounds(signal.power)
+    has_power = is_audible(signal.power)
     if not (has_power or signal.field.size):
         return signal
 

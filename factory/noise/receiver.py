@@ -56,7 +56,7 @@ def _floor(ping: Ping, level_db: float) -> npt.NDArray[np.floating]:
 
 
 def expect_receiver(state: Expected, ping: Ping, rng: Rng, *, level_db: float, grain: str) -> None:
-    """The floor that the noise gives the picture."""
+    """The floor that the noise gives the image."""
     state.noise += _floor(ping, level_db).astype(np.float32)
 
 
@@ -81,7 +81,7 @@ class BeamGainSettings(EffectSettings):
 class SectorEdgesSettings(EffectSettings):
     """Keys of `noise.sector_edges`: transmitter and receivers look ahead, and less to the sides.
 
-    Pictures of the Marine Debris Dataset are a third darker at the sides of the sector than in its
+    Images of the Marine Debris Dataset are a third darker at the sides of the sector than in its
     middle (docs/realism.md); makers give a sector as the width at which that is 3 dB.
     level_db: how far the outermost bearings of the sector lie below straight ahead, dB; in between
         it grows with the square of the bearing, as the main lobe of a beam pattern does.

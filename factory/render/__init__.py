@@ -1,4 +1,4 @@
-"""Ideal sonar renders: the light is the sonar, the picture is what it would hear without noise."""
+"""Ideal sonar renders: the light is the sonar, the image is what it would hear without noise."""
 
 from __future__ import annotations
 

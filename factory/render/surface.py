@@ -64,8 +64,8 @@ class Pixels:
     """A frame at full resolution: which pixels are surface, and how strongly each scatters.
 
     depth_m, albedo: (H, W) float32.  mask: (H, W) bool.  grid: see `grid_of`.
-    edge_ratio: see `RenderSettings`.  stride: every how-manieth row and column is traced, from the
-        first on (of two).
+    edge_ratio: see `RenderSettings`.  stride: interval of the traced rows and columns,
+        from the first on (of two).
     """
 
     depth_m: npt.NDArray[np.float32]
@@ -134,7 +134,7 @@ _DARKEST_FLATTENED = 0.1
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 # The local mean is taken over a window of this part of the image height: wider than the texture of
-# a stone, narrower than the way over which water dims and colours the picture.
+# a stone, narrower than the way over which water dims and colours the image.
 _WINDOW = 1 / 8
 
 
@@ -304,7 +304,7 @@ def surface_mesh(pixels: Pixels, surface: Surface) -> SurfaceMesh:
 
 
 def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Places, Places]:
-    """Rim triangles of a padded picture, each corner a pixel or half way from it to another one.
+    """Rim triangles of a padded image, each corner a pixel or half way from it to another one.
 
     Returns owner and other (R, 3), flat indices: equal where the corner is the pixel itself.
     """

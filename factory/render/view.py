@@ -1,7 +1,7 @@
 """The clean render of one frame in the few numbers that noise needs, and its compact form.
 
 Depth and radiance of each surface pixel, rounded to equal steps of their logarithm (two bytes
-each).  Every picture is made from the rounded numbers, whether they come from the renderer or from
+each).  Every image is made from the rounded numbers, whether they come from the renderer or from
 a file, so what was cached gives the same bytes as what was not.  The steps are 0.02 % of the depth
 and 0.05 % of the radiance, so rounding moves a point by at most 0.01 % of its distance, a fortieth
 of the farthest of 256 range bins.

@@ -69,7 +69,7 @@ def locked(folder: Path, part: str = "") -> Iterator[None]:
                 raise _refused(folder, _owner(folder / rival))
         yield
     finally:
-        # While it is held: who waits for it finds that the file is gone, and makes another.
+        # Removed while it is held: a waiting process finds the file missing and creates another.
         with suppress(OSError):
             path.unlink()
         lock.release()

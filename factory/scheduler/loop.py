@@ -70,7 +70,7 @@ class Loop:
     def run(self) -> None:
         """Go on until every shard is settled.
 
-        Raises FactoryError for what no other try can mend, and what a worker raised.
+        Raises FactoryError for an error that no other attempt can repair, and what a worker raised.
         """
         while self._unsettled:
             self._submit_what_fits()
@@ -172,9 +172,9 @@ class Loop:
 
     def _settle(self, shard: ShardAttempt, result: ShardResult) -> None:
         self._unsettled -= 1
-        gone = {failure.ref.name for failure in result.failures}
-        lost = sum(len(variants) for ref, variants in shard.task.items if ref.name in gone)
+        failed_frames = {failure.ref.name for failure in result.failures}
+        lost = sum(len(variants) for ref, variants in shard.task.items if ref.name in failed_frames)
         self._progress.settled += shard.task.samples
         self._progress.lost += lost
-        self._progress.lost_frames += len(gone)
+        self._progress.lost_frames += len(failed_frames)
         self._results.settle(shard.task, result)

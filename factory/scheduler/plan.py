@@ -118,7 +118,7 @@ class Job(Recipe):
 
 
 def work_folder(directory: Path, shard: ShardSlice) -> Path:
-    """The folder of a run's own files, gone at its end."""
+    """The folder of a run's own files, removed at its end."""
     return directory / (f"{WORK_NAME}-{shard.part}" if shard.part else WORK_NAME)
 
 

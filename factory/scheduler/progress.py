@@ -80,9 +80,9 @@ class ProgressBar:
         return sum(self.frames.values()) - self.frames["total"]
 
     def _draw(self, *, last: bool = False) -> None:
-        gone_s, share = self._rate()
+        elapsed_s, share = self._rate()
         if self._reporter.progress is not None:
-            self._reporter.progress(self._snapshot(gone_s, share))
+            self._reporter.progress(self._snapshot(elapsed_s, share))
             return
         # Such as `frames 3/40 (1 from cache), pairs 2/40, 1 failed`.
         counts = f"pairs {self._pairs - self.lost}/{self._total}"
@@ -92,8 +92,10 @@ class ProgressBar:
             counts = f"frames {self._prepared()}/{total}{cached}, {counts}"
         if self._failed:
             counts += f", {self._failed} failed"
-        left = f", {clock(gone_s / share - gone_s)} left" if 0 < share < 1 and not last else ""
-        text = f"{counts}; {clock(gone_s)} gone{left}"
+        left = (
+            f", {clock(elapsed_s / share - elapsed_s)} left" if 0 < share < 1 and not last else ""
+        )
+        text = f"{counts}; {clock(elapsed_s)} elapsed{left}"
         if self._bar is not None:
             self._bar.n = max(self._bar.n, share)  # work that is lost does not show
             self._bar.set_description_str(text)
@@ -103,7 +105,7 @@ class ProgressBar:
             self._shown = counts
             self._reporter.stage(text)
 
-    def _snapshot(self, gone_s: float, share: float) -> RunProgress:
+    def _snapshot(self, elapsed_s: float, share: float) -> RunProgress:
         return RunProgress(
             pairs_done=self._pairs - self.lost,
             pairs_total=self._total,
@@ -111,7 +113,7 @@ class ProgressBar:
             frames_total=self.frames["total"],
             frames_failed=self._failed,
             share=share,
-            seconds=gone_s,
+            seconds=elapsed_s,
         )
 
     def _rate(self) -> tuple[float, float]:
@@ -121,12 +123,12 @@ class ProgressBar:
         return time.monotonic() - self._begun, min(done / whole, 1.0) if whole else 1.0
 
     def _write(self, state: str) -> None:
-        gone_s, share = self._rate()
+        elapsed_s, share = self._rate()
         document = {
             "state": state,
             "pairs": {"done": self._pairs - self.lost, "total": self._total},
-            "pairs_per_second": round((self._pairs - self._first) / max(gone_s, 1e-9), 3),
-            "seconds_left": round(gone_s / share - gone_s) if share else None,
+            "pairs_per_second": round((self._pairs - self._first) / max(elapsed_s, 1e-9), 3),
+            "seconds_left": round(elapsed_s / share - elapsed_s) if share else None,
             "frames": self.frames,
         }
         # Whoever writes what matters reports a full disk.

@@ -148,7 +148,7 @@ class _Shard:
         try:
             try:
                 pairs = self._source.pairs(ref, variants)
-            except NotRendered:  # nobody prepared it, it was damaged, or has gone from the cache
+            except NotRendered:  # not prepared yet, damaged, or evicted from the cache
                 if self._recipe.preparer is None:
                     raise
                 preparer: Preparer = _build(self._recipe.preparer, self._recipe)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:  # settings load pydantic, which pictures of real sonars can do without
+if TYPE_CHECKING:  # settings load pydantic, which images of real sonars can do without
     from .settings import SonarSettings
     from .window import Window
 
-_LARGEST_PX = 1536  # of an enlarged picture
+_LARGEST_PX = 1536  # of an enlarged image
 
 AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
@@ -35,7 +35,7 @@ class FanTable:
     beams: int
 
     def bilinear(self, polar: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
-        """(H, W) float32 fan picture of a (range_bins, beams) image; 0 outside the sector."""
+        """(H, W) float32 fan image of a (range_bins, beams) image; 0 outside the sector."""
         from . import kernels  # loads numba
 
         fan = np.zeros(self.inside.shape, np.float32)
@@ -45,7 +45,7 @@ class FanTable:
         return fan
 
     def nearest(self, polar: npt.NDArray[AnyNumber], outside: float = 0) -> npt.NDArray[AnyNumber]:
-        """(H, W) fan picture of a mask, labels or lengths, never mixed; `outside` the sector."""
+        """(H, W) fan image of a mask, labels or lengths, never mixed; `outside` the sector."""
         bins = np.append(polar.ravel(), np.asarray([outside], polar.dtype))
         # An index of -1 is that of `outside`.
         return np.asarray(bins.take(self.best, mode="wrap"))
@@ -74,7 +74,7 @@ def pixel_size(sonar: SonarSettings, near_fraction: float) -> float:
 def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
     """The mapping for a window with range_min = near_fraction * range_max.
 
-    Apex below the picture (or at its lower edge), far range on top, azimuth 0 in the middle.
+    Apex below the image (or at its lower edge), far range on top, azimuth 0 in the middle.
     """
     rows, columns = sonar.image.height_px, sonar.image.width_px
     pixel = pixel_size(sonar, near_fraction)
@@ -100,7 +100,7 @@ def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
 def lay_out(
     grey: npt.NDArray[np.float32], window: Window, sonar: SonarSettings
 ) -> npt.NDArray[np.float32]:
-    """A polar picture in the layout that was asked for; 0 outside the sector of a fan."""
+    """A polar image in the layout that was asked for; 0 outside the sector of a fan."""
     if sonar.image.layout == "polar":
         return grey
     return fan_table(sonar, window.near_fraction).bilinear(grey)
@@ -140,7 +140,7 @@ def rasterised(
 def lay_out_nearest(
     picture: npt.NDArray[AnyNumber], window: Window, sonar: SonarSettings
 ) -> npt.NDArray[AnyNumber]:
-    """A polar mask, label or length picture in the layout that was asked for, never mixed.
+    """A polar mask, label or length image in the layout that was asked for, never mixed.
 
     Outside the sector of a fan: NaN for lengths, 0 for the others.
     """

@@ -1,4 +1,4 @@
-"""Where range and bearing lie in a sonar picture, simulated or real.
+"""Where range and bearing lie in a sonar image, simulated or real.
 
 Needs numpy alone, so that datasets, networks, reports and readers of recordings all share it.
 """
@@ -30,7 +30,7 @@ _UNKNOWN_SECTOR_DEG = 30.0
 
 @dataclass(frozen=True)
 class FanGeometry:
-    """Range and bearing of every pixel of one picture.
+    """Range and bearing of every pixel of one image.
 
     layout: fan (far range on top, apex at or below the lower edge; or see quarter_turns) or polar
         (a row a range bin, near range first; a column a beam, left to right).
@@ -41,7 +41,7 @@ class FanGeometry:
     fan: apex_x_px, apex_y_px, the centre of the arcs, in pixels from the centre of the top left
         pixel; far_px, the radius of range_max along y; x_scale, pixels along x for the distance of
         one along y.  quarter_turns, 0 to 3, counter-clockwise (`numpy.rot90`), bring far range to
-        the top; the apex is that of the picture as it is, far_px and x_scale of the turned one.
+        the top; the apex is that of the image as it is, far_px and x_scale of the turned one.
     polar: range_bins, the number of rows; beam_azimuths_rad, the bearing of each column in
         ascending order, evenly spaced or not.  Both are empty until `with_size`.
     """
@@ -70,7 +70,7 @@ class FanGeometry:
         azimuth_min_rad: float = -math.pi,
         azimuth_max_rad: float = math.pi,
     ) -> FanGeometry:
-        """The factory's picture of a range window by a device (see `simnfnd.factory.sonar.fan`).
+        """The factory's image of a range window by a device (see `simnfnd.factory.sonar.fan`).
 
         azimuth_min_rad, azimuth_max_rad: the part of the sector that the camera saw.
         """
@@ -87,7 +87,7 @@ class FanGeometry:
 
     @classmethod
     def from_record(cls, sonar: SonarSettings, record: Mapping[str, Any] | np.void) -> FanGeometry:
-        """The picture of one row of a dataset's /meta.
+        """The image of one row of a dataset's /meta.
 
         Raises KeyError or ValueError for a row without its window.
         """
@@ -100,7 +100,7 @@ class FanGeometry:
         cls, sector_rad: float, *, apex_x_px: float, apex_y_px: float, near_px: float,
         far_px: float, **more: Any,
     ) -> FanGeometry:  # fmt: skip
-        """A fan picture measured in pixels, its whole sector with data.
+        """A fan image measured in pixels, its whole sector with data.
 
         near_px, far_px: radii of range_min and range_max along y.
         more: where they are known x_scale, range_min_m, range_max_m.
@@ -115,7 +115,7 @@ class FanGeometry:
         range_min_m: float | None = None,
         range_max_m: float | None = None,
     ) -> FanGeometry:
-        """A polar picture that divides its window (unknown: from range 0 on) and sector evenly.
+        """A polar image that divides its window (unknown: from range 0 on) and sector evenly.
 
         `with_size` says how many rows and columns there are.
         """
@@ -126,7 +126,7 @@ class FanGeometry:
         return cls("polar", near_fraction, sector_rad, -half, half, near, far)
 
     def with_size(self, rows: int, columns: int) -> FanGeometry:
-        """The geometry for a picture of this size; another one only where polar sizes were open."""
+        """The geometry for an image of this size; another one only where polar sizes were open."""
         if self.layout == "fan" or self.beam_azimuths_rad:
             return self
         step = (np.arange(columns) + 0.5) / columns
@@ -134,9 +134,9 @@ class FanGeometry:
         return replace(self, range_bins=rows, beam_azimuths_rad=bearings)
 
     def scaled(self, rows: int, columns: int, scale: float) -> FanGeometry:
-        """The geometry of a fan after the picture was resized by `scale`, to this size.
+        """The geometry of a fan after the image was resized by `scale`, to this size.
 
-        A polar picture keeps its sector; its new columns divide it evenly.
+        A polar image keeps its sector; its new columns divide it evenly.
         """
         if self.layout == "polar":
             return replace(self, range_bins=0, beam_azimuths_rad=()).with_size(rows, columns)
@@ -148,7 +148,7 @@ class FanGeometry:
         )
 
     def turned(self, rows: int, columns: int) -> FanGeometry:
-        """The geometry after `quarter_turns` of a picture of this size: far range on top."""
+        """The geometry after `quarter_turns` of an image of this size: far range on top."""
         x, y = self.apex_x_px, self.apex_y_px
         last_row = rows - 1
         last_column = columns - 1
@@ -157,7 +157,7 @@ class FanGeometry:
         return replace(self, apex_x_px=apex_x_px, apex_y_px=apex_y_px, quarter_turns=0)
 
     def turned_back(self, quarter_turns: int, rows: int, columns: int) -> FanGeometry:
-        """The inverse of `turned`: of a picture of this size that lies `quarter_turns` off."""
+        """The inverse of `turned`: of an image of this size that lies `quarter_turns` off."""
         size = (rows, columns) if quarter_turns % 2 == 0 else (columns, rows)
         # Three quarters more are one back.
         back = replace(self, quarter_turns=-quarter_turns % 4).turned(*size)
@@ -165,7 +165,7 @@ class FanGeometry:
 
     @property
     def near_px(self) -> float:
-        """Radius of range_min in a fan picture, pixels along y."""
+        """Radius of range_min in a fan image, pixels along y."""
         return self.near_fraction * self.far_px
 
     @property
@@ -184,7 +184,7 @@ class FanGeometry:
         return max(0.0, first), min(1.0, last)
 
     def maps(self, top: int, left: int, height: int, width: int) -> Maps:
-        """The maps of a window of the picture."""
+        """The maps of a window of the image."""
         row = np.arange(top, top + height, dtype=np.float32)[:, None]
         column = np.arange(left, left + width, dtype=np.float32)[None]
         if self.layout == "fan":
@@ -241,7 +241,7 @@ class FanGeometry:
 
 def recorded_sonar(config: Mapping[str, Any]) -> SonarSettings | None:
     """The device in a dataset's configuration; None where another program wrote it."""
-    # These load pydantic, which pictures of real sonars can do without.
+    # These load pydantic, which images of real sonars can do without.
     from ..settings import build
     from .settings import SonarSettings
 

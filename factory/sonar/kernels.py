@@ -1,4 +1,4 @@
-"""Compiled loops from camera pixels to echoes and from echoes to pictures.
+"""Compiled loops from camera pixels to echoes and from echoes to images.
 
 The functions that call them say what they compute, and the tests hold each against numpy or scipy.
 Imported where they are used: see `simnfnd.factory.compiled`.

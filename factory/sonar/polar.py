@@ -56,7 +56,7 @@ class Echoes:
     """N echoes around the sonar (x forward, y left, z up).
 
     range_m: (N,) float32 slant range.
-    azimuth_rad: (N,) float32, positive to the RIGHT, as a fan picture shows it.
+    azimuth_rad: (N,) float32, positive to the RIGHT, as a fan image shows it.
     elevation_rad: (N,) float32, positive up.
     strength: (N,) float32 linear echo strength; 0 = a surface that the sound does not reach.
     """
@@ -259,6 +259,6 @@ def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:
 
 
 def where_seen(picture: Polar, window: Window, sonar: SonarSettings) -> Polar:
-    """The (range_bins, beams) picture, 0 in beams that the camera did not see."""
+    """The (range_bins, beams) image, 0 in beams that the camera did not see."""
     is_seen = seen_beams(window, sonar)
     return picture if is_seen.all() else np.where(is_seen, picture, np.float32(0))

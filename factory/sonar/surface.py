@@ -68,7 +68,7 @@ class LitSurface:
 
 
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
-    """What the window of a picture is fitted to."""
+    """What the window of an image is fitted to."""
     from . import kernels  # loads numba
 
     lit_m = np.empty(frame.depth_m.size + 1, np.float32)

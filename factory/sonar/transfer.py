@@ -1,4 +1,4 @@
-"""From echo level to grey value: one curve for the clean and the noisy picture, quantised last."""
+"""From echo level to grey value: one curve for the clean and the noisy image, quantised last."""
 
 from __future__ import annotations
 

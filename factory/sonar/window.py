@@ -1,4 +1,4 @@
-"""The window of one picture: the ranges it shows and the bearings that the camera saw."""
+"""The window of one image: the ranges it shows and the bearings that the camera saw."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Window:
     projection: "slant_range" (what a sonar measures) or "top_view" (horizontal distance, the
         paper's view of the cloud from above).
     azimuth_min_rad, azimuth_max_rad: the part of the sonar's sector that the camera saw; outside it
-        there is no data and the picture is masked.
+        there is no data and the image is masked.
     """
 
     projection: str

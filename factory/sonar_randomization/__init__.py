@@ -1,1 +1,1 @@
-"""A device of its own for every picture: drawn sonar, formation, display and rasterisation."""
+"""A device of its own for every image: drawn sonar, formation, display and rasterisation."""

@@ -1,4 +1,4 @@
-"""The device of one picture: drawn in one place, and the configuration that it means."""
+"""The device of one image: drawn in one place, and the configuration that it means."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _SOUND_SPEED_M_S = 1480.0
 """Turns a range resolution into a bandwidth; the water's own speed is within 4 % of it."""
 _FEWEST_BINS = 64
 _LARGEST_POINTS_PX = 512
-"""Beyond, a picture of points has fewer echoes than pixels."""
+"""Beyond, an image of points has fewer echoes than pixels."""
 _POINTS_HFOV_DEG = 30.0
 _DARKEST = 0.8
 """Of the median echo's grey value: a display that is no darker anywhere shows nothing."""
@@ -63,7 +63,7 @@ Config = TypeVar("Config", bound=ImageSettings)
 
 @dataclass(frozen=True)
 class Device:
-    """What was drawn for one picture.
+    """What was drawn for one image.
 
     values: by the keys of `DeviceSettings`; shares are drawn as 1 or 0.
     coins: effect -> whether a coin leaves it on, of `fewer_share` or, for odd ones, `odd_share`.
@@ -83,7 +83,7 @@ class Device:
 
 
 def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Device:
-    """The device of the picture of this name; the same name draws the same."""
+    """The device of the image of this name; the same name draws the same."""
     values = {}
     for name, distribution in distributions(settings).items():
         rng = seeds.stream(seed, "device", name, *stream_names)
@@ -98,7 +98,7 @@ def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Devic
 
 
 def columns(settings: DeviceSettings) -> tuple[Column, ...]:
-    """Columns of the sample table: what was drawn for the device of each picture."""
+    """Columns of the sample table: what was drawn for the device of each image."""
     units = {"deg": "deg", "khz": "kHz", "px": "px", "m": "m", "db": "dB"}
     return tuple(
         Column(f"device.{name}", "f8", units.get(name.rsplit("_", 1)[-1], "1"))
@@ -107,9 +107,9 @@ def columns(settings: DeviceSettings) -> tuple[Column, ...]:
 
 
 def configured(config: Config, device: Device, *, any_size: bool) -> Config:
-    """The configuration of one picture by this device, but for what depends on its window.
+    """The configuration of one image by this device, but for what depends on its window.
 
-    any_size: whether pictures may differ in size and layout; else they keep `sonar.image`.
+    any_size: whether images may differ in size and layout; else they keep `sonar.image`.
     """
     drawn = device.values
     sonar = config.sonar
@@ -207,7 +207,7 @@ def fitted(config: Config, device: Device, scene: PointwiseScene | CoherentScene
 
 
 def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
-    """The paper's pictures: the view from above, a bin and a beam for each pixel."""
+    """The paper's images: the view from above, a bin and a beam for each pixel."""
     image = sonar.image
     hfov_deg = max(sonar.hfov_deg, _POINTS_HFOV_DEG)
     if any_size:
@@ -237,7 +237,7 @@ def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
 
 
 def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
-    """The effects of the device's formation that are on in this picture."""
+    """The effects of the device's formation that are on in this image."""
     points = device.formation == "pointwise"
     drawn = device.values
     changed: dict[str, EffectSettings] = {}

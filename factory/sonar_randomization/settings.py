@@ -1,4 +1,4 @@
-"""Keys of the `devices` group: what the device of each picture is drawn from."""
+"""Keys of the `devices` group: what the device of each image is drawn from."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from ..settings import STRICT
 
 @dataclass(frozen=True, config=STRICT)
 class DeviceSettings:
-    """What the device, its display and its picture are drawn from, anew for every picture.
+    """What the device, its display and its image are drawn from, anew for every image.
 
-    field_share: part of the pictures that acoustics=coherent makes; the others are points.
+    field_share: part of the images that acoustics=coherent makes; the others are points.
     hfov_deg, vfov_deg: sector and vertical beam, degrees.  frequency_khz: decides absorption.
-    height_px: of a fan picture, pixels; its width follows from the sector.  Datasets keep
-        `sonar.image`, because their pictures are all of one size.
+    height_px: of a fan image, pixels; its width follows from the sector.  Datasets keep
+        `sonar.image`, because their images are all of one size.
     bins_per_px: range bins for one pixel of the fan's height.  beams: number.
     resolution_bins: range resolution c / 2B over the length of a bin.
     beamwidth_beams: -3 dB width of a beam over the distance of two.
-    auto_range_share: part of the pictures whose window is fitted to the scene; range_min_m,
+    auto_range_share: part of the images whose window is fitted to the scene; range_min_m,
         range_max_m: the window of the others, metres.
     tvg_log, lambert_exponent, background_db: see `acoustics`.
-    standing_share: part of the pictures of the field in which speckle stands still in part, and
+    standing_share: part of the images of the field in which speckle stands still in part, and
         `noise.scintillation` acts; standing: which part of its power (`acoustics.standing`).
-    log_share: part of the pictures of the field with a logarithmic display: dynamic_range_db, and
+    log_share: part of the images of the field with a logarithmic display: dynamic_range_db, and
         the grey value of the median echo, log_reference.  The others show level ** exponent, the
         echoes' 95th percentile at power_reference.
     soft_share: part of the logarithmic displays that end in a straight line instead of a step
         (`sonar.transfer.kind=soft_log`), with the grey value `black` where nothing echoes.
-    points_log_share: the same of pictures of points; those that are left are linear.
+    points_log_share: the same of images of points; those that are left are linear.
     receiver_db: level of the receiver's noise over the median echo, dB; where noise.receiver is on,
         instead of its level_db.
-    quiet_share: part of the pictures without any noise; fewer_share: part of them in which each
+    quiet_share: part of the images without any noise; fewer_share: part of them in which each
         effect is switched off by a coin.
-    odd_share: part of the pictures of the field that have the effects of spokes, ghosts and wrong
+    odd_share: part of the images of the field that have the effects of spokes, ghosts and wrong
         gains, each by a coin; the others have grain and haze alone.
     nearest_share: part of the fans whose pixels show the nearest sample as it is, as makers'
-        pictures do; the others interpolate.
-    enlarged_share: part of the pictures that are made larger and shrunk to their size, by
+        images do; the others interpolate.
+    enlarged_share: part of the images that are made larger and shrunk to their size, by
         `enlarged`.  jpeg_share: part that went through JPEG of jpeg_quality.
     polar_share: part that is polar, not a fan; none in datasets.
     """

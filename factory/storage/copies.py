@@ -175,8 +175,8 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
         for path in [*folder.glob("*.*"), *folder.glob("t*/*")]:
             name = path.relative_to(folder).as_posix()
             differs = fresh or sizes.get(name) != path.stat().st_size
-            gone = _SMALL.fullmatch(name) and name not in sizes
-            if gone or (SHARD_NAME.fullmatch(name) and differs):
+            is_removed = _SMALL.fullmatch(name) and name not in sizes
+            if is_removed or (SHARD_NAME.fullmatch(name) and differs):
                 path.unlink(missing_ok=True)
         for name, size in sizes.items():
             if not _SMALL.fullmatch(name):

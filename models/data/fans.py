@@ -23,8 +23,8 @@ def read_fans(path: str | Path) -> dict[str, FanGeometry]:
     Columns: `file`; `apex_x`, `apex_y` (pixels); `edge_slope` (columns a row along the sector's
     edge); `top_row`, `bottom_row` (first and last row with echoes); and, where a pixel is not as
     wide as high, `squeeze` (its height over its width; MDD's own table has the letter of
-    one of its two geometries in `config` instead).  Of pictures without far range on top also
-    `quarter_turns`, counter-clockwise, that bring it there; rows are then those of a picture turned
+    one of its two geometries in `config` instead).  Of images without far range on top also
+    `quarter_turns`, counter-clockwise, that bring it there; rows are then those of an image turned
     about its apex.  Raises FactoryError.
     """
     try:

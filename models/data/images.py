@@ -1,4 +1,4 @@
-"""Real sonar images as training data: pictures, frames of recordings, and OldData of them."""
+"""Real sonar images as training data: images, frames of recordings, and OldData of them."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def digest_of(samples: Sequence[SampleRef]) -> str:
 class OldDataSource(Source):
     """Real images taken as clean, the factory's noise on top (Table 3, OldData).
 
-    A real image keeps its own noise in the "clean" picture, so a network learns to leave noise of
+    A real image keeps its own noise in the "clean" image, so a network learns to leave noise of
     that kind alone.
     """
 
@@ -125,7 +125,7 @@ class OldDataSource(Source):
 
 
 def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
-    """A picture (H, W) in 0..1 with the drawn effects on it, clipped to 0..1.
+    """An image (H, W) in 0..1 with the drawn effects on it, clipped to 0..1.
 
     Every pixel that is not black is four echoes, which range spreading moves along their bearing
     before they are gathered again; the other effects add echoes, blurred by 0.7 pixels.
@@ -148,7 +148,7 @@ def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
 
 
 def _gathered(echoes: Echoes, geometry: FanGeometry, shape: tuple[int, ...]) -> Image:
-    """Sum of the echoes' strengths in each pixel; those outside the picture are lost."""
+    """Sum of the echoes' strengths in each pixel; those outside the image are lost."""
     height, width = shape
     fraction = echoes.range_m / np.float32(_FAR_M)
     row, column = (

@@ -29,7 +29,7 @@ Batch = dict[str, torch.Tensor]
 """`noisy`, `clean` and `shadow`, (N, 1, H, W) float32 in 0..1, NaN where these are unknown; the
 extras that `models.networks` describes; and `taught` (N, 1, 1, 1)."""
 TAUGHT = 0.8
-"""Part of a target that a teacher's picture is, where the data do not say."""
+"""Part of a target that a teacher's image is, where the data do not say."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Sample:
     geometry: where range and bearing are, or None.
     frames: (H, W) float32, how many frames were averaged in `noisy` (`networks.averaged`), or None
         for one.
-    taught: part of the target that a teacher's picture is, 0 to 1.
+    taught: part of the target that a teacher's image is, 0 to 1.
     """
 
     noisy: Image
@@ -56,7 +56,7 @@ class Source:
     """Training images by their index, in any process.
 
     images: what each is made of.  places: the shard of each, where these are fetched from a URL;
-    from a disk any picture can be read at any time, so that all of them are mixed.
+    from a disk any image can be read at any time, so that all of them are mixed.
     """
 
     images: Sized
@@ -105,7 +105,7 @@ class SampleRef:
 class PairTable:
     """All pairs of a split, the size of their images, and the dataset's configuration by its hash.
 
-    sonar: the device of the pictures; None for a dataset of another program.
+    sonar: the device of the images; None for a dataset of another program.
     """
 
     samples: tuple[SampleRef, ...]
@@ -170,7 +170,7 @@ def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, 
 class PairSource(Source):
     """`data=pairs`: the pairs of a dataset.
 
-    weaker: part of the visits in which the noise is blended towards the clean picture, by a factor
+    weaker: part of the visits in which the noise is blended towards the clean image, by a factor
     that is even in 0..1 and 0 in one case of eight.
     """
 

@@ -32,7 +32,7 @@ from ..settings import RenderedData
 from .pairs import Sample, Source, weakened
 
 _ATTEMPTS = 40
-_LEAST_ECHOES = 0.02  # part of the bins that must hold surface: a picture of nothing is no lesson
+_LEAST_ECHOES = 0.02  # part of the bins that must hold surface: an image of nothing is no lesson
 _BLACK = 0.02  # shadow counts as such where the target is darker; under haze there is none to see
 # Parameters that are 0 where an effect is absent: these a weaker noise scales.
 _AMOUNTS = ("alpha", "density", "strength")
@@ -89,7 +89,7 @@ class RenderSource(RenderedSource):
         )
 
     def scale_of(self, index: int, visit: int) -> float:
-        """Size of the picture of a visit, as multiples of the dataset's: any of `data.scales`."""
+        """Size of the image of a visit, as multiples of the dataset's: any of `data.scales`."""
         scales = self.data.scales
         return scales[stream(self.seed, "scale", index, visit).integers(len(scales))]
 
@@ -120,8 +120,8 @@ class RenderSource(RenderedSource):
 class DeviceSource(RenderedSource):
     """Pairs of drawn devices, with a configuration that has `devices`.
 
-    Device, formation, display, size and rasterisation of the picture are drawn at each visit.  The
-    target is the same picture without the artefacts of `networks.DEFAULT`, under the same random
+    Device, formation, display, size and rasterisation of the image are drawn at each visit.  The
+    target is the same image without the artefacts of `networks.DEFAULT`, under the same random
     streams.
     """
 
@@ -156,7 +156,7 @@ class DeviceSource(RenderedSource):
         if is_small or observed.scene.filled.mean() < _LEAST_ECHOES:
             return None
         draws = draw(config.noise, self.seed, StreamNames.single(ref.name, *names))
-        # Points are thinned by a variant's stream: any number that no other picture has.
+        # Points are thinned by a variant's stream: any number that no other image has.
         variant = int(stream(self.seed, "variant", *names).integers(2**31))
         sample = observed.scene.sample(variant, draws.effects)
         window = observed.window

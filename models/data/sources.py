@@ -29,7 +29,7 @@ from .sequences import open_sequences
 from .time_stacks import MixedSource, open_stacks
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
-"""Groups of the configuration that decide the pictures of drawn devices."""
+"""Groups of the configuration that decide the images of drawn devices."""
 
 
 def open_data(settings: ModelsSettings) -> Data:
@@ -157,7 +157,7 @@ def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], 
     device_settings = {name: getattr(drawn, name) for name in _DECIDE}
     device_settings["sonar"] = replace(drawn.sonar, mount=points.config.sonar.mount)
     config = replace(points.config, **device_settings)
-    # A picture without noise has 100 dB, more than all others together can gain or lose.
+    # An image without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
     stacks = open_stacks(data.recordings, data.least_side)
     refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))

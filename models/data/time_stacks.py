@@ -1,7 +1,7 @@
-"""Means of frames as training pictures: of recordings that stand still, and of drawn pictures.
+"""Means of frames as training images: of recordings that stand still, and of drawn images.
 
 In time, what stands still is the target: the mean of other frames of a recording, or a drawn
-picture with its speckle under fresh noise.  A network that learns it removes from an average the
+image with its speckle under fresh noise.  A network that learns it removes from an average the
 noise that is left and keeps what averaging has brought out.
 """
 
@@ -38,7 +38,7 @@ _TAUGHT = 0.5  # of the target of a recording's single frame, what a teacher mak
 _AS_RECORDED = 0.4  # part of the visits of a recording that are not shown at another size and gain
 _SCALES = (0.55, 1.15)
 _GAINS = (0.5, 1.3)
-_LOUD = 0.12  # part of the pictures that get a loud beam
+_LOUD = 0.12  # part of the images that get a loud beam
 # Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight.
 _FEWEST = 0.15
 _FULL = 0.7
@@ -130,7 +130,7 @@ def _shown(ref: SampleRef) -> tuple[Image, FanGeometry | None]:
 class MixedSource(Source):
     """`data=mixed`, what the network that ships learns from.
 
-    Pictures of drawn devices as single frames and as means of frames, the paper's points, and
+    Images of drawn devices as single frames and as means of frames, the paper's points, and
     recordings, each with a part of the visits.
     """
 

@@ -38,7 +38,7 @@ _COMPARE = (
 
 def main(arguments: Sequence[str]) -> int:
     """`simnfnd denoise IN... --out DIR`; 1 when some files were skipped."""
-    keep_freed_memory()  # every picture needs the same planes again
+    keep_freed_memory()  # every image needs the same planes again
     options = _options(arguments)
     out = Path(options.out).expanduser()
     inputs = [Path(name).expanduser() for name in options.inputs]

@@ -1,9 +1,9 @@
-"""Trained weights as a function that denoises one picture.
+"""Trained weights as a function that denoises one image.
 
 Large ones go in overlapping tiles, and those with wide grain at half their size first.  A display
 that enlarges makes grain wider than any that a network has learned from, which then takes it for
 ground.  At half the size the grain is as it should be.  The change found there is enlarged and
-added, and the picture with less noise denoised as it is, which finds edges and what is left.
+added, and the image with less noise denoised as it is, which finds edges and what is left.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from .runtime import Maps, open_runtime
 Work = Callable[[Gray, Maps], Gray]
 
 _SEVERAL = 1.5
-"""From so many frames on average on, grain is the scene's: the picture is not halved first."""
+"""From so many frames on average on, grain is the scene's: the image is not halved first."""
 _LIT = 0.1
 _LIT_SHARE = 0.01
 """Grey value, and part of what is around a fan with more: a page, or panels of a screen."""
 _AROUND_PX = 9  # side of the mean that grain is measured against
-_RAMP = 0.05  # of the correlation: from nothing to the whole change of the smaller picture
+_RAMP = 0.05  # of the correlation: from nothing to the whole change of the smaller image
 _LEAST_LIT = 2000
 _LEAST_SIDE = 96
-"""Pixels with neighbours to measure grain, and side of a picture that may still be halved."""
+"""Pixels with neighbours to measure grain, and side of an image that may still be halved."""
 
 
 class Denoiser:
-    """Trained weights as a function of a picture.
+    """Trained weights as a function of an image.
 
     name: of the weights file.  digest: its SHA-256.  runtime: what computes it.
     knows_frames: whether the weights know how many frames were averaged; else `frames` changes
@@ -55,7 +55,7 @@ class Denoiser:
     ) -> None:
         """weights: a file, or a name, as `pretrained.find_weights` takes it.
 
-        strength: part of the change that a picture gets, 0 to 1.
+        strength: part of the change that an image gets, 0 to 1.
         Raises FactoryError for weights that are not there and a GPU that is not.
         """
         path = find_weights(weights)
@@ -75,9 +75,9 @@ class Denoiser:
         """(H, W) float32 in 0..1 -> the same, denoised.
 
         geometry: where range and bearing are, if that is known.  frames: how many were averaged in
-        the picture, 1 or more, or (H, W) float32 of how many in each pixel: one over the sum of the
+        the image, 1 or more, or (H, W) float32 of how many in each pixel: one over the sum of the
         squared weights, where these add up to 1; None: a single frame.
-        The weights get the picture by its `presentation_of`, and one of wide grain `by_scales`.
+        The weights get the image by its `presentation_of`, and one of wide grain `by_scales`.
         """
         presentation = presentation_of(gray, geometry)
         shape = gray.shape
@@ -113,7 +113,7 @@ class Denoiser:
             return denoised
 
         denoised = tiled(denoise_tile, gray, maps, self.tile, self.overlap)
-        # One weight for the whole picture: single tiles with less change would be visible.
+        # One weight for the whole image: single tiles with less change would be visible.
         weights, areas = zip(*tiles, strict=True)
         weight = np.float32(np.average(weights, weights=areas))
         if "frames" in maps and maps["frames"].mean() > averaged(_SEVERAL):
@@ -126,9 +126,9 @@ class Denoiser:
 
 
 def by_scales(grey: Gray, maps: Maps, denoise: Work, widest: float) -> Gray:
-    """`denoise` of a picture, (H, W) in 0..1, first at smaller sizes while its grain is wide.
+    """`denoise` of an image, (H, W) in 0..1, first at smaller sizes while its grain is wide.
 
-    maps: planes of the picture for `denoise`, (H, W), some perhaps `sector`.
+    maps: planes of the image for `denoise`, (H, W), some perhaps `sector`.
     widest: correlation of the grain of neighbouring pixels from which on it is wide; 1: never.
     """
     part = np.float32(0)
@@ -177,7 +177,7 @@ def tiled(work: Work, image: Gray, maps: Maps, tile: int, overlap: int) -> Gray:
     """`work` on tiles of at most `tile` pixels a side, put together again.
 
     image, and each of maps: (H, W).  Where tiles overlap, their weights rise and fall linearly over
-    the `overlap` nearest the edge, half a tile at most.  A picture that fits one tile goes through
+    the `overlap` nearest the edge, half a tile at most.  An image that fits one tile goes through
     as it is.
     """
     height, width = image.shape

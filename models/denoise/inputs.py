@@ -52,7 +52,7 @@ class Item:
 
     @cached_property
     def kind(self) -> str:
-        """`shard`, or the kind of recording; one picture is of kind `pictures`."""
+        """`shard`, or the kind of recording; one image is of kind `pictures`."""
         if self.source.suffix.lower() in HDF5_SUFFIXES:
             return "array" if self.relative.suffix == ARRAY_SUFFIX else "shard"
         return kind_of(self.source) or "pictures"
@@ -89,7 +89,7 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
 
 
 def sequences(items: Sequence[Item]) -> list[list[Item]]:
-    """Picture files that follow each other in time, as their names say; other files alone.
+    """Image files that follow each other in time, as their names say; other files alone.
 
     The files of a sequence lie in one folder; see `sequences_of`.  Shards of a dataset of
     recordings come together.
@@ -107,7 +107,7 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
 
 
 def _by_folder(items: Sequence[Item]) -> dict[Path | None, list[Item]]:
-    """Picture files by their folder, and other files under None, in the order of the items."""
+    """Image files by their folder, and other files under None, in the order of the items."""
     folders: dict[Path | None, list[Item]] = {}
     for item in items:
         folder = item.source.parent if item.kind == "pictures" else None
@@ -116,7 +116,7 @@ def _by_folder(items: Sequence[Item]) -> dict[Path | None, list[Item]]:
 
 
 def said_of_sequences(items: Sequence[Item]) -> Iterator[str]:
-    """One line a folder of several pictures: as how many sequences their names read."""
+    """One line a folder of several images: as how many sequences their names read."""
     folders = [(folder, some) for folder, some in _by_folder(items).items() if folder and some[1:]]
     for folder, some in folders[:_MOST_FOLDERS_SAID]:
         sizes = [len(sequence) for sequence in sequences(some)]
@@ -138,7 +138,7 @@ def _of_input(path: Path, out: Path) -> list[Item]:
     if path.is_dir() and is_bag_folder(path):
         return [Item(path, Path(path.resolve().name))]
     if path.is_dir():
-        # These load h5py, which a single picture can do without.
+        # These load h5py, which a single image can do without.
         from ...factory.dataset import PairDataset
         from ...factory.dataset.manifest import load_manifest
         from ...factory.dataset.recordings import is_of_recordings
@@ -189,9 +189,9 @@ def _item(file: Path, folder: Path) -> Item:
 
 
 class Geometries:
-    """Geometry of pictures, as `--geometry` says.
+    """Geometry of images, as `--geometry` says.
 
-    chosen: `find` it in each picture (in a video, stack or bag where it changes); `polar`: rows are
+    chosen: `find` it in each image (in a video, stack or bag where it changes); `polar`: rows are
     ranges, near range first, and the columns span 30 degrees; `none`; or the path of a table of
     fans.
     """
@@ -200,12 +200,12 @@ class Geometries:
         """Raises FactoryError for a table that cannot be read."""
         self.chosen = chosen
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
-        # By the size of the pictures, too: a bag may have several topics.
+        # By the size of the images, too: a bag may have several topics.
         self._trackers: dict[tuple[Path, tuple[int, ...]], FanTracker] = {}
-        self._fans_found: dict[Path, list[bool]] = {}  # in the pictures of a folder
+        self._fans_found: dict[Path, list[bool]] = {}  # in the images of a folder
 
     def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
-        """The geometry of a picture of `item`; None where it is not known.
+        """The geometry of an image of `item`; None where it is not known.
 
         Frames of a recording are to be asked for in order.
         """
@@ -221,7 +221,7 @@ class Geometries:
         return geometry
 
     def summary(self) -> Iterator[str]:
-        """One line a folder, video or bag whose pictures were searched."""
+        """One line a folder, video or bag whose images were searched."""
         said = "geometry: fan found in {} of {} pictures searched ({})"
         for folder, results in self._fans_found.items():
             yield said.format(sum(results), len(results), folder)

@@ -122,7 +122,7 @@ def opened_journal(out: Path, digest: str, arguments: Sequence[str]) -> Iterator
     finally:
         journal.close()
         if is_locked:
-            # While it is held: who waits for it finds that the file is gone, and makes another.
+            # Removed while held: a waiting process finds the file missing and creates another.
             with suppress(OSError):
                 path.unlink()
             lock.release()

@@ -1,6 +1,6 @@
-"""From pictures as they are stored to denoised ones of the same kind: one composition for all.
+"""From images as they are stored to denoised ones of the same kind: one composition for all.
 
-The command, `simnfnd.denoise` and evaluation denoise by it, a picture or a sequence of them.
+The command, `simnfnd.denoise` and evaluation denoise by it, an image or a sequence of them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
 Gray = npt.NDArray[np.float32]
 Picture = npt.NDArray[Any]
 Place = Callable[[Picture], FanGeometry | None]
-"""Where range and bearing are in a picture; None where that is not known."""
+"""Where range and bearing are in an image; None where that is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +66,11 @@ class _Source:
 
 
 class Denoising:
-    """What a run does to pictures, and what it did.
+    """What a run does to images, and what it did.
 
     network, frames, causal, calibrated, keeps_outside: see `InTime`.
-    inverts: whether pictures show dark echoes on a bright ground.
-    maps: colour map -> how many pictures had it.
+    inverts: whether images show dark echoes on a bright ground.
+    maps: colour map -> how many images had it.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class Denoising:
         wanted: bool = True,
         is_tracked: bool = False,
     ) -> Shot:
-        """A picture of a sequence, its colours read.
+        """An image of a sequence, its colours read.
 
         picture: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
         place, shift_px, wanted, is_tracked: see `Shot`.
@@ -144,10 +144,10 @@ class Denoising:
         return Shot(source, levels, fan, shift_px, wanted, is_tracked)
 
     def sequence(self, shots: Iterable[Shot], *, alone: bool = False) -> Iterator[Denoised]:
-        """What became of each picture of a sequence, in order.
+        """What became of each image of a sequence, in order.
 
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
-        Copies of the picture before, as a video holds of a slower sonar, are fused once.
+        Copies of the image before, as a video holds of a slower sonar, are fused once.
         alone: whether each is denoised by itself.
         """
         # The first image is looked at anew, so that a sequence depends on none before it.
@@ -155,7 +155,7 @@ class Denoising:
         yield from self._denoised(shots, alone)
 
     def denoise_image(self, picture: Picture, place: Place) -> Denoised:
-        """A picture by itself.  Raises ValueError as `shot` does."""
+        """An image by itself.  Raises ValueError as `shot` does."""
         (denoised,) = self._denoised([self.shot(None, picture, place)], alone=True)
         return denoised
 
@@ -193,7 +193,7 @@ class Denoising:
 
 
 def check(picture: Picture) -> None:
-    """ValueError for a picture that cannot be denoised."""
+    """ValueError for an image that cannot be denoised."""
     if str(picture.dtype) not in FULL_SCALE:
         raise ValueError(f"pixels are {picture.dtype}; expected {', '.join(FULL_SCALE)}")
     is_image = picture.ndim == 2 or (picture.ndim == 3 and picture.shape[2] <= 4)
@@ -217,7 +217,7 @@ def levels_of(picture: Picture) -> Gray:
 
 
 def restored(levels: Gray, picture: Picture) -> Picture:
-    """The reverse of `levels_of`, with the dtype, shape and alpha of a picture."""
+    """The reverse of `levels_of`, with the dtype, shape and alpha of an image."""
     full = FULL_SCALE[str(picture.dtype)]
     values = np.rint(levels.astype(np.float64) * full) if full > 1 else levels
     result = picture.copy()
@@ -241,7 +241,7 @@ def white_of(picture: Picture) -> float:
 
 
 def inverted(picture: Picture, white: float) -> Picture:
-    """A picture with white as black and black as white; alpha as it is."""
+    """An image with white as black and black as white; alpha as it is."""
     result = picture.copy()
     colours = _colours(result)
     colours[...] = np.clip(white - _colours(picture), 0, white).astype(picture.dtype)

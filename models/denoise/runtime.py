@@ -193,7 +193,7 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     """Return the inputs of a graph of `--to runtime` for an image, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
-    all of the picture, `frames` (log2 of how many were averaged) where these are several.
+    all of the image, `frames` (log2 of how many were averaged) where these are several.
     is_grid: whether columns are beams and rows ranges, evenly.
     Returns `noisy` and `frames` (1, 1, H, W), `maps` (1, 3, H, W), `beams` and `arcs` (1, cells)
     int64, the line of each cell at half resolution, and `remove` (1, 6).

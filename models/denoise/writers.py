@@ -1,4 +1,4 @@
-"""What `denoise` writes: pictures, videos and stacks without loss, and sheets to compare by."""
+"""What `denoise` writes: images, videos and stacks without loss, and sheets to compare by."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .video_writer import TimedImage, target_of, write_video
 
 Picture = npt.NDArray[Any]
 
-COMPARED = 4  # pictures of one file that `--compare` shows
+COMPARED = 4  # images of one file that `--compare` shows
 CAPTION_PX = 20  # height of the line with the names
 _GAP_PX = 4
 
@@ -93,7 +93,7 @@ def _write_pages(partial: Path, images: Iterable[TimedImage]) -> None:
 
 
 def write_image(path: Path, image: Picture) -> None:
-    """A picture by the suffix of its name.  FrameError when the format does not hold it."""
+    """An image by the suffix of its name.  FrameError when the format does not hold it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         done, content = cv2.imencode(path.suffix, image, _QUALITY.get(path.suffix.lower(), ()))

@@ -12,7 +12,7 @@ A network is one file beside this one with a settings class and a torch module, 
   to remove (`vector`).  Batches hold them under these names.
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
-  (N,) the part of its change, 0 to 1, that `forward` gives each picture.
+  (N,) the part of its change, 0 to 1, that `forward` gives each image.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ RIVALS = {
 """The same of the modules in `rivals`."""
 
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
-"""Of `ARTEFACTS`, what networks remove: the ground and the brightness of a picture stay."""
+"""Of `ARTEFACTS`, what networks remove: the ground and the brightness of an image stay."""
 _MOST_FRAMES = 16.0  # more are too few to tell from this many by the noise that is left
 _INDEPENDENT = 0.36
 """Power of the number of frames that says how many of independent noise they are worth: the noise

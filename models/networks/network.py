@@ -14,7 +14,7 @@ Step = Callable[[Tensor], Tensor]
 
 
 class NetworkOutput(NamedTuple):
-    """What a network with heads returns for N pictures; `models.networks` explains it."""
+    """What a network with heads returns for N images; `models.networks` explains it."""
 
     image: Tensor
     shadow_logits: Tensor
@@ -30,7 +30,7 @@ class Network(nn.Module):
     """See `models.denoise.denoiser`."""
 
     def __init__(self, stride: int) -> None:
-        """stride: pictures are padded until their sizes divide by it."""
+        """stride: images are padded until their sizes divide by it."""
         super().__init__()
         self.stride = stride
 

@@ -1,17 +1,17 @@
-"""SonarNet, a light network of this project, built around what a sonar picture is.
+"""SonarNet, a light network of this project, built around what a sonar image is.
 
-- It works on a polar grid: where the geometry of a fan picture is known, the picture is resampled
+- It works on a polar grid: where the geometry of a fan image is known, the image is resampled
   to range and bearing, and the network's correction is resampled back to the fan's pixels
-  (`PolarGrid`).  The noisy picture itself is never resampled, so no detail is lost.
+  (`PolarGrid`).  The noisy image itself is never resampled, so no detail is lost.
 - Range, bearing and the insonified sector of every cell are inputs.  What is to be removed scales
   and shifts the features of every level (FiLM, Perez et al. 2018), and so does, pixel by pixel, how
   many frames were averaged, which changes nothing for a single frame.
 - Means along whole beams and arcs are part of the features (`LineContext`).
-- A second head predicts shadow, in which the picture is black; a third (`BlendHead`) weighs the
-  change of the whole picture.
+- A second head predicts shadow, in which the image is black; a third (`BlendHead`) weighs the
+  change of the whole image.
 - Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
-Without geometry it works on the picture as it is; in training the geometry is withheld now and then
+Without geometry it works on the image as it is; in training the geometry is withheld now and then
 (`forget`).
 """
 
@@ -68,7 +68,7 @@ class SonarNetSettings:
 
 
 class SonarNet(Network):
-    """Predicts what to add to the noisy picture, where it shows shadow, and how much of it."""
+    """Predicts what to add to the noisy image, where it shows shadow, and how much of it."""
 
     has_heads: ClassVar[bool] = True
 
@@ -108,7 +108,7 @@ class SonarNet(Network):
         self.blend = BlendHead(widths[0])
 
     def forward(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """The picture with the part of its change that the blend head gives it, (N, 1, H, W)."""
+        """The image with the part of its change that the blend head gives it, (N, 1, H, W)."""
         output = self.with_heads(noisy, **extras)
         part = output.weight[:, None, None, None].to(noisy.dtype)
         return noisy + part * (output.image - noisy)
@@ -155,7 +155,7 @@ class SonarNet(Network):
         return _output(image, logits.masked_fill(outside, _OUTSIDE), weight)
 
     def gated(self, image: Tensor, logits: Tensor) -> Tensor:
-        """The picture, darker where the logits say shadow; (N, 1, H, W) both."""
+        """The image, darker where the logits say shadow; (N, 1, H, W) both."""
         return image * torch.sigmoid(-logits) if self.settings.mask else image
 
     def core(
@@ -163,7 +163,7 @@ class SonarNet(Network):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """What to add and logits of shadow, (N, 1, H, W) as the planes; the weight, (N,).
 
-        planes: the picture and its maps as of `_known` or `_unknown`.  frames: as of
+        planes: the image and its maps as of `_known` or `_unknown`.  frames: as of
         `with_heads`.  lines: beams and arcs of the features at half resolution.
         """
         height, width = planes[0].shape[-2:]
@@ -192,7 +192,7 @@ class SonarNet(Network):
         return change, logits, self.blend(x, noisy, denoised - noisy, sector)
 
     def _conditioned(self, remove: Tensor, levels: list[Tensor]) -> list[Step]:
-        """The blocks on the way down, on features that are scaled and shifted by what is told.
+        """The blocks on the way down, on features scaled and shifted by the condition.
 
         levels: how many frames were averaged, at the resolution of each level; or none.
         """
@@ -230,7 +230,7 @@ def _after(film: Tensor, blocks: Step) -> Step:
 
 
 def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:
-    """The maps as the first layer gets them, centred: otherwise they drown the picture."""
+    """The maps as the first layer gets them, centred: otherwise they drown the image."""
     return 2 * range_fraction - 1, azimuth_rad, 1 - sector
 
 
@@ -286,7 +286,7 @@ class LineContext(nn.Module):
 
 
 class GridLines:
-    """Columns are beams and rows are arcs: of a polar picture, or where nobody knows."""
+    """Columns are beams and rows are arcs: of a polar image, or where nobody knows."""
 
     def means(self, x: Tensor, along: int) -> Tensor:
         """(N, C, h, w) -> (N, C, beams) for along=2, (N, C, arcs) for 3: means along each."""
@@ -319,7 +319,7 @@ class MapLines:
 
     @classmethod
     def of(cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor) -> MapLines:
-        """From maps of the picture, (N, 1, H, W) each, for features of half its size.
+        """From maps of the image, (N, 1, H, W) each, for features of half its size.
 
         The sector's bearings and ranges are divided evenly into w beams and h arcs.
         """
@@ -364,12 +364,12 @@ Lines = GridLines | MapLines
 
 
 class PolarGrid(NamedTuple):
-    """Where the cells of a polar grid lie in fan pictures, and the pixels of these in the grid.
+    """Where the cells of a polar grid lie in fan images, and the pixels of these in the grid.
 
     to_polar, to_fan: (N, H, W, 2) positions for `sampled`.
     range_fraction, azimuth_rad: (N, 1, H, W) of the cells, near range first.
-    The grid has as many cells as the picture has pixels, from the least to the largest range and
-    bearing of the sector (of the whole picture where it shows none of the sector).
+    The grid has as many cells as the image has pixels, from the least to the largest range and
+    bearing of the sector (of the whole image where it shows none of the sector).
     """
 
     to_polar: Tensor
@@ -381,10 +381,10 @@ class PolarGrid(NamedTuple):
 def polar_grid(
     range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor, fan: bool | None = None
 ) -> PolarGrid | None:
-    """The grid for fan pictures whose pixels have these maps, each (N, 1, H, W), H and W 2 or more.
+    """The grid for fan images whose pixels have these maps, each (N, 1, H, W), H and W 2 or more.
 
     fan: whether they are fans; None: seen from the maps.
-    None for pictures that are polar already, or too small to tell.
+    None for images that are polar already, or too small to tell.
     """
     if fan is None:
         columns = range_fraction[..., :1] if min(range_fraction.shape[-2:]) > 1 else range_fraction
@@ -430,7 +430,7 @@ def _extent(values: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
 
 def sampled(images: Tensor, at: Tensor) -> Tensor:
     """(N, C, H, W) at positions (N, h, w, 2) as of `grid_sample`, bilinear; edges are repeated."""
-    # In 32 bits: halves of a pixel would be lost in 16 at the far side of a large picture.
+    # In 32 bits: halves of a pixel would be lost in 16 at the far side of a large image.
     with torch.autocast(images.device.type, enabled=False):
         return functional.grid_sample(
             images.float(), at, padding_mode="border", align_corners=False
@@ -445,16 +445,16 @@ _STATISTICS = 5
 
 
 class BlendHead(nn.Module):
-    """Weighs the change of a whole picture, 0 to 1, from the picture, the change and its features.
+    """Weighs the change of a whole image, 0 to 1, from the image, the change and its features.
 
     features: channels of the last features.  width: channels of the head itself.
-    A network that has learned to undo a lot of noise harms a picture with hardly any; the weight
-    falls smoothly to zero there.  The head gets the logarithm of the picture, in which a blur looks
+    A network that has learned to undo a lot of noise harms an image with hardly any; the weight
+    falls smoothly to zero there.  The head gets the logarithm of the image, in which a blur looks
     the same in bright and in dim places, and pools with a weight for every place (gated attention,
     Ilse et al., ICML 2018), because shadow carries no information, and maxima, because a single
     defect matters.  Statistics give at once what many layers would have to find out.
 
-    No gradient goes back into the network, so the head cannot harm the pictures.
+    No gradient goes back into the network, so the head cannot harm the images.
     """
 
     def __init__(self, features: int, width: int = 32) -> None:
@@ -469,7 +469,7 @@ class BlendHead(nn.Module):
     def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
         """(N, F, h, w) at half resolution, three times (N, 1, H, W) -> (N,) weight, 0 to 1.
 
-        h and w may be half the size of the pictures after padding.
+        h and w may be half the size of the images after padding.
         sector: 1 where insonified, else 0.
         """
         features = features.detach()

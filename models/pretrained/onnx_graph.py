@@ -33,7 +33,7 @@ Inputs = dict[str, Tensor]
 Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
 
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
-# Pictures of the trace and of the comparison: (height, width, how many).  The first divides by
+# Images of the trace and of the comparison: (height, width, how many).  The first divides by
 # nothing, so that padding is part of the trace.
 _TRACED = (75, 91, 2)
 _COMPARED = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
@@ -52,11 +52,11 @@ class Graph(nn.Module):
 
     Inputs, in this order: `noisy` (N, 1, H, W) float32 in 0..1; the maps of range, bearing and
     sector, each (N, 1, H, W), where layout is not `none`.  Outputs: `denoised` (N, 1, H, W), 0..1;
-    and `weight` (N,), the part of its change that a picture was given, of networks that weigh it.
+    and `weight` (N,), the part of its change that an image was given, of networks that weigh it.
     """
 
     tolerance: ClassVar[float] = 1e-4
-    """Largest difference from torch that is let through, in pictures of 0 to 1."""
+    """Largest difference from torch that is let through, in images of 0 to 1."""
 
     def __init__(self, network: Network, layout: Layout) -> None:
         """Raises FactoryError for a layout that the network has no use for."""
@@ -95,9 +95,9 @@ class Graph(nn.Module):
 
 
 class RuntimeGraph(Graph):
-    """What `sonarnet` computes of one picture, given the inputs of `denoise.runtime.inputs_of`.
+    """What `sonarnet` computes of one image, given the inputs of `denoise.runtime.inputs_of`.
 
-    Beams and arcs of the cells are inputs, so one graph serves fans, polar pictures and pictures of
+    Beams and arcs of the cells are inputs, so one graph serves fans, polar images and images of
     unknown geometry.  Outputs: `change` and `shadow_logits` (1, 1, H, W); `weight` (1,), the part
     of it to apply.
     """
@@ -132,7 +132,7 @@ class RuntimeGraph(Graph):
         return self.network.core(remove, named.get("frames"), lines, noisy, *planes)
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
-        """Speckle in a fan, a polar picture or one of unknown geometry, in turn by `seed`."""
+        """Speckle in a fan, a polar image or one of unknown geometry, in turn by `seed`."""
         rng = np.random.default_rng(seed)
         noisy = np.clip(rng.exponential(0.2, (height, width)), 0, 1).astype(np.float32)
         maps = _maps("polar" if seed % 3 else "fan", height, width) if seed % 3 < 2 else {}
@@ -302,7 +302,7 @@ def _remove_weights(onnx_graph: Any, names: Collection[str]) -> None:
 
 
 def _maps(layout: Layout, height: int, width: int) -> dict[str, np.ndarray]:
-    """Range, bearing and sector of a fan of 60 degrees, or of a polar picture; (H, W) each."""
+    """Range, bearing and sector of a fan of 60 degrees, or of a polar image; (H, W) each."""
     geometry = FanGeometry.polar()
     if layout == "fan":
         geometry = FanGeometry.fan(

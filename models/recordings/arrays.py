@@ -484,7 +484,7 @@ def _load_hdf5(path: Path, listed: Listed, *, is_matlab: bool) -> Samples:
 
 
 def write_array(file: IO[bytes], pictures: Iterable[Samples], like: Samples) -> None:
-    """Write a .npy file with the shape and dtype of `like`, picture by picture.
+    """Write a .npy file with the shape and dtype of `like`, image by image.
 
     pictures: (H, W) or (H, W, colours) in BGR order.  Raises OSError.
     """

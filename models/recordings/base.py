@@ -35,11 +35,11 @@ FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 Samples = npt.NDArray[Any]
 
 # Times its size that a stranger's file may unpack to; a small one to `ALWAYS_BYTES`, and none to
-# more than `MOST_BYTES` at once.  Raw sonar pictures are mostly black and pack 5 to 50 times.
+# more than `MOST_BYTES` at once.  Raw sonar images are mostly black and pack 5 to 50 times.
 RATIO = 200
 ALWAYS_BYTES = 1 << 28
 MOST_BYTES = 1 << 31
-MOST_PIXELS = 1 << 26  # of a picture, whatever it is packed into
+MOST_PIXELS = 1 << 26  # of an image, whatever it is packed into
 TOO_LARGE = f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
 MOST_TINT = 6
 """Of 255: codecs tint grey images by a few levels, and by others in each frame."""
@@ -93,8 +93,8 @@ class Frame:
 
     number: counts from 0.
     samples: with `beams`, (ranges, beams) uint8, uint16 or float32 (0..1), near range first, beams
-        from left to right; without, a picture, (H, W) or (H, W, colours) of such a dtype.
-    beams: None for a picture, of which only the pixels are known.
+        from left to right; without, an image, (H, W) or (H, W, colours) of such a dtype.
+    beams: None for an image, of which only the pixels are known.
     time_s: seconds since 1970 (UTC), or since the start where the file has no clock; None: unknown.
     duration_s: how long a video or an animation shows it; None: unknown.
     geometry: where range and bearing lie in a picture, if the file says it.
@@ -119,7 +119,7 @@ class Recording(ABC):
 
     A reader adds `_open` and `_read`.
     warning: what is wrong with the file though its frames can be read, in one line; mostly empty.
-    count: how many frames the file says it has.  files: those of pictures, else none.
+    count: how many frames the file says it has.  files: those of images, else none.
     """
 
     _file: IO[bytes] | None = None
@@ -250,7 +250,7 @@ def ask_bytes(name: str, needed: int, size: int, *, streamed: bool = False) -> N
 
 
 def ask_pixels(name: str, width: float, height: float) -> None:
-    """Raise FrameError for a picture of more than `MOST_PIXELS`."""
+    """Raise FrameError for an image of more than `MOST_PIXELS`."""
     if width * height > MOST_PIXELS:
         raise FrameError(f"{name}: {width:.0f} x {height:.0f} pixels are {TOO_LARGE}")
 

@@ -31,7 +31,7 @@ _SURE_ODD = 0.8  # of turned fans, and of fans on screens
 _MOST_BLACK = 48  # of 255: a border lighter than this is no black one
 _LEAST_PART = 0.05  # of all pixels: the smallest fan on a screen
 _MOST_PART = 0.9  # the largest
-_LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
+_LEAST_TURNED = 0.15  # part of the image that a turned fan fills, unlike the mask of some object
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _SURE_SQUEEZE = 1.95
 _MOST_SQUEEZE = 2.0
@@ -63,7 +63,7 @@ def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
     """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
 
     In pixels and shares of the largest range; metres cannot be seen.
-    None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
+    None for an image without a sector on black or on a bright page: a photo, a polar image, a
     full rectangle.  Raises ValueError for another shape.
     """
     grey = grey_bytes(picture)
@@ -176,7 +176,7 @@ def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
     """
     ends_here = []
     for just_inside, just_outside in _outline_sides(fan):
-        # Outside the picture all is black, and inside there must be something.
+        # Outside the image all is black, and inside there must be something.
         inner = _lit_share(lit, *fan.pixels(*just_inside))
         outer = _lit_share(lit, *fan.pixels(*just_outside))
         ends_here.append((inner > 0.1) & (outer < 0.35 * inner))
@@ -230,7 +230,7 @@ def _indices(fan: FanGeometry, places: _Places, height: int, width: int) -> npt.
 
 
 def _lit_share(lit: npt.NDArray[np.bool_], row: Numbers, column: Numbers) -> Numbers:
-    """(_PIECES,) share of lit pixels of each piece of the outline; 0 outside the picture."""
+    """(_PIECES,) share of lit pixels of each piece of the outline; 0 outside the image."""
     hit, inside = (counts.reshape(_PIECES, -1).sum(axis=1) for counts in _at(lit, row, column))
     return np.asarray(hit / np.maximum(inside, 1))
 
@@ -252,7 +252,7 @@ def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
     ground = int(np.median(grey[rim]))
     shown = grey
     if ground > spread:
-        # What reaches in from the picture's border.
+        # What reaches in from the image's border.
         alike = (np.abs(grey.astype(np.int16) - ground) <= spread).astype(np.uint8)
         _, parts = cv2.connectedComponents(alike, connectivity=4)
         shown = np.where(np.isin(parts, np.setdiff1d(parts[rim], 0)), 0, grey).astype(np.uint8)
@@ -261,14 +261,14 @@ def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
     )
     count, parts, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=4)
     if count < (2 if ground > spread else 3):
-        return None  # a single one on black is no other picture than before
+        return None  # a single one on black is no other image than before
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     share = stats[largest, cv2.CC_STAT_AREA] / grey.size
     alone = np.where(parts == largest, shown, 0).astype(np.uint8)
     return alone if _LEAST_PART <= share <= _MOST_PART else None
 
 
-_SIDE = 160  # the picture is made about this large for the first guess
+_SIDE = 160  # the image is made about this large for the first guess
 _NONE = 1e15  # cost of an outline that is no sector
 _LEAST_SPREAD = 1.0  # of the costs of a simplex that has converged
 _LEAST_DISTANCE = 0.05  # of its corners
@@ -346,7 +346,7 @@ def _first_guess(lit: npt.NDArray[np.bool_]) -> _FirstGuess | None:
     return _FirstGuess(outline, (float(upper), float(lower)), float(scale))
 
 
-def _largest_dense_part(share: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_] | None:
+def _largest_dense_part(share: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
     """Mask of the largest area in which many pixels are lit; None where it is next to nothing.
 
     share: (h, w) share of lit pixels in each pixel of the thumbnail.
@@ -619,7 +619,7 @@ _LEAST_DEG = 3.0  # smallest angle between a side line and the rows of the image
 _MOST_DEG = 75.0  # largest
 _ALIKE_DEG = 1.0  # by which both angles may differ
 _TRIED = 8  # of the longest lines
-_ARC_SHARE = 0.35  # of an arc within the picture that must be white
+_ARC_SHARE = 0.35  # of an arc within the image that must be white
 
 
 class _Line(NamedTuple):
@@ -658,7 +658,7 @@ def _find_drawn(grey: Bytes) -> FanGeometry | None:
     return None
 
 
-def _side_lines(lines: Bytes) -> tuple[list[_Line], list[_Line]]:
+def _side_lines(lines: npt.NDArray[Any]) -> tuple[list[_Line], list[_Line]]:
     """Lines that may be the left and the right side of a fan, the longest first.
 
     lines: (H, W), not 0 on thin bright lines.
@@ -676,7 +676,7 @@ def _side_lines(lines: Bytes) -> tuple[list[_Line], list[_Line]]:
     return sorted(falling, reverse=True), sorted(rising, reverse=True)
 
 
-def _farthest_arc(lines: Bytes, x: float, y: float, half_rad: float) -> float | None:
+def _farthest_arc(lines: npt.NDArray[Any], x: float, y: float, half_rad: float) -> float | None:
     """Radius of the outermost drawn arc about the sonar at (x, y), pixels; None without any."""
     height, width = lines.shape
     bearings_rad = np.linspace(-half_rad, half_rad, 720)[10:-10]

@@ -1,6 +1,6 @@
 """Colours of sonar displays: the levels that a colour map painted, and the way back.
 
-Programs of sonars save pictures in colours, and a level of echo has one colour of a map.  Noise was
+Programs of sonars save images in colours, and a level of echo has one colour of a map.  Noise was
 in the levels, and only levels have means: between the blue and the red of a map lies its green, and
 between these colours themselves a violet that the map does not hold.
 """
@@ -61,7 +61,7 @@ _SOME = 0.2
 class Palette:
     """A colour map.
 
-    name: of a known map; `grey`, where colours were drawn over a grey picture; else `sum`: the
+    name: of a known map; `grey`, where colours were drawn over a grey image; else `sum`: the
         levels are the means of the three channels.
     colours: (N, 3), the levels lie evenly from 0 to 1, or as `at` says.  at: (N,) ascending.
     """
@@ -96,7 +96,7 @@ GREY = "grey"
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """A picture whose colours stand for levels."""
+    """An image whose colours stand for levels."""
 
     picture: Samples  # (H, W, C) as it is stored
     palette: Palette
@@ -106,7 +106,7 @@ class Painted:
     level is 0 there, or, of a small mark, that of its surroundings."""
 
     def repainted(self, levels: Levels) -> Samples:
-        """The picture with other levels, (H, W); what did not change keeps its very colours."""
+        """The image with other levels, (H, W); what did not change keeps its very colours."""
         full = FULL_SCALE[str(self.picture.dtype)]
         changed = self.known & (np.abs(levels - self.levels) >= _HALF_STEP)
         colours = self.palette.painted(levels[changed]) * np.float32(full / 255)
@@ -118,9 +118,9 @@ class Painted:
 
 
 def find_painted(picture: Samples, before: Palette | None = None) -> Painted | None:
-    """The levels of a picture in colours; None for a grey one, and for colours of no map.
+    """The levels of an image in colours; None for a grey one, and for colours of no map.
 
-    picture: (H, W, C) uint8, uint16 or float32, red or blue first.  before: the map of the picture
+    picture: (H, W, C) uint8, uint16 or float32, red or blue first.  before: the map of the image
     before it; a known one is kept where it fits.  A known map is told by its colours; of others
     each sum of the three channels must have one colour.
     """
@@ -134,7 +134,7 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     foreground = _foreground(codes.reshape(picture.shape[:2]))
     if len(foreground) < _LEAST:
         return None
-    # What is known of another map ends with the brightest colour of that picture.
+    # What is known of another map ends with the brightest colour of that image.
     is_kept = before is not None and before.name != SUM and _fits(before, foreground, _NEAR)
     palette = before if is_kept else _palette_of(foreground)
     if palette is None:

@@ -31,7 +31,7 @@ from .tiff import ORIENTATION, TIFF_HEADS, directories_of, with_upright_tags
 
 
 class Pictures(Recording):
-    """A `Recording` of picture files: one, those given, or all right in a folder, by name.
+    """A `Recording` of image files: one, those given, or all right in a folder, by name.
 
     Those of a folder come in the order of their sequences, see `names`.
     """
@@ -59,7 +59,7 @@ class Pictures(Recording):
 def read_picture(path: Path) -> Samples:
     """The pixels of a file as stored, (H, W) or (H, W, colours).  Raises FrameError; see `decoded`.
 
-    Of a TIFF of several pages, and of an array of several pictures, the first.
+    Of a TIFF of several pages, and of an array of several images, the first.
     """
     if path.suffix.lower() == ARRAY_SUFFIX:
         with explained(f"{path}: not a readable array"), ArrayFile(path) as array:
@@ -72,7 +72,7 @@ def read_picture(path: Path) -> Samples:
 
 
 def decoded(content: bytes, name: str) -> Samples:
-    """The pixels of a picture file, (H, W) or (H, W, colours), as people should see it.
+    """The pixels of an image file, (H, W) or (H, W, colours), as people should see it.
 
     name: names it in errors.  Raises FrameError when it cannot be read or is too large.
     """
@@ -114,7 +114,7 @@ def _orientation_of(header: Image.Image) -> Orientation:
 
 
 def _opened(file: IO[bytes], name: str) -> Image.Image:
-    """A picture whose pixels are not read yet.  Raises FrameError."""
+    """An image whose pixels are not read yet.  Raises FrameError."""
     with explained(f"{name}: not a readable picture"):
         try:
             return Image.open(file)

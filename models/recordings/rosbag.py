@@ -74,7 +74,7 @@ class RosBag(Recording):
     """A bag; a `Recording`.
 
     topics: whose messages are the frames.  Without, those of all sonars
-    (marine_acoustic_msgs/ProjectedSonarImage), or else the only one with pictures
+    (marine_acoustic_msgs/ProjectedSonarImage), or else the only one with images
     (sensor_msgs/Image or CompressedImage).
     Frames are read in order; one by number is searched from where reading stands.
     """
@@ -303,7 +303,7 @@ def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, name: s
 def with_samples(message: Any, msgtype: str, samples: Samples, name: str) -> Any:
     """The same message with other samples, of the shape and type of those of its frame.
 
-    A compressed picture is compressed as it was, JPEG at its best quality.
+    A compressed image is compressed as it was, JPEG at its best quality.
     Raises ValueError for samples of another shape or type.
     """
     before = _PIXELS[msgtype](message, name)

@@ -1,4 +1,4 @@
-"""A nearly noise-free truth for real pictures: frames of a scene that stands still.
+"""A nearly noise-free truth for real images: frames of a scene that stands still.
 
 The mean of the *other* frames is the reference of each (leave one out).  It removes what changes
 in time (receiver noise, decorrelated speckle); what stands still stays in the reference, so a
@@ -18,15 +18,15 @@ import numpy.typing as npt
 Gray = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
-_SIDE = 96  # of the small pictures that are compared with each other, pixels
-_BROAD = 8.0  # pixels of a small picture: what is wider counts as brightness, not as scene
+_SIDE = 96  # of the small images that are compared with each other, pixels
+_BROAD = 8.0  # pixels of a small image: what is wider counts as brightness, not as scene
 _LEAST_SPREAD = 0.1 / 255  # less is rounding, where there is hardly any noise
 _ECC_STEPS = cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class StaticGroup:
-    """Frames of one scene that stands still, by their numbers among the pictures, in order."""
+    """Frames of one scene that stands still, by their numbers among the images, in order."""
 
     numbers: tuple[int, ...]
     shifts_px: npt.NDArray[np.float64]
@@ -43,8 +43,8 @@ def find_groups(
 ) -> list[StaticGroup]:
     """Groups of at least `least` frames that show one scene, in any order among the others.
 
-    pictures: (H, W) float32 in 0..1.  sectors: (H, W) bool, what each picture shows of the fan.
-    alike: correlation of the small, smoothed pictures above which two frames may show one scene.
+    pictures: (H, W) float32 in 0..1.  sectors: (H, W) bool, what each image shows of the fan.
+    alike: correlation of the small, smoothed images above which two frames may show one scene.
     furthest_px: how far the scene of a group may move.
     """
     # One at a time: the images may be read from files only here.

@@ -114,7 +114,7 @@ def frame_picture(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
 
 
 _SHARE = 99.5  # percentile of the pixels that are not zero
-# Bright pixels below the first make a picture dark; below the second they come to the last.
+# Bright pixels below the first make an image dark; below the second they come to the last.
 _DARK = 0.25
 _DARKER = 0.125
 _WANTED = 0.5
@@ -122,14 +122,14 @@ _WANTED = 0.5
 
 @dataclass(frozen=True)
 class Presentation:
-    """What is done to a picture before networks see it, and undone after."""
+    """What is done to an image before networks see it, and undone after."""
 
     quarter_turns: int  # counter-clockwise
-    gain: np.float32  # what the picture is multiplied by
-    geometry: FanGeometry | None  # of the picture that networks see; None where it is not known
+    gain: np.float32  # what the image is multiplied by
+    geometry: FanGeometry | None  # of the image that networks see; None where it is not known
 
     def shown(self, grey: Grey) -> Grey:
-        """A picture, (H, W) in 0..1, as networks see it; those beside it in time are alike."""
+        """An image, (H, W) in 0..1, as networks see it; those beside it in time are alike."""
         if self.quarter_turns:
             grey = np.ascontiguousarray(np.rot90(grey, self.quarter_turns))
         return grey if self.gain == 1 else np.minimum(grey * self.gain, 1)
@@ -144,15 +144,15 @@ class Presentation:
 
 
 def presentation_of(grey: Grey, geometry: FanGeometry | None) -> Presentation:
-    """How a picture, (H, W) in 0..1, is to be shown; most are left as they are.
+    """How an image, (H, W) in 0..1, is to be shown; most are left as they are.
 
-    The gain rises without a step as pictures get darker, and no pixel comes above 1.
+    The gain rises without a step as images get darker, and no pixel comes above 1.
     """
     turns = 0 if geometry is None else geometry.quarter_turns
     gain = 1.0
     if geometry is not None and turns:
         geometry = geometry.turned(*grey.shape)
-    # Most pictures are bright enough, and counting takes a fiftieth of what a percentile does.
+    # Most images are bright enough, and counting takes a fiftieth of what a percentile does.
     if np.count_nonzero(grey >= _DARK) < np.count_nonzero(grey) * (1 - _SHARE / 100):
         lit = grey[grey > 0]
         bright = max(float(np.percentile(lit, _SHARE)), 1e-6)

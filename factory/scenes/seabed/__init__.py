@@ -1,7 +1,7 @@
 """Procedural seabed: FLSea-like RGBD frames of invented places, with labels and poses.
 
 A location is a number: it fixes the ground, the objects, the water and the camera's path.  Frames
-are drawn by one z-buffer, so depth, labels and pictures agree to the pixel.
+are drawn by one z-buffer, so depth, labels and images agree to the pixel.
 """
 
 from __future__ import annotations
@@ -217,7 +217,7 @@ class SeabedReader:
 
     def load(self, ref: FrameRef) -> Frame:
         """Build the location, if it is not at hand, and take the frame."""
-        # Reading a configuration imports this module, but needs nothing that makes pictures.
+        # Reading a configuration imports this module, but needs nothing that makes images.
         from .view import surroundings, take
 
         settings = self._settings

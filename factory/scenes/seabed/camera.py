@@ -27,7 +27,7 @@ VFOV_DEG = 29.2
 """What it sees at 968x608 pixels."""
 MOVEMENT = ("surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MARGIN_DEG = 1.0  # beyond each edge of a sonar's sector
-_SIDE_PX = 64  # of the picture in which an object's outline is counted
+_SIDE_PX = 64  # of the image in which an object's outline is counted
 _NEAREST_M = 0.05
 
 
@@ -56,17 +56,17 @@ class Optics:
 
 
 def centred(focal: float, width: int, height: int, across: float = 1.0) -> Optics:
-    """Optics whose principal point is the middle of the picture."""
+    """Optics whose principal point is the middle of the image."""
     return Optics((focal, focal, (width - 1) / 2, (height - 1) / 2), width, height, across)
 
 
 def camera(
     width: int, height: int, hfov_deg: float | None = None, vfov_deg: float | None = None
 ) -> Optics:
-    """The camera whose pictures are width x height pixels when it sees what FLSea's camera sees.
+    """The camera whose images are width x height pixels when it sees what FLSea's camera sees.
 
     hfov_deg, vfov_deg: the sector to see instead, elevation |e| <= vfov_deg / 2 at every azimuth
-    |a| <= hfov_deg / 2.  A flat picture of it needs tan(e) / cos(a) upwards, so it shows more in
+    |a| <= hfov_deg / 2.  A flat image of it needs tan(e) / cos(a) upwards, so it shows more in
     its corners; pixels are spread so thin that their number grows as the sector's solid angle,
     2 hfov sin(vfov / 2), and no faster.
     """
@@ -236,13 +236,13 @@ class ZBuffer:
         return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
 
     def _cover(self, which: int, points: Points) -> tuple[float, float]:
-        """Pixels that an object alone would cover, beyond the picture too, and those hidden."""
+        """Pixels that an object alone would cover, beyond the image too, and those hidden."""
         ahead = points[points[:, 2] > _NEAREST_M]
         if not len(ahead):
             return 0.0, 0.0
         fx, fy, cx, cy = self.optics.lens
         places = ahead[:, :2] / ahead[:, 2:] * (fx, fy) + (cx, cy)
-        # Of what reaches beside the lens, as far as three pictures.
+        # Of what reaches beside the lens, as far as three images.
         limits = np.array([self.optics.width, self.optics.height])
         left, top = np.clip(places.min(axis=0), -limits, 2 * limits)
         right, bottom = np.clip(places.max(axis=0), -limits, 2 * limits)

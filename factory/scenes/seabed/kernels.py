@@ -200,7 +200,7 @@ def _placed(point: Any, eye: Any, axes: Any) -> Any:
 
 @compiled(f"void({_ROWS}, {_WHOLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
 def paint(points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, planes: Any) -> None:
-    """Paint parts of a mesh into the picture of a camera; triangle numbers begin at `offset`.
+    """Paint parts of a mesh into the image of a camera; triangle numbers begin at `offset`.
 
     parts: (N, 4) first point, first triangle and the ends of both.  camera: eye (3,), axes (3, 3)
     world from camera, lens (4,) fx, fy, cx, cy.  planes: (H, W) one over the depth along the
@@ -270,7 +270,7 @@ def paint(points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, pla
                 or (ay < top_slope * az and by < top_slope * bz and cy < top_slope * cz)
                 or (ay > bottom_slope * az and by > bottom_slope * bz and cy > bottom_slope * cz)
             ):
-                continue  # it reaches behind the lens, but beside the picture
+                continue  # it reaches behind the lens, but beside the image
             ux = by * cz - bz * cy
             uy = bz * cx - bx * cz
             uz = bx * cy - by * cx
@@ -426,7 +426,7 @@ def look(
     ground, things: points, normals, attributes or colours, and triangles.  sight: eye, axes, lens.
     planes: see `paint`.  finishes: (N, 3) fouling, silt and bump of each object.  palette, turf,
     water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a camera in the
-    sun and its (S, S) picture of the objects.
+    sun and its (S, S) image of the objects.
     """
     eye, axes, lens = sight
     inverse, which = planes
@@ -519,7 +519,7 @@ def look(
     "int64, int64)"
 )
 def expose(colour: Any, black: Any, gain: Any, gamma: Any, height: int, width: int) -> Any:
-    """A picture (H, W, 3) of linear colours of every second pixel, those between by their mean.
+    """An image (H, W, 3) of linear colours of every second pixel, those between by their mean.
 
     black: (3,) black level.  gain: exposure.  gamma: (L,) codes of levels from 0 to 1.
     """

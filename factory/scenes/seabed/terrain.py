@@ -1,7 +1,7 @@
 """Kinds of places: their ground, a function of (x, y), its random fields, colours and water.
 
 `Waves` give the shape of the ground (smooth, exact at every point, so two views of one spot agree);
-`tiles` give fine relief and colour, looked up as fast as a picture can be resampled.  Each view
+`tiles` give fine relief and colour, looked up as fast as an image can be resampled.  Each view
 samples the ground finely where the camera looks (`seen_from`).
 """
 
@@ -27,7 +27,7 @@ Range = tuple[float, float]
 Place = Mapping[str, Any]  # a kind of place, as `places.yaml` describes it
 
 WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
-TILE = 1024  # pixels a side of every noise picture
+TILE = 1024  # pixels a side of every noise image
 FAR_M = 36.0  # the ground ends here; water hides it long before
 
 # The order is the order in which locations 0, 1, 2, ... take them.
@@ -94,11 +94,11 @@ def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:
 
 @functools.cache
 def tiles() -> tuple[npt.NDArray[np.int32], Floats, Floats]:
-    """Noise pictures that repeat without a seam, each with mean 0 and standard deviation 1.
+    """Noise images that repeat without a seam, each with mean 0 and standard deviation 1.
 
     Every location uses them at its own offset.  Returns a texture (TILE / 2, TILE / 2) of four
     channels of 8 bits, the first the lowest: broad clouds, fine grain, cells (dark seams between
-    lumps), speckle, in steps of 1 / STEPS; and relief of rock and of sand, (TILE, TILE).  A picture
+    lumps), speckle, in steps of 1 / STEPS; and relief of rock and of sand, (TILE, TILE).  An image
     looks up a million places all over the texture, which must be near, and all channels at once.
     """
     from .kernels import STEPS
@@ -233,7 +233,7 @@ def _level(cover: float) -> float:
 class Terrain:
     """A ground of one location, of a kind of place; `heading_rad` is the direction of its walls.
 
-    banks: None where there are no walls.  offset_m: where it lies on the noise pictures.
+    banks: None where there are no walls.  offset_m: where it lies on the noise images.
     """
 
     def __init__(self, rng: Draws, place: Place, heading_rad: float) -> None:

@@ -102,7 +102,7 @@ def field_of_view(
 def photograph(
     world: World, ground: tuple[Floats, Floats, Floats], z_buffer: ZBuffer, exposure: float
 ) -> npt.NDArray[np.uint8]:
-    """The (H, W, 3) picture of what a z-buffer met.
+    """The (H, W, 3) image of what a z-buffer met.
 
     exposure: how bright its bright parts are, 0 to 1.  Colours are those of every second pixel.
     """
@@ -121,7 +121,7 @@ def photograph(
         sights[1], sun.inverse,
     )  # fmt: skip
     # The camera sets its black level on the haze, as far as that has one colour, and lets the
-    # bright parts of the picture fill most of the scale, whatever the water.
+    # bright parts of the image fill most of the scale, whatever the water.
     some = colour[::4, ::4]
     haze = look.water[1]
     black = haze * np.float32(0.6 * np.percentile(some.max(axis=-1), 1) / haze.max())
@@ -171,7 +171,7 @@ def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> np
         keep &= ~(behind & (noise > np.float32(level)))
     missing = 0.08 + 0.3 * rng.random() ** 2 - float(1 - keep.mean())
     if missing > 0 and keep.any():
-        # Matching fails first far away, then near the picture's border; a few blobs are anywhere.
+        # Matching fails first far away, then near the image's border; a few blobs are anywhere.
         down, across = (np.linspace(-1, 1, size, dtype=np.float32) ** 8 for size in keep.shape)
         doubt = np.float32(0.3) * broad + np.float32(0.1) * grain
         doubt += np.float32(0.9) * np.maximum(across, down[:, None])

@@ -92,7 +92,7 @@ class DaskBackend(Backend):
         threading.Thread(target=self._watch, daemon=True).start()
 
     def _count(self) -> None:
-        """Take in workers that have come or gone."""
+        """Update the number of workers, which may join and leave."""
         with suppress(Exception):
             self._workers = (
                 len(self._ask_scheduler("identity", n_workers=-1)["workers"]) or self._workers

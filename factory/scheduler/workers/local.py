@@ -1,4 +1,4 @@
-"""Worker processes on this machine: single-threaded, replaceable, gone when we go.
+"""Worker processes on this machine: single-threaded, replaceable, and ended with this process.
 
 Every wait here ends: each worker has one deadline, put off by all that it tells, and one thread
 kills whoever misses it.  What was said to a process that is dead fails at once, because the two
@@ -30,7 +30,7 @@ from . import ERROR, Backend, Pool, Task, WorkerDied, answered, start_worker_pro
 _PROCESS_S = 60.0
 _FIRST_S = 300.0
 _BEGIN_S = 30.0
-# To be gone when it was killed.
+# Time for a killed process to exit.
 _END_S = 5.0
 _LOOK_S = 0.5
 _STOP_S = 10.0
@@ -134,7 +134,7 @@ class _Worker:
                 self._deadline = math.inf
 
     def _answer(self, request: bytes, task: Task) -> tuple[str, Any]:
-        """What comes of the task.  TimeoutError or WorkerDied: the process is gone."""
+        """The future result of the task; TimeoutError or WorkerDied when its process ended."""
         if self._process and (self._answered == self.pool.tasks_per_worker > 0 or not self._runs()):
             self._end()
         if self._process is None:
@@ -168,7 +168,7 @@ class _Worker:
         self._connection, theirs = multiprocessing.Pipe()
         with closing(theirs):  # so that its end of the connection ends with it
             self._started = template.started(self._forks, _work, (theirs, dict(os.environ)))
-        with suppress(psutil.NoSuchProcess):  # gone already
+        with suppress(psutil.NoSuchProcess):  # has exited already
             self._process = psutil.Process(self._started.pid)
         # At its end, multiprocessing would wait for all that live.
         weakref.finalize(self, _kill, self._process)
@@ -180,7 +180,7 @@ class _Worker:
         return False
 
     def _received(self) -> tuple[str, Any]:
-        """The next thing that the process says.  Raises EOFError or OSError when it is gone."""
+        """The next message of the process.  Raises EOFError or OSError when it has exited."""
         # A copy of its end may live on in a process that something else here has forked.
         while not self._connection.poll(_LOOK_S):
             if not self._runs() and not self._connection.poll():
@@ -219,7 +219,7 @@ class _Worker:
 
 
 def _kill(process: psutil.Process | None) -> None:
-    with suppress(psutil.Error):  # gone already
+    with suppress(psutil.Error):  # has exited already
         if process:
             process.kill()
 

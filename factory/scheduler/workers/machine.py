@@ -30,7 +30,7 @@ def usable_cores() -> int:
 
 def available_memory_bytes() -> int:
     """Memory that can be had without swapping, under a container's limit when there is one."""
-    import psutil  # 20 ms, which a command for one picture can do without
+    import psutil  # 20 ms, which a command for one image can do without
 
     available = int(psutil.virtual_memory().available)
     group = Path("/sys/fs/cgroup")

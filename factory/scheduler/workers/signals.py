@@ -33,7 +33,7 @@ class Interrupted(KeyboardInterrupt):
 def stop_signals() -> Iterator[None]:
     """Within the block the first SIGINT or SIGTERM raises Interrupted; a second ends it all.
 
-    After a second signal workers notice that their parent is gone, and the next run removes what
+    After a second signal workers notice that their parent has exited, and the next run removes what
     is left behind.  Both signals of one keypress (a shell's and a terminal's) count as one.  In a
     thread that is not the main one, where Python delivers no signals, nothing is changed.
 

@@ -290,7 +290,7 @@ def test_slices_that_begin_at_once_are_all_let_in(tmp_path: Path) -> None:
         assert names == {"config.yaml", "manifest.json"}
 
 
-COUNTS = re.compile(r"frames (\d+)/16.*, pairs (\d+)/32; \d+:\d\d gone(?:, \d+:\d\d left)?")
+COUNTS = re.compile(r"frames (\d+)/16.*, pairs (\d+)/32; \d+:\d\d elapsed(?:, \d+:\d\d left)?")
 
 
 def test_a_run_counts_frames_and_pairs_from_the_first_one_on(tmp_path, capfd):
