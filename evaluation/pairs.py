@@ -176,7 +176,7 @@ _GIVEN = (".png", ".npy")
 
 
 def given_file(folder: Path, names: Sequence[str]) -> Path | None:
-    """The file of somebody's denoised image, PNG or .npy, by the first of its names."""
+    """The file of another program's denoised image, PNG or .npy, by the first of its names."""
     paths = (folder.expanduser() / f"{name}{suffix}" for name in names for suffix in _GIVEN)
     return next((path for path in paths if path.is_file()), None)
 

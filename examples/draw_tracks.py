@@ -1,4 +1,4 @@
-"""A recording of a dataset as an animation, with the tracks of what moves.
+"""A recording of a dataset as an animation, with the tracks of moving objects.
 
 python examples/draw_tracks.py outputs/fish fish.gif
 

@@ -12,7 +12,7 @@ from simnfnd import PairDataset
 
 def main() -> None:
     """Read one epoch in random order."""
-    # It opens its files in each worker by itself, however that was started.
+    # It opens its files separately in each worker, however that was started.
     pairs = PairDataset(sys.argv[1], "train", layers=("noisy", "clean", "shadow"), scaled=True)
     loader = DataLoader(pairs, batch_size=4, shuffle=True, num_workers=2)
     count, shaded = 0, 0.0

@@ -89,7 +89,7 @@ def load_compiled() -> None:
 def _alone() -> Iterator[None]:
     user = getattr(os, "getuid", int)()
     lock = FileLock(Path(tempfile.gettempdir()) / f"simnfnd-kernels-{user}.lock")
-    with suppress(OSError):  # a full or closed folder keeps nobody from compiling
+    with suppress(OSError):  # a full or read-only folder does not prevent compiling
         lock.acquire()
     try:
         yield

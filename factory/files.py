@@ -150,7 +150,7 @@ def is_dead(pid: int) -> bool:
     import psutil  # only needed here, and readers of datasets have numpy and h5py alone
 
     with suppress(psutil.NoSuchProcess):
-        # In a container whose first process collects nobody, the dead stay on the list as zombies.
+        # In a container whose first process reaps no children, dead processes stay as zombies.
         return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
     return True
 

@@ -110,7 +110,7 @@ class FrameRef:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Where a recording begins, for what moves in it.
+    """Where a recording begins, for its moving objects.
 
     world_from_start: (4, 4) float64, pose of the camera at the first frame.
     ground_m: (N, N) float32, height of the ground at places `step_m` apart; the middle is the
@@ -160,7 +160,7 @@ class Frame:
         0 = no measurement.
     intrinsics: of this very image size.
     world_from_camera: (4, 4) float64 pose, or None where the recording has none.
-    segmentation: (H, W) uint8 object class, or None where nobody labelled it.
+    segmentation: (H, W) uint8 object class, or None without labels.
     instance: (H, W) uint16 object number within the scene (0 = none), or None.
     time_s: when it was taken, seconds from any beginning, or None.
     altitude_m: height of the camera above the ground right under it, or None.

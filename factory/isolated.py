@@ -1,4 +1,4 @@
-"""A process of its own for strangers' files, whose library may crash, hang or take all memory.
+"""A separate process for untrusted files, whose library may crash, hang or take all memory.
 
 It is started as a command and not by multiprocessing, which would import the caller's main module
 again: a five-line script that reads a dataset has no `if __name__ == "__main__"`.  Calls and
@@ -38,7 +38,7 @@ _MOST_ANSWER_BYTES = 1 << 28
 def look_at(
     path: Path, function: Callable[..., Any], *arguments: Any, limit_s: float = LIMIT_S
 ) -> Any:
-    """The answer of a function that reads what may be a stranger's file, in a process that lasts.
+    """Run a function that reads a possibly untrusted file in a process that is kept.
 
     path: named in the error.  function: of a module, importable.  Arguments and answer are what
     JSON can hold; a path arrives as text.

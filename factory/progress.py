@@ -25,7 +25,7 @@ _LINE_EVERY_S = 30.0
 def terminal_bars() -> type[tqdm[Any]]:
     """tqdm, which is imported where a terminal needs it, with a lock of this process alone.
 
-    The lock that tqdm makes by itself is a semaphore of the system, which a worker that is killed
+    The lock that tqdm makes by default is a semaphore of the system, which a worker that is killed
     leaves behind.
     """
     from tqdm import tqdm
@@ -132,7 +132,7 @@ def progress_bar(*, total: int, initial: int = 0, unit: str, desc: str) -> tqdm[
     form = "{desc}: {n_fmt} of {total_fmt} {unit}s in {elapsed}, {remaining} left{postfix}"
     options |= {"mininterval": _LINE_EVERY_S, "maxinterval": _LINE_EVERY_S, "delay": 1e-9}
     bar: tqdm[Any] = terminal_bars()(**options, file=_AsLines(), bar_format=form)
-    for name in ("set_postfix", "set_postfix_str"):  # by itself it would draw at each
+    for name in ("set_postfix", "set_postfix_str"):  # it would redraw at each
         setattr(bar, name, partial(getattr(bar, name), refresh=False))
     return bar
 

@@ -1,4 +1,4 @@
-"""Small files that a stranger may have written: regular ones of bounded size, safely parsed."""
+"""Small untrusted files: regular ones of bounded size, safely parsed."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from dataclasses import asdict
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import TypeAdapter
 
@@ -46,6 +46,14 @@ _MOST_BYTES = 1 << 27
 _NO_VIEW = (errno.EFBIG, errno.EINVAL)
 # Evicted at once, so that a full cache is not scanned for every entry.
 _EVICT_TO = 0.9
+
+
+class CacheEntry(NamedTuple):
+    """A render on disk; entries sort by the time of their last use, ns since 1970."""
+
+    used_ns: int
+    path: Path
+    size_bytes: int
 
 
 class Cache:
@@ -94,13 +102,13 @@ class Cache:
         write_atomically(path, content, durable=False, key="cache.dir")
         return len(content)
 
-    def entries(self) -> list[tuple[int, Path, int]]:
-        """When each was last used (ns), its file, its bytes; those that vanish are left out."""
+    def entries(self) -> list[CacheEntry]:
+        """List the entries; leaves out those that vanish meanwhile."""
         entries = []
         for path in sorted(self.folder.glob(f"??/*{_SUFFIX}")):
             with suppress(FileNotFoundError):
                 status = path.stat()
-                entries.append((status.st_mtime_ns, path, status.st_size))
+                entries.append(CacheEntry(status.st_mtime_ns, path, status.st_size))
         return entries
 
     def grown(self, added_bytes: int) -> None:
@@ -295,7 +303,7 @@ class ViewMaker:
     def render(self, ref: FrameRef) -> View:
         """Load and render one frame."""
         if self._renderer is None:
-            # Not before it is needed: with all renders at hand nobody has to load Blender.
+            # Not before it is needed: with all renders at hand Blender need not be loaded.
             from .render import open_renderer
 
             compile_needed(scenes=self.config.scenes.kind)

@@ -82,7 +82,7 @@ def _parsed(arguments: Sequence[str]) -> Any:
 
 
 def _lessons(read: ReadClips) -> Lessons:
-    """What stands still in the recordings; FactoryError where nothing does."""
+    """Find the static stretches of the recordings; FactoryError without any."""
     frame_count = sum(len(clip.shots) for clip in read.clips)
     share = f"{frame_count} of {read.frames}" if frame_count < read.frames else f"{frame_count}"
     lessons = find_lessons(read.clips)

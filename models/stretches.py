@@ -27,11 +27,11 @@ Image = npt.NDArray[np.float32]
 
 RUN = 16  # frames that follow each other are read together where not all can be
 MOST_FRAMES = 256  # of all recordings together; of more, runs that are evenly spread are read
-LEAST = 4  # fewer frames make no stretch: too little is known of what stands still
+LEAST = 4  # fewer frames make no stretch: too little is known of the static scene
 _ALIKE = 0.75  # of images in any order
 _FOLLOWS = 0.3  # of frames that follow each other: raw pings of one scene have .3 to .5
 _LEAST_ALIGNED = 3
-_LEAST_KNOWN = 0.1  # of the sector that must stand still
+_LEAST_KNOWN = 0.1  # of the sector that must be static
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,7 +84,7 @@ def denoise(
         the columns span 30 degrees.  None: not known.
     strength: part of the change that a picture gets, 0 to 1.
     frames: of a stack whose pictures follow each other in time: up to so many, odd, are laid over
-        each other and fused where they show the same; 1: each by itself.
+        each other and fused where they show the same; 1: each alone.
     causal: fuse with pictures before alone.
     device: gpu means CUDA; auto takes it where it is usable.
     return_removed: whether the removed signal is returned, too.

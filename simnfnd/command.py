@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 from .factory import __version__, extensions
 from .factory.cli import guard
@@ -65,34 +66,39 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     return guard(run, debug="debug=true" in arguments)
 
 
-def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
-    """The verb that `words` begin with: its name (one word or two), itself, the other words.
+class _Command(NamedTuple):
+    """A verb with its name, one word or two, and the words that follow it."""
 
-    Raises FactoryError, one line, for words that are none.
-    """
+    name: str
+    verb: Verb
+    rest: list[str]
+
+
+def find(words: Sequence[str]) -> _Command:
+    """Find the verb that `words` begin with.  Raises FactoryError, one line, for unknown verbs."""
     name = words[0]
     rest = list(words[1:])
-    own = [full_name for full_name in VERBS if full_name.startswith(f"{name} ")]
-    second = bool(rest and own) and not _is_option(rest[0])
-    if second:
+    has_own_verbs = any(full_name.startswith(f"{name} ") for full_name in VERBS)
+    has_second_word = has_own_verbs and bool(rest) and not _is_option(rest[0])
+    if has_second_word:
         name = f"{name} {rest.pop(0)}"
     if name in VERBS:
-        return name, VERBS[name], rest
+        return _Command(name, VERBS[name], rest)
     word = name.rpartition(" ")[2]
-    if second and ("/" in word or Path(word).exists()):
+    if has_second_word and ("/" in word or Path(word).exists()):
         raise FactoryError(f"{word}: no such verb; {_verb_for(words[0], Path(word))}")
     if "=" in word:
         raise FactoryError(
             f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
         )
     # By the last word, too: people leave `evaluate` out.
-    known = {full_name.rpartition(" ")[2]: full_name for full_name in VERBS}
-    near = [
-        known[full_name] for full_name in difflib.get_close_matches(word, known, n=3, cutoff=0.5)
-    ]
-    close = f"did you mean `simnfnd {'` or `simnfnd '.join(near)}`?"
-    listed = f"`simnfnd {f'{words[0]} ' if second else ''}--help` lists them"
-    raise FactoryError(f"{word}: no such verb; {close if near else listed}")
+    name_by_last_word = {full_name.rpartition(" ")[2]: full_name for full_name in VERBS}
+    close_words = difflib.get_close_matches(word, name_by_last_word, n=3, cutoff=0.5)
+    near = [name_by_last_word[close_word] for close_word in close_words]
+    hint = f"`simnfnd {f'{words[0]} ' if has_second_word else ''}--help` lists them"
+    if near:
+        hint = f"did you mean `simnfnd {'` or `simnfnd '.join(near)}`?"
+    raise FactoryError(f"{word}: no such verb; {hint}")
 
 
 def _verb_for(verb: str, path: Path) -> str:

@@ -49,8 +49,8 @@ def contents(url: str) -> dict[str, bytes]:
     system, root = fsspec.core.url_to_fs(url)
     system.invalidate_cache()
     names = system.find(root)
-    found = system.cat(names, on_error="omit") if names else {}  # a run may be removing some
-    return {name[len(root) + 1 :]: content for name, content in found.items()}
+    actual = system.cat(names, on_error="omit") if names else {}  # a run may be removing some
+    return {name[len(root) + 1 :]: content for name, content in actual.items()}
 
 
 def shards_of(url: str) -> dict[str, bytes]:

@@ -28,7 +28,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if hasattr(config, "workerinput"):
         slow = {item.path for item in items if item.get_closest_marker("slow")}
         rooms = ("project", "models", "evaluation", "factory")
-        items.sort(key=lambda one: (one.path not in slow, rooms.index(one.nodeid.split("/")[1])))
+        items.sort(key=lambda item: (item.path not in slow, rooms.index(item.nodeid.split("/")[1])))
 
 
 @pytest.fixture(scope="session", autouse=True)

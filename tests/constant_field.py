@@ -71,25 +71,25 @@ def coherent(settings: FactoryConfig) -> CoherentSettings:
 
 def observed(settings: FactoryConfig, **frame: Any) -> ObservedFrame:
     """The constant field as the device of `settings` observes it."""
-    made, rendered = constant_field(**frame)
-    return observe(made, rendered, settings)
+    ideal, rendered = constant_field(**frame)
+    return observe(ideal, rendered, settings)
 
 
-def effects_of(settings: FactoryConfig, made: ObservedFrame, variant: int = 0) -> Any:
+def effects_of(settings: FactoryConfig, ideal: ObservedFrame, variant: int = 0) -> Any:
     """The effects of one sample of it, drawn."""
-    names = StreamNames.of(made.ref, variant, made.has_pose)
+    names = StreamNames.of(ideal.ref, variant, ideal.has_pose)
     return draw(settings.noise, settings.seed, names).effects
 
 
-def scene_of(made: ObservedFrame) -> CoherentScene:
+def scene_of(ideal: ObservedFrame) -> CoherentScene:
     """Its scene."""
-    assert isinstance(made.scene, CoherentScene)
-    return made.scene
+    assert isinstance(ideal.scene, CoherentScene)
+    return ideal.scene
 
 
-def ping_of(made: ObservedFrame) -> Ping:
+def ping_of(ideal: ObservedFrame) -> Ping:
     """Its ping."""
-    return scene_of(made)
+    return scene_of(ideal)
 
 
 def slope(pose_m: tuple[float, float, float], name: str = "0") -> tuple[Frame, Rendered]:

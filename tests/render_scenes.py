@@ -47,9 +47,9 @@ def box_depth(
     direction: npt.NDArray[np.float64], low: tuple[float, ...], high: tuple[float, ...]
 ) -> npt.NDArray[np.float64]:
     with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = np.asarray(low) / direction, np.asarray(high) / direction
-    enter = np.nanmax(np.minimum(one, other), axis=-1)
-    leave = np.nanmin(np.maximum(one, other), axis=-1)
+        low_distance, high_distance = np.asarray(low) / direction, np.asarray(high) / direction
+    enter = np.nanmax(np.minimum(low_distance, high_distance), axis=-1)
+    leave = np.nanmin(np.maximum(low_distance, high_distance), axis=-1)
     return np.where((enter < leave) & (enter > 0), enter, np.inf)
 
 

@@ -18,9 +18,9 @@ from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 IDENTITY = {"seed": 0, "noise": {"background": {"density": {"uniform": [0.1, 0.5]}}}}
 
 
-def make(directory: Path, *given: Any, **changes: Any) -> RunReport:
+def make(directory: Path, *arguments: Any, **changes: Any) -> RunReport:
     """`job` made."""
-    return make_dataset(job(directory, *given, **changes))
+    return make_dataset(job(directory, *arguments, **changes))
 
 
 def job(

@@ -56,7 +56,7 @@ def example_frames() -> Frames:
 
 
 def probe() -> dict[str, float]:
-    """PSNR of a frame of the example by itself and in time, dB, against frames outside its window.
+    """PSNR of a frame of the example alone and in time, dB, against frames outside its window.
 
     Measured in seconds, so that a test can tell whether the denoiser is still the one whose figures
     are kept.

@@ -34,15 +34,15 @@ MOST_FRAMES = 16
 """Frames that a filter is tuned on, and of each group where there are several."""
 
 _MARGIN_PX = 2.0  # of the sector that does not count, beside what the scene moves
-_LEAST_STILL = 0.25  # share of the sector that must stand still
+_LEAST_STILL = 0.25  # share of the sector that must be static
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Frames of a scene that stands still.
+    """Frames of a static scene.
 
     shifts_px: (N, 2) as `StaticGroup` has them.  geometry: of all its frames.
-    mask: (H, W) bool, the sector without its rim and without what moves; what is judged.
+    mask: (H, W) bool, the sector without its rim and moving objects; the pixels that are judged.
     still: share of the sector that is judged.
     """
 

@@ -1,4 +1,4 @@
-"""Recordings of a scene that stands still, judged in time: as they are, moving, with a ghost.
+"""Recordings of a static scene, judged in time: as they are, moving, with a ghost.
 
 A denoiser may use the frames up to `AWAY` before and after each; the reference is the mean of
 frames further away, whose noise it has not seen.  Three kinds of input are made of the same real
@@ -91,7 +91,7 @@ class Judged:
 def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
     """The three kinds of one recording.
 
-    frames: (N, H, W) float32 in 0..1, of a scene that stands still; `LEAST_FRAMES` at least.
+    frames: (N, H, W) float32 in 0..1, of a static scene; `LEAST_FRAMES` at least.
     """
     references, masks = _references(frames)
     static = Judged("static", frames, references, masks)
@@ -148,7 +148,7 @@ def _in_time(frames: Gray, network: Network | None) -> list[Gray]:
 
 
 def _references(frames: Gray) -> tuple[Gray, Mask]:
-    """For each frame the mean of those far away, and where the scene is lit and stands still."""
+    """For each frame the mean of those far away, and where the scene is lit and static."""
     count = len(frames)
     lit = cv2.GaussianBlur(frames.mean(axis=0), (0, 0), 2) > _LIT
     references = np.empty_like(frames)
@@ -214,7 +214,7 @@ def _ghost(static: Judged, rng: np.random.Generator) -> Judged:
 def judged_in_time(
     settings: RealSettings, groups: Sequence[Group], networks: Sequence[Method], pool: TaskPool
 ) -> tuple[pd.DataFrame, list[str]]:
-    """The rows of every recording that stands still, by each network; none without either.
+    """The rows of every static recording, by each network; none without either.
 
     Returns a line for each recording, kind of input and row: means over the judged frames; and
     notes: what was tuned on what, and what was left out.

@@ -105,7 +105,7 @@ def _store_readers() -> None:
     from ..scenes import default_values
 
     for kind in extensions.names("reader"):
-        # What cannot be loaded is told when it is chosen.
+        # What cannot be loaded is reported when it is chosen.
         with suppress(FactoryError):
             ConfigStore.instance().store(name=kind, group="scenes", node=default_values(kind))
 

@@ -13,7 +13,7 @@ sys.path[:] = [folder for folder in sys.path if folder]
 # fork that looks through it copies it.
 gc.disable()
 
-# What is absent or broken is told by the task that needs it.
+# A missing or broken module is reported by the task that needs it.
 with suppress(Exception):
     from .. import pairs  # noqa: F401
     from ..compiled import load_compiled

@@ -9,7 +9,7 @@ from ..dataset.manifest import CONFIG_NAME
 from ..errors import FactoryError
 from ..small_files import load_yaml, one_line
 
-# A dataset may come from a stranger, so it does not choose where renders are written or which
+# A dataset may be untrusted, so it does not choose where renders are written or which
 # cluster is connected to.
 _OF_THIS_MACHINE = ("scheduler", "cache", "shard", "debug")
 

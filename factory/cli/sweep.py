@@ -91,7 +91,7 @@ class SweepTable(Callback):
     """Hydra callback: one table tells of all points of a sweep."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """`run_app` writes the table: after an error Hydra calls nobody back."""
+        """`run_app` writes the table: after an error Hydra runs no callbacks."""
         from omegaconf import OmegaConf
 
         from .compose import sweep_points

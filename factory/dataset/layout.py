@@ -1,6 +1,6 @@
 """Checks that a shard is laid out as the schema says, is whole, and refers to no other file.
 
-A dataset may come from a stranger or a dying disk.  The checks read no image: they cover links,
+A dataset may be untrusted or lie on a failing disk.  The checks read no image: they cover links,
 types, sizes, filters and attributes.  A file that passes names no other file and has one chunk per
 image.  HDF5 has no checksums for contiguous datasets (/meta, /axes, uncompressed images), for
 texts, and for the tables that say where a chunk lies.  Therefore a shard has

@@ -31,7 +31,7 @@ def grey_meaning(config: Mapping[str, Any], dtype: str) -> str:
         return _UNKNOWN_GREY
     try:
         formula = _inverse_curve(config["sonar"]["transfer"], formation)
-    except (AttributeError, KeyError, TypeError, ValueError):  # a stranger's configuration
+    except (AttributeError, KeyError, TypeError, ValueError):  # an untrusted configuration
         return _UNKNOWN_GREY
     grey = "v / 255" if dtype == "uint8" else "v"
     quantity = (

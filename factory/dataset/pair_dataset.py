@@ -83,7 +83,7 @@ class PairDataset:
     (0.0, 1.0) for float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are
     float32 in 0..1.
 
-    Nothing is open until the first read, and then in each process by itself, so the object can go
+    Nothing is open until the first read, and then separately in each process, so the object can go
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
     `with` block, closes what this process has open.
 

@@ -78,7 +78,7 @@ def listed_shards(
 def check_in_isolation(paths: Iterable[Path]) -> None:
     """Have another process open every shard first: a damaged file can make HDF5 crash or hang.
 
-    Whatever opens files that may be a stranger's goes through here: a third of a second, and some
+    Everything that opens possibly untrusted files goes through here: a third of a second, and some
     milliseconds a shard.  Raises FactoryError for the first shard that cannot be read.
     """
     for path in paths:
@@ -101,7 +101,7 @@ def bring(path: Path) -> None:
             look_at(aside, check_readable, aside, limit_s=_LIMIT_S)
         except FactoryError as error:
             raise FactoryError(str(error).replace(str(aside), str(path))) from error
-        # It keeps its state when it gets its name, and nobody else writes it.
+        # It keeps its state when it gets its name, and no other process writes it.
         _sound[path] = _state_of(aside)
 
     fetched(path, look)
@@ -110,7 +110,7 @@ def bring(path: Path) -> None:
 def open_shard(path: Path) -> h5py.File:
     """Open one shard for reading and check how it is laid out, unless this process has already.
 
-    Call `check_in_isolation` first for what may be a stranger's.
+    Call `check_in_isolation` first for untrusted files.
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
     for _ in range(3):

@@ -32,7 +32,7 @@ class FrameSequence:
     noisy, clean: (T, H, W).  static: (T, H, W) the clean scene without moving objects, None where
         the dataset has no such layer.
     truth: (T, H, W) of each other layer of the dataset, such as shadow and instance.
-    tracks: T lists of what moves, see the column `tracks`; empty lists without that column.
+    tracks: T lists of moving objects, see the column `tracks`; empty lists without that column.
     """
 
     recording: str

@@ -1,4 +1,4 @@
-"""From a stranger's mesh file to arrays; runs in a process of its own, where Open3D may crash.
+"""From an untrusted mesh file to arrays; runs in a process of its own, where Open3D may crash.
 
 .ply and .stl are read by Open3D, .glb and .gltf too (see `gltf_files`), .obj by `obj_files`, and a
 .blend is exported by Blender first.

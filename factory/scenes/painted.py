@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +16,20 @@ def linear_albedo(srgb: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     return np.asarray((np.asarray(srgb, np.float32) / 255) ** 2.2, np.float32)
 
 
+class PaintedSurface(NamedTuple):
+    """Triangles with the colours of a texture at their vertices: (V, 3), (V, 3) and (T, 3)."""
+
+    vertices: npt.NDArray[np.float64]
+    colours: npt.NDArray[np.float32]
+    triangles: npt.NDArray[np.int32]
+
+
 def paint(
     corners: npt.NDArray[Any], places: npt.NDArray[Any], albedo: npt.NDArray[np.float32]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.int32]]:
-    """Vertices (V, 3) float64, their colours (V, 3) and triangles (T, 3) of a textured surface.
+) -> PaintedSurface:
+    """Cut a textured surface into small triangles and give their vertices the texture's colours.
 
-    corners: (T, 3, 3).  places: (T, 3, 2) in widths and heights of the (H, W, 3) image, whose top
+    corners: (T, 3, 3).  places: (T, 3, 2) in widths and heights of the (H, W, 3) texture, whose top
     row has place 0.
     """
     # Points of 32 bits lie apart by a millimetre in ten kilometres, so they start from the middle.
@@ -39,7 +47,8 @@ def paint(
     inside = np.where(points[:, 3:] == 1, np.float32(1 - 1e-6), points[:, 3:]) % 1
     column, row = (np.floor(inside * size).astype(np.int64) % size).T
     triangles = np.arange(len(points), dtype=np.int32).reshape(-1, 3)
-    return points[:, :3].astype(np.float64) + middle, albedo[row, column], triangles
+    vertices = points[:, :3].astype(np.float64) + middle
+    return PaintedSurface(vertices, albedo[row, column], triangles)
 
 
 def _quartered(triangles: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

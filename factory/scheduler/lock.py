@@ -29,7 +29,7 @@ from ..small_files import parse_json, read_regular
 from ..storage.copies import SHARD_NAME, Store, make_room, take_copy, url_of
 
 LOCK_NAME = ".lock"
-# Who only asks whether somebody is at work holds it for a moment.
+# A process that only checks for other runs holds it for a moment.
 _ASKING_S = 1.0
 _MOST_BYTES = 1 << 12
 # What `flock` says where locks do not work.
@@ -226,7 +226,7 @@ def _is_held(path: Path) -> bool:
 
 
 def _refuse_if_held(store: Store, name: str) -> dict[str, Any]:
-    """What a lock says that nobody holds any more; raises FactoryError for any other."""
+    """The content of a lock that no run holds any more; raises FactoryError for any other."""
     owner = _read_lock(store, name)
     beat = owner.get("beat")
     beats = isinstance(beat, float) and abs(time.time() - beat) < _SILENT_S

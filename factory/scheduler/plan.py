@@ -88,7 +88,7 @@ class Job(Recipe):
     facts: what the card states of the finished dataset in a folder and how it was made.
     shard: which slice of the shards to make; the run of the whole, made last, takes them up.
     on_prepared: called with the bytes added to the cache whenever a frame was prepared.
-    warnings: what the user is told when planning, and once more at the end.
+    warnings: lines for the user, printed when planning and again at the end.
     preload: modules that every worker needs, loaded once for all.
     reporter: told what the run does.
     """

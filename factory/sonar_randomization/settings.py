@@ -24,7 +24,7 @@ class DeviceSettings:
     auto_range_share: part of the images whose window is fitted to the scene; range_min_m,
         range_max_m: the window of the others, metres.
     tvg_log, lambert_exponent, background_db: see `acoustics`.
-    standing_share: part of the images of the field in which speckle stands still in part, and
+    standing_share: part of the images of the field in which part of the speckle is static, and
         `noise.scintillation` acts; standing: which part of its power (`acoustics.standing`).
     log_share: part of the images of the field with a logarithmic display: dynamic_range_db, and
         the grey value of the median echo, log_reference.  The others show level ** exponent, the

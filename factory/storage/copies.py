@@ -139,7 +139,7 @@ def folder_of(url: str, part: str = "") -> Path:
 def url_of(folder: Path) -> str | None:
     """The URL that `folder` is a copy of; None for any other folder.
 
-    Only of our own place for copies: a stranger's dataset cannot send us anywhere.
+    Only of our own place for copies: an untrusted dataset cannot direct us elsewhere.
     """
     copy = Path(os.path.abspath(folder))
     if copy.parent == copies_folder():

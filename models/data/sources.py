@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...factory.cli.compose import compose_config
 from ...factory.config import FactoryConfig, from_mapping, plain
@@ -112,8 +112,8 @@ def _of_images(data: OldData, seed: int) -> Data:
 
 def renders_of(
     data: RenderedData, dataset: Path, learning: Sequence[SampleRef], held: Sequence[SampleRef]
-) -> tuple[FactoryConfig, tuple[FrameRef, ...], tuple[FrameRef, ...]]:
-    """How a dataset was made, and its rendered frames: to learn from, and others; prints how many.
+) -> Renders:
+    """Find the renders of a dataset and print their number.
 
     learning, held: the dataset's pairs.
     Raises FactoryError when the dataset was made by another version or its renders are not there.
@@ -143,7 +143,18 @@ def renders_of(
     print(f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else ""))
     learned = set(training)
     others = tuple(ref for ref in refs if ref not in learned and views.holds(ref))
-    return config, ready, others
+    return Renders(config, ready, others)
+
+
+class Renders(NamedTuple):
+    """Rendered frames of a dataset.
+
+    config: that made it.  learning: to learn from.  others: which nothing is learned from.
+    """
+
+    config: FactoryConfig
+    learning: tuple[FrameRef, ...]
+    others: tuple[FrameRef, ...]
 
 
 def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], seed: int) -> Data:

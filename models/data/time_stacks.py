@@ -1,6 +1,6 @@
-"""Means of frames as training images: of recordings that stand still, and of drawn images.
+"""Means of frames as training images: of static recordings, and of drawn images.
 
-In time, what stands still is the target: the mean of other frames of a recording, or a drawn
+In time, the static part is the target: the mean of other frames of a recording, or a drawn
 image with its speckle under fresh noise.  A network that learns it removes from an average the
 noise that is left and keeps what averaging has brought out.
 """
@@ -26,7 +26,7 @@ from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source
 from .targets import draw_targets, insert_targets
 
-_ALIKE = 0.75  # likeness of two frames in a row from which on a recording stands still
+_ALIKE = 0.75  # likeness of two frames in a row from which on a recording is static
 _AROUND = 25  # frames before and after whose mean is a target
 _MOST = 7  # frames that are averaged, at most; of short recordings half of them
 _MOVED = 0.045  # difference of smoothed means that says that something moved
@@ -46,7 +46,7 @@ _FULL = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """The frames of a recording, (T, H, W) uint8, and whether they stand still."""
+    """The frames of a recording, (T, H, W) uint8, and whether they are static."""
 
     frames: npt.NDArray[np.uint8]
     geometry: FanGeometry
@@ -195,7 +195,7 @@ def resized(sample: Sample, rng: np.random.Generator) -> Sample:
 
 
 def standing(sample: Sample, rng: np.random.Generator) -> Sample:
-    """A drawn pair as the mean of frames: some of its speckle stands still, the rest is fresh."""
+    """A drawn pair as the mean of frames: some of its speckle is static, the rest is fresh."""
     part = np.float32(rng.choice([0.0, 0.3, 0.6, 1.0]))
     target = sample.clean + part * (sample.noisy - sample.clean)
     count: float | Image = float(np.exp(rng.uniform(np.log(1.5), np.log(20))))
@@ -218,7 +218,7 @@ def standing(sample: Sample, rng: np.random.Generator) -> Sample:
 
 
 def temporal_noise(rng: np.random.Generator, picture: Image) -> Image:
-    """What one frame differs by from what stands still: nothing in black, some grain wide."""
+    """The difference of one frame from the static part: nothing in black, some grain wide."""
     grain = rng.standard_normal(picture.shape, dtype=np.float32)
     across = rng.uniform(0.2, 1.3)
     down = rng.uniform(0.2, 1.1)

@@ -111,7 +111,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add("--strength", type=float, default=1.0, help="part of the change, 0 to 1 (default: 1)")
     frames_help = (
         "fuse up to N frames of a recording, video, stack or folder numbered in time where they "
-        f"show the same, half before and half after each; odd ({FRAMES}; 1: each by itself)"
+        f"show the same, half before and half after each; odd ({FRAMES}; 1: each alone)"
     )
     add("--frames", type=int, default=FRAMES, metavar="N", help=frames_help)
     add("--invert", action="store_true", help="for dark echoes on a bright ground")

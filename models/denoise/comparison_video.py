@@ -24,7 +24,7 @@ _CODECS = ("libopenh264", "libx264", "mpeg4")  # the first that this FFmpeg has
 _MOST_WIDTH = 1920
 _MOST_HEIGHT = 1080
 _TICK_S = Fraction(1, 90_000)
-_USUAL_STEP_S = 0.1  # from one image to the next where nobody knows
+_USUAL_STEP_S = 0.1  # from one image to the next if unknown
 _STEPS_S = (1 / 60, 1.0)  # shortest and longest: a pause of the recorder is no pause of the talk
 
 

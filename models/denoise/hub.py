@@ -14,7 +14,7 @@ from ..pretrained import find_weights
 
 
 class HubDenoiser(nn.Module):
-    """Denoises a batch of images, each by itself, on the device that the module is on.
+    """Denoises a batch of images, each alone, on the device that the module is on.
 
     It can be differentiated and trained further.  What surrounds the network in `simnfnd denoise`
     (tiles of large images, wide grain at half its size, dark images, time) is left out.

@@ -148,14 +148,14 @@ class Denoising:
 
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
         Copies of the image before, as a video holds of a slower sonar, are fused once.
-        alone: whether each is denoised by itself.
+        alone: whether each is denoised alone.
         """
         # The first image is looked at anew, so that a sequence depends on none before it.
         self._last_map = None
         yield from self._denoised(shots, alone)
 
     def denoise_image(self, picture: Picture, place: Place) -> Denoised:
-        """An image by itself.  Raises ValueError as `shot` does."""
+        """Denoise one image alone.  Raises ValueError as `shot` does."""
         (denoised,) = self._denoised([self.shot(None, picture, place)], alone=True)
         return denoised
 

@@ -38,7 +38,7 @@ _QUALITY = {
 class Compared(NamedTuple):
     """Panels of one image, (H, W) or (H, W, C) of one size; uint8, uint16 or float in 0..1.
 
-    removed: see `Removed.shown`.  clean: None where nobody knows it.
+    removed: see `Removed.shown`.  clean: None where it is unknown.
     """
 
     noisy: Picture

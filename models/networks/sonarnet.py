@@ -286,7 +286,7 @@ class LineContext(nn.Module):
 
 
 class GridLines:
-    """Columns are beams and rows are arcs: of a polar image, or where nobody knows."""
+    """Columns are beams and rows are arcs: of a polar image, or of unknown geometry."""
 
     def means(self, x: Tensor, along: int) -> Tensor:
         """(N, C, h, w) -> (N, C, beams) for along=2, (N, C, arcs) for 3: means along each."""

@@ -1,6 +1,6 @@
 """Arrays of images: NumPy (.npy, .npz), MATLAB (.mat of every version) and HDF5 files.
 
-A file holds one array of images; tables beside it do not count.  Libraries that a stranger's file
+A file holds one array of images; tables beside it do not count.  Libraries that an untrusted file
 may crash look at it in another process first.
 """
 

@@ -34,7 +34,7 @@ FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 Samples = npt.NDArray[Any]
 
-# Times its size that a stranger's file may unpack to; a small one to `ALWAYS_BYTES`, and none to
+# Times its size that an untrusted file may unpack to; a small one to `ALWAYS_BYTES`, and none to
 # more than `MOST_BYTES` at once.  Raw sonar images are mostly black and pack 5 to 50 times.
 RATIO = 200
 ALWAYS_BYTES = 1 << 28

@@ -36,7 +36,7 @@ _OTHERS = {
 }
 """Levels, and blue, green and red at these, 0 to 1, of Matplotlib's jet (beside OpenCV's by 1.6 of
 255 on average), and of chart plotters: black, red, white."""
-_LOOKED_AT = 4000  # pixels from which a map is told
+_LOOKED_AT = 4000  # pixels by which a map is recognised
 _FLAT = 0.1  # part of the pixels from which one colour counts as background
 _NEAR = 12.0  # of 255: how far the colours of pixels may lie from a map
 _BLURRED = 36.0  # the same where JPEG mixed colours
@@ -121,8 +121,8 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     """The levels of an image in colours; None for a grey one, and for colours of no map.
 
     picture: (H, W, C) uint8, uint16 or float32, red or blue first.  before: the map of the image
-    before it; a known one is kept where it fits.  A known map is told by its colours; of others
-    each sum of the three channels must have one colour.
+    before it; a known one is kept where it fits.  A known map is recognised by its colours; of
+    other maps each sum of the three channels must have one colour.
     """
     full = FULL_SCALE.get(str(picture.dtype))
     if full is None or picture.ndim != 3 or picture.shape[2] not in (3, 4):
@@ -158,7 +158,7 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     share_known = cv2.blur(known.astype(np.float32), size)
     means = cv2.blur(levels * known, size) / np.maximum(share_known, np.float32(1e-6))
     drawn = (unknown > wide) & (share_known > 0)
-    # Where JPEG or a video mixed the colours specks are levels like others, else somebody drew.
+    # Where JPEG or a video mixed the colours specks are levels like others, else they were drawn.
     if float((misses[place] > _MIXED).mean()) > _MIXED_SHARE:
         _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
         known = known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))

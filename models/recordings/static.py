@@ -1,7 +1,7 @@
-"""A nearly noise-free truth for real images: frames of a scene that stands still.
+"""A nearly noise-free truth for real images: frames of a static scene.
 
 The mean of the *other* frames is the reference of each (leave one out).  It removes what changes
-in time (receiver noise, decorrelated speckle); what stands still stays in the reference, so a
+in time (receiver noise, decorrelated speckle); what is static stays in the reference, so a
 method that takes away standing speckle, too, is capped, and one that keeps it is not punished.
 Frames are registered below a pixel first, and those that moved too far are left out.
 """
@@ -26,7 +26,7 @@ _ECC_STEPS = cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-5
 
 @dataclass(frozen=True, eq=False)
 class StaticGroup:
-    """Frames of one scene that stands still, by their numbers among the images, in order."""
+    """Frames of one static scene, by their numbers among the images, in order."""
 
     numbers: tuple[int, ...]
     shifts_px: npt.NDArray[np.float64]

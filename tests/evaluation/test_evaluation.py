@@ -62,9 +62,9 @@ MEDIAN = Method("median", "", {"size": 3})
 GAUSSIAN = Method("gaussian", "", {"sigma_px": 1.0})
 
 
-def assert_same(one: Measured, other: Measured) -> None:
+def assert_same(first: Measured, second: Measured) -> None:
     columns = ["method", "picture", *METRICS]
-    assert one.table()[columns].equals(other.table()[columns])
+    assert first.table()[columns].equals(second.table()[columns])
 
 
 def tune(dataset: Path, file: Path, *names: str, **changes: Any) -> list[str]:
@@ -149,11 +149,11 @@ def test_a_killed_worker_costs_the_row_of_its_method_alone(
 ) -> None:
     dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
     monkeypatch.setattr(runner, "measure_task", killed_by_median)
-    found = measured(dataset, [MEDIAN, GAUSSIAN], workers=2)
-    assert set(found.lost) == {"median"}
-    assert "SIGKILL" in found.lost["median"]
+    actual = measured(dataset, [MEDIAN, GAUSSIAN], workers=2)
+    assert set(actual.lost) == {"median"}
+    assert "SIGKILL" in actual.lost["median"]
     monkeypatch.undo()
-    assert_same(found, measured(dataset, [GAUSSIAN]))
+    assert_same(actual, measured(dataset, [GAUSSIAN]))
     assert not measured(dataset, [MEDIAN]).lost, "the next run tries again"
 
 
@@ -187,8 +187,8 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
         noisy = np.rint(picture(item.place).noisy * 255).astype(np.uint8)
         cv2.imwrite(str(mine / "test" / "noisy" / f"{number:06d}.png"), cv2.medianBlur(noisy, 3))
         np.save(arrays / f"{number:06d}.npy", noisy / 255)
-    given = [{"name": "mine", "dir": str(mine)}, {"name": "arrays", "dir": str(arrays)}]
-    content = builder.build(settings_for(dataset, pictures=given))
+    folders = [{"name": "mine", "dir": str(mine)}, {"name": "arrays", "dir": str(arrays)}]
+    content = builder.build(settings_for(dataset, pictures=folders))
     rows_ = {row["label"]: row for row in content["rows"]}
     assert rows_["mine"]["kind"] == "pictures"
     assert rows_["mine"]["milliseconds"] is None
@@ -197,21 +197,21 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
         assert rows_["arrays"]["metrics"][name] == rows_["noisy"]["metrics"][name]
     assert "psnr" in rows_["mine"]["against_best"]
     np.save(arrays / "000002.npy", np.zeros((48, 40)))
-    lost = builder.build(settings_for(dataset, pictures=given[1:]))["rows"][-1]["lost"]
+    lost = builder.build(settings_for(dataset, pictures=folders[1:]))["rows"][-1]["lost"]
     assert "test/noisy/000002: 40x48 pixels, but its pair has 48x48" in lost
     again = settings_for(dataset, pictures=[{"name": "median", "dir": str(mine)}])
     with pytest.raises(FactoryError, match="median: another row has this name"):
         builder.build(again)
     (mine / "test" / "noisy" / "000001.png").unlink()
     with pytest.raises(FactoryError, match=r"1 of 5 pictures are missing, the first is test/noisy"):
-        builder.build(settings_for(dataset, pictures=given))
+        builder.build(settings_for(dataset, pictures=folders))
 
 
 def test_validation_is_what_training_holds_out(dataset: Path) -> None:
     items = tuning.validation_items(settings_for(dataset, tuning={"pairs": 99}))
-    kept, held = hold_out(read_table(dataset, "train").samples, 0.3, 0)
+    remaining, held = hold_out(read_table(dataset, "train").samples, 0.3, 0)
     assert {item.place for item in items} == {(str(s.path), s.row) for s in held}
-    assert not {item.scene for item in items} & {sample.scene.split("/")[1] for sample in kept}
+    assert not {item.scene for item in items} & {sample.scene.split("/")[1] for sample in remaining}
     assert all(item.shard.startswith("train/") for item in items)
     assert len(tuning.validation_items(settings_for(dataset))) == 3
 
@@ -314,7 +314,7 @@ def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
     forms = ["", " + levels", " tuned", " tuned + levels"]
     labels = ["noisy", *(f"median{form}" for form in forms), "noisy + levels"]
     assert [method.label for method in methods] == labels
-    found = measured(dataset, methods).wide()
+    actual = measured(dataset, methods).wide()
     # One pair by hand.
     number, label = 4, "median tuned + levels"
     pair = picture(items_of(dataset, "test")[number].place)
@@ -326,11 +326,11 @@ def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
         "psnr_fan": psnr(pair.clean, image, data_range=1.0, mask=pair.sector),
         "gmsd_unpooled": gmsd(pair.clean, image, data_range=1.0, pooled=False),
     }
-    assert {n: found[n][label][number] for n in expected} == pytest.approx(expected)
-    assert (found["psnr"][label] > found["psnr"]["noisy"]).all(), "taking the haze off must help"
-    assert found["ms_ssim"].isna().all(axis=None), "48 pixels are too few for five scales"
-    assert found["ratio_mean"]["noisy"].to_numpy() == pytest.approx(1)
-    assert np.isfinite(found["edge_preservation"][label]).all()
+    assert {n: actual[n][label][number] for n in expected} == pytest.approx(expected)
+    assert (actual["psnr"][label] > actual["psnr"]["noisy"]).all(), "taking the haze off must help"
+    assert actual["ms_ssim"].isna().all(axis=None), "48 pixels are too few for five scales"
+    assert actual["ratio_mean"]["noisy"].to_numpy() == pytest.approx(1)
+    assert np.isfinite(actual["edge_preservation"][label]).all()
 
 
 def test_bad_settings_are_one_line(
@@ -401,16 +401,16 @@ def test_networks_are_rows_with_their_costs(dataset: Path, tmp_path: Path) -> No
         ("small", ""),
         ("other", "simnfnd_l1"),
     ]
-    found = measured(dataset, methods)
-    psnr_db = found.wide()["psnr"]
+    actual = measured(dataset, methods)
+    psnr_db = actual.wide()["psnr"]
     pair = picture(items_of(dataset, "test")[1].place)
     expected = psnr(pair.clean, Denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
     assert psnr_db["small"][1] == pytest.approx(expected, abs=1e-6)
     assert psnr_db["small"][1] != psnr_db["other"][1]
-    assert (found.wide()[SECONDS]["small"] > 0).all()
+    assert (actual.wide()[SECONDS]["small"] > 0).all()
 
 
-def test_networks_are_told_where_range_is(tmp_path: Path) -> None:
+def test_the_geometry_of_a_pair_is_that_of_its_record_and_sonar(tmp_path: Path) -> None:
     sonar = SonarSettings()
     window = {"range_min_m": 1.0, "range_max_m": 5.0, "azimuth_min_deg": -9, "azimuth_max_deg": 9}
     columns = (*COLUMNS, *(Column(name, "f8") for name in window))
@@ -438,8 +438,8 @@ def test_paths_without_weights_are_named(dataset: Path, tmp_path: Path) -> None:
             networks_of(settings_for(tmp_path / "data", models=[str(tmp_path / path)]))
     (tmp_path / "bad.safetensors").write_bytes(b"no weights")
     settings = settings_for(dataset, limit=2, models=[str(tmp_path / "bad.safetensors")])
-    found = measured(dataset, networks_of(settings))
-    assert "not a safetensors file" in found.lost["bad"], "it loses its row"
+    actual = measured(dataset, networks_of(settings))
+    assert "not a safetensors file" in actual.lost["bad"], "it loses its row"
 
 
 def test_one_command_gives_both_tables_and_goes_on(
@@ -447,7 +447,7 @@ def test_one_command_gives_both_tables_and_goes_on(
 ) -> None:
     ran: list[str] = []
 
-    def here(words: list[str]) -> int:
+    def run_quickly(words: list[str]) -> int:
         """The same words in this process, on pictures as small as a crop."""
         ran.append(words[0])
         small = {
@@ -467,14 +467,14 @@ def test_one_command_gives_both_tables_and_goes_on(
     said = capsys.readouterr()
     assert said.out.startswith("Quick mode, no reproduction: 16 pairs of 8 frames at most")
     assert "the same command goes on from here" in said.err
-    monkeypatch.setattr(paper, "run", here)
+    monkeypatch.setattr(paper, "run", run_quickly)
     assert paper.main(words) == 0
     assert ran == ["make", *["train"] * 4, "evaluate", "evaluate"]
     text = (out / "tables.md").read_text(encoding="utf-8")
     assert "Quick mode, no reproduction" in text
     assert "| row | paper PSNR / SSIM / GMSD | ours (quick) | which row here |" in text
     for row in ("OldData + L1loss", "SimNFND + L1loss", "SimNFND + Newloss"):
-        (line,) = [one for one in text.splitlines() if one.startswith(f"| {row} ")]
+        (line,) = [line for line in text.splitlines() if line.startswith(f"| {row} ")]
         assert line.count(" / ") == 4, "the paper's and ours"
     assert "| Median | 17.76 / 0.690 / 0.190 |" in text
     figure = text.split("## Figure 14")[1]
@@ -482,7 +482,7 @@ def test_one_command_gives_both_tables_and_goes_on(
         assert f"| {row} |" in figure
     assert (out / "figure14" / "real.html").is_file()
     # What is done is not done again.
-    kept = (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns
-    monkeypatch.setattr(paper, "run", lambda w: here(w) if "name=simnfnd_l1" in w else 0)
+    remaining = (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns
+    monkeypatch.setattr(paper, "run", lambda w: run_quickly(w) if "name=simnfnd_l1" in w else 0)
     assert paper.main(words) == 0
-    assert (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns == kept
+    assert (out / "simnfnd_l1" / "weights.safetensors").stat().st_mtime_ns == remaining

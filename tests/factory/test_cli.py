@@ -94,8 +94,8 @@ def test_a_bad_frame_among_good_ones_is_skipped_and_named(tmp_path, flsea, capfd
 def test_pictures_that_show_next_to_nothing_name_the_likeliest_keys(tmp_path, flsea, capfd):
     words = ["scenes=flsea", f"scenes.root={flsea}", f"dataset.dir={tmp_path / 'out'}", *FAST]
     run(*words, "sonar.range={auto: false, min_m: 0, max_m: 3000}")
-    (told,) = (line for line in capfd.readouterr().err.splitlines() if "sonar.hfov_deg" in line)
-    assert "% of the pictures is lit; check" in told
+    (message,) = (line for line in capfd.readouterr().err.splitlines() if "sonar.hfov_deg" in line)
+    assert "% of the pictures is lit; check" in message
 
 
 def test_when_every_frame_is_bad_the_run_ends_with_2(tmp_path, capfd):
@@ -191,13 +191,13 @@ def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, 
     from simnfnd.factory.cli import generate
     from simnfnd.factory.scheduler.workers.signals import Interrupted
 
-    made, make = [], generate.run
+    calls, make = [], generate.run
 
-    def interrupted(*given, **named):
-        made.append(given)
-        if len(made) == 2:
+    def interrupted(*arguments, **named):
+        calls.append(arguments)
+        if len(calls) == 2:
             raise Interrupted(signal.SIGINT)
-        return make(*given, **named)
+        return make(*arguments, **named)
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(generate, "run", interrupted)
@@ -206,7 +206,7 @@ def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, 
     table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()[2:]
     states = ["made", "interrupted", "not begun", "not begun"]
     assert [state in line for state, line in zip(states, table, strict=True)] == [True] * 4
-    assert len(made) == 2
+    assert len(calls) == 2
     assert capfd.readouterr().err.count("interrupted") == 1
 
 
@@ -225,10 +225,10 @@ def test_stride_limit_variants_and_only(tmp_path, flsea):
     words = words_for(flsea, out, "frames.limit=2", "frames.variants=3")
     assert run(*words) == 0
     assert sum(samples(out).values()) == (2 + 1) * 3
-    one = tmp_path / "one"
+    dataset = tmp_path / "one"
     name = "canyons/u_canyon/16233044541765601"
-    assert run(*words_for(flsea, one), f"frames.only=[{name}]") == 0
-    with h5py.File(next(one.glob("*/*.h5"))) as shard:
+    assert run(*words_for(flsea, dataset), f"frames.only=[{name}]") == 0
+    with h5py.File(next(dataset.glob("*/*.h5"))) as shard:
         assert shard["meta"]["frame"].tolist() == [b"16233044541765601"]
 
 
@@ -476,7 +476,7 @@ def test_a_larger_total_keeps_the_frames_of_a_smaller_one():
     frames = found(a=13, b=70, c=5)
     chosen = [set(choose_frames(frames, settings(frames={"total": n}))) for n in range(1, 90)]
     assert all(few <= more for few, more in pairwise(chosen))
-    assert [len(one) for one in chosen] == [*range(1, 89), 88]
+    assert [len(group) for group in chosen] == [*range(1, 89), 88]
 
 
 def test_a_split_that_stays_empty_is_told_with_one_that_works():
@@ -501,9 +501,9 @@ def test_an_empty_split_is_told_first_and_last(tmp_path, capfd):
     words = ["experiment=simnfnd", f"scenes.root={tmp_path / 'flsea'}", *FAST]
     assert main(["make", f"dataset.dir={tmp_path / 'o'}", *words]) == 0
     lines = capfd.readouterr().err.splitlines()
-    told = [number for number, line in enumerate(lines) if "the test split is empty" in line]
-    assert len(told) == 2
-    assert told[1] == len(lines) - 1
+    message = [number for number, line in enumerate(lines) if "the test split is empty" in line]
+    assert len(message) == 2
+    assert message[1] == len(lines) - 1
     assert main(["plan", *words]) == 0
     assert "the test split is empty" in capfd.readouterr().err
 

@@ -194,8 +194,8 @@ def test_an_override_replaces_the_form_that_was_configured():
     assert word == "++noise.background.density={uniform:null,choice:null,normal: [0.1, 0.02]}"
     swept = as_override("resample.rate={uniform:[0.1,0.2]},{choice:[1]}")
     assert swept.count("null") == 4
-    for other in ("seed=3", "noise.background.density=0.1,0.5", "-m", "scenes.root=/a{b}"):
-        assert as_override(other) == other
+    for override in ("seed=3", "noise.background.density=0.1,0.5", "-m", "scenes.root=/a{b}"):
+        assert as_override(override) == override
 
 
 @pytest.mark.parametrize(

@@ -85,37 +85,39 @@ def test_insonified_surface_as_in_double_precision(name: str) -> None:
     device = SONARS[name]
     frame, rendered = frame_and_render()
     at = fit_window(surface.extent(frame, rendered, device), device)
-    found, pixel, hit = surface.insonified(frame, rendered, at, device)
+    actual, pixel, hit = surface.insonified(frame, rendered, at, device)
     echoes, number = plain_surface(frame, rendered, device)
     bins = plain_bins(echoes, at, device)
-    kept = (bins < hit.size) & (echoes.strength > 0)
-    echoes, number = chosen(echoes, kept), number[kept]
+    remaining = (bins < hit.size) & (echoes.strength > 0)
+    echoes, number = chosen(echoes, remaining), number[remaining]
     # All but the few on the edge of the window.
     assert len(np.setxor1d(number, pixel)) <= 1e-3 * len(number)
-    _, here, there = np.intersect1d(pixel, number, assume_unique=True, return_indices=True)
+    _, index, expected_index = np.intersect1d(
+        pixel, number, assume_unique=True, return_indices=True
+    )
     gain = echoes.range_m.astype(np.float64) ** (device.tvg_db_per_decade / 10)
     expected = replace(echoes, strength=(echoes.strength * gain).astype(np.float32))
     for field, values in vars(expected).items():
-        given = getattr(found, field)[here]
-        np.testing.assert_allclose(given, values[there], rtol=2e-6, atol=3e-7)
+        actual_values = getattr(actual, field)[index]
+        np.testing.assert_allclose(actual_values, values[expected_index], rtol=2e-6, atol=3e-7)
     assert np.all(np.diff(pixel) > 0)
     filled = np.zeros(hit.size, np.bool_)
-    filled[polar.bin_index(found, at, device)] = True
+    filled[polar.bin_index(actual, at, device)] = True
     np.testing.assert_array_equal(hit.ravel(), filled)
 
 
-@pytest.mark.parametrize("how", ["sum", "mean", "max"])
-def test_accumulation_is_that_of_numpy_and_parts_need_not_be_joined(how: str) -> None:
-    device, at = sonar(accumulate=how), window()
+@pytest.mark.parametrize("accumulate", ["sum", "mean", "max"])
+def test_accumulation_is_that_of_numpy_and_parts_need_not_be_joined(accumulate: str) -> None:
+    device, at = sonar(accumulate=accumulate), window()
     scene = camera_scene(50_000)
     rng = np.random.default_rng(3)
     scene = replace(scene, strength=rng.random(50_000, dtype=np.float32))
     bins = plain_bins(scene, at, device)
     size = device.range_bins * device.beams
     total: Any = np.bincount(bins, weights=scene.strength, minlength=size + 1)[:size]
-    if how == "mean":
+    if accumulate == "mean":
         total /= np.maximum(np.bincount(bins, minlength=size + 1)[:size], 1)
-    elif how == "max":
+    elif accumulate == "max":
         total[:] = 0
         np.maximum.at(total, bins[bins < size], scene.strength[bins < size])
     level = polar.accumulate(scene, at, device)
@@ -191,8 +193,8 @@ def test_quantiles_are_those_of_numpy(
 ) -> None:
     skip = min(skip, len(values) - 1)
     expected = np.quantile(np.sort(values.astype(np.float64))[skip:], [fraction, 0.5])
-    found = transfer.quantiles(values, (fraction, 0.5), skip=skip)
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-13 * float(values.max()))
+    actual = transfer.quantiles(values, (fraction, 0.5), skip=skip)
+    np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-13 * float(values.max()))
 
 
 @settings(max_examples=50, deadline=None)

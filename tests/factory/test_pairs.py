@@ -32,8 +32,11 @@ def test_without_noise_the_noisy_picture_is_the_clean_one():
 
 
 def test_seed_changes_the_noise_and_never_the_scene():
-    one, two = (config(seed=seed, resample={"rate": 1.0}) for seed in (1, 2))
-    first, second = (pairs.make_pair(observed(settings), 0, settings) for settings in (one, two))
+    first_settings, second_settings = (config(seed=seed, resample={"rate": 1.0}) for seed in (1, 2))
+    first, second = (
+        pairs.make_pair(observed(settings), 0, settings)
+        for settings in (first_settings, second_settings)
+    )
     np.testing.assert_array_equal(first.clean, second.clean)
     assert first.noisy.tobytes() != second.noisy.tobytes()
 
@@ -113,12 +116,12 @@ def test_a_sonar_that_looks_elsewhere_is_a_bad_frame_with_its_name():
 
 def test_pictures_of_several_windows_have_metres_of_their_own():
     settings = config(sonar={"range": {"auto": False, "windows_m": [[1, 5], [2, 6]]}})
-    found = {}
+    actual = {}
     for place in map(str, range(12)):
         scene = observed(settings, ground_and_post(scene=place))
         record = pairs.make_pair(scene, 0, settings).record
-        found[record["range_min_m"]] = record["range_max_m"]
-    assert found == {1: 5, 2: 6}
+        actual[record["range_min_m"]] = record["range_max_m"]
+    assert actual == {1: 5, 2: 6}
     assert {axis.units for axis in image_axes(settings.sonar)} == {"px"}
 
 

@@ -87,7 +87,7 @@ def test_judging_on_training_files_is_said(recording: Path, tmp_path: Path) -> N
         {"w": np.zeros(1, np.float32)}, weights, {"simnfnd": json.dumps(header, sort_keys=True)}
     )
     stretches, _ = open_input(recording)
-    own, other = networks_at([str(weights), "simnfnd"])
-    (note,) = learned_notes(stretches, [own, other])
+    own_network, shipped_network = networks_at([str(weights), "simnfnd"])
+    (note,) = learned_notes(stretches, [own_network, shipped_network])
     assert note.startswith("warning: own learned from dive.npy")
-    assert learned_notes(stretches, [other]) == []
+    assert learned_notes(stretches, [shipped_network]) == []

@@ -88,17 +88,17 @@ def fences(page: Path) -> list[tuple[str, int, list[str]]]:
 
 def steps(page: Path) -> list[Step]:
     """Everything to run, in the order of reading."""
-    found: list[Step] = []
+    actual: list[Step] = []
     for language, first, lines in fences(page):
         if language == "python":
-            found.append(Step("python", textwrap.dedent("\n".join(lines)), page, first))
+            actual.append(Step("python", textwrap.dedent("\n".join(lines)), page, first))
         elif language == "sh":
-            found += _commands(lines, first, page)
-    return found
+            actual += _commands(lines, first, page)
+    return actual
 
 
 def _commands(lines: list[str], first: int, page: Path) -> list[Step]:
-    found: list[Step] = []
+    actual: list[Step] = []
     waiting = ""
     for number, line in enumerate(lines, start=first):
         text = _COMMENT.sub("", line).strip()
@@ -106,9 +106,9 @@ def _commands(lines: list[str], first: int, page: Path) -> list[Step]:
         if waiting and not text.endswith("\\"):
             said = _TIME.search(line)
             time_s = float(said[1]) * {"s": 1, "min": 60}[said[2]] if said else None
-            found.append(Step("sh", waiting, page, number, time_s))
+            actual.append(Step("sh", waiting, page, number, time_s))
             waiting = ""
-    return found
+    return actual
 
 
 def run(step: Step, folder: Path) -> int:

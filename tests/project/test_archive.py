@@ -64,10 +64,10 @@ def test_an_unpacked_zip_imports_and_is_a_repository_of_torch_hub(
     assert (unpacked / "simnfnd" / "factory").is_file(), "the link is a text file"
     done = run(SCRIPT, unpacked, tmp_path)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert Path(told["errors"]).is_relative_to(unpacked)
-    assert told["same"] is told["module"] is True
-    assert told["shape"] == [2, 1, 40, 56]
+    message = json.loads(done.stdout.splitlines()[-1])
+    assert Path(message["errors"]).is_relative_to(unpacked)
+    assert message["same"] is message["module"] is True
+    assert message["shape"] == [2, 1, 40, 56]
 
 
 @pytest.mark.parametrize("room", ["factory", "models", "evaluation"])

@@ -169,15 +169,17 @@ def test_a_node_of_ros_denoises_what_comes(tmp_path: Path, monkeypatch: pytest.M
         runpy.run_path(str(EXAMPLES / "ros2_denoise.py"), run_name="__main__")
         topics, sent, said = node.topics, node.sent, node.said
         assert topics == [("/sonar/denoised", kind), ("/sonar", kind)]
-        assert len(sent) == len([one for one in messages if one is ping or one.encoding == "mono8"])
+        assert len(sent) == len(
+            [message for message in messages if message is ping or message.encoding == "mono8"]
+        )
         assert [line.split(":")[0] for line in said[1:]] == ["left out"] * (len(messages) > 1)
         expected = denoise(noise, weights=weights)
         for message in sent:
             assert (message.header.stamp.sec, message.header.frame_id) == (7, "sonar")
             data = (message if kind == "Image" else message.image).data
             assert isinstance(data, array)  # rclpy takes nothing else
-            found = np.frombuffer(data, np.uint8).reshape(40, 32)
-            np.testing.assert_array_equal(found, expected)
+            actual = np.frombuffer(data, np.uint8).reshape(40, 32)
+            np.testing.assert_array_equal(actual, expected)
 
 
 def test_the_papers_figures(tmp_path: Path) -> None:

@@ -133,10 +133,10 @@ def test_an_effect_of_a_package_goes_all_the_way(site: Path, tmp_path: Path) -> 
     source = site / "mine/snow.py"
     before = source.read_text()
     source.write_text(before + "\n# another version\n")
-    (told,) = run(site, tmp_path, Command(snowy, code=2))
+    (message,) = run(site, tmp_path, Command(snowy, code=2))
     source.write_text(before)
-    assert "another configuration" in told
-    assert "extensions" in told
+    assert "another configuration" in message
+    assert "extensions" in message
 
 
 def test_typing_errors_and_help_know_the_package(site: Path, tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_a_reader_and_a_preset_make_pairs_that_a_method_judges(site: Path, tmp_p
         "dataset.dir=data", "split.test=[two]",
     )  # fmt: skip
     evaluate = ("evaluate", "dataset=data", "baselines=[row_median]", "models=[]", "out=report")
-    made, failed, rerun, _ = run(
+    output, failed, rerun, _ = run(
         site,
         tmp_path,
         Command(words, code=1),
@@ -179,7 +179,7 @@ def test_a_reader_and_a_preset_make_pairs_that_a_method_judges(site: Path, tmp_p
         Command(("status", "data", "--rerun", "scheduler=serial"), code=1),
         Command(evaluate),
     )
-    assert "1 of 5 frames" in made
+    assert "1 of 5 frames" in output
     with simnfnd.PairDataset(tmp_path / "data", "all", trusted=True) as pairs:
         assert len(pairs) == 4
         assert pairs.form.config["sonar"]["beams"] == 256
@@ -221,9 +221,9 @@ def test_what_a_script_defines_itself_is_refused_by_workers(site: Path, tmp_path
         "except Exception as error:\n    print(error)\n"
         "print(make_dataset(*words, 'scheduler=serial', out='data').pairs)\n"
     )
-    told = run_python(tmp_path / "nothing", tmp_path, code)
-    assert "effect drifting_snow: is defined in the script or notebook itself" in told
-    assert "4" in told.splitlines()
+    message = run_python(tmp_path / "nothing", tmp_path, code)
+    assert "effect drifting_snow: is defined in the script or notebook itself" in message
+    assert "4" in message.splitlines()
 
 
 def test_names_that_are_taken_or_broken_are_told(site: Path, tmp_path: Path) -> None:
@@ -243,10 +243,10 @@ def test_names_that_are_taken_or_broken_are_told(site: Path, tmp_path: Path) -> 
     write_package(broken)
     (broken / "mine/snow.py").write_text("import nothing_of_that_name\n")
     words = ("make", "experiment=demo", *FAST)
-    told, _ = run(
+    message, _ = run(
         broken,
         tmp_path,
         Command((*words, "noise.drifting_snow.density=0.1"), code=2),
         Command((*words, "dataset.dir=data")),
     )
-    assert re.search(r"effect drifting_snow: mine-extensions 1\.5 cannot be loaded", told)
+    assert re.search(r"effect drifting_snow: mine-extensions 1\.5 cannot be loaded", message)

@@ -100,9 +100,9 @@ def test_a_pair_of_a_frame_in_memory() -> None:
     np.testing.assert_array_equal(again.noisy, pair.noisy)
     others: list[dict[str, Any]] = [{"variant": 1}, {"seed": 7}, {"name": "another"}]
     others.append({"config": ("experiment=physical", "sonar=didson_hf")})
-    for other in others:
-        found = simnfnd.make_pair(rgb, depth_m, **PLACE, **other)
-        assert not np.array_equal(found.noisy, pair.noisy)
+    for options in others:
+        actual = simnfnd.make_pair(rgb, depth_m, **PLACE, **options)
+        assert not np.array_equal(actual.noisy, pair.noisy)
 
 
 def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypatch) -> None:
@@ -115,12 +115,12 @@ def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypat
     (tmp_path / "frame.csv").write_text("a.png,a_d.png\n")
     words = ("render=analytic", "seed=3", "dataset.dtype=float32", "sonar.projection=top_view")
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
-    made = [
+    command_words = [
         *("make", *words, "scenes=csv_list", f"scenes.file={tmp_path / 'frame.csv'}"),
         *("scenes.intrinsics=[120,120,76,48]", "scheduler=serial", "dataset.preview_pairs=0"),
         *(f"dataset.dir={tmp_path / 'out'}", f"cache.dir={tmp_path / 'cache'}"),
     ]
-    assert main(made) == 0
+    assert main(command_words) == 0
     with simnfnd.PairDataset(tmp_path / "out", "all", trusted=True) as pairs:
         stored, meta = pairs[0], pairs.meta()[0]
     name = "/".join(meta[key].decode() for key in ("location", "scene", "frame") if meta[key])
@@ -188,11 +188,11 @@ def test_colours_of_a_map_are_denoised_as_levels(order: int) -> None:
     levels = picture.astype(np.uint8)
     jet = cv2.applyColorMap(levels, cv2.COLORMAP_JET)[..., ::order]
     wanted = cv2.applyColorMap(simnfnd.denoise(levels), cv2.COLORMAP_JET)[..., ::order]
-    found = simnfnd.denoise(jet)
-    assert np.abs(found.astype(int) - wanted).mean() < 1
+    actual = simnfnd.denoise(jet)
+    assert np.abs(actual.astype(int) - wanted).mean() < 1
     alpha = np.full((40, 48, 1), 7, np.uint8)
     np.testing.assert_array_equal(simnfnd.denoise(np.dstack([jet, alpha]))[..., 3:], alpha)
-    np.testing.assert_allclose(simnfnd.denoise(jet / 255) * 255, found, atol=1)
+    np.testing.assert_allclose(simnfnd.denoise(jet / 255) * 255, actual, atol=1)
 
 
 def test_a_stack_is_its_pictures_one_by_one() -> None:

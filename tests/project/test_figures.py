@@ -42,9 +42,9 @@ def test_the_paper_has_the_same_figures_and_at_most_a_thousand_words() -> None:
 
 def test_the_denoiser_is_the_one_that_was_measured() -> None:
     content = json.loads(readme_figures.FIGURES.read_text(encoding="utf-8"))
-    kept = content["figures"]["probe"]
+    remaining = content["figures"]["probe"]
     now = readme_figures.probe()
-    assert now == pytest.approx(kept, abs=WITHIN_DB), "run python -m tools.readme_figures"
+    assert now == pytest.approx(remaining, abs=WITHIN_DB), "run python -m tools.readme_figures"
 
 
 def test_other_figures_give_other_lines() -> None:

@@ -58,15 +58,15 @@ def requirements(name: str, extras: set[str]) -> list[Requirement]:
 
 def installed_with(texts: str) -> set[str]:
     """Names of all distributions that `pip install TEXTS` would bring."""
-    found: set[tuple[str, frozenset[str]]] = set()
+    actual: set[tuple[str, frozenset[str]]] = set()
     waiting = [Requirement(text.strip()) for text in texts.split(", ")]
     while waiting:
         requirement = waiting.pop()
         key = canonicalize_name(requirement.name), frozenset(requirement.extras)
-        if key not in found:
-            found.add(key)
+        if key not in actual:
+            actual.add(key)
             waiting += requirements(key[0], requirement.extras)
-    return {name for name, _ in found}
+    return {name for name, _ in actual}
 
 
 @pytest.mark.parametrize(
@@ -74,11 +74,11 @@ def installed_with(texts: str) -> set[str]:
 )
 def test_a_loader_needs_what_the_page_says(needs: str, code: str, tmp_path: Path) -> None:
     write_dataset(tmp_path / "dataset", train=4, test=2, size=32)
-    there = installed_with(needs)
+    installed_names = installed_with(needs)
     hidden = [
         module
         for module, names in metadata.packages_distributions().items()
-        if not {canonicalize_name(name) for name in names} & there and module != "simnfnd"
+        if not {canonicalize_name(name) for name in names} & installed_names and module != "simnfnd"
     ]
     assert "bpy" in hidden
     assert "numpy" not in hidden

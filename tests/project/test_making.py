@@ -73,15 +73,15 @@ def contents(dataset: Path) -> dict[str, bytes]:
 
 
 def test_a_dataset_is_that_of_the_command(tmp_path: Path, monkeypatch, capfd) -> None:
-    seen: list[RunProgress] = []
+    observed: list[RunProgress] = []
     words = (*SMALL, "scheduler=serial")
-    made = simnfnd.make_dataset(*words, out=tmp_path / "python", progress=seen.append)
-    assert made.path == str(tmp_path / "python")
-    assert (made.pairs, made.failures) == (4, ())
-    assert any(note.startswith("frames: 4 of 2 scenes") for note in made.notes)
-    assert seen[0].pairs_done == 0
-    assert seen[-1][:4] == (4, 4, 4, 4)
-    assert seen[-1].share == 1
+    dataset = simnfnd.make_dataset(*words, out=tmp_path / "python", progress=observed.append)
+    assert dataset.path == str(tmp_path / "python")
+    assert (dataset.pairs, dataset.failures) == (4, ())
+    assert any(note.startswith("frames: 4 of 2 scenes") for note in dataset.notes)
+    assert observed[0].pairs_done == 0
+    assert observed[-1][:4] == (4, 4, 4, 4)
+    assert observed[-1].share == 1
     printed = capfd.readouterr()
     assert printed.out == ""
     assert "frames" not in printed.err
@@ -113,29 +113,29 @@ def test_frames_that_fail_are_named(tmp_path: Path) -> None:
         np.save(tmp_path / f"{name}.npy", metres.astype(np.float32))
     (tmp_path / "frames.csv").write_text("good.png,good.npy\nbad.png,bad.npy\n")
     words = (f"scenes.file={tmp_path / 'frames.csv'}", "scenes.intrinsics=[120,120,76,48]")
-    made = simnfnd.make_dataset(
+    dataset = simnfnd.make_dataset(
         "scenes=csv_list", *words, "render=analytic", "scheduler=serial",
         "dataset.preview_pairs=0", out=tmp_path / "out",
     )  # fmt: skip
-    assert made.pairs == 1
-    (failure,) = made.failures
+    assert dataset.pairs == 1
+    (failure,) = dataset.failures
     assert failure.ref.frame == "bad"
     assert "valid pixels" in failure.reason
 
 
 def test_inside_another_application_of_hydra(tmp_path: Path) -> None:
-    here = simnfnd.make_pair(*frame(), **PLACE)
+    pair = simnfnd.make_pair(*frame(), **PLACE)
     said = outcome(APPLICATION, cwd=tmp_path)
-    assert said.split() == [str(here.noisy.sum()), "1.2", "True"]
+    assert said.split() == [str(pair.noisy.sum()), "1.2", "True"]
 
 
 def test_threads_compose_and_make_the_same() -> None:
-    def made(seed: int) -> int:
+    def noise_sum(seed: int) -> int:
         pair = simnfnd.make_pair(*frame(), **PLACE, config=f"render=analytic seed={seed}")
         return int(pair.noisy.sum())
 
     with ThreadPoolExecutor(4) as pool:
-        assert list(pool.map(made, range(11, 17))) == list(map(made, range(11, 17)))
+        assert list(pool.map(noise_sum, range(11, 17))) == list(map(noise_sum, range(11, 17)))
 
 
 def test_workers_of_a_loader_make_pairs() -> None:
@@ -149,11 +149,11 @@ def test_workers_of_a_loader_make_pairs() -> None:
             return simnfnd.make_pair(*frame(), **PLACE, seed=number).noisy
 
     loader = DataLoader(Pairs(), 2, num_workers=2, multiprocessing_context="fork")
-    found = np.concatenate([batch.numpy() for batch in loader])
-    here = np.stack(
+    actual = np.concatenate([batch.numpy() for batch in loader])
+    expected = np.stack(
         [simnfnd.make_pair(*frame(), **PLACE, seed=number).noisy for number in range(4)]
     )
-    np.testing.assert_array_equal(found, here)
+    np.testing.assert_array_equal(actual, expected)
 
 
 # --- arrays -------------------------------------------------------------------------------------
@@ -228,8 +228,8 @@ def test_a_pair_carries_what_chooses_its_weights(
     np.testing.assert_array_equal(simnfnd.denoise(pair), known)
     demo = "demo" if experiment == "simnfnd" else "demo_physical"
     recipe = (f"experiment={demo}", *SMALL[1:], "scheduler=serial")
-    made = simnfnd.make_dataset(*recipe, out=tmp_path / "data")
-    with simnfnd.PairDataset(made.path, trusted=True) as pairs:
+    dataset = simnfnd.make_dataset(*recipe, out=tmp_path / "data")
+    with simnfnd.PairDataset(dataset.path, trusted=True) as pairs:
         stored, sample = pairs.pair(-1), pairs[-1]
         assert stored.formation == formation
         np.testing.assert_array_equal(stored.noisy, sample["noisy"])

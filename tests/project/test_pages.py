@@ -41,7 +41,7 @@ IN_ORDER = sorted(RUN_HERE.values(), key=lambda step: (PAGES.index(step.page), s
 def test_no_command_hides_and_each_says_how_long_it_takes() -> None:
     for page in PAGES:
         assert {language for language, _, _ in fences(page)} <= {"sh", "python", "text", "yaml"}
-        silent = [one.text for one in STEPS[page] if one.kind == "sh" and not one.time_s]
+        silent = [step.text for step in STEPS[page] if step.kind == "sh" and not step.time_s]
         assert [text for text in silent if not text.startswith(NOT_HERE)] == [], page
 
 
@@ -60,8 +60,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "examples" / script.name).symlink_to(script)
     video = cv2.VideoCapture(str(ROOT / "examples/didson/lamprey.avi"))
     frames: list[np.ndarray] = []
-    while len(frames) < 10 and (found := video.read())[0]:
-        frames.append(cv2.resize(found[1], None, fx=0.3, fy=0.3, interpolation=cv2.INTER_AREA))
+    while len(frames) < 10 and (actual := video.read())[0]:
+        frames.append(cv2.resize(actual[1], None, fx=0.3, fy=0.3, interpolation=cv2.INTER_AREA))
     codec, size = cv2.VideoWriter.fourcc(*"FFV1"), frames[0].shape[1::-1]
     out = cv2.VideoWriter(str(folder / "examples/didson/lamprey.avi"), codec, 10, size)
     for frame in frames:
@@ -79,7 +79,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", IN_ORDER, ids=[f"{one.page.stem}-{one.line}" for one in IN_ORDER])
+@pytest.mark.parametrize(
+    "step", IN_ORDER, ids=[f"{step.page.stem}-{step.line}" for step in IN_ORDER]
+)
 def test_step_runs(step: Step, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for name in ("flsea-vi", "mdd"):
         if name in step.text and not (folder / name).exists():
@@ -140,13 +142,14 @@ REAL: dict[str, tuple[str, ...]] = {
 ABSENT = ("dive.aris", "simnfnd view")
 # Take long, and have tests of their own; or a page has them, too, whose test runs them.
 LONG = ("export-weights simnfnd", "evaluate paper", "make -m noise.background.density=0.1,0.5")
-ELSEWHERE = {"simnfnd demo", *(one.text for page in PAGES for one in STEPS[page])}
+ELSEWHERE = {"simnfnd demo", *(example.text for page in PAGES for example in STEPS[page])}
 
 
 ALL = [
-    one
-    for one in dict.fromkeys(example for verb in VERBS.values() for example in verb.examples)
-    if not any(part in one for part in LONG) and (one not in ELSEWHERE or "flsea" in one)
+    example
+    for example in dict.fromkeys(example for verb in VERBS.values() for example in verb.examples)
+    if not any(part in example for part in LONG)
+    and (example not in ELSEWHERE or "flsea" in example)
 ]
 
 
@@ -183,7 +186,10 @@ def run_example(example: str, *more: str) -> int:
     words = shlex.split(example)[1:]
     if "seabed" in example or "scenes" not in example or "experiment=demo" in example:
         own = {word.partition("=")[0] for word in words}
-        more = (*more, *(one for one in SMALL_SEABED if more and one.partition("=")[0] not in own))
+        more = (
+            *more,
+            *(word for word in SMALL_SEABED if more and word.partition("=")[0] not in own),
+        )
     try:
         return main([*words, *more])
     except SystemExit as ended:
@@ -201,14 +207,14 @@ def test_an_example_of_a_help_does_what_it_says(
         monkeypatch.chdir(place)
         # Words after `--cfg job` would be another option's.
         code = run_example(example, *(() if "--cfg" in example else REAL[verb]))
-        told = capfd.readouterr()
-        assert code == 0, told.err
+        message = capfd.readouterr()
+        assert code == 0, message.err
     else:
         # Nothing of what it reads is here: one line says so, and no word of it is unknown.
         monkeypatch.chdir(tmp_path)
         code = run_example(example)
-        told = capfd.readouterr()
-        assert code == 2, told.err
-        (error,) = (line for line in told.err.splitlines() if line.startswith("error: "))
+        message = capfd.readouterr()
+        assert code == 2, message.err
+        (error,) = (line for line in message.err.splitlines() if line.startswith("error: "))
         assert not any(part in error for part in ("unrecognized", "no such key"))
-    assert "Traceback" not in told.err
+    assert "Traceback" not in message.err

@@ -33,44 +33,52 @@ HEAVY = (
 def requirements() -> list[Requirement]:
     declared = project()["project"]
     lists = [declared["dependencies"], *declared["optional-dependencies"].values()]
-    found = [Requirement(line) for lines in lists for line in lines]
-    return [one for one in found if one.name != declared["name"]]  # an extra made of extras
+    actual = [Requirement(line) for lines in lists for line in lines]
+    return [
+        requirement for requirement in actual if requirement.name != declared["name"]
+    ]  # an extra made of extras
 
 
 @cache
 def pins() -> dict[str, Version]:
-    found: dict[str, Version] = {}
+    actual: dict[str, Version] = {}
     for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
         if line and not line.startswith("#"):
             pin = Requirement(line)
             (only,) = pin.specifier
             assert only.operator == "==", line
-            found[canonicalize_name(pin.name)] = Version(only.version)
-    return found
+            actual[canonicalize_name(pin.name)] = Version(only.version)
+    return actual
 
 
 def test_every_dependency_is_pinned_within_its_bounds() -> None:
-    for one in requirements():
-        pinned = pins().get(canonicalize_name(one.name))
-        assert pinned is not None, f"constraints.txt has no {one.name}"
-        assert one.specifier.contains(pinned), one
+    for requirement in requirements():
+        pinned = pins().get(canonicalize_name(requirement.name))
+        assert pinned is not None, f"constraints.txt has no {requirement.name}"
+        assert requirement.specifier.contains(pinned), requirement
 
 
 def test_everything_that_the_dependencies_need_is_pinned() -> None:
     # CUDA builds of torch need libraries that the CPU build of the list does not.
     cuda = ("nvidia-", "cuda-", "triton")
-    waiting = [one for one in requirements() if one.marker is None or one.marker.evaluate()]
-    seen: set[tuple[str, str]] = set()
+    waiting = [
+        requirement
+        for requirement in requirements()
+        if requirement.marker is None or requirement.marker.evaluate()
+    ]
+    observed: set[tuple[str, str]] = set()
     loose = set()
     while waiting:
-        one = waiting.pop()
-        name = canonicalize_name(one.name)
+        requirement = waiting.pop()
+        name = canonicalize_name(requirement.name)
         if name.startswith(cuda):
             continue
         if name not in pins():
             loose.add(name)
-        for extra in {"", *one.extras} - {extra for done, extra in seen if done == name}:
-            seen.add((name, extra))
+        for extra in {"", *requirement.extras} - {
+            extra for done, extra in observed if done == name
+        }:
+            observed.add((name, extra))
             try:
                 lines = metadata.requires(name) or []
             except metadata.PackageNotFoundError:
@@ -93,18 +101,18 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
     # Assembled, so that this file does not hold what it forbids.
     places = "|".join(("work", "root", "tmp", "home", "opt", "Users", "mnt"))
     pattern = re.compile(rf"(?<![\w/.~}}\]-])/(?:{places})/[\w.-]")
-    found = []
+    actual = []
     for path in files():
         try:
             text = (ROOT / path).read_text(encoding="utf-8")
         except UnicodeDecodeError:
             continue
-        found += [
+        actual += [
             f"{path}:{number}: {line.strip()[:80]}"
             for number, line in enumerate(text.splitlines(), start=1)
             if pattern.search(line)
         ]
-    assert found == []
+    assert actual == []
 
 
 def test_no_module_of_the_factory_imports_anything_heavy() -> None:
@@ -124,7 +132,7 @@ def test_no_module_of_the_factory_imports_anything_heavy() -> None:
 
 
 def test_an_experiment_begins_with_the_command_that_runs_it() -> None:
-    for path in (one for one in files() if one.match("conf/experiment/*.yaml")):
+    for path in (path for path in files() if path.match("conf/experiment/*.yaml")):
         lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
         # Hydra's own header may stand first.
         first = next(line for line in lines if not line.startswith("# @"))
@@ -182,9 +190,9 @@ def test_what_is_not_ready_is_named(tmp_path: Path) -> None:
         ("CHANGELOG.md", "## Unreleased\n", "## Unreleased\n\n- One.\n", "under Unreleased"),
     ):
         (tmp_path / file).write_text(texts[file].replace(old, new, 1), encoding="utf-8")
-        found = list(problems(tmp_path))
-        assert any(said in line for line in found)
-        assert any("not committed" in line for line in found)
+        actual = list(problems(tmp_path))
+        assert any(said in line for line in actual)
+        assert any("not committed" in line for line in actual)
         (tmp_path / file).write_text(texts[file], encoding="utf-8")
 
 

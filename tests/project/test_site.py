@@ -49,7 +49,9 @@ def test_what_pages_load_and_link_to_is_there(site: Path) -> None:
     link = re.compile(r"\b(?:src|href)=\"([^\"#?]+)")
     for page in pages:
         text, name = page.read_text(encoding="utf-8"), page.relative_to(site)
-        assert not [one for one in _LOADED.findall(text) if "//" in one], f"{name} loads it"
+        assert not [source for source in _LOADED.findall(text) if "//" in source], (
+            f"{name} loads it"
+        )
         for target in link.findall(text) if page.name != "404.html" else ():  # a server's root
             if not re.match(r"[a-z]+:", target):
                 place = page.parent / unquote(unescape(target))
@@ -99,11 +101,11 @@ def shown(document: nbformat.NotebookNode) -> list[list[str]]:
     """For each cell of code: what kinds of things it shows; text may come in pieces."""
     code = [cell for cell in document.cells if cell.cell_type == "code"]
     kinds = [[o.get("name") or "+".join(o.get("data", {})) for o in cell.outputs] for cell in code]
-    return [[kind for kind, _ in groupby(one)] for one in kinds]
+    return [[kind for kind, _ in groupby(kinds_of_page)] for kinds_of_page in kinds]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("notebook", sorted(FOLDER.glob("*.ipynb")), ids=lambda one: one.stem)
+@pytest.mark.parametrize("notebook", sorted(FOLDER.glob("*.ipynb")), ids=lambda path: path.stem)
 def test_a_notebook_runs_and_shows_what_is_stored(notebook: Path, tmp_path: Path) -> None:
     stored = nbformat.read(notebook, as_version=4)
     assert notebook.stat().st_size < 300_000

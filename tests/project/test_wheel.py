@@ -61,12 +61,12 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(target)
     # Loops that the checkout has compiled serve the copy, too, if it looks as old: half a minute.
-    for kept in (ROOT / "factory").rglob("__pycache__/*.nb[ic]"):
-        copy = target / "simnfnd" / kept.relative_to(ROOT)
+    for remaining in (ROOT / "factory").rglob("__pycache__/*.nb[ic]"):
+        copy = target / "simnfnd" / remaining.relative_to(ROOT)
         copy.parent.mkdir(exist_ok=True)
-        shutil.copy(kept, copy)
-        module = f"{kept.name.split('.')[0]}.py"
-        stat = (kept.parents[1] / module).stat()
+        shutil.copy(remaining, copy)
+        module = f"{remaining.name.split('.')[0]}.py"
+        stat = (remaining.parents[1] / module).stat()
         os.utime(copy.parents[1] / module, ns=(stat.st_atime_ns, stat.st_mtime_ns))
     return target
 
@@ -107,6 +107,6 @@ def test_a_dataset_is_made_and_read_beside_other_packages(installed: Path, tmp_p
         "with PairDataset('made', 'all') as pairs: print(pairs[0]['noisy'].shape)\n"
     )
     said = checked([sys.executable, "-c", code], tmp_path, PYTHONPATH=str(installed))
-    where, shape = said.split("\n", 1)
-    assert Path(where).is_relative_to(installed)
+    place, shape = said.split("\n", 1)
+    assert Path(place).is_relative_to(installed)
     assert shape.strip() == "(256, 256)"

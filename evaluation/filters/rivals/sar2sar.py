@@ -67,7 +67,7 @@ def _load_network() -> Any:
     network = import_module(f"{_PACKAGE}.model").Model(
         torch.device("cpu"), height=_STRIDE_PX, width=_STRIDE_PX
     )
-    # The file also holds numbers of numpy, which torch reads only where it is told so.
+    # The file also holds numbers of numpy, which torch reads only on request.
     make_scalar = np.float64(0).__reduce__()[0]
     number_types: list[Any] = [
         (make_scalar, "numpy.core.multiarray.scalar"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -64,11 +64,8 @@ class OwnObject(OwnClass):
             if low > high:
                 raise ValueError(f"{name}: give the least first, then the most")
 
-    def read(self, key: str) -> tuple[Mesh, tuple[str, ...], tuple[str, ...]]:
-        """Its mesh, centred above the origin, the files it was read from, and notes for the user.
-
-        Raises FactoryError that names file and key.
-        """
+    def read(self, key: str) -> OwnMesh:
+        """Read its file.  Raises FactoryError that names file and key."""
         from ..mesh_parts import files_of, read_model
         from .meshes import join
 
@@ -81,7 +78,18 @@ class OwnObject(OwnClass):
         whole = whole.moved(-(whole.vertices.min(axis=0) + whole.vertices.max(axis=0)) / 2)
         if self.colour is not None:
             whole = whole.tinted(self.colour)
-        return whole, files_of(path, f"{key}.file"), model.notes
+        return OwnMesh(whole, files_of(path, f"{key}.file"), model.notes)
+
+
+class OwnMesh(NamedTuple):
+    """The mesh of an own object, centred on the origin.
+
+    files: that it was read from.  notes: lines for the user.
+    """
+
+    mesh: Mesh
+    files: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -99,7 +107,7 @@ class SeabedSettings(SceneSettings):
     own_objects: the user's meshes; see `OwnObject`.
     frame_rate_hz: makes a recording of each location: its frames are pings from the first pose (or
         along `path`), so many a second.  Moving objects need it, or a path with times.
-    moving_objects: what moves through the recordings; see `moving.MovingObject`.
+    moving_objects: objects that move through the recordings; see `moving.MovingObject`.
     boxes: of each frame's objects; `dataset.columns=[boxes]` sets it.
     camera_altitude_m, camera_tilt_deg: of every camera (of a path, its first pose) instead of what
     the places draw; `sonar.altitude_m` and `sonar.tilt_deg` set them.
@@ -192,14 +200,14 @@ class SeabedReader:
         frames = settings.frames_per_location if lines is None else len(lines)
         paths: tuple[str, ...] = () if settings.path is None else (settings.path,)
         # What is wrong with a mesh or a path shows before a worker starts.
-        paths += tuple(path for _, _, files, _ in self._own for path in files)
+        paths += tuple(path for _, own in self._own for path in own.files)
         self._check_moving(lines)
         refs = [
             FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", paths)
             for location in range(first, first + settings.locations)
             for frame in range(frames)
         ]
-        notes = (note for *_, some in self._own for note in some)
+        notes = (note for _, own in self._own for note in own.notes)
         return Discovery(tuple(refs), notes=tuple(notes))
 
     def _check_moving(self, lines: tuple[dict[str, float], ...] | None) -> None:
@@ -243,20 +251,20 @@ class SeabedReader:
         return None if path is None else movements(Path(path).expanduser())
 
     @cached_property
-    def _own(self) -> list[tuple[OwnObject, Mesh, tuple[str, ...], tuple[str, ...]]]:
-        listed = enumerate(self._settings.own_objects)
+    def _own(self) -> list[tuple[OwnObject, OwnMesh]]:
         return [
-            (own_object, *own_object.read(f"scenes.own_objects.{k}")) for k, own_object in listed
+            (own_object, own_object.read(f"scenes.own_objects.{number}"))
+            for number, own_object in enumerate(self._settings.own_objects)
         ]
 
     def _built(self, location: int) -> World:
-        from .world import World
+        from .world import Own, World
 
         settings = self._settings
         places = settings.places or PLACE_NAMES
-        own = [
-            (own_object.label, own_object.per_place, own_object.tilt_deg, own_object.burial, solid)
-            for own_object, solid, *_ in self._own
-            if own_object.moving is None
+        lying = [
+            Own(item.label, item.per_place, item.tilt_deg, item.burial, own.mesh)
+            for item, own in self._own
+            if item.moving is None
         ]
-        return World(location, places, settings.objects, settings.kinds, own)
+        return World(location, places, settings.objects, settings.kinds, lying)

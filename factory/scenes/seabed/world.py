@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +16,21 @@ from .camera import Objects
 from .meshes import Mesh, mesh, rotation
 from .terrain import WORLD_SEED, Draws, Look, Place, Points, Range, Terrain, Waves, catalogue
 
-Own = tuple[str, tuple[int, int], Range, Range, Mesh]
-"""Objects of the user's: class, least and most in a place, of tilt (degrees) and burial; mesh."""
+
+class Own(NamedTuple):
+    """An object of the user's, as places get it.
+
+    kind: its class.  per_place: least and most per place.  tilt_deg: likewise, from upright.
+    burial: likewise, share of its height in the ground.
+    """
+
+    kind: str
+    per_place: tuple[int, int]
+    tilt_deg: Range
+    burial: Range
+    mesh: Mesh
+
+
 _VIEWS = 10  # own objects lie before the first so many views of a path, where cameras pass
 _AHEAD_M = 1.5
 _TURN = 2 * np.pi
@@ -87,11 +101,8 @@ class Path:
         point = self.points[low] * (1 - part) + self.points[high] * part
         return point, _unit(self.tangents[low] * (1 - part) + self.tangents[high] * part)
 
-    def view(self, frame: int) -> tuple[Points, float, float, float]:
-        """(3,) camera position; heading (counter-clockwise from +x), pitch (down), roll, degrees.
-
-        The attitude is that before the view is chosen.
-        """
+    def view(self, frame: int) -> CameraView:
+        """Return where the camera is and looks in a frame, before the view is chosen."""
         travelled = self.start_m + self.step_m * frame
         (x, y), tangent = self.at(travelled)
         sample = (travelled / self.length_m) % 1 * SAMPLES
@@ -104,7 +115,21 @@ class Path:
         eye = np.array([x, y, min(floor + altitude, below + HIGHEST_M)])
         yaw, pitch, roll = (_wander(field, travelled) for field in self._attitude)
         heading = float(np.rad2deg(np.arctan2(*(tangent + self._lean)[::-1])))
-        return eye, heading + 10 * yaw, self._pitch_deg + 3 * pitch, 3 * roll
+        return CameraView(
+            eye_m=eye,
+            heading_deg=heading + 10 * yaw,
+            pitch_deg=self._pitch_deg + 3 * pitch,
+            roll_deg=3 * roll,
+        )
+
+
+class CameraView(NamedTuple):
+    """A camera at (3,) `eye_m`.  heading: counter-clockwise from +x.  pitch: downwards."""
+
+    eye_m: Points
+    heading_deg: float
+    pitch_deg: float
+    roll_deg: float
 
 
 def _wander(field: Waves, travelled_m: float) -> float:
@@ -149,7 +174,7 @@ class World:
         self._furnish(density, kinds)
         self.first_own = 1 + sum(kind is not None for _, kind in self._items)
         self._place_own(own)
-        classes = class_names(label for label, *_ in own)
+        classes = class_names(item.kind for item in own)
         # An empty mesh has no shape: one triangle far below the ground.
         items = self._items or [(mesh(np.eye(3) - [0, 0, 1e4], [[0, 1, 2]]), None)]
         labels = np.array([classes.index(kind) if kind else 0 for _, kind in items], np.uint8)
@@ -185,13 +210,15 @@ class World:
         """Put the user's objects beside the part of the path that views show."""
         first = self.path.start_m + _AHEAD_M
         self._stretch_m = first, first + _VIEWS * self.path.step_m
-        for number, (label, (least, most), tilt_deg, burial, solid) in enumerate(own):
+        for number, item in enumerate(own):
             rng = self._draws("own", number)
+            least, most = item.per_place
             for _ in range(int(rng.integers(least, most + 1))):
-                angle = np.deg2rad(rng.uniform(*tilt_deg))
-                toward = rng.uniform(0, _TURN)
-                turned = solid.turned("zyzz", toward, angle, -toward, rng.uniform(0, _TURN))
-                self._put(rng, turned.standing(), label, burial)
+                angle_rad = np.deg2rad(rng.uniform(*item.tilt_deg))
+                toward_rad = rng.uniform(0, _TURN)
+                turns_rad = (toward_rad, angle_rad, -toward_rad, rng.uniform(0, _TURN))
+                turned = item.mesh.turned("zyzz", *turns_rad)
+                self._put(rng, turned.standing(), item.kind, item.burial)
 
     def _put(self, rng: Draws, mesh: Mesh, kind: str, burial: Range = (0.02, 0.18)) -> None:
         """Put a thing at a free spot near the path, if any: it follows the slope and sinks in."""

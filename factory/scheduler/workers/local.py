@@ -2,7 +2,7 @@
 
 Every wait here ends: each worker has one deadline, put off by all that it tells, and one thread
 kills whoever misses it.  What was said to a process that is dead fails at once, because the two
-share a pair of sockets that nobody else has.
+share a pair of sockets that no other process has.
 """
 
 from __future__ import annotations
@@ -230,7 +230,7 @@ def _work(connection: Connection, environment: dict[str, str]) -> None:
     os.environ.update(environment)
     start_worker_process()
     threading.Thread(target=_exit_with_parent, daemon=True).start()
-    # Closed while we work: nobody waits for what we do.
+    # Closed while we work: no process waits for the result.
     with suppress(EOFError, OSError):
         while True:
             answer = answered(

@@ -48,7 +48,7 @@ def start(modules: tuple[str, ...]) -> None:
 def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
     """A process that runs `target(*arguments)`: if it `forks`, a fork of the template.
 
-    Where none runs, or it dies or is killed meanwhile because it stands still, it is spawned.
+    Where none runs, or it dies or is killed meanwhile because it hangs, it is spawned.
     """
     process: BaseProcess
     with _main_module_hidden():

@@ -92,15 +92,15 @@ def test_tracks_stay_inside_and_apart(insertion: Insertion) -> None:
     tracks = insertion.tracks
     assert {track.target for track in tracks} == set(CLASSES)
     for track in tracks:
-        steps = np.diff([[one.y, one.x] for one in track.sightings], axis=0)
+        steps = np.diff([[sighting.y, sighting.x] for sighting in track.sightings], axis=0)
         speed = np.linalg.norm(steps, axis=1)
         assert speed.min() >= 1 - 1e-9
         assert speed.max() <= 2 + 1e-9
         assert np.allclose(steps, steps[0])
-        assert all(INSONIFIED[int(one.y), int(one.x)] for one in track.sightings)
+        assert all(INSONIFIED[int(sighting.y), int(sighting.x)] for sighting in track.sightings)
     first = [track for track in tracks if track.sightings[0].frame == 0]
     for number, track in enumerate(first):
-        assert all(track.moved_apart(other) for other in first[:number])
+        assert all(track.moved_apart(track_before) for track_before in first[:number])
 
 
 def test_sequences_differ_in_contrast_alone(frames: Frames, insertion: Insertion) -> None:
@@ -144,9 +144,9 @@ def test_a_mean_in_time_loses_moving_targets(insertion: Insertion) -> None:
 
     recorded = answers(insertion, insertion.with_targets, insertion.without)
     fused = answers(insertion, mean(insertion.with_targets), mean(insertion.without))
-    found = figures(insertion, fused, recorded)
-    small = found.by_class[1].contrast
-    large = found.by_class[3].contrast
+    actual = figures(insertion, fused, recorded)
+    small = actual.by_class[1].contrast
+    large = actual.by_class[3].contrast
     assert 0.1 < small.value < large.value < 0.9
 
 
@@ -225,9 +225,12 @@ def test_the_report(tmp_path: Path, frames: Frames, capsys: pytest.CaptureFixtur
     ],
 )
 def test_recordings_that_do_not_suit_get_one_line(
-    tmp_path: Path, made: dict[str, float], words: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    recording_options: dict[str, float],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    folder = saved(tmp_path / "dive", recording(**made))  # type: ignore[arg-type]
+    folder = saved(tmp_path / "dive", recording(**recording_options))  # type: ignore[arg-type]
     assert main(["evaluate", "detect", str(folder), *SMALL, f"out={tmp_path / 'out'}"]) == 2
     error = capsys.readouterr().err.strip()
     assert words in error

@@ -115,15 +115,15 @@ def test_median_and_opening_are_the_definition() -> None:
             np.testing.assert_array_equal(run("median", image, size=size), expected)
         darkest = sliding_window_view(image, (3, 3)).min(axis=(2, 3))
         opened = sliding_window_view(darkest, (3, 3)).max(axis=(2, 3))
-        found = run("grey_opening", image, size=3)
-        np.testing.assert_array_equal(found[2:-2, 2:-2], opened)
+        actual = run("grey_opening", image, size=3)
+        np.testing.assert_array_equal(actual[2:-2, 2:-2], opened)
 
 
 def test_lee_kuan_and_frost_are_their_formulas() -> None:
     image, cu2 = noisy_scene("speckle", 40), 0.1**2
     y, x = np.mgrid[-3:4, -3:4]
-    found = [run(name, image, size=7, noise_cv=0.1) for name in ("lee", "kuan")]
-    found.append(run("frost", image, size=7, damping=2))
+    actual = [run(name, image, size=7, noise_cv=0.1) for name in ("lee", "kuan")]
+    actual.append(run("frost", image, size=7, damping=2))
     for row, column in ((20, 20), (9, 30), (12, 4)):
         window = image[row - 3 : row + 4, column - 3 : column + 4].astype(float)
         mean, ci2 = window.mean(), window.var() / window.mean() ** 2
@@ -131,7 +131,7 @@ def test_lee_kuan_and_frost_are_their_formulas() -> None:
         weights = np.exp(-2 * ci2 * np.hypot(x, y))
         frost = (weights * window).sum() / weights.sum()
         expected = (mean + part, mean + part / (1 + cu2), frost)
-        assert [one[row, column] for one in found] == pytest.approx(expected, abs=1e-6)
+        assert [image[row, column] for image in actual] == pytest.approx(expected, abs=1e-6)
 
 
 def test_srad_is_the_formula_step_by_step() -> None:

@@ -51,8 +51,8 @@ GOLDEN = {
 @pytest.mark.parametrize("size", GOLDEN)
 def test_agrees_with_piq(size: tuple[int, int]) -> None:
     clean, noisy = waves(*size)
-    found = {name: getattr(metrics, name)(clean, noisy, data_range=255) for name in GOLDEN[size]}
-    assert found == pytest.approx(GOLDEN[size], abs=1e-9)
+    actual = {name: getattr(metrics, name)(clean, noisy, data_range=255) for name in GOLDEN[size]}
+    assert actual == pytest.approx(GOLDEN[size], abs=1e-9)
 
 
 @pytest.mark.parametrize("pooled", [True, False])
@@ -306,7 +306,7 @@ def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
     zones = homogeneous_zones(clean, data_range=1, sector=sector)
     assert len(zones) > 1
     for image in (noisy, ndimage.gaussian_filter(noisy, 2), rng.random(clean.shape, np.float32)):
-        found = scene.figures(image)
+        actual = scene.figures(image)
         alone = {
             "gmsd_unpooled": gmsd(clean, image, data_range=1, pooled=False),
             "ms_ssim": ms_ssim(clean, image, data_range=1),
@@ -315,7 +315,7 @@ def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
             "cnr": contrast_to_noise(image, sector & ~shadow & (clean > 0), shadow),
             **ratio_figures(noisy, image),
         }
-        assert {name: found[name] for name in alone} == pytest.approx(alone, abs=1e-9, nan_ok=True)
+        assert {name: actual[name] for name in alone} == pytest.approx(alone, abs=1e-9, nan_ok=True)
 
 
 @settings(max_examples=10, deadline=None)

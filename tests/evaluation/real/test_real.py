@@ -119,8 +119,8 @@ def scene(seed: int) -> Gray:
     """Blobs of two sizes on a grey floor in 0..1, wider than a frame."""
     rng = np.random.default_rng(seed)
     wide = rng.normal(0, 1, (SHAPE[0] + 40, SHAPE[1] + 40)).astype(np.float32)
-    found = np.asarray(sum(size * cv2.GaussianBlur(wide, (0, 0), size) for size in (2.5, 5.0)))
-    return np.asarray(np.clip(0.45 + 0.2 * found / found.std(), 0, 1), np.float32)
+    actual = np.asarray(sum(size * cv2.GaussianBlur(wide, (0, 0), size) for size in (2.5, 5.0)))
+    return np.asarray(np.clip(0.45 + 0.2 * actual / actual.std(), 0, 1), np.float32)
 
 
 def frame(
@@ -129,8 +129,8 @@ def frame(
     """The scene lies `shift` pixels right and down of the middle."""
     matrix = np.array([[1, 0, 20 - shift[0]], [0, 1, 20 - shift[1]]], np.float64)
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    seen = cv2.warpAffine(scene(seed), matrix, SHAPE[::-1], flags=flags)
-    return np.asarray(np.clip(seen + rng.normal(0, noise, SHAPE), 0, 1), np.float32)
+    observed = cv2.warpAffine(scene(seed), matrix, SHAPE[::-1], flags=flags)
+    return np.asarray(np.clip(observed + rng.normal(0, noise, SHAPE), 0, 1), np.float32)
 
 
 def stored(seed: int, count: int) -> list[npt.NDArray[np.uint8]]:
@@ -141,7 +141,7 @@ def stored(seed: int, count: int) -> list[npt.NDArray[np.uint8]]:
 
 def shuffled(folder: Path, counts: dict[int, int]) -> Path:
     """Pictures of several scenes in one folder, in no order.  counts: seed -> frames."""
-    pictures = [one for seed, count in counts.items() for one in stored(seed, count)]
+    pictures = [image for seed, count in counts.items() for image in stored(seed, count)]
     folder.mkdir(parents=True)
     for number, place in enumerate(np.random.default_rng(0).permutation(len(pictures))):
         cv2.imwrite(str(folder / f"{number:03d}.png"), pictures[place])
@@ -151,8 +151,8 @@ def shuffled(folder: Path, counts: dict[int, int]) -> Path:
 def recording(path: Path, seed: int, count: int) -> Group:
     """A video of one scene, and the group of its frames."""
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 5, SHAPE[::-1], True)
-    for one in stored(seed, count):
-        video.write(cv2.cvtColor(one, cv2.COLOR_GRAY2BGR))
+    for image in stored(seed, count):
+        video.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     video.release()
     shots = tuple(Shot(path, number, f"{path.name}#{number}") for number in range(count))
     return Group(path.name, shots, np.zeros((count, 2)), None, np.ones(SHAPE, bool), 1.0)
@@ -161,7 +161,7 @@ def recording(path: Path, seed: int, count: int) -> Group:
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.7), (-2.25, 1.5)])
 def test_a_shift_is_found_to_a_tenth_of_a_pixel(shift: tuple[float, float]) -> None:
     rng = np.random.default_rng(1)
-    fixed, moved = (frame(0, rng, 0.04, one) for one in ((0.0, 0.0), shift))
+    fixed, moved = (frame(0, rng, 0.04, shift_px) for shift_px in ((0.0, 0.0), shift))
     assert shift_px(fixed, moved, SECTOR) == pytest.approx(shift, abs=0.1)
 
 
@@ -176,12 +176,12 @@ def test_frames_that_moved_too_far_are_left_out() -> None:
 def test_what_moves_is_found() -> None:
     rng, frames = np.random.default_rng(6), []
     for number in range(10):
-        one = frame(0, rng, 0.05)
-        one[24:37, 8 + 6 * number : 21 + 6 * number] = 1
-        frames.append(one)
-    found = moving(frames, SECTOR)
-    assert found[30, 18:65].mean() > 0.9
-    assert found[70:].mean() < 0.02
+        image = frame(0, rng, 0.05)
+        image[24:37, 8 + 6 * number : 21 + 6 * number] = 1
+        frames.append(image)
+    actual = moving(frames, SECTOR)
+    assert actual[30, 18:65].mean() > 0.9
+    assert actual[70:].mean() < 0.02
 
 
 def group(folder: Path, values: list[int]) -> Group:
@@ -198,8 +198,8 @@ def group(folder: Path, values: list[int]) -> Group:
 def test_a_shuffled_folder_is_judged_by_its_groups(tmp_path: Path) -> None:
     folder = shuffled(tmp_path / "in", {0: 11, 1: 7, 2: 3})
     content = real(tmp_path / "out", str(folder), "baselines=[gaussian]", "examples=1")
-    assert sorted(len(one["frames"]) for one in content["groups"]) == [7, 11]
-    assert [one["fold"] for one in content["groups"]] == [0, 1]
+    assert sorted(len(entry["frames"]) for entry in content["groups"]) == [7, 11]
+    assert [entry["fold"] for entry in content["groups"]] == [0, 1]
     assert len(content["files"]) == 18, "the third scene has too few frames"
     rows = {row["label"]: row for row in content["rows"]}
     noisy, blurred = rows["noisy"], rows["gaussian tuned on others"]
@@ -222,9 +222,9 @@ def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -
     path = tmp_path / "dive.avi"
     recording(path, 3, 9)
     content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8")
-    (found,) = content["groups"]
-    assert found["frames"] == [f"dive.avi#{number}" for number in range(8)]
-    assert found["judged"] == found["frames"][4:]
+    (actual,) = content["groups"]
+    assert actual["frames"] == [f"dive.avi#{number}" for number in range(8)]
+    assert actual["judged"] == actual["frames"][4:]
     assert any("tuned on frames of its first half (4)" in note for note in content["notes"])
     rows = {row["label"]: row for row in content["rows"]}
     assert rows["gaussian tuned on others"]["means"]["gain_db"] > 3
@@ -233,10 +233,10 @@ def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -
 
 def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
     values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
-    (one,) = judged(0, group(tmp_path, values), [1])
-    assert one.reference is not None
-    assert one.noisy[0, 0] * 255 == pytest.approx(20)
-    assert one.reference[0, 0] * 255 == pytest.approx((sum(values) - 20) / 9, rel=1e-5)
+    (judged_frame,) = judged(0, group(tmp_path, values), [1])
+    assert judged_frame.reference is not None
+    assert judged_frame.noisy[0, 0] * 255 == pytest.approx(20)
+    assert judged_frame.reference[0, 0] * 255 == pytest.approx((sum(values) - 20) / 9, rel=1e-5)
     assert nearest(10, 5, 7) == [2, 3, 4, 5, 6, 7, 8]
     assert nearest(10, 9, 7) == [3, 4, 5, 6, 7, 8, 9]
 
@@ -267,9 +267,9 @@ def timed(groups: list[Group], networks: list[Method], most: int = 20) -> tuple[
 def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(in_time, "network", lambda weights, device: blurred)
     monkeypatch.setattr(in_time, "WEIGHTS", (0.02, 0.04))
-    one = Method("one", "", {}, weights="one")
+    method = Method("one", "", {}, weights="one")
     groups = [recording(tmp_path / f"{seed}.avi", seed, 14) for seed in (0, 1)]
-    found, notes = timed(groups, [one], most=12)
+    actual, notes = timed(groups, [method], most=12)
     rows = [
         "one: one frame",
         "fused",
@@ -278,21 +278,21 @@ def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.Monk
         "mean of 7 + tuned TV",
         "registered mean of 7 + tuned TV",
     ]
-    assert list(found["row"].unique()) == rows
-    assert list(found["kind"].unique()) == ["static", "moving", "ghost"]
-    assert len(found) == 2 * 3 * len(rows)
-    psnr = found.groupby(["kind", "row"])["psnr_db"].last()
+    assert list(actual["row"].unique()) == rows
+    assert list(actual["kind"].unique()) == ["static", "moving", "ghost"]
+    assert len(actual) == 2 * 3 * len(rows)
+    psnr = actual.groupby(["kind", "row"])["psnr_db"].last()
     assert psnr["static", "mean of 7 + tuned TV"] > psnr["static", "mean of 7"]
     assert psnr["moving", "mean of 7"] < psnr["moving", "fused"]
     assert psnr["moving", "registered mean of 7 + tuned TV"] > psnr["moving", "mean of 7"] + 2
     assert any("0.avi: tuned TV has weight" in n and "tuned on 1.avi" in n for n in notes)
-    table = in_time.wide(found, resamples=100, seed=0)
+    table = in_time.wide(actual, resamples=100, seed=0)
     assert all(" .. " in cell for cell in table["static, dB / SSIM"]), "two recordings"
-    single = in_time.wide(found[found["recording"] == "0.avi"], resamples=100, seed=0)
+    single = in_time.wide(actual[actual["recording"] == "0.avi"], resamples=100, seed=0)
     assert not any(" .. " in cell for cell in single["static, dB / SSIM"])
     assert list(table) == ["row", *(f"{k}, dB / SSIM" for k in ("static", "moving", "ghost"))]
     assert list(table["row"]) == rows
-    _, alone = timed(groups[:1], [one])
+    _, alone = timed(groups[:1], [method])
     assert "tuned on the first 12 frames of itself" in alone[0]
 
 
@@ -301,7 +301,7 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     save(tmp_path / "black" / "0.png", np.zeros((40, 40)))
     save(tmp_path / "plain" / "0.png", np.full((40, 40), 0.5))
     plain = str(tmp_path / "plain")
-    for words, told in (
+    for words, message in (
         ((str(tmp_path / "none"),), "no such folder or recording"),
         ((str(tmp_path / "empty"),), "holds no pictures and no recordings"),
         ((str(tmp_path / "black"),), "0.png: black, or smaller than 16 pixels"),
@@ -310,16 +310,16 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ):
         assert main(["evaluate", "real", *words, f"out={tmp_path / 'out'}", "workers=1"]) == 2
         error = capsys.readouterr().err
-        assert told in error
+        assert message in error
 
 
 def test_no_copy_of_a_frame_is_its_reference(tmp_path: Path) -> None:
     """A slow sonar in a fast video, saved frame by frame without leading zeros."""
     folder = tmp_path / "real"
     folder.mkdir()
-    frames = [one for one in stored(3, 8) for _ in range(2)]
-    for number, one in enumerate(frames):
-        assert cv2.imwrite(str(folder / f"frame{number}.png"), one)
+    frames = [image for image in stored(3, 8) for _ in range(2)]
+    for number, image in enumerate(frames):
+        assert cv2.imwrite(str(folder / f"frame{number}.png"), image)
     (stretch,), _ = open_input(str(folder))
     names = [shot.name for shot in stretch.shots]
     assert names == [f"frame{number}.png" for number in range(16)]

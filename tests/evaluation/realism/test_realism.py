@@ -80,8 +80,8 @@ def test_bearings_without_data_are_left_out_and_squeezed_pictures_stretched() ->
 def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
     lines = (MDD / "fan_geometry.csv").read_text().splitlines()[1:]
     known = dict(line.split(",")[:2] for line in lines)
-    found = recorded.open_real(MDD)
-    shots, _ = found
+    actual = recorded.open_real(MDD)
+    shots, _ = actual
     assert len(shots) == len(known) == 117
     names = {geometry: name for name, geometry in recorded.MDD_GEOMETRIES.items()}
     assert {shot.name: names[shot.known] for shot in shots if shot.known} == known
@@ -117,23 +117,23 @@ def test_geometry_files_and_recordings_are_checked(tmp_path: Path) -> None:
 
 def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
     shutil.copy(LAMPREY, tmp_path / "dive.avi")
-    one, folder = recorded.open_real(LAMPREY)[0], recorded.open_real(tmp_path)[0]
-    assert len(one) == len(folder) == 36
-    assert folder[7].name == "dive.avi#7"
-    first = one[0]
+    from_file, from_folder = recorded.open_real(LAMPREY)[0], recorded.open_real(tmp_path)[0]
+    assert len(from_file) == len(from_folder) == 36
+    assert from_folder[7].name == "dive.avi#7"
+    first = from_file[0]
     assert first.known is not None
     sector = first.known.sector_mask(*first.read()[0].shape)
     assert first.read()[0][sector].mean() > 20 * first.read()[0][~sector].mean()
-    assert one[0].known == one[7].known
+    assert from_file[0].known == from_file[7].known
 
 
 @pytest.mark.skipif(not ARIS.is_file(), reason="no shared data")
 def test_a_recording_says_where_range_and_bearing_are() -> None:
-    found, _ = recorded.open_real(ARIS)
-    assert len(found) == 6
-    assert found[0].known is not None
-    assert found[0].known.range_max_m == pytest.approx(23.3, abs=0.5)
-    assert not np.array_equal(found[0].read()[0], found[5].read()[0])
+    actual, _ = recorded.open_real(ARIS)
+    assert len(actual) == 6
+    assert actual[0].known is not None
+    assert actual[0].known.range_max_m == pytest.approx(23.3, abs=0.5)
+    assert not np.array_equal(actual[0].read()[0], actual[5].read()[0])
 
 
 def test_rayleigh_speckle_has_the_textbook_numbers() -> None:
@@ -199,16 +199,16 @@ def test_a_perfect_simulation_reaches_the_halves_and_another_does_not(
 def test_the_command_writes_a_report_that_needs_nothing_else(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    one = polar_folder(tmp_path / "real pictures", 1, 9)
-    two = polar_folder(tmp_path / "made, up", 2, 8, level=0.4)
+    real_folder = polar_folder(tmp_path / "real pictures", 1, 9)
+    simulated_folder = polar_folder(tmp_path / "made, up", 2, 8, level=0.4)
     out = tmp_path / "report"
-    words = [str(one), str(two), "grid.range_bins=96", "grid.beams=48"]
+    words = [str(real_folder), str(simulated_folder), "grid.range_bins=96", "grid.beams=48"]
     assert main(["evaluate", "realism", *words, f"out={out}"]) == 0
     assert "| real against | real | made, up |" in capsys.readouterr().out
-    told = json.loads((out / "realism.json").read_text())
-    assert told["images"] == {"real": 9, "made, up": 8}
-    assert 0 < told["distances"]["real"]["slope_per_m"] <= 1
-    assert told["overall"]["made, up"] > 1
+    message = json.loads((out / "realism.json").read_text())
+    assert message["images"] == {"real": 9, "made, up": 8}
+    assert 0 < message["distances"]["real"]["slope_per_m"] <= 1
+    assert message["overall"]["made, up"] > 1
     page = (out / "realism.html").read_text()
     assert page.count("data:image/png;base64,") == 2 * 8, "examples of both"
     assert "http" not in page.replace('<html lang="en">', ""), "works without a network"
@@ -226,7 +226,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
         (["REAL", "REAL", "limit=6"], "6 pictures; at least 8"),
     ):
         assert main(["evaluate", "realism", *words]) == 2
-        (error,) = [one for one in capsys.readouterr().err.splitlines() if one[:6] == "error:"]
+        (error,) = [line for line in capsys.readouterr().err.splitlines() if line[:6] == "error:"]
         assert said in error
 
 
@@ -283,8 +283,8 @@ def test_the_density_that_made_the_pictures_is_found_again(
         "scenes.locations=1 scenes.frames_per_location=10 scenes.width=96 scenes.height=64 "
         "render=analytic scheduler=serial experiment=found"
     )
-    given = ["--config-dir", str(settings.folder), *search.usage(settings).split()]
-    assert main(["make", *given, "--cfg", "job"]) == 0
+    search_words = ["--config-dir", str(settings.folder), *search.usage(settings).split()]
+    assert main(["make", *search_words, "--cfg", "job"]) == 0
     composed = yaml.safe_load(capsys.readouterr().out)
     assert composed["noise"]["background"]["density"] == density
     assert composed["sonar"]["beams"] == 64

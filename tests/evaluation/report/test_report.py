@@ -47,15 +47,15 @@ def test_the_paired_test_sees_frames() -> None:
     base = rng.normal(20, 3, 24)
     shift = np.repeat(rng.normal(0.4, 0.5, 12), 2)
     groups = [str(index // 2) for index in range(24)]
-    found = statistics.paired(base + shift, base, groups, better=1, resamples=200, seed=0)
-    assert found.difference.mean == pytest.approx(shift.mean())
-    assert found.p == pytest.approx(stats.wilcoxon(shift[::2]).pvalue)
-    assert found.wins == pytest.approx((shift > 0).mean())
+    actual = statistics.paired(base + shift, base, groups, better=1, resamples=200, seed=0)
+    assert actual.difference.mean == pytest.approx(shift.mean())
+    assert actual.p == pytest.approx(stats.wilcoxon(shift[::2]).pvalue)
+    assert actual.wins == pytest.approx((shift > 0).mean())
     same = statistics.paired(base, base, groups, better=1, resamples=200, seed=0)
     assert (same.p, same.wins, same.difference.mean) == (1.0, 0.5, 0.0)
     base[0] = np.nan
-    found = statistics.paired(base + shift, base, groups, better=1, resamples=200, seed=0)
-    assert found.difference.count == 23, "values that do not exist are left out"
+    actual = statistics.paired(base + shift, base, groups, better=1, resamples=200, seed=0)
+    assert actual.difference.count == 23, "values that do not exist are left out"
 
 
 def test_few_frames_have_no_p() -> None:
@@ -75,9 +75,9 @@ def test_few_frames_have_no_p() -> None:
 
 def test_holm_is_the_published_procedure() -> None:
     """Worked by hand: the smallest p times 4, the next times 3, ..., never decreasing."""
-    found = statistics.holm([0.01, 0.04, 0.03, 0.005, float("nan")])
-    assert found[:4] == pytest.approx([0.03, 0.06, 0.06, 0.02])
-    assert math.isnan(found[4])
+    actual = statistics.holm([0.01, 0.04, 0.03, 0.005, float("nan")])
+    assert actual[:4] == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert math.isnan(actual[4])
     assert statistics.holm([0.9, 0.8]) == [1.0, 1.0]
 
 
@@ -85,8 +85,13 @@ def measured_of(**psnr: Any) -> Measured:
     """Figures of methods by label; the other metrics follow from the PSNR."""
     figures = {
         label: {
-            number: {"psnr": one, "ssim": one / 30, "gmsd": 0.4 - one / 100, SECONDS: 0.005}
-            for number, one in enumerate(values)
+            number: {
+                "psnr": psnr_db,
+                "ssim": psnr_db / 30,
+                "gmsd": 0.4 - psnr_db / 100,
+                SECONDS: 0.005,
+            }
+            for number, psnr_db in enumerate(values)
         }
         for label, values in psnr.items()
     }
@@ -141,14 +146,14 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]
     """Two reports on the same twelve frames, and one on others."""
     root = tmp_path_factory.mktemp("reports")
     dataset = write_dataset(root / "data", train=0, test=24, size=40, per_shard=24)
-    other = write_dataset(root / "louder", train=0, test=4, size=40, noise=0.4)
+    louder = write_dataset(root / "louder", train=0, test=4, size=40, noise=0.4)
     a, b, c = (root / name for name in "abc")
     rows = ["grey_opening", "gaussian", "broken"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(REGISTRY, "broken", BROKEN)
         builder.build(settings_for(dataset, out=str(a), baselines=rows, examples=1))
     builder.build(settings_for(dataset, out=str(b), baselines=[], examples=0))
-    builder.build(settings_for(other, out=str(c), baselines=[], examples=0))
+    builder.build(settings_for(louder, out=str(c), baselines=[], examples=0))
     return a, b, c
 
 
@@ -161,9 +166,9 @@ def test_compare_says_which_is_better(
     said = capsys.readouterr().out
     assert "A = grey_opening (a), B = noisy (b): 24 pairs of 12 frames" in said
     content = compare(a, b, "grey_opening", "noisy")
-    one, other = read_results(a), read_results(b)
-    first = one["psnr"][one["method"] == "grey_opening"].to_numpy()
-    second = other["psnr"][other["method"] == "noisy"].to_numpy()
+    first_results, second_results = read_results(a), read_results(b)
+    first = first_results["psnr"][first_results["method"] == "grey_opening"].to_numpy()
+    second = second_results["psnr"][second_results["method"] == "noisy"].to_numpy()
     psnr = content["metrics"]["psnr"]
     assert psnr["difference"] == pytest.approx((first - second).mean())
     assert psnr["wins"] == pytest.approx((first > second).mean())
@@ -299,18 +304,18 @@ def test_a_reader_can_sort_and_compare(reports: tuple[Path, Path, Path], tmp_pat
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=180)
     written = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
     assert written is not None
-    found = json.loads(html.unescape(written[1]))
-    assert (found["complaints"], found["asked"]) == ([], []), found
-    assert found["before"][-1] == "broken"
-    assert found["after"][-1] == "broken", "lost rows stay last"
-    assert found["order"] == "descending"
-    assert found["down"] == sorted(found["down"], reverse=True)
-    assert found["up"] == found["down"][::-1]
-    assert found["middle"] == "inset(0px 0px 0px 50%)"
-    assert found["moved"] == "inset(0px 0px 0px 25%)"
-    assert "scale(1.5)" in found["near"]
-    assert "scale(1)" in found["whole"]
-    assert found["errors"][0] > 0 == found["errors"][1], "clean has no error against clean"
-    assert (found["light"], found["dark"]) == ("rgb(255, 255, 255)", "rgb(18, 23, 29)")
-    assert re.fullmatch(r"noisy, \d+\.\d\d dB", found["tags"][0])
-    assert found["tags"][1] == "clean"
+    actual = json.loads(html.unescape(written[1]))
+    assert (actual["complaints"], actual["asked"]) == ([], []), actual
+    assert actual["before"][-1] == "broken"
+    assert actual["after"][-1] == "broken", "lost rows stay last"
+    assert actual["order"] == "descending"
+    assert actual["down"] == sorted(actual["down"], reverse=True)
+    assert actual["up"] == actual["down"][::-1]
+    assert actual["middle"] == "inset(0px 0px 0px 50%)"
+    assert actual["moved"] == "inset(0px 0px 0px 25%)"
+    assert "scale(1.5)" in actual["near"]
+    assert "scale(1)" in actual["whole"]
+    assert actual["errors"][0] > 0 == actual["errors"][1], "clean has no error against clean"
+    assert (actual["light"], actual["dark"]) == ("rgb(255, 255, 255)", "rgb(18, 23, 29)")
+    assert re.fullmatch(r"noisy, \d+\.\d\d dB", actual["tags"][0])
+    assert actual["tags"][1] == "clean"

@@ -25,9 +25,9 @@ def two(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def refused(directories, out: Path, match: str) -> None:
-    with pytest.raises(FactoryError, match=match) as told:
+    with pytest.raises(FactoryError, match=match) as caught:
         merge(directories, out)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
     assert not out.exists()
     assert not list(out.parent.glob(".*partial*"))
 
@@ -67,7 +67,7 @@ def test_it_says_where_everything_came_from(two, tmp_path) -> None:
     assert hashes == [config_hash({**CONFIG, "seed": seed}) for seed in (1, 2)]
     assert manifest["config_hash"] not in hashes
     card = (tmp_path / "out/README.md").read_text()
-    assert all(one in card for one in hashes)
+    assert all(digest in card for digest in hashes)
     assert "license: cc-by-4.0" in card
     assert "# both" in card
     assert yaml.safe_load((tmp_path / "out/config.yaml").read_text())["dataset"]["name"] == "both"
@@ -97,16 +97,16 @@ def test_a_scene_that_trains_here_and_tests_there_is_refused(tmp_path, two) -> N
 
 def test_other_noise_is_refused_by_its_key(tmp_path, two) -> None:
     noise = {"background": {"density": {"uniform": [0.1, 0.9]}}}
-    other = write(tmp_path / "other", place="mole", config={**CONFIG, "noise": noise})
+    second = write(tmp_path / "other", place="mole", config={**CONFIG, "noise": noise})
     refused(
-        (two[0], other), tmp_path / "out", r"noise.background.density.uniform \[0.1, 0.5\] -> \["
+        (two[0], second), tmp_path / "out", r"noise.background.density.uniform \[0.1, 0.5\] -> \["
     )
 
 
 def test_licences_must_agree_or_be_given(tmp_path, two) -> None:
-    other = write(tmp_path / "other", place="mole", licence="MIT")
-    refused((two[0], other), tmp_path / "out", r"licences differ .*CC-BY-4.0.*MIT.*--licence")
-    merge((two[0], other), tmp_path / "out", licence="CC-BY-4.0")
+    second = write(tmp_path / "other", place="mole", licence="MIT")
+    refused((two[0], second), tmp_path / "out", r"licences differ .*CC-BY-4.0.*MIT.*--licence")
+    merge((two[0], second), tmp_path / "out", licence="CC-BY-4.0")
     assert "license: cc-by-4.0" in (tmp_path / "out/README.md").read_text()
 
 

@@ -18,17 +18,17 @@ def given_out(root: Path) -> dict[str, str]:
 
     Raises FactoryError when the reader refuses anything.
     """
-    found: dict[str, bytes] = {}
+    actual: dict[str, bytes] = {}
     with PairDataset(root, "train", layers=LAYERS) as pairs:
         for number, sample in enumerate(pairs):
-            found |= {f"picture {number} {name}": x.tobytes() for name, x in sample.items()}
+            actual |= {f"picture {number} {name}": x.tobytes() for name, x in sample.items()}
         table, both = pairs.meta(), pairs.axes
-        found["meta"] = table.tobytes() + repr(table.dtype.names).encode()
+        actual["meta"] = table.tobytes() + repr(table.dtype.names).encode()
         axes = [(axis.name, axis.units, axis.description) for axis in both]
-        found["axes"] = b"".join(axis.values.tobytes() for axis in both)
-        found["form"] = repr((axes, pairs.shape, pairs.dtype, pairs.config_hash)).encode()
-        found["all"] = repr((pairs.form.columns, pairs.form, pairs.splits)).encode()
-    return {name: content.hex() for name, content in found.items()}
+        actual["axes"] = b"".join(axis.values.tobytes() for axis in both)
+        actual["form"] = repr((axes, pairs.shape, pairs.dtype, pairs.config_hash)).encode()
+        actual["all"] = repr((pairs.form.columns, pairs.form, pairs.splits)).encode()
+    return {name: content.hex() for name, content in actual.items()}
 
 
 def outcome(root: Path | str, sound: dict[str, str]) -> str:
@@ -36,10 +36,10 @@ def outcome(root: Path | str, sound: dict[str, str]) -> str:
     # What hangs is ended after ten seconds; on a busy machine a sound file may take some.
     with mock.patch.object(reader, "_LIMIT_S", 10.0):
         try:
-            found = given_out(Path(root))
+            actual = given_out(Path(root))
         except FactoryError:
             return "refused"
-    wrong = sorted(name for name in sound | found if sound.get(name) != found.get(name))
+    wrong = sorted(name for name in sound | actual if sound.get(name) != actual.get(name))
     return ", ".join(wrong)[:200] or "same"
 
 

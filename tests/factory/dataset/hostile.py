@@ -34,20 +34,20 @@ Rng = np.random.Generator
 def with_layers(pair: Pair) -> Pair:
     """The pair with one optional layer of every dtype."""
     clean = np.asarray(pair.clean, np.uint8)
-    seen = clean > 0
-    range_m = np.where(seen, 3.0, np.nan).astype(np.float32)
+    is_seen = clean > 0
+    range_m = np.where(is_seen, 3.0, np.nan).astype(np.float32)
     number = (clean > 200).astype(np.uint8)
     return replace(
         pair,
         layers={
             "range": range_m,
             "elevation": range_m / 10,
-            "valid_azimuth": seen,
+            "valid_azimuth": is_seen,
             "segmentation": number,
             "instance": number.astype(np.uint16),
             "layers/background": pair.noisy,
             "rgb": np.indices((6, 8, 3), np.uint8).sum(axis=0, dtype=np.uint8),
-            "depth": np.where(seen[:6, :8], np.float32(2), np.float32(np.nan)),
+            "depth": np.where(is_seen[:6, :8], np.float32(2), np.float32(np.nan)),
         },
     )
 
@@ -131,13 +131,13 @@ def check(root: Path, reader: IsolatedProcess) -> tuple[str, str]:
     try:
         with mock.patch.object(validate, "_LIMIT_S", 2.0):
             report = validate.validate(root, deep=True)
-        found = "; ".join(report.errors) or "valid"
+        verdict = "; ".join(report.errors) or "valid"
     except FactoryError as error:
-        found = f"refused: {error}"
-    for text in (outcome, found):
+        verdict = f"refused: {error}"
+    for text in (outcome, verdict):
         assert "\n" not in text
         assert len(text) < 20_000
-    return outcome, found
+    return outcome, verdict
 
 
 def mutate(root: Path, number: int) -> str:
@@ -333,8 +333,8 @@ def _files(root: Path, rng: Rng) -> str:
     names = [*SHARDS, "manifest.json", "index.h5"]
     path = root / names[rng.integers(len(names))]
     kind = str(rng.choice(["absent", "empty", "folder", "pipe", "link", "swapped", "endless"]))
-    other = root / "test/shard-00000.h5"
-    content = other.read_bytes()
+    other_shard = root / "test/shard-00000.h5"
+    content = other_shard.read_bytes()
     path.unlink()
     if kind == "empty":
         path.touch()

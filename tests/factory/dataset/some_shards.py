@@ -34,8 +34,8 @@ def write(
     **changes: Any,
 ) -> ShardInfo | None:
     pairs = some_pairs() if pairs is None else pairs
-    how = SOURCE.axes(), SOURCE.columns(), provenance, DatasetSettings(**changes)
-    return write_shard(root, relative, pairs, *how)
+    description = SOURCE.axes(), SOURCE.columns(), provenance, DatasetSettings(**changes)
+    return write_shard(root, relative, pairs, *description)
 
 
 def write_all(

@@ -103,7 +103,7 @@ def test_a_flipped_bit_in_a_table_of_chunks_changes_no_picture(
             return [image.tobytes() for sample in pairs for image in sample.values()]
 
     right = pictures()
-    nodes = [found.start() for found in re.finditer(rb"TREE\x01", sound)]
+    nodes = [actual.start() for actual in re.finditer(rb"TREE\x01", sound)]
     assert len(nodes) >= len(STACKS) * 2
     rng = np.random.default_rng(5)
     refused = 0

@@ -48,7 +48,7 @@ EXPECTED = {"points": POINTS, "field": FIELD}
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def datasets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """points: gzip, uint8, effects, labels, echoes.  field: lzf, float32, the received field."""
     folder = tmp_path_factory.mktemp("made")
     with tarfile.open(Path(__file__).parent / "made_by_0_3.tar.xz") as archive:
@@ -65,21 +65,21 @@ def digests(folder: Path, split: Split, names: list[str]) -> dict[str, str]:
             for name, image in sample.items():
                 sums[name].update(image.tobytes())
         sums["meta"].update(pairs.meta().tobytes())
-    return {name: found.hexdigest() for name, found in sums.items()}
+    return {name: actual.hexdigest() for name, actual in sums.items()}
 
 
 @pytest.mark.parametrize("split", ["train", "test"])
 @pytest.mark.parametrize("name", sorted(EXPECTED))
-def test_every_layer_is_what_0_3_read(made: Path, name: str, split: Split) -> None:
+def test_every_layer_is_what_0_3_read(datasets: Path, name: str, split: Split) -> None:
     expected = EXPECTED[name][split]
-    assert digests(made / name, split, list(expected)) == expected
+    assert digests(datasets / name, split, list(expected)) == expected
 
 
 @pytest.mark.parametrize("name", sorted(EXPECTED))
 def test_it_is_valid_and_the_index_is_the_same_to_the_byte(
-    made: Path, tmp_path: Path, name: str
+    datasets: Path, tmp_path: Path, name: str
 ) -> None:
-    folder = Path(shutil.copytree(made / name, tmp_path / name))
+    folder = Path(shutil.copytree(datasets / name, tmp_path / name))
     (error,) = validate(folder, deep=True).errors
     assert error.startswith("error: index.h5: the manifest has no SHA-256")
     manifest, index = load_manifest(folder), folder / "index.h5"
@@ -93,8 +93,8 @@ def test_it_is_valid_and_the_index_is_the_same_to_the_byte(
     assert str(error).startswith("error: index.h5: its SHA-256 is not that of the manifest")
 
 
-def test_lists_of_echoes_are_checked_and_left_to_h5py(made: Path, tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(made / "points", tmp_path / "points"))
+def test_lists_of_echoes_are_checked_and_left_to_h5py(datasets: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(datasets / "points", tmp_path / "points"))
     path = folder / "train/shard-00000.h5"
     with reading(path) as file:
         assert "echoes/elevation" in echo_names(file)
@@ -104,13 +104,20 @@ def test_lists_of_echoes_are_checked_and_left_to_h5py(made: Path, tmp_path: Path
         PairDataset(folder, trusted=True)[0]
 
 
-def test_verbs_take_it(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = made / "points"
+def test_verbs_take_it(datasets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = datasets / "points"
     main(["inspect", str(folder)])
     assert "samples      2 train, 2 test" in capsys.readouterr().out
     for to, word in (("png", "4 samples"), ("coco", "4 pictures"), ("webdataset", "4 samples")):
         main(["export", str(folder), "--to", to, "--out", str(tmp_path / to)])
         assert word in capsys.readouterr().out.replace("2 train samples and 2 test", "4")
-    words = ["export", str(made / "field"), "--to", "huggingface", "--out", str(tmp_path / "hub")]
+    words = [
+        "export",
+        str(datasets / "field"),
+        "--to",
+        "huggingface",
+        "--out",
+        str(tmp_path / "hub"),
+    ]
     assert main(words) == 2
     assert "parquet holds no complex numbers (field)" in capsys.readouterr().err

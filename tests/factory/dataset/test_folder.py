@@ -69,21 +69,21 @@ def test_a_failed_write_leaves_the_old_file(
 
 def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Path) -> None:
     token = 16 * "0"
-    here, elsewhere = f"here-{space()}", "here-ffffffff"
+    own_place, foreign_place = f"here-{space()}", "here-ffffffff"
     dead = subprocess.Popen([sys.executable, "-c", ""])  # that nobody has collected
     wait_for(lambda: psutil.Process(dead.pid).status() == psutil.STATUS_ZOMBIE)
     names = {
-        f".shard-00000.h5.{here}-{dead.pid}-{token}.tmp": False,
-        f".shard-00001.h5.{here}-{os.getpid()}-{token}.tmp": True,
-        f".shard-00002.h5.{elsewhere}-{dead.pid}-{token}.tmp": True,
-        f".shard-00003.h5.{elsewhere}-1-{token}.tmp": False,
+        f".shard-00000.h5.{own_place}-{dead.pid}-{token}.tmp": False,
+        f".shard-00001.h5.{own_place}-{os.getpid()}-{token}.tmp": True,
+        f".shard-00002.h5.{foreign_place}-{dead.pid}-{token}.tmp": True,
+        f".shard-00003.h5.{foreign_place}-1-{token}.tmp": False,
         "shard-00004.h5": True,
         ".notes.tmp": True,
     }
     for name in names:
         (tmp_path / name).touch()
     days_ago = time.time() - 3 * 86_400
-    os.utime(tmp_path / f".shard-00003.h5.{elsewhere}-1-{token}.tmp", (days_ago, days_ago))
+    os.utime(tmp_path / f".shard-00003.h5.{foreign_place}-1-{token}.tmp", (days_ago, days_ago))
     remove_stale_temporaries(tmp_path)
     dead.wait()
     left = {path.name for path in tmp_path.iterdir()}
@@ -142,9 +142,9 @@ def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:
 def test_another_configuration_is_refused_with_the_keys_that_differ(tmp_path: Path) -> None:
     dataset(tmp_path)
     changed = {"seed": 7, "sonar": {"hfov_deg": 45.0}, "noise": {"density": 0.3}}
-    other = replace(PROVENANCE, config_hash=config_hash(changed), config=changed)
+    changed_provenance = replace(PROVENANCE, config_hash=config_hash(changed), config=changed)
     with pytest.raises(FactoryError) as caught:
-        open_folder(tmp_path, {}, other)
+        open_folder(tmp_path, {}, changed_provenance)
     message = str(caught.value)
     assert "sonar.hfov_deg 30.0 -> 45.0" in message
     assert "noise.density (absent) -> 0.3" in message
@@ -155,7 +155,7 @@ def test_another_configuration_is_refused_with_the_keys_that_differ(tmp_path: Pa
         open_folder(tmp_path, {}, replace(PROVENANCE, generator="simnfnd 9"))
     (tmp_path / "manifest.json").unlink()
     with pytest.raises(FactoryError, match="another configuration"):
-        open_folder(tmp_path, {}, other)
+        open_folder(tmp_path, {}, changed_provenance)
 
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
@@ -260,14 +260,14 @@ def test_what_lies_beside_shards_counts_at_once_and_goes_once_it_is_put_together
     settle(tmp_path, 1, info(1, samples=7))
     settle(tmp_path, 0, None)
     settle(tmp_path, 9, info(9), "of another run")
-    found = shards(tmp_path)
-    assert sorted(found) == [info(n).path for n in (1, 2, 3)]
-    assert found[info(1).path].samples == 7
-    assert found[info(3).path].failed == ("reef/alpha/1",)
+    actual = shards(tmp_path)
+    assert sorted(actual) == [info(n).path for n in (1, 2, 3)]
+    assert actual[info(1).path].samples == 7
+    assert actual[info(3).path].failed == ("reef/alpha/1",)
     assert load_failures(tmp_path) == [FAILURE]
-    save_manifest(tmp_path, replace(START, shards=found))
+    save_manifest(tmp_path, replace(START, shards=actual))
     forget_outcomes(tmp_path)
-    assert shards(tmp_path) == found
+    assert shards(tmp_path) == actual
     assert not list(tmp_path.glob("*/*"))
 
 

@@ -24,10 +24,10 @@ def level_by_text(text: str, grey: float, full_scale: float) -> float:
     formula = re.search(r": (10 log10\(L\)|L) = (.*?);", text)
     assert formula is not None
     right = formula[2].replace("10 log10", "10 * log10").replace(" dB", "").replace("^", "**")
-    right, _, where = right.partition(" with R = ")
+    right, _, definition = right.partition(" with R = ")
     names: dict[str, Any] = {"g": grey, "full_scale": full_scale, "log10": math.log10}
-    if where:
-        names["R"] = eval(where, {}, names)
+    if definition:
+        names["R"] = eval(definition, {}, names)
     value = float(eval(right, {}, names))
     return 10 ** (value / 10) if formula[1] != "L" else value
 
@@ -43,8 +43,8 @@ def test_the_stated_formula_inverts_the_transfer_curve(formation: str, kind: str
         shown = transfer.grey(level, full_scale, config.sonar.transfer, "intensity")
     else:
         shown = transfer.grey(np.sqrt(level), math.sqrt(full_scale), config.sonar.transfer)
-    found = [level_by_text(text, float(grey), full_scale) for grey in shown]
-    np.testing.assert_allclose(found, level, rtol=1e-4)
+    actual = [level_by_text(text, float(grey), full_scale) for grey in shown]
+    np.testing.assert_allclose(actual, level, rtol=1e-4)
     assert ("clean_full_scale" in text) == (formation == "coherent")
     assert "g = v / 255" in grey_meaning(identity(config), "uint8")
 

@@ -162,11 +162,11 @@ def test_a_torch_loader_with_workers_reads_every_sample_once(sound: Path) -> Non
 
     pairs: Any = PairDataset(sound, scaled=True)
     loader = DataLoader(pairs, 3, shuffle=True, num_workers=2, multiprocessing_context="fork")
-    seen = [image.numpy() for batch in loader for image in batch["noisy"]]
-    assert {image.shape for image in seen} == {(24, 20)}
-    assert {image.dtype for image in seen} == {np.dtype(np.float32)}
+    observed = [image.numpy() for batch in loader for image in batch["noisy"]]
+    assert {image.shape for image in observed} == {(24, 20)}
+    assert {image.dtype for image in observed} == {np.dtype(np.float32)}
     stored = {(pair.noisy.astype(np.float32) * np.float32(1 / 255)).tobytes() for pair in PAIRS}
-    assert {image.tobytes() for image in seen} == stored
+    assert {image.tobytes() for image in observed} == stored
 
 
 def test_shuffled_samples_come_once_from_several_workers(sound: Path) -> None:
@@ -185,7 +185,7 @@ def test_shuffled_samples_come_once_from_several_workers(sound: Path) -> None:
             num_workers=workers,
             multiprocessing_context="fork" if workers else None,
         )
-        assert sorted(np.asarray(one["noisy"]).tobytes() for one in loader) == sorted(alone)
+        assert sorted(np.asarray(batch["noisy"]).tobytes() for batch in loader) == sorted(alone)
     shares = [opened(sound).shuffled(3, share=Share(rank, 2)) for rank in range(2)]
     parts = [[sample["noisy"].tobytes() for sample in share] for share in shares]
     assert parts == [alone[::2], alone[1::2]]

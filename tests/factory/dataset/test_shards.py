@@ -104,17 +104,20 @@ PYTHON = [step for step in steps(ROOT / "docs" / "dataset.md") if step.kind == "
 def test_every_layer_column_and_attribute_is_documented() -> None:
     """By its name, and with its type, unit and meaning in the same line of a table."""
     lines = [line for line in PAGE.splitlines() if line.startswith("| ")]
-    asked = requested(("pose", "intrinsics", "calibration", "boxes"))
+    requested_columns = requested(("pose", "intrinsics", "calibration", "boxes"))
     expected = [
-        *((f"/{one.name}", one.units, one.description) for one in layers("uint8")),
-        *((f"/{one.name}", one.dtype, one.units, one.description) for one in OPTIONAL_LAYERS),
-        *((one.name, one.dtype, one.units) for one in columns(NoiseSettings())),
-        *((one.name, one.dtype, one.units, one.description) for one in asked),
+        *((f"/{entry.name}", entry.units, entry.description) for entry in layers("uint8")),
+        *(
+            (f"/{entry.name}", entry.dtype, entry.units, entry.description)
+            for entry in OPTIONAL_LAYERS
+        ),
+        *((entry.name, entry.dtype, entry.units) for entry in columns(NoiseSettings())),
+        *((entry.name, entry.dtype, entry.units, entry.description) for entry in requested_columns),
         *((name,) for name in ROOT_ATTRIBUTES),
     ]
     for name, *words in expected:
-        found = [line for line in lines if line.startswith(f"| `{name}` |")]
-        assert any(all(word in line for word in words) for line in found), (name, words)
+        actual = [line for line in lines if line.startswith(f"| `{name}` |")]
+        assert any(all(word in line for word in words) for line in actual), (name, words)
     assert ", ".join(f"{number} {name}" for number, name in enumerate(CLASSES)) in PAGE
 
 

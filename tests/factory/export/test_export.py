@@ -34,9 +34,9 @@ def stored(root: Path, split: str, name: str) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def same_record(given: dict[str, Any], row: np.void) -> None:
-    assert list(given) == list(row.dtype.names or ())
-    for name, value in given.items():
+def same_record(record: dict[str, Any], row: np.void) -> None:
+    assert list(record) == list(row.dtype.names or ())
+    for name, value in record.items():
         expected = row[name].decode() if isinstance(row[name], bytes) else row[name].item()
         if isinstance(expected, float) and math.isnan(expected):
             assert value is None or math.isnan(value), name
@@ -72,15 +72,15 @@ def test_webdataset_gives_back_every_sample(which, request, tmp_path) -> None:
         ]
         table = stored(source, split, "meta")
         for name in ("noisy", "clean"):
-            found = [s.get(f"{name}.png", s.get(f"{name}.npy")) for s in samples]
-            np.testing.assert_array_equal(np.stack(found), stored(source, split, name))
-            assert found[0].dtype == stored(source, split, name).dtype
+            actual = [s.get(f"{name}.png", s.get(f"{name}.npy")) for s in samples]
+            np.testing.assert_array_equal(np.stack(actual), stored(source, split, name))
+            assert actual[0].dtype == stored(source, split, name).dtype
         shadow = np.stack([sample["shadow.png"] for sample in samples])
         np.testing.assert_array_equal(shadow > 0, stored(source, split, "shadow"))
         if which == "fans":
             for name, key in (("segmentation", "segmentation.png"), ("range", "range.npy")):
-                found = np.stack([sample[key] for sample in samples])
-                np.testing.assert_array_equal(found, stored(source, split, name))
+                actual = np.stack([sample[key] for sample in samples])
+                np.testing.assert_array_equal(actual, stored(source, split, name))
         for sample, row in zip(samples, table, strict=True):
             same_record(sample["json"], row)
 
@@ -123,14 +123,14 @@ def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_p
         samples = list(rows.with_format(None))
         for name in ("noisy", "clean"):
             expected = stored(source, split, name)
-            found = np.stack([np.asarray(s[name], dtype=expected.dtype) for s in samples])
-            np.testing.assert_array_equal(found, expected)
+            actual = np.stack([np.asarray(s[name], dtype=expected.dtype) for s in samples])
+            np.testing.assert_array_equal(actual, expected)
         shadow = np.stack([np.asarray(sample["shadow"]) for sample in samples])
         np.testing.assert_array_equal(shadow > 0, stored(source, split, "shadow"))
         if which == "fans":
             for name in ("segmentation", "instance", "range"):
-                found = np.stack([np.asarray(sample[name]) for sample in samples])
-                np.testing.assert_array_equal(found, stored(source, split, name))
+                actual = np.stack([np.asarray(sample[name]) for sample in samples])
+                np.testing.assert_array_equal(actual, stored(source, split, name))
         columns = [column.name for column in export_dataset.COLUMNS]
         for sample, row in zip(samples, stored(source, split, "meta"), strict=True):
             same_record({name: sample[name] for name in columns}, row)
@@ -146,17 +146,17 @@ def test_png_pairs_are_the_pictures(which, request, tmp_path) -> None:
         for name in ("noisy", "clean", "shadow"):
             files = sorted((folder / name).iterdir())
             assert [file.name for file in files] == [f"{k:06d}.png" for k in range(total)]
-            found = np.stack([cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files])
+            actual = np.stack([cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files])
             expected = stored(source, split, name)
             if name == "shadow":
-                np.testing.assert_array_equal(found, expected * np.uint8(255))
+                np.testing.assert_array_equal(actual, expected * np.uint8(255))
             elif which == "fans":
-                np.testing.assert_array_equal(found, expected)
-                assert found.dtype == np.uint8
+                np.testing.assert_array_equal(actual, expected)
+                assert actual.dtype == np.uint8
             else:
                 # 16 bits: half a step of rounding and no more.
-                assert found.dtype == np.uint16
-                assert np.abs(found / 65535 - expected.astype(float)).max() <= 0.5001 / 65535
+                assert actual.dtype == np.uint16
+                assert np.abs(actual / 65535 - expected.astype(float)).max() <= 0.5001 / 65535
         with (folder / "samples.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         assert [row["file"] for row in rows] == [f"{k:06d}.png" for k in range(total)]
@@ -230,13 +230,13 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def truth(root: Path, split: str) -> list[list[tuple[int, np.ndarray]]]:
     """(label, mask) of the objects that are large enough, picture for picture."""
-    found = []
+    actual = []
     for path in sorted((root / split).glob("*.h5")):
         with h5py.File(path) as file:
             for numbers in file["instance"][()]:
                 masks = [(label, numbers == n) for n, label in ((3, 20), (41, 1), (700, 9))]
-                found.append([(label, m) for label, m in masks if m.sum() >= LEAST_PX])
-    return found
+                actual.append([(label, m) for label, m in masks if m.sum() >= LEAST_PX])
+    return actual
 
 
 def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
@@ -248,7 +248,9 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
     assert said.startswith(f"12 pictures, {sum(map(len, everything))} objects; 12 below 8 pixels")
     for split, count in (("train", 9), ("test", 3)):
         coco = COCO(str(out / "annotations" / f"instances_{split}.json"))
-        names = {one["id"]: one["name"] for one in coco.loadCats(coco.getCatIds())}
+        names = {
+            annotation["id"]: annotation["name"] for annotation in coco.loadCats(coco.getCatIds())
+        }
         assert names == {k: name for k, name in enumerate(CLASSES) if k}
         assert len(coco.getImgIds()) == count
         wanted = truth(labelled, split)
@@ -257,15 +259,17 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
             assert picture is not None
             assert picture.shape == (image["height"], image["width"]) == (20, 16)
             assert (out / "clean" / split / image["file_name"]).is_file()
-            found = coco.loadAnns(coco.getAnnIds(image["id"]))
-            assert [one["category_id"] for one in found] == [label for label, _ in masks]
-            for one, (_, mask) in zip(found, masks, strict=True):
-                np.testing.assert_array_equal(coco.annToMask(one), mask)
+            actual = coco.loadAnns(coco.getAnnIds(image["id"]))
+            assert [annotation["category_id"] for annotation in actual] == [
+                label for label, _ in masks
+            ]
+            for annotation, (_, mask) in zip(actual, masks, strict=True):
+                np.testing.assert_array_equal(coco.annToMask(annotation), mask)
                 rows, columns = mask.nonzero()
-                left, top, width, height = one["bbox"]
+                left, top, width, height = annotation["bbox"]
                 assert (left, top) == (columns.min(), rows.min())
                 assert (left + width, top + height) == (columns.max() + 1, rows.max() + 1)
-                assert one["area"] == mask.sum()
+                assert annotation["area"] == mask.sum()
 
 
 def test_yolo_lines_are_the_objects(labelled: Path, tmp_path: Path) -> None:

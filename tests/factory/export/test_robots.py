@@ -39,8 +39,8 @@ def datasets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_pings_come_back_with_ranges_beams_and_times(
     datasets: dict[str, Path], layout: str, tmp_path: Path
 ) -> None:
-    told = export(datasets[layout], "mcap", tmp_path / "out")
-    assert told == "2 MCAP files, 4 pings"
+    message = export(datasets[layout], "mcap", tmp_path / "out")
+    assert message == "2 MCAP files, 4 pings"
     sonar = compose_config((*LAYOUTS[layout], *WORDS)).sonar
     layers = ("noisy", "clean", "range", "azimuth")
     with PairDataset(datasets[layout], "train", layers=layers, trusted=True) as pairs:

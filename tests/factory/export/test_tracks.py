@@ -72,9 +72,9 @@ def test_a_sequence_has_its_frames_in_order(swims):
         assert sequence.noisy.shape == sequence.clean.shape == (len(FRAMES), *SHAPE)
         assert sequence.time_s.tolist() == [frame / 8 for frame in FRAMES]
         for number, frame in enumerate(FRAMES):
-            made = pair("two", frame)
-            np.testing.assert_array_equal(sequence.noisy[number], made.noisy)
-            np.testing.assert_array_equal(sequence.static[number], made.layers["static"])
+            expected_pair = pair("two", frame)
+            np.testing.assert_array_equal(sequence.noisy[number], expected_pair.noisy)
+            np.testing.assert_array_equal(sequence.static[number], expected_pair.layers["static"])
             assert sequence.tracks[number][1]["id"] == 2
         assert set(sequence.truth) == {"shadow"}
         with pytest.raises(FactoryError, match="sea/four"):
@@ -83,10 +83,10 @@ def test_a_sequence_has_its_frames_in_order(swims):
 
 def test_windows_stay_in_a_recording_and_cross_no_gap(swims):
     with PairDataset(swims, "all") as pairs:
-        found = [(window.recording, window.frames) for window in pairs.windows(3)]
-        assert len(found) == 3 * 4  # 0-2, 1-3, 5-7 and 6-8 of each
-        assert ("sea/one", ("0001", "0002", "0003")) in found
-        assert all("0004" not in frames for _, frames in found)
+        actual = [(window.recording, window.frames) for window in pairs.windows(3)]
+        assert len(actual) == 3 * 4  # 0-2, 1-3, 5-7 and 6-8 of each
+        assert ("sea/one", ("0001", "0002", "0003")) in actual
+        assert all("0004" not in frames for _, frames in actual)
         assert [len(window) for window in pairs.windows(7)] == []
         assert len(list(pairs.windows(2, step=3))) == 3 * 2
 

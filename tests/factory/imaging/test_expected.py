@@ -33,14 +33,14 @@ def ground() -> tuple[Frame, Rendered]:
 
 def averaged(settings: Any) -> tuple[np.ndarray, np.ndarray]:
     """Mean of many noisy pictures with the same parameters, and the clean one."""
-    made = observe(*ground(), settings)
-    effects = effects_of(settings, made)
-    clean = made.scene.sample(0, effects).clean
+    observed_frame = observe(*ground(), settings)
+    effects = effects_of(settings, observed_frame)
+    clean = observed_frame.scene.sample(0, effects).clean
     total = np.zeros(clean.shape)
     for seed in range(PICTURES):
         others = [e if e.name in CONSTANT else replace(e, seed=seed) for e in effects]
         chosen = {effect.name for effect in others}
-        total += made.scene.sample(0, others).noisy(chosen)
+        total += observed_frame.scene.sample(0, others).noisy(chosen)
     return total / PICTURES, clean
 
 
@@ -95,15 +95,17 @@ def test_speckle_on_a_log_display_is_2_51_db_below_its_mean_intensity() -> None:
 
 def test_restored_has_no_systematic_effect_and_mean_log_has_them() -> None:
     systematic = {"receiver": {"level_db": 30}, "tvg_error": {"db_per_decade": -40}}
-    made: dict[tuple[str, int], Any] = {}
+    clean_images: dict[tuple[str, int], Any] = {}
     for target in ("mean_log", "restored"):
         for effect in ({}, systematic):
             noise, dtype = {"speckle": {}, **effect}, {"dtype": "float32"}
             settings = config(noise=noise, acoustics={"target": target}, dataset=dtype)
-            made[target, len(effect)] = make_pair(observe(*ground(), settings), 0, settings).clean
-    np.testing.assert_array_equal(made["restored", 0], made["restored", 2])
-    np.testing.assert_array_equal(made["restored", 0], made["mean_log", 0])
-    assert np.abs(made["mean_log", 2] - made["mean_log", 0]).mean() > 0.02
+            clean_images[target, len(effect)] = make_pair(
+                observe(*ground(), settings), 0, settings
+            ).clean
+    np.testing.assert_array_equal(clean_images["restored", 0], clean_images["restored", 2])
+    np.testing.assert_array_equal(clean_images["restored", 0], clean_images["mean_log", 0])
+    assert np.abs(clean_images["mean_log", 2] - clean_images["mean_log", 0]).mean() > 0.02
 
 
 def test_the_record_has_the_scale_of_the_target() -> None:
@@ -118,8 +120,8 @@ def test_the_record_has_the_scale_of_the_target() -> None:
 def sampled(noise: dict[str, dict[str, Any]]) -> Any:
     """A sample of the ground with these effects."""
     settings = config(noise=noise)
-    made = observe(*ground(), settings)
-    return made.scene.sample(0, effects_of(settings, made))
+    observed_frame = observe(*ground(), settings)
+    return observed_frame.scene.sample(0, effects_of(settings, observed_frame))
 
 
 def test_every_effect_says_what_it_shows_and_texture_is_part_of_the_scene() -> None:

@@ -38,7 +38,7 @@ def config(**keys: Any) -> FactoryConfig:
     return from_mapping({"scenes": {"kind": "seabed"}, **keys})
 
 
-def made(settings: FactoryConfig, frame: Frame | None = None, variant: int = 0) -> Pair:
+def make_pair(settings: FactoryConfig, frame: Frame | None = None, variant: int = 0) -> Pair:
     frame = frame or labelled()
     scene = pairs.observe(frame, plain_render(frame), settings)
     return pairs.make_pair(scene, variant, settings)
@@ -48,23 +48,27 @@ def test_each_effect_layer_is_the_noisy_picture_with_that_effect_alone() -> None
     """As another configuration would make it, in which all others are off."""
     noise = {effect: {"enabled": True} for effect in EFFECTS} | {"range_arc": {"count": 2}}
     noise["range_arc"]["enabled"] = True
-    together = made(config(noise=noise, dataset={"layers": ["effects"]}))
+    together = make_pair(config(noise=noise, dataset={"layers": ["effects"]}))
     assert set(together.layers) == {f"layers/{effect}" for effect in EFFECTS}
     for effect in EFFECTS:
-        off: dict[str, Any] = {other: {"enabled": False} for other in EFFECTS if other != effect}
-        alone = made(config(noise={**off, effect: noise[effect]}))
+        off: dict[str, Any] = {
+            effect_off: {"enabled": False} for effect_off in EFFECTS if effect_off != effect
+        }
+        alone = make_pair(config(noise={**off, effect: noise[effect]}))
         np.testing.assert_array_equal(together.layers[f"layers/{effect}"], alone.noisy)
         assert np.abs(alone.noisy.astype(int) - alone.clean.astype(int)).sum() > 500
 
 
 def test_effects_that_are_off_have_no_layer_and_asking_changes_no_picture() -> None:
     off = {"background": {"enabled": False}}
-    asked = made(config(noise=off, dataset={"layers": ["effects", *TRUTH]}))
-    plain = made(config(noise=off))
-    assert "layers/background" not in asked.layers
+    with_layers = make_pair(config(noise=off, dataset={"layers": ["effects", *TRUTH]}))
+    plain = make_pair(config(noise=off))
+    assert "layers/background" not in with_layers.layers
     for name in ("noisy", "clean", "shadow"):
-        np.testing.assert_array_equal(getattr(asked, name), getattr(plain, name))
-    assert str(asked.record) == str(plain.record)  # text, because an effect that is off is NaN
+        np.testing.assert_array_equal(getattr(with_layers, name), getattr(plain, name))
+    assert str(with_layers.record) == str(
+        plain.record
+    )  # text, because an effect that is off is NaN
 
 
 def test_outside_of_the_fan_there_is_nothing_nor_where_the_camera_saw_nothing() -> None:
@@ -118,13 +122,13 @@ def test_noise_of_a_call_is_that_of_another_configuration(formation: str) -> Non
     maker = pairs.PairMaker(settings, views)
     block = replace(settings.noise.background, enabled=False)
     quieter = replace(settings.noise, background=block)
-    (given,) = maker.pairs(frame.ref, (1,), quieter)
+    (quiet_pair,) = maker.pairs(frame.ref, (1,), quieter)
     (configured,) = pairs.PairMaker(replace(settings, noise=quieter), views).pairs(frame.ref, (1,))
     (usual,) = maker.pairs(frame.ref, (1,))
-    np.testing.assert_array_equal(given.noisy, configured.noisy)
-    assert str(given.record) == str(configured.record)
-    assert set(usual.layers) - set(given.layers) == {"layers/background"}
-    assert set(given.record) == {column.name for column in maker.columns()}
+    np.testing.assert_array_equal(quiet_pair.noisy, configured.noisy)
+    assert str(quiet_pair.record) == str(configured.record)
+    assert set(usual.layers) - set(quiet_pair.layers) == {"layers/background"}
+    assert set(quiet_pair.record) == {column.name for column in maker.columns()}
 
 
 # --- What was received, where from and by whom, read back by examples ---
@@ -254,16 +258,18 @@ def test_example_of_a_point_cloud(written, tmp_path: Path):
 
 
 def test_example_of_boxes(written):
-    assert "here/plain" not in (found := shown("boxes.py", written[0])).replace("plain/0001", "")
-    assert "plain/0001: Pillar 7" in found
+    assert "here/plain" not in (actual := shown("boxes.py", written[0])).replace("plain/0001", "")
+    assert "plain/0001: Pillar 7" in actual
 
 
 def test_example_of_a_complex_field(written):
-    found = shown("complex_field.py", written[0])
-    difference = float(found.split("at most ")[1].split()[0])
+    actual = shown("complex_field.py", written[0])
+    difference = float(actual.split("at most ")[1].split()[0])
     assert difference < 1e-3
-    one, two, four = (float(x.split()[-2]) for x in found.splitlines() if "looks:" in x)
-    assert one > two > four
+    one_look, two_looks, four_looks = (
+        float(x.split()[-2]) for x in actual.splitlines() if "looks:" in x
+    )
+    assert one_look > two_looks > four_looks
 
 
 def test_what_is_not_there_is_refused():
@@ -277,7 +283,7 @@ def test_what_is_not_there_is_refused():
         with pytest.raises(FactoryError, match=said):
             from_mapping({"scenes": scenes, "dataset": dataset})
     with pytest.raises(FrameError, match="here/plain/0001: has no labels"):
-        made(config(dataset={"layers": ["segmentation"]}), ground_and_post())
+        make_pair(config(dataset={"layers": ["segmentation"]}), ground_and_post())
     settings = field_config(layers=["field"])
     speckle = replace(
         settings.noise.speckle, looks=type(settings.noise.speckle.looks)("number", (3.0,))

@@ -42,8 +42,8 @@ FRESH = {750: 0.1460, 1200: 0.3737, 1800: 0.8408, 3000: 2.3355}
     ("water", "table"), [(WaterSettings(10, 35, 5, 8), SEA), (WaterSettings(15, 0, 5, 8), FRESH)]
 )
 def test_absorption(water, table):
-    found = [water.absorption_db_per_m(frequency_khz) for frequency_khz in table]
-    assert found == pytest.approx(list(table.values()), abs=1e-3)
+    actual = [water.absorption_db_per_m(frequency_khz) for frequency_khz in table]
+    assert actual == pytest.approx(list(table.values()), abs=1e-3)
 
 
 def test_thermal_noise_is_mellens() -> None:
@@ -115,17 +115,17 @@ def test_beam_mixing_keeps_energy_for_any_beams(beams, hfov_deg, width_deg, wind
 def test_fast_beams_are_the_matrix_product(words):
     """To 2e-5 of the row's strongest number, and intensities never below zero."""
     frame, rendered = constant_field(size=(60, 80))
-    made = ping_of(observe(frame, rendered, compose_config(["experiment=physical", *words])))
-    field = np.random.default_rng(3).standard_normal((1, 2, *made.shape)).astype(np.float32)
-    power = np.zeros(made.shape, np.float32)
+    ping = ping_of(observe(frame, rendered, compose_config(["experiment=physical", *words])))
+    field = np.random.default_rng(3).standard_normal((1, 2, *ping.shape)).astype(np.float32)
+    power = np.zeros(ping.shape, np.float32)
     power[:, -1] = 1  # on one side alone
-    matrix = mixing(made.sonar).astype(np.float64)
-    along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), made.kernel, "same")
+    matrix = mixing(ping.sonar).astype(np.float64)
+    along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), ping.kernel, "same")
     expected = along @ matrix
-    error = np.abs(beamform(field, made) - expected) / np.abs(expected).max(axis=-1, keepdims=True)
+    error = np.abs(beamform(field, ping) - expected) / np.abs(expected).max(axis=-1, keepdims=True)
     assert error.max() < 2e-5
-    along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), made.kernel**2, "same")
-    blurred = beamform_power(power, made)
+    along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), ping.kernel**2, "same")
+    blurred = beamform_power(power, ping)
     assert blurred.min() >= 0
     np.testing.assert_allclose(blurred, along @ matrix**2, atol=2e-5)
 
@@ -149,8 +149,8 @@ def _powers(depths_m: np.ndarray, plate_m: float, frequency_khz: float) -> np.nd
         frame = replace(frame, depth_m=depth, intrinsics=camera)
         window = Window("slant_range", 0.5, 40.0, -0.2, 0.2)
         plate = LitSurface(frame, Rendered(radiance, inside), window, settings_.sonar)
-        made = scatterers(plate, settings_.water, coherent(settings_))
-        totals.append(made.power.sum(dtype=np.float64))
+        plate_scatterers = scatterers(plate, settings_.water, coherent(settings_))
+        totals.append(plate_scatterers.power.sum(dtype=np.float64))
     return np.array(totals)
 
 
@@ -172,8 +172,8 @@ def test_materials_differ_as_the_table_says() -> None:
     settings_ = config(acoustics={"reflectivity_db": {"Background": -25, "Tire": -15}})
     window = observe(frame, rendered, settings_).window
     lit_ = LitSurface(frame, rendered, window, settings_.sonar)
-    made = scatterers(lit_, settings_.water, coherent(settings_))
-    halves = made.power[:, :60].mean(), made.power[:, -60:].mean()
+    lit_scatterers = scatterers(lit_, settings_.water, coherent(settings_))
+    halves = lit_scatterers.power[:, :60].mean(), lit_scatterers.power[:, -60:].mean()
     assert halves[0] / halves[1] == pytest.approx(10, rel=0.02)
     with pytest.raises(FactoryError, match="no class is called Tyre"):
         config(acoustics={"reflectivity_db": {"Tyre": -10}})
@@ -193,7 +193,7 @@ def test_the_papers_data_set_does_not_know_of_physics() -> None:
     assert not {"acoustics", "water"} & set(identity(plain))
     assert "array" not in identity(plain)["sonar"]
     physical = [compose_config(["experiment=physical", f"water={w}"]) for w in ("sea", "fresh")]
-    assert len({digest(identity(one)) for one in physical}) == 2
+    assert len({digest(identity(settings_)) for settings_ in physical}) == 2
 
 
 @pytest.mark.parametrize(
@@ -272,8 +272,8 @@ INTEGRAL = {"uniform": 1.0, "hamming": 1.3628}
 
 @cache
 def composed(recipe: str, *words: str) -> FactoryConfig:
-    given = ["experiment=physical", recipe] if recipe.startswith("sonar") else [recipe]
-    return compose_config([*given, *words])
+    recipe_words = ["experiment=physical", recipe] if recipe.startswith("sonar") else [recipe]
+    return compose_config([*recipe_words, *words])
 
 
 @cache
@@ -320,15 +320,15 @@ def test_speckle_has_the_power_and_the_grain_that_the_device_gives_it(recipe):
     expected = (beamform_power(ping.scatterers.power, ping) * ping.gain[:, None])[inner]
     assert settings.noise.speckle is not None
     cell_m = settings.noise.speckle.scatterer_m.values[0]
-    many, one = (
+    many_looks, one_look = (
         received(
             ping,
             [DrawnEffect("speckle", SPECKLE, {"looks": n, "scatterer_m": cell_m}, 0, (n,))],
         )
         for n in (8, 1)
     )
-    assert decibels((many[inner] ** 2 / expected).mean()) == pytest.approx(0, abs=0.2)
-    single = one[inner] ** 2 / expected - 1
+    assert decibels((many_looks[inner] ** 2 / expected).mean()) == pytest.approx(0, abs=0.2)
+    single = one_look[inner] ** 2 / expected - 1
     kernel = np.append(ping.kernel, 0)
     alike = float((kernel[1:] * kernel[:-1]).sum() / (kernel**2).sum()) ** 2
     assert (single[1:] * single[:-1]).mean() / (single**2).mean() == pytest.approx(alike, abs=0.06)
@@ -429,10 +429,10 @@ def test_beams_of_a_line_array_are_cones(azimuth_deg, elevation_deg):
     frame = replace(frame, depth_m=depth_m, intrinsics=camera, rgb=np.zeros((200, 800, 3), "u1"))
     window = Window("slant_range", 1, 20, -1.2, 1.2)
     target = LitSurface(frame, Rendered(radiance, depth_m > 0), window, settings.sonar)
-    made = scatterers(target, settings.water, coherent(settings))
+    target_scatterers = scatterers(target, settings.water, coherent(settings))
     point = np.array([(column - 400) / 200, (row - 100) / 200, 1.0])
     golden = np.rad2deg(np.arcsin(point[0] / np.linalg.norm(point)))
-    beam = int(made.bins[0]) % settings.sonar.beams
+    beam = int(target_scatterers.bins[0]) % settings.sonar.beams
     assert np.rad2deg(settings.sonar.beam_centres_rad())[beam] == pytest.approx(golden, abs=0.13)
 
 

@@ -38,23 +38,23 @@ SPECKLE = {"speckle": {"scatterer_m": 0.004}}
 EDGE = (slice(20, -20), slice(20, -20))
 
 
-def amplitude(made: ObservedFrame, variant: int, settings: Any) -> np.ndarray:
+def amplitude(observed_frame: ObservedFrame, variant: int, settings: Any) -> np.ndarray:
     """(range_bins, beams) amplitude over the root of its expectation, without the edges."""
-    ping, effects = ping_of(made), effects_of(settings, made, variant)
+    ping, effects = ping_of(observed_frame), effects_of(settings, observed_frame, variant)
     expected = beamform_power(ping.scatterers.power, ping) * ping.gain[:, None]
     return np.asarray((received(ping, effects) / np.sqrt(expected))[EDGE])
 
 
 def many(settings: Any, count: int) -> np.ndarray:
-    made = observed(settings)
-    return np.stack([amplitude(made, variant, settings) for variant in range(count)])
+    observed_frame = observed(settings)
+    return np.stack([amplitude(observed_frame, variant, settings) for variant in range(count)])
 
 
 def test_speckle_is_fully_developed() -> None:
-    found = many(config(noise=SPECKLE), 8)
-    assert stats.kstest(found.ravel(), stats.rayleigh(scale=np.sqrt(0.5)).cdf).statistic <= 0.01
-    assert (found.mean() / found.std()) ** 2 == pytest.approx(3.66, rel=0.02)
-    intensity = found**2
+    actual = many(config(noise=SPECKLE), 8)
+    assert stats.kstest(actual.ravel(), stats.rayleigh(scale=np.sqrt(0.5)).cdf).statistic <= 0.01
+    assert (actual.mean() / actual.std()) ** 2 == pytest.approx(3.66, rel=0.02)
+    intensity = actual**2
     assert intensity.mean() == pytest.approx(1, rel=0.02)
     assert intensity.var() / intensity.mean() ** 2 == pytest.approx(1, rel=0.03)
     decibels = 10 * np.log10(intensity)
@@ -63,11 +63,11 @@ def test_speckle_is_fully_developed() -> None:
 
 @pytest.mark.parametrize("looks", [2, 4])
 def test_looks_make_it_gamma(looks):
-    found = many(config(noise={"speckle": {"looks": looks, "scatterer_m": 0.004}}), 6) ** 2
-    assert found.mean() == pytest.approx(1, rel=0.03)
-    assert found.mean() ** 2 / found.var() == pytest.approx(looks, rel=0.04)
-    theory = stats.gamma(looks, scale=found.mean() / looks)
-    assert stats.kstest(found.ravel(), theory.cdf).statistic <= 0.01
+    actual = many(config(noise={"speckle": {"looks": looks, "scatterer_m": 0.004}}), 6) ** 2
+    assert actual.mean() == pytest.approx(1, rel=0.03)
+    assert actual.mean() ** 2 / actual.var() == pytest.approx(looks, rel=0.04)
+    theory = stats.gamma(looks, scale=actual.mean() / looks)
+    assert stats.kstest(actual.ravel(), theory.cdf).statistic <= 0.01
 
 
 @pytest.mark.parametrize(
@@ -117,8 +117,8 @@ def test_the_grain_is_the_point_spread(bins, beams):
             for lag in lags
         ]
         # The beam width at half power is 0.886 of the way to the first null; so is the pulse's.
-        found = half_width(np.array(correlation) / correlation[0])
-        assert found == pytest.approx(0.443 * nulls, rel=0.1)
+        actual = half_width(np.array(correlation) / correlation[0])
+        assert actual == pytest.approx(0.443 * nulls, rel=0.1)
 
 
 def _frame_speckle(pose_m: tuple[float, float, float], name: str, posed: bool = True) -> np.ndarray:
@@ -126,8 +126,8 @@ def _frame_speckle(pose_m: tuple[float, float, float], name: str, posed: bool = 
     frame, rendered = slope(pose_m, name)
     if not posed:
         frame = replace(frame, world_from_camera=None)
-    made = observe(frame, rendered, settings)
-    return amplitude(made, 0, settings) ** 2
+    observed_frame = observe(frame, rendered, settings)
+    return amplitude(observed_frame, 0, settings) ** 2
 
 
 def _alike(first: np.ndarray, second: np.ndarray) -> float:
@@ -158,9 +158,9 @@ def test_speckle_goes_with_the_ground() -> None:
 def test_a_static_scene_keeps_its_speckle_and_without_a_pose_every_frame_has_its_own() -> None:
     first, second = _frame_speckle((0, 0, 0), "0"), _frame_speckle((0, 0, 0), "1")
     np.testing.assert_array_equal(first, second)
-    first, again, other = (_frame_speckle((0, 0, 0), name, posed=False) for name in "001")
+    first, again, third = (_frame_speckle((0, 0, 0), name, posed=False) for name in "001")
     np.testing.assert_array_equal(first, again)
-    assert abs(_alike(first, other)) < 0.1
+    assert abs(_alike(first, third)) < 0.1
 
 
 # --- Raw samples averaged in a range bin: looks, targets, and nothing changed without ---
@@ -169,9 +169,9 @@ WIDE_EDGE = (slice(12, -12), slice(20, -20))
 
 
 def grey_of(settings, variant):
-    made = observed(settings)
-    effects = effects_of(settings, made, variant)
-    sample = scene_of(made).sample(variant, effects)
+    observed_frame = observed(settings)
+    effects = effects_of(settings, observed_frame, variant)
+    sample = scene_of(observed_frame).sample(variant, effects)
     return sample.noisy([effect.name for effect in effects]), sample.clean
 
 
@@ -185,14 +185,14 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
             "range_bins": 96, "samples_per_bin": samples, "array": array, "transfer": display,
         },
     )  # fmt: skip
-    found = [grey_of(settings, variant) for variant in range(4)]
+    actual = [grey_of(settings, variant) for variant in range(4)]
     scene = scene_of(observed(settings))
     assert scene.shape == (96 * samples, 128)
     looks = expected.looks(scene.kernel, samples)
     assert 1 < looks < samples
-    noisy = np.stack([one for one, _ in found])[(slice(None), *WIDE_EDGE)]
+    noisy = np.stack([image for image, _ in actual])[(slice(None), *WIDE_EDGE)]
     assert noisy.shape[1:] == (72, 88)
-    clean = found[0][1][WIDE_EDGE]
+    clean = actual[0][1][WIDE_EDGE]
     decibels = 80 * (noisy - clean).std()
     assert decibels == pytest.approx(4.343 * np.sqrt(special.polygamma(1, looks)), rel=0.06)
     # mean_log: the average of the noisy pictures.
@@ -211,9 +211,9 @@ INSIDE = (slice(20, -20), slice(20, -20))
 def field_at(sway_m, settings=SETTINGS):
     """(ping, complex field) of the slope from a place along which it is the same."""
     frame, rendered = slope((sway_m, 0.0, 0.0))
-    made = observe(frame, rendered, settings)
-    ping = ping_of(made)
-    (effect,) = effects_of(settings, made)
+    observed_frame = observe(frame, rendered, settings)
+    ping = ping_of(observed_frame)
+    (effect,) = effects_of(settings, observed_frame)
     empty = Signal(ping.scatterers.power, np.zeros((1, 2, *ping.shape), np.float32))
     real, imaginary = beamform(effect.apply(empty, ping).field, ping)[0]
     return ping, real + 1j * imaginary
@@ -243,15 +243,15 @@ def test_movement_across_takes_it_as_the_aperture_says(at_rest, beams):
     tilt = np.exp(-2j * waves * moved_m * sine)
     weights = mixing(ping.sonar)[64].astype(np.float64) ** 2
     expected = abs((weights * np.exp(2j * waves * moved_m * sine)).sum())
-    found = []
+    actual = []
     for sign in (1, -1):
         for way in (1, -1):
-            other = np.roll(after, way * beams, axis=1) * (tilt if sign > 0 else tilt.conj())
-            product = (before * other.conj())[rows][:, 20:-20]
-            powers = [(abs(x[rows][:, 20:-20]) ** 2).sum() for x in (before, other)]
+            turned = np.roll(after, way * beams, axis=1) * (tilt if sign > 0 else tilt.conj())
+            product = (before * turned.conj())[rows][:, 20:-20]
+            powers = [(abs(x[rows][:, 20:-20]) ** 2).sum() for x in (before, turned)]
             # Phases differ from row to row by the bow of the wave.
-            found.append(abs(product.sum(axis=1)).sum() / np.sqrt(powers[0] * powers[1]))
-    assert max(found) == pytest.approx(expected, abs=0.08)
+            actual.append(abs(product.sum(axis=1)).sum() / np.sqrt(powers[0] * powers[1]))
+    assert max(actual) == pytest.approx(expected, abs=0.08)
 
 
 def test_a_sonar_at_rest_sees_the_same_to_the_byte():
@@ -281,8 +281,8 @@ def pictures(standing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         acoustics={"standing": standing},
         sonar={"transfer": {"kind": "linear", "reference": 0.1, "percentile": 50}},
     )
-    made = observe(*constant_field(), settings)
-    sample = made.scene.sample(0, effects_of(settings, made))
+    observed_frame = observe(*constant_field(), settings)
+    sample = observed_frame.scene.sample(0, effects_of(settings, observed_frame))
     noisy, clean, bare = sample.noisy({"speckle"}), sample.clean, sample.without({"speckle"})
     return noisy[8:-8, 8:-8], clean[8:-8, 8:-8], bare[8:-8, 8:-8]
 
@@ -292,9 +292,9 @@ def intensity(picture: np.ndarray) -> np.ndarray:
     return np.asarray((picture.astype(np.float64) / pictures(0.0)[1]) ** 2)
 
 
-def likeness(one: np.ndarray, other: np.ndarray) -> float:
+def likeness(first: np.ndarray, second: np.ndarray) -> float:
     """Correlation of intensities."""
-    return float(np.corrcoef(intensity(one).ravel(), intensity(other).ravel())[0, 1])
+    return float(np.corrcoef(intensity(first).ravel(), intensity(second).ravel())[0, 1])
 
 
 def test_what_stands_still_whole_is_the_clean_picture() -> None:

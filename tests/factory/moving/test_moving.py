@@ -28,9 +28,9 @@ SILENT_GROUND = {"reflectivity_db": {"Background": -80.0}}
 
 
 def scene(config: Any, *actors: Any, **ground: Any) -> CoherentScene:
-    found = observe_moment(moment(list(actors), **ground), config).scene
-    assert isinstance(found, CoherentScene)
-    return found
+    actual = observe_moment(moment(list(actors), **ground), config).scene
+    assert isinstance(actual, CoherentScene)
+    return actual
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_objects_change_neither_window_nor_scale_nor_the_static_layer():
     config = settings(dataset={"layers": ["static"]}, noise={"speckle": {}})
     loud = ball(Line((4.0, 0.0, 0.0)), 0.2, strength=0.0)
     with_object, without = (observe_moment(moment(actors), config) for actors in ([loud], []))
-    pairs = [make_pair(one, 0, config) for one in (with_object, without)]
+    pairs = [make_pair(observed_frame, 0, config) for observed_frame in (with_object, without)]
     assert pairs[0].record["full_scale"] == pairs[1].record["full_scale"]
     np.testing.assert_array_equal(pairs[0].layers["static"], pairs[1].layers["static"])
     assert (pairs[0].clean != pairs[1].clean).any()
@@ -115,19 +115,19 @@ def test_objects_change_neither_window_nor_scale_nor_the_static_layer():
 def grains(effect: str, actors: list[Any], times_s: list[float], side_m: float) -> Any:
     """Correlation of an object's grain with that of the first time, as it moves along range."""
     config = settings(acoustics=SILENT_GROUND, noise={effect: {"scatterer_m": 0.02}})
-    found = []
+    actual = []
     for time_s in times_s:
-        made = observe_moment(moment(actors, time_s), config)
-        assert isinstance(made.scene, CoherentScene)
-        names = StreamNames.of(made.ref, 0, made.has_pose)
+        observed_frame = observe_moment(moment(actors, time_s), config)
+        assert isinstance(observed_frame.scene, CoherentScene)
+        names = StreamNames.of(observed_frame.ref, 0, observed_frame.has_pose)
         effects = draw(config.noise, 0, names, continuous=True).effects
-        field = received(made.scene, effects) ** 2
+        field = received(observed_frame.scene, effects) ** 2
         centre_m = actors[0].course.at(time_s).position_m[0]
         row = round((centre_m - 2.0) * config.sonar.range_bins / 6.0)
         reach = round(side_m / 2 * config.sonar.range_bins / 6.0)
-        found.append(field[row - reach : row + reach, 44:52])
-    first = found[0].ravel()
-    return [float(np.corrcoef(first, one.ravel())[0, 1]) for one in found]
+        actual.append(field[row - reach : row + reach, 44:52])
+    first = actual[0].ravel()
+    return [float(np.corrcoef(first, intensity.ravel())[0, 1]) for intensity in actual]
 
 
 def test_the_grain_of_an_object_moves_with_it():
@@ -141,8 +141,8 @@ def test_the_grain_of_an_object_moves_with_it():
     assert min(grains("path_speckle", [standing], [0.0, 1.0], 0.7)) == pytest.approx(1)
     # The phase of the path tells a turn of a few wavelengths over its width.
     turning = replace(actor, course=Line((4.0, 0.0, 0.0), turn_rad_s=0.2))
-    kept = grains("path_speckle", [turning], [0.0, 0.1, 0.2, 0.3], 0.7)
-    assert kept[3] < 0.3
+    remaining = grains("path_speckle", [turning], [0.0, 0.1, 0.2, 0.3], 0.7)
+    assert remaining[3] < 0.3
 
 
 def test_the_grain_of_a_swimming_fish_changes_within_three_frames():
@@ -154,8 +154,8 @@ def test_the_grain_of_a_swimming_fish_changes_within_three_frames():
         strength="love",
         length_m=0.8,
     )
-    kept = grains("path_speckle", [swimming], [0.0, 0.1, 0.2, 0.3], 0.6)
-    assert min(kept[1:]) < 0.3
+    remaining = grains("path_speckle", [swimming], [0.0, 0.1, 0.2, 0.3], 0.6)
+    assert min(remaining[1:]) < 0.3
 
 
 def test_a_fish_has_its_length_bends_and_keeps_its_spine():
@@ -178,8 +178,8 @@ def test_love_gives_published_numbers():
 
 def with_objects(*objects: dict[str, Any], **keys: Any) -> SeabedSettings:
     values = {"kind": "seabed", "frame_rate_hz": 8, "moving_objects": list(objects), **keys}
-    made: SeabedSettings = build(SeabedSettings, values, "scenes")
-    return made
+    settings: SeabedSettings = build(SeabedSettings, values, "scenes")
+    return settings
 
 
 def test_a_cast_depends_on_seed_and_recording_alone():
@@ -190,14 +190,16 @@ def test_a_cast_depends_on_seed_and_recording_alone():
 
     def places(seed: int, scene: str, number: str = "0000") -> Any:
         cast = draw_cast(chosen, seed, FrameRef("seabed", scene, number), around)
-        found = [actor.course.at(2.0) for actor in cast]
-        return [actor.number for actor in cast], np.stack([one.position_m for one in found if one])
+        actual = [actor.course.at(2.0) for actor in cast]
+        return [actor.number for actor in cast], np.stack(
+            [placement.position_m for placement in actual if placement]
+        )
 
     numbers, first = places(0, "seabed-0001")
     np.testing.assert_array_equal(first, places(0, "seabed-0001", "0005")[1])
     assert numbers == list(range(1, len(numbers) + 1))
-    for other in (places(1, "seabed-0001"), places(0, "seabed-0002")):
-        assert other[1].shape != first.shape or (other[1] != first).any()
+    for different in (places(1, "seabed-0001"), places(0, "seabed-0002")):
+        assert different[1].shape != first.shape or (different[1] != first).any()
     assert (first[:, 2] >= -1.5).all()  # above the ground
 
 

@@ -36,8 +36,8 @@ class PlaneViews(Views):
         rows, columns = np.indices(rendered.radiance.shape)
         patchy = np.sin(rows / 9) * np.cos(columns / 23) > 0
         radiance = np.where(patchy, rendered.radiance, rendered.radiance * np.float32(0.001))
-        made = replace(rendered, radiance=radiance)
-        return view_of(frame, made, compose_config(["experiment=fish"]).sonar.mount)
+        darkened = replace(rendered, radiance=radiance)
+        return view_of(frame, darkened, compose_config(["experiment=fish"]).sonar.mount)
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +74,9 @@ def test_a_frame_is_the_same_whoever_makes_it_and_in_whatever_order(maker):
     forwards = frames_of(maker, [2, 5])
     another = PairMaker(maker.config, PlaneViews())
     backwards = frames_of(another, [5])[0], frames_of(another, [2], "seabed-0003")[0]
-    for one, other in zip(forwards, backwards[::-1], strict=True):
-        assert one.noisy.tobytes() == other.noisy.tobytes()
-        assert one.record["tracks"] == other.record["tracks"]
+    for forward, backward in zip(forwards, backwards[::-1], strict=True):
+        assert forward.noisy.tobytes() == backward.noisy.tobytes()
+        assert forward.record["tracks"] == backward.record["tracks"]
 
 
 def test_parameters_of_the_noise_belong_to_the_recording(maker):
@@ -88,11 +88,11 @@ def test_parameters_of_the_noise_belong_to_the_recording(maker):
 
 def test_drifting_haze_forgets_and_keeps_its_level():
     settings = config()
-    made = ping_of(observed(settings, size=(240, 160)))
+    ping_at_rest = ping_of(observed(settings, size=(240, 160)))
 
     def haze(time_s: float, drift_m_s: float = 0.0):
-        frame = replace(made.surface.frame, time_s=time_s)
-        ping = replace(made, surface=replace(made.surface, frame=frame))
+        frame = replace(ping_at_rest.surface.frame, time_s=time_s)
+        ping = replace(ping_at_rest, surface=replace(ping_at_rest.surface, frame=frame))
         silent = Signal(np.zeros(ping.shape, np.float32), np.zeros((1, 2, *ping.shape), np.float32))
         effect = {"strength_db": -40, "correlation_s": 1.0, "drift_m_s": drift_m_s}
         return drifting_volume(silent, ping, stream(0, "haze"), **effect).field[0]
@@ -101,13 +101,13 @@ def test_drifting_haze_forgets_and_keeps_its_level():
     power = [float((haze(time_s) ** 2).mean()) for time_s in np.linspace(0, 3, 13)]
     assert np.std(power) / np.mean(power) < 0.05
 
-    def likeness(other) -> float:
-        return float(np.corrcoef(first.ravel(), other.ravel())[0, 1])
+    def likeness(field) -> float:
+        return float(np.corrcoef(first.ravel(), field.ravel())[0, 1])
 
     assert likeness(haze(0.1)) > 0.95
     assert abs(likeness(haze(2.1))) < 0.02
     np.testing.assert_array_equal(haze(0.1), haze(0.1))
     # Ten bins away after a tenth of a second; only the amplitude falls with range.
-    bin_m = made.bin_m
+    bin_m = ping_at_rest.bin_m
     moved = haze(0.1, drift_m_s=100 * bin_m)
     assert np.corrcoef(moved[:, 10:].ravel(), haze(0.1)[:, :-10].ravel())[0, 1] > 0.95

@@ -22,8 +22,8 @@ def drawn(settings: NoiseSettings, seed: int, *names: str | int):
 
 def clouds(scene: Echoes, settings: NoiseSettings, seed: int, *names: str | int):
     """Name -> echoes of every enabled effect."""
-    made = effect_clouds(drawn(settings, seed, *names).effects, scene, window())
-    return {cloud.name: cloud.echoes for cloud in made}
+    echoes = effect_clouds(drawn(settings, seed, *names).effects, scene, window())
+    return {cloud.name: cloud.echoes for cloud in echoes}
 
 
 def noisy(values) -> NoiseSettings:
@@ -32,12 +32,12 @@ def noisy(values) -> NoiseSettings:
 
 def test_background_is_uniform_in_range_bearing_and_strength():
     scene = uniform_scene()
-    made = background(scene, window(), RNG(1), density=0.5, strength=0.8)
-    assert len(made) == 10000
+    echoes = background(scene, window(), RNG(1), density=0.5, strength=0.8)
+    assert len(echoes) == 10000
     for values, low, span in (
-        (made.range_m, 1.0, 8.0),
-        (made.azimuth_rad, -HALF_RAD, 2 * HALF_RAD),
-        (made.strength, 0.0, 0.8),
+        (echoes.range_m, 1.0, 8.0),
+        (echoes.azimuth_rad, -HALF_RAD, 2 * HALF_RAD),
+        (echoes.strength, 0.0, 0.8),
     ):
         assert stats.kstest(values, "uniform", (low, span)).pvalue > 1e-3
 
@@ -73,30 +73,37 @@ def test_spreading_only_delays_and_grows_with_range(mode):
 def test_ghosts_appear_behind_the_dense_region():
     rng = RNG(3)
     blob = in_plane(rng.normal(3.0, 0.1, 5000), rng.normal(0.1, 0.01, 5000), np.ones(5000))
-    given = {"count": 3, "density": 0.2, "quantile": 0.9, "spread": 0.01, "strength": 0.5}
-    made = multipath(blob, window(), RNG(0), delay=0.1, **given)
-    assert len(made) == 1000
-    assert np.mean(made.range_m) == pytest.approx(3.0 + 0.1 * 8, abs=0.15)
-    assert np.mean(made.azimuth_rad) == pytest.approx(0.1, abs=0.02)
-    assert made.strength.max() <= 0.5
+    parameters = {"count": 3, "density": 0.2, "quantile": 0.9, "spread": 0.01, "strength": 0.5}
+    echoes = multipath(blob, window(), RNG(0), delay=0.1, **parameters)
+    assert len(echoes) == 1000
+    assert np.mean(echoes.range_m) == pytest.approx(3.0 + 0.1 * 8, abs=0.15)
+    assert np.mean(echoes.azimuth_rad) == pytest.approx(0.1, abs=0.02)
+    assert echoes.strength.max() <= 0.5
 
 
 def test_ghost_clusters_are_gaussian_and_as_wide_as_asked():
-    given = {"count": 1, "density": 0.5, "quantile": 0.5, "delay": 0, "spread": 0.02, "strength": 1}
-    made = multipath(uniform_scene(), window(), RNG(5), **given)
-    assert np.std(made.range_m) == pytest.approx(0.02 * 8, rel=0.05)
-    across_m = np.std(made.azimuth_rad) * np.mean(made.range_m)
+    parameters = {
+        "count": 1,
+        "density": 0.5,
+        "quantile": 0.5,
+        "delay": 0,
+        "spread": 0.02,
+        "strength": 1,
+    }
+    echoes = multipath(uniform_scene(), window(), RNG(5), **parameters)
+    assert np.std(echoes.range_m) == pytest.approx(0.02 * 8, rel=0.05)
+    across_m = np.std(echoes.azimuth_rad) * np.mean(echoes.range_m)
     assert across_m == pytest.approx(0.02 * 8, rel=0.05)
-    standard = (made.range_m - made.range_m.mean()) / made.range_m.std()
+    standard = (echoes.range_m - echoes.range_m.mean()) / echoes.range_m.std()
     assert stats.kstest(standard, "norm").pvalue > 1e-3
 
 
 def test_spokes_hold_a_bearing_over_all_ranges_and_arcs_a_range_over_all_bearings():
-    given = {"count": 1, "density": 0.5, "strength": 1}
-    spoke = azimuth(uniform_scene(), window(), RNG(0), sigma_deg=0.3, **given)
+    parameters = {"count": 1, "density": 0.5, "strength": 1}
+    spoke = azimuth(uniform_scene(), window(), RNG(0), sigma_deg=0.3, **parameters)
     assert np.rad2deg(np.std(spoke.azimuth_rad)) == pytest.approx(0.3, rel=0.05)
     assert stats.kstest(spoke.range_m, "uniform", (1.0, 8.0)).pvalue > 1e-3
-    arc = range_arc(uniform_scene(), window(), RNG(0), sigma=0.01, **given)
+    arc = range_arc(uniform_scene(), window(), RNG(0), sigma=0.01, **parameters)
     assert np.std(arc.range_m) == pytest.approx(0.08, rel=0.05)
     assert stats.kstest(arc.azimuth_rad, "uniform", (-HALF_RAD, 2 * HALF_RAD)).pvalue > 1e-3
 
@@ -105,8 +112,8 @@ def test_spokes_hold_a_bearing_over_all_ranges_and_arcs_a_range_over_all_bearing
 def test_density_is_a_fraction_of_the_scene_points(effect):
     settings = noisy({effect: {"density": 0.25} | ({} if effect == "background" else {"count": 2})})
     scene = uniform_scene(8000)
-    made = clouds(scene, settings, 0, "s", "f", 0)
-    assert len(made[effect]) == 2000
+    echoes = clouds(scene, settings, 0, "s", "f", 0)
+    assert len(echoes[effect]) == 2000
 
 
 @pytest.mark.parametrize("effect", POINT_EFFECTS)
@@ -117,13 +124,13 @@ def test_an_effect_that_is_off_leaves_the_others_draws_untouched(effect):
     names = ("scene", "frame", 0)
     layers = [clouds(scene, settings, 7, *names) for settings in (everything, without)]
     assert set(layers[0]) - set(layers[1]) == {effect}
-    for other, made in layers[1].items():
-        np.testing.assert_array_equal(made.range_m, layers[0][other].range_m)
-        np.testing.assert_array_equal(made.strength, layers[0][other].strength)
+    for name, echoes in layers[1].items():
+        np.testing.assert_array_equal(echoes.range_m, layers[0][name].range_m)
+        np.testing.assert_array_equal(echoes.strength, layers[0][name].strength)
 
 
 def test_an_empty_scene_gets_no_noise():
     scene = uniform_scene(0)
     settings = noisy({"range_arc": {"count": 2}})
-    made = clouds(scene, settings, 0, "x")
-    assert all(len(echoes) == 0 for echoes in made.values())
+    echoes_by_name = clouds(scene, settings, 0, "x")
+    assert all(len(echoes) == 0 for echoes in echoes_by_name.values())

@@ -47,8 +47,10 @@ def of() -> Ping:
     return ping()
 
 
-def drawn(settings: FactoryConfig, made: ObservedFrame, variant: int = 0) -> Draws:
-    return draw(settings.noise, 0, StreamNames.of(made.ref, variant, made.has_pose))
+def drawn(settings: FactoryConfig, observed_frame: ObservedFrame, variant: int = 0) -> Draws:
+    return draw(
+        settings.noise, 0, StreamNames.of(observed_frame.ref, variant, observed_frame.has_pose)
+    )
 
 
 def rng() -> np.random.Generator:
@@ -69,14 +71,14 @@ def intensity(field: np.ndarray) -> np.ndarray:
 
 def test_the_registry_and_the_settings_name_the_same_effects() -> None:
     assert [item.name for item in fields(NoiseSettings)] == [*BUILT_IN, "own"]
-    given = compose_config(["experiment=physical"]).noise
+    noise = compose_config(["experiment=physical"]).noise
     # Four are asked for by name (noise=moving, recording, any_sonar, aris_mdd).
     others = ("path_speckle", "drifting_volume", "scintillation", "sector_edges")
-    assert list(blocks(given)) == [name for name in EFFECTS if name not in others]
-    for name, block in blocks(given).items():
+    assert list(blocks(noise)) == [name for name in EFFECTS if name not in others]
+    for name, block in blocks(noise).items():
         assert type(block) is EFFECTS[name].settings
         names = [item.name for item in fields(block)]
-        assert names == ["enabled", *(one.name for one in EFFECTS[name].parameters)]
+        assert names == ["enabled", *(parameter.name for parameter in EFFECTS[name].parameters)]
     stages = [EFFECTS[name].stage for name in FIELD_EFFECTS]
     assert stages == sorted(stages, key=["echo", "beam", "picture"].index)
 
@@ -99,9 +101,9 @@ def test_multipath_comes_when_the_geometry_says(way):
     power[row, beam] = 1
     signal = Signal(power, silence(of))
     if way == "surface":
-        made = SURFACE_MULTIPATH.function(signal, of, rng(), loss_db=6, tilt_deg=0)
+        mirrored = SURFACE_MULTIPATH.function(signal, of, rng(), loss_db=6, tilt_deg=0)
     else:
-        made = BOTTOM_MULTIPATH.function(signal, of, rng(), altitude_m=1, loss_db=6, tilt_deg=0)
+        mirrored = BOTTOM_MULTIPATH.function(signal, of, rng(), altitude_m=1, loss_db=6, tilt_deg=0)
     r = float(of.range_m[row])
     by_plane = np.hypot(r, 2.0)
     expected = [
@@ -109,15 +111,15 @@ def test_multipath_comes_when_the_geometry_says(way):
         row + round((by_plane - r) / 2 / of.bin_m),
         row + round((by_plane - r) / of.bin_m),
     ]
-    found = np.flatnonzero(made.power[:, beam] > 0)
-    assert np.abs(found - expected).max() <= 1
-    assert np.flatnonzero(made.power.sum(axis=0) > 0).tolist() == [beam]
+    actual = np.flatnonzero(mirrored.power[:, beam] > 0)
+    assert np.abs(actual - expected).max() <= 1
+    assert np.flatnonzero(mirrored.power.sum(axis=0) > 0).tolist() == [beam]
     table = vertical_table(of.sonar)
     pattern = np.sqrt(table[np.rint((2.0 / by_plane + 1) * (len(table) // 2)).astype(int)])
     absorbed = 10 ** (-of.absorption_db_per_m * (by_plane - r) / 10)
     once = 10**-0.6 * (r / by_plane) ** 2 * pattern * absorbed
-    assert made.power[found[1], beam] == pytest.approx(4 * once, rel=0.1)
-    assert made.power[found[2], beam] == pytest.approx(once**2, rel=0.1)
+    assert mirrored.power[actual[1], beam] == pytest.approx(4 * once, rel=0.1)
+    assert mirrored.power[actual[2], beam] == pytest.approx(once**2, rel=0.1)
 
 
 def test_speckled_echoes_are_mirrored_with_the_same_strength() -> None:
@@ -183,13 +185,13 @@ def test_beams_differ_some_are_dead_and_the_sides_of_the_sector_are_weak(of: Pin
 def test_the_device_is_the_same_in_all_frames_of_a_recording() -> None:
     noise = {"beam_gain": {"sigma_db": {"uniform": [0.5, 2]}, "dead": 1}}
     settings = config(noise=noise)
-    made = []
+    draws_and_images = []
     for name in ("0", "1"):
         frame = observed(settings, name=name)
         draws = drawn(settings, frame)
-        made.append((draws, make_pair(frame, 0, settings).noisy))
-    assert made[0][0] == made[1][0]
-    np.testing.assert_array_equal(made[0][1], made[1][1])
+        draws_and_images.append((draws, make_pair(frame, 0, settings).noisy))
+    assert draws_and_images[0][0] == draws_and_images[1][0]
+    np.testing.assert_array_equal(draws_and_images[0][1], draws_and_images[1][1])
 
 
 @pytest.mark.parametrize("spacing", ["random", "regular"])
@@ -253,17 +255,17 @@ def test_each_layer_is_its_effect_alone():
         noise=noise, water={"depth_m": 0.6}, dataset={"layers": ["effects"], "dtype": "float32"},
         sonar={"vfov_deg": 60, "transfer": {"kind": "log", "reference": 0.7}},
     )  # fmt: skip
-    made = observed(settings, size=(320, 240))
-    pair = make_pair(made, 0, settings)
+    observed_frame = observed(settings, size=(320, 240))
+    pair = make_pair(observed_frame, 0, settings)
     names = {*EVERY, "background"}
     assert set(pair.layers) == {f"layers/{name}" for name in names}
     for name in names:
         layer = pair.layers[f"layers/{name}"]
         others = {
-            other: replace(getattr(settings.noise, other), enabled=False)
-            for other in names - {name}
+            silent: replace(getattr(settings.noise, silent), enabled=False)
+            for silent in names - {name}
         }
         alone = replace(settings, noise=replace(settings.noise, **others))
-        np.testing.assert_array_equal(make_pair(made, 0, alone).noisy, layer)
+        np.testing.assert_array_equal(make_pair(observed_frame, 0, alone).noisy, layer)
         assert (layer != pair.clean).mean() > 0.005, name
         assert 0 <= layer.min() <= layer.max() <= 1

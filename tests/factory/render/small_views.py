@@ -25,12 +25,12 @@ def config(folder: Path, **keys: object) -> FactoryConfig:
     return from_mapping(small | keys)
 
 
-def same(one: View, other: View) -> bool:
-    a, b = one.unnamed_frame, other.unnamed_frame
+def same(first: View, second: View) -> bool:
+    a, b = first.unnamed_frame, second.unnamed_frame
     return (
         a.depth_m.tobytes() == b.depth_m.tobytes()
-        and one.radiance.tobytes() == other.radiance.tobytes()
-        and (a.intrinsics, one.mount) == (b.intrinsics, other.mount)
+        and first.radiance.tobytes() == second.radiance.tobytes()
+        and (a.intrinsics, first.mount) == (b.intrinsics, second.mount)
         and np.array_equal(
             np.asarray(a.world_from_camera, dtype=object),
             np.asarray(b.world_from_camera, dtype=object),

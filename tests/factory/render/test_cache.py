@@ -45,12 +45,12 @@ def test_keys_tell_what_decides_the_pixels_and_nothing_else(tmp_path: Path) -> N
         config(tmp_path / "elsewhere", sonar={"beams": 64, "hfov_deg": 30}),
     ]
     assert {key(settings) for settings in equal} == {key(base)}
-    other = [
+    other_settings = [
         config(tmp_path, scenes={**SMALL_SEABED, "width": 256}),
         config(tmp_path, render={"kind": "analytic", "albedo": "rgb"}),
         config(tmp_path, sonar={"mount": {"pitch_deg": 5}}),
     ]
-    keys = [key(settings) for settings in other]
+    keys = [key(settings) for settings in other_settings]
     keys.append(key(base, FrameRef("seabed", "seabed-0000", "0002")))
     assert len({*keys, key(base)}) == len(keys) + 1
 
@@ -71,9 +71,9 @@ def test_damaged_entries_are_removed_when_they_are_met(tmp_path: Path) -> None:
     for key in ("aa11", "bb22"):
         assert cache.get(key) is None
         cache.put(key, view)
-        found = cache.get(key)
-        assert found is not None
-        assert same(found, view)
+        actual = cache.get(key)
+        assert actual is not None
+        assert same(actual, view)
     for key, damage in (
         ("aa11", lambda c: c[: len(c) // 2]),
         ("bb22", lambda c: c[:-9] + b"9" * 9),
@@ -130,7 +130,7 @@ def test_a_pack_holds_the_renders_and_knows_its_mount(tmp_path: Path) -> None:
 
 def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> None:
     refs = [FrameRef("seabed", f"seabed-000{k}", "0000") for k in range(2)]
-    hashes, made = set(), tmp_path / "out"
+    hashes, dataset = set(), tmp_path / "out"
     for name, albedo in (("first", "flattened"), ("second", "constant")):
         settings = config(tmp_path / "cache", render={"kind": "analytic", "albedo": albedo})
         maker, pack = ViewMaker(settings), tmp_path / f"{name}.pack"
@@ -139,7 +139,7 @@ def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> 
             tmp_path / "cache",
             scenes={"kind": "pack", "root": str(pack)},
             render={},
-            dataset={"dir": str(made), "preview_pairs": 0},
+            dataset={"dir": str(dataset), "preview_pairs": 0},
         )
         stated = identity(packed)
         assert stated["render"]["kind"] == "analytic"
@@ -148,7 +148,7 @@ def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> 
         if name == "first":
             generate(packed, [])
     assert len(hashes) == 2
-    card = (made / "README.md").read_text()
+    card = (dataset / "README.md").read_text()
     assert "closed form (as the pack says)" in card
     assert "bounces" not in card, "a setting of an earlier version"
     with pytest.raises(FactoryError, match=r"scenes\.digest"):
@@ -198,17 +198,17 @@ def test_the_key_covers_every_module_that_a_render_passes() -> None:
     waiting = [
         path for room in ("render", "scenes") for path in sorted((root / room).rglob("*.py"))
     ]
-    seen: set[Path] = set()
+    observed: set[Path] = set()
     while waiting:
         path = waiting.pop()
-        if path in seen:
+        if path in observed:
             continue
-        seen.add(path)
+        observed.add(path)
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.level and node.module:
                 target = path.parents[node.level - 1].joinpath(*node.module.split("."))
-                waiting += [one for one in (target.with_suffix(".py"),) if one.exists()]
-    outside = {path.relative_to(root).parts[0] for path in seen}
+                waiting += [module for module in (target.with_suffix(".py"),) if module.exists()]
+    outside = {path.relative_to(root).parts[0] for path in observed}
     # Progress is only printed.
     assert outside - set(RENDER_CODE) == {"progress.py"}
     assert {"scenes", "seeds.py"} <= outside
@@ -284,12 +284,12 @@ def test_from_command_line_to_pack_and_back(
     assert run(monkeypatch, "cache", "clear", cache) == 0
     assert not list((tmp_path / "cache").glob("*/*.view"))
     packed = [word for word in words if not word.startswith(("scenes.", "render=", "dataset.dir"))]
-    made = tmp_path / "from_pack"
-    packed += ["scenes=pack", f"scenes.root={pack}", f"dataset.dir={made}"]
+    from_pack = tmp_path / "from_pack"
+    packed += ["scenes=pack", f"scenes.root={pack}", f"dataset.dir={from_pack}"]
     assert run(monkeypatch, *packed) == 0
     paths = sorted(path.relative_to(out) for path in out.glob("*/*.h5"))
-    assert paths == sorted(path.relative_to(made) for path in made.glob("*/*.h5"))
+    assert paths == sorted(path.relative_to(from_pack) for path in from_pack.glob("*/*.h5"))
     for path in paths:
-        with h5py.File(out / path) as first, h5py.File(made / path) as second:
+        with h5py.File(out / path) as first, h5py.File(from_pack / path) as second:
             for layer in ("noisy", "clean", "shadow"):
                 np.testing.assert_array_equal(first[layer][()], second[layer][()])

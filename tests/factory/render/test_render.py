@@ -74,9 +74,9 @@ def test_inverse_square_law_and_lamberts_law(kind: str, tilt_deg: float, distanc
     normal = (np.sin(tilt), 0.0, np.cos(tilt))
     depth_m = plane_depth(61, 81, CENTRED, normal, distance_m * np.cos(tilt))
     depth_m[depth_m > 20] = 0
-    found = render(kind, frame_of(depth_m, CENTRED), albedo="constant", edge_ratio=0.3)
+    actual = render(kind, frame_of(depth_m, CENTRED), albedo="constant", edge_ratio=0.3)
     golden = CONSTANT * np.cos(tilt) / distance_m**2
-    assert found.radiance[30, 40] == pytest.approx(golden, rel=1e-3 if tilt else 1e-4)
+    assert actual.radiance[30, 40] == pytest.approx(golden, rel=1e-3 if tilt else 1e-4)
     if not tilt:  # at 45 degrees across (u - cx = fx): range sqrt(2) z, incidence 45 degrees
         wide = frame_of(depth_m, Intrinsics(40.0, 40.0, 40.0, 30.0))
         aside = render(kind, wide, albedo="constant").radiance[30, 80]
@@ -96,9 +96,9 @@ def test_shadow_of_a_plate_is_where_similar_triangles_put_it(kind: str) -> None:
     frame = frame_of(np.where(plate, 2.0, 4.0), camera)
     x, y = 4 * direction[..., 0], 4 * direction[..., 1]
     expected = ~plate & (x > 0.1) & (x < 0.9) & (np.abs(y) < 0.4)
-    found = render(kind, frame, Mount((0.0, 0.5, 0.0)), albedo="constant")
-    shadow = found.surface & ~(found.radiance > 0)
-    assert found.surface.all()
+    actual = render(kind, frame, Mount((0.0, 0.5, 0.0)), albedo="constant")
+    shadow = actual.surface & ~(actual.radiance > 0)
+    assert actual.surface.all()
     assert expected.sum() > 1000
     # Half a pixel of the plate is a pixel of its shadow's outline (130 pixels long).
     assert (shadow != expected).sum() < 200
@@ -121,10 +121,10 @@ def test_cycles_is_the_analytic_solution_when_colocated(
     kind: str, texture: str, median: float
 ) -> None:
     frame = yard(152, 242)
-    found, expected = (render(name, frame, albedo=texture) for name in (kind, "analytic"))
-    assert (found.surface == expected.surface).mean() > 0.9999
-    assert ((found.radiance > 0) == (expected.radiance > 0)).mean() > 0.9999
-    error = relative_error(found, expected)
+    actual, expected = (render(name, frame, albedo=texture) for name in (kind, "analytic"))
+    assert (actual.surface == expected.surface).mean() > 0.9999
+    assert ((actual.radiance > 0) == (expected.radiance > 0)).mean() > 0.9999
+    error = relative_error(actual, expected)
     assert np.median(error) < median
     assert np.percentile(error, 99) < max(0.01, 10 * median)
 
@@ -156,10 +156,10 @@ def test_every_pixel_is_where_the_intrinsics_say(kind: str, camera: Intrinsics) 
     v, u = np.mgrid[:67, :93]
     rgb = np.where(((u + v) % 2)[..., None] == 0, 240, 60).astype(np.uint8) * np.ones(3, np.uint8)
     frame = frame_of(plane_depth(67, 93, camera, (0.1, -0.2, 1.0), 3.0), camera, rgb)
-    found, expected = (render(name, frame, albedo="rgb") for name in (kind, "analytic"))
-    assert found.surface.all()
+    actual, expected = (render(name, frame, albedo="rgb") for name in (kind, "analytic"))
+    assert actual.surface.all()
     # The darkest and the brightest square differ by 20 : 1, so this is 1/400 of a pixel.
-    np.testing.assert_allclose(found.radiance, expected.radiance, rtol=0.05)
+    np.testing.assert_allclose(actual.radiance, expected.radiance, rtol=0.05)
 
 
 # ---- invalid pixels, edges, the mesh ----
@@ -171,12 +171,12 @@ def test_unmeasured_pixels_are_neither_surface_nor_bright(kind: str) -> None:
     hole = np.random.default_rng(1).random(frame.depth_m.shape) < 0.2
     frame = replace(frame, depth_m=np.where(hole, np.float32(0), frame.depth_m))
     for mount in (HERE,) if kind == "analytic" else (HERE, LEFT):
-        found = render(kind, frame, mount)
-        assert found.radiance.dtype == np.float32
-        assert found.surface.dtype == np.bool_
-        assert not found.surface[~frame.valid].any()
-        assert not found.radiance[~found.surface].any()
-        assert found.surface.sum() > 0.98 * frame.valid.sum()
+        actual = render(kind, frame, mount)
+        assert actual.radiance.dtype == np.float32
+        assert actual.surface.dtype == np.bool_
+        assert not actual.surface[~frame.valid].any()
+        assert not actual.radiance[~actual.surface].any()
+        assert actual.surface.sum() > 0.98 * frame.valid.sum()
 
 
 # ---- spheres for every second pixel against the mesh of every pixel ----
@@ -189,13 +189,13 @@ def test_pictures_of_a_real_frame_are_those_of_full_resolution() -> None:
     fast, full = render("cycles", frame), render("analytic", frame)
     sizes = ("beams", "range_bins", "image.width_px", "image.height_px")
     config = compose_config([f"sonar.{size}=512" for size in sizes])
-    one, other = (
+    first_pair, second_pair = (
         pairs.make_pair(pairs.observe(frame, rendered, config), 0, config)
         for rendered in (fast, full)
     )
-    assert psnr_db(one.clean, other.clean) > 65
-    assert psnr_db(one.noisy, other.noisy) > 65
-    np.testing.assert_array_equal(one.shadow, other.shadow)
+    assert psnr_db(first_pair.clean, second_pair.clean) > 65
+    assert psnr_db(first_pair.noisy, second_pair.noisy) > 65
+    np.testing.assert_array_equal(first_pair.shadow, second_pair.shadow)
     # And the mesh, which misses some pixels that the spheres show.
     mesh = render("mesh", frame)
     assert (fast.surface != mesh.surface).sum() < 10
@@ -207,10 +207,10 @@ def test_pictures_of_a_real_frame_are_those_of_full_resolution() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_same_bytes_whatever_was_rendered_before(kind: str) -> None:
-    frame, other = yard(152, 242), yard(100, 130, seed=3)
+    frame, smaller = yard(152, 242), yard(100, 130, seed=3)
     mounts = (HERE,) if kind == "analytic" else (HERE, LEFT)
     first = [digest(render(kind, frame, mount)) for mount in mounts]
-    render(kind, other, HERE if kind == "analytic" else ABOVE)
+    render(kind, smaller, HERE if kind == "analytic" else ABOVE)
     assert [digest(render(kind, frame, mount)) for mount in mounts] == first
 
 
@@ -234,8 +234,8 @@ def test_albedo_rgb_is_linear_luminance() -> None:
     np.testing.assert_allclose(
         linear_luminance(rgb)[0], [1, 0.2158605, 0.2126, 0], rtol=1e-5, atol=1e-7
     )
-    found = albedo(rgb, np.array([[True, True, False, True]]), "rgb")
-    np.testing.assert_allclose(found[0], [1, 0.2158605, 0, 0.01], rtol=1e-5)
+    actual = albedo(rgb, np.array([[True, True, False, True]]), "rgb")
+    np.testing.assert_allclose(actual[0], [1, 0.2158605, 0, 0.01], rtol=1e-5)
 
 
 def test_flattened_albedo_forgets_light_and_keeps_texture() -> None:

@@ -150,7 +150,7 @@ def test_a_flipped_bit_never_changes_a_picture(place: float, bit: int) -> None:
     whole = decode(bytes(content))
     content[int(place * len(content))] ^= 1 << bit
     try:
-        found = decode(bytes(content))
+        actual = decode(bytes(content))
     except ValueError:
         return
-    assert same(found, whole)  # a bit that the codec does not look at
+    assert same(actual, whole)  # a bit that the codec does not look at

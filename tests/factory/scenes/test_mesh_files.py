@@ -169,8 +169,8 @@ def bed(offset: tuple[float, float, float] = (0, 0, 0), y_up: bool = False) -> t
     return points, "\n".join(faces)
 
 
-def write_bed(path: Path, *, binary: str = "double", **how: Any) -> Path:
-    points, faces = bed(**how)
+def write_bed(path: Path, *, binary: str = "double", **options: Any) -> Path:
+    points, faces = bed(**options)
     if path.suffix == ".obj":
         path.write_text(
             "\n".join("v {:.4f} {:.4f} {:.4f}".format(*p) for p in points) + f"\n{faces}"

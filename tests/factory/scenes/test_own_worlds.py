@@ -40,12 +40,12 @@ FORWARD = "0 0 0 1 -0.7071068 0 0 0.7071068\n"  # a level camera that looks alon
 
 
 def write_mesh(path: Path, solid, flip: bool = False) -> Path:
-    made = open3d.geometry.TriangleMesh(
+    triangle_mesh = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(solid.vertices.astype(float)),
         open3d.utility.Vector3iVector(solid.triangles[:, ::-1] if flip else solid.triangles),
     )
-    made.vertex_colors = open3d.utility.Vector3dVector(solid.colours.astype(float))
-    assert open3d.io.write_triangle_mesh(str(path), made)
+    triangle_mesh.vertex_colors = open3d.utility.Vector3dVector(solid.colours.astype(float))
+    assert open3d.io.write_triangle_mesh(str(path), triangle_mesh)
     return path
 
 
@@ -112,24 +112,24 @@ def own(folder: Path, entry: str, *words: str) -> FactoryConfig:
 
 
 def test_own_objects_lie_in_every_place_and_leave_the_rest_as_it_was(folder: Path) -> None:
-    asked = "cube.ply, class: crate, per_place: [2, 3], reflectivity_db: -7"
+    own_object = "cube.ply, class: crate, per_place: [2, 3], reflectivity_db: -7"
     words = "scenes.locations=2", "scenes.frames_per_location=4"
-    config = own(folder, asked, *words, "scenes.boxes=true", "experiment=physical")
+    config = own(folder, own_object, *words, "scenes.boxes=true", "experiment=physical")
     assert isinstance(config.acoustics, CoherentSettings)
     assert config.acoustics.reflectivity_db["crate"] == -7
     assert from_mapping(plain(config)) == config
     without = compose_config([*SMALL, *words])
-    seen = 0
+    observed = 0
     for frame, bare in zip(frames(config), frames(without), strict=True):
         assert frame.segmentation is not None
         assert frame.boxes is not None
         crates = frame.segmentation == 21
-        seen += crates.sum() > 20
+        observed += crates.sum() > 20
         sizes = frame.boxes[frame.boxes[:, 1] == 21, 5:8]  # upright for a camera that looks down
         assert ((sizes > 0.38) & (sizes < 0.9)).all()
         if np.array_equal(frame.world_from_camera, bare.world_from_camera) and not crates.any():
             assert np.array_equal(frame.segmentation, bare.segmentation)
-    assert seen >= 2
+    assert observed >= 2
     assert "classes" not in identity(without)
     assert "own_objects" not in identity(without)["scenes"]
     assert identity(config)["classes"] == ["crate"]
@@ -168,16 +168,16 @@ def test_a_world_is_what_rays_meet(folder: Path) -> None:
 def test_drawn_paths_go_round_and_across(folder: Path, route: str) -> None:
     config = world(folder, "scenes.poses=null", f"scenes.route={route}", "scenes.paths=2",
                    "scenes.views_per_path=4")  # fmt: skip
-    found = frames(config)
-    assert len(found) == 8
-    eyes = np.array([frame.world_from_camera[:3, 3] for frame in found])
+    actual = frames(config)
+    assert len(actual) == 8
+    eyes = np.array([frame.world_from_camera[:3, 3] for frame in actual])
     apart = np.linalg.norm(np.diff(eyes[:4], axis=0), axis=1)
     assert apart == pytest.approx(0.5, rel=0.02)
-    assert all(0.29 <= frame.altitude_m <= 2.6 for frame in found if frame.altitude_m)
+    assert all(0.29 <= frame.altitude_m <= 2.6 for frame in actual if frame.altitude_m)
     if route == "orbit":
-        assert all((frame.segmentation == 21).any() for frame in found)
+        assert all((frame.segmentation == 21).any() for frame in actual)
     again = frames(config)[-1]
-    assert np.array_equal(again.depth_m, found[-1].depth_m)
+    assert np.array_equal(again.depth_m, actual[-1].depth_m)
 
 
 def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
@@ -191,13 +191,13 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
     assert np.abs(local).max(axis=0) == pytest.approx([length / 2, width / 2, height / 2], abs=1e-3)
     assert (length, width, height) == pytest.approx((0.6, 0.4, 0.5), abs=1e-3)
     # The nearer one hides the left half of the other's width, seen from the ground's height.
-    optics, where = centred(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
+    optics, viewpoint = centred(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
     objects = Objects(solids, np.array([21, 22], np.uint8))
-    seen = ZBuffer(where, optics, objects)
-    numbers = np.where(seen.which < 0, 0, 1 + (seen.which >= len(solids[0].triangles)))
-    made = seen.boxes(numbers.astype(np.uint16))
-    assert made[:, :2].tolist() == [[1, 21], [2, 22]]
-    for number, _, *_, alone, hidden in made:
+    z_buffer = ZBuffer(viewpoint, optics, objects)
+    numbers = np.where(z_buffer.which < 0, 0, 1 + (z_buffer.which >= len(solids[0].triangles)))
+    boxes = z_buffer.boxes(numbers.astype(np.uint16))
+    assert boxes[:, :2].tolist() == [[1, 21], [2, 22]]
+    for number, _, *_, alone, hidden in boxes:
         visible = np.count_nonzero(numbers == number)
         assert visible == pytest.approx(alone - hidden, rel=0.06, abs=12)
 
@@ -239,13 +239,15 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
             right, down = (columns - lens.cx) / lens.fx * z, (rows - lens.cy) / lens.fy * z
             range_m = np.sqrt(right**2 + down**2 + z**2)
             bearing = np.arcsin(right / range_m)
-            spans = [np.array([one.min(), one.max()]) for one in (range_m, bearing)]
+            spans = [
+                np.array([coordinate.min(), coordinate.max()]) for coordinate in (range_m, bearing)
+            ]
             near, far = row["range_min_m"], row["range_max_m"]
             centres = config.sonar.beam_centres_rad()
             beams = np.searchsorted((centres[1:] + centres[:-1]) / 2, spans[1])
             bins = np.floor((spans[0] - near) / (far - near) * config.sonar.range_bins)
-            found = [a["bbox"] for a in document["annotations"] if a["image_id"] == number + 1]
-            ((left, top, width, height),) = found
+            actual = [a["bbox"] for a in document["annotations"] if a["image_id"] == number + 1]
+            ((left, top, width, height),) = actual
             theirs = (beams[0], beams[1] + 1, bins[0], bins[1] + 1)
             assert overlap((left, left + width, top, top + height), theirs) >= 0.9
             assert entry["range_m"] == pytest.approx(spans[0], abs=0.02)
@@ -324,18 +326,18 @@ def test_materials_name_known_classes(folder: Path, tmp_path: Path) -> None:
 
 
 def test_equal_bytes_on_one_and_many_workers(folder: Path, tmp_path: Path) -> None:
-    for name, how in (("one", "serial"), ("three", "local")):
+    for name, backend in (("one", "serial"), ("three", "local")):
         words = [
             *("make", f"scenes.own_objects=[{{file: {folder}/cube.ply, class: crate}}]", *SMALL),
-            *("scenes.locations=2", "scenes.frames_per_location=2", f"scheduler={how}"),
+            *("scenes.locations=2", "scenes.frames_per_location=2", f"scheduler={backend}"),
             *("scheduler.workers=3", "scheduler.shard_size=1"),
             *("dataset.layers=[segmentation]", "dataset.columns=[boxes]"),
             *(f"dataset.dir={tmp_path}/{name}", f"cache.dir={tmp_path}/cache-{name}"),
         ]
         assert main(words) == 0
     for path in sorted((tmp_path / "one").rglob("shard-*.h5")):
-        other = tmp_path / "three" / path.relative_to(tmp_path / "one")
-        assert path.read_bytes() == other.read_bytes()
+        second_path = tmp_path / "three" / path.relative_to(tmp_path / "one")
+        assert path.read_bytes() == second_path.read_bytes()
 
 
 BAD = {
@@ -381,9 +383,9 @@ def bad(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("what", BAD)
-def test_what_is_wrong_is_one_line(bad: Path, what: str) -> None:
-    name, expected = BAD[what]
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_wrong_is_one_line(bad: Path, case: str) -> None:
+    name, expected = BAD[case]
     with pytest.raises(FactoryError, match=expected) as raised:
         open_reader(own(bad, f"{name}, class: a").scenes).discover()
     text = str(raised.value)
@@ -396,8 +398,8 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
     write_mesh(folder / "inside.ply", sphere(2), flip=True)
     (right,) = read_parts(folder / "ball.ply", "key.file", 1, 10)
     (turned,) = read_parts(folder / "inside.ply", "key.file", 1, 10)
-    found = open_reader(own(folder, "inside.ply, class: ball").scenes).discover()
-    assert found.notes == ("inside.ply: inside out, turned: inside",)
+    actual = open_reader(own(folder, "inside.ply, class: ball").scenes).discover()
+    assert actual.notes == ("inside.ply: inside out, turned: inside",)
     assert not open_reader(own(folder, "ball.ply, class: ball").scenes).discover().notes
     for part in (right, turned):
         a, b, c = (part.mesh.vertices[part.mesh.triangles[:, k]] for k in range(3))
@@ -418,7 +420,7 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
 
 def test_scripts_of_a_blend_are_never_run(tmp_path: Path) -> None:
     """It is read for its meshes and colours, and photographed by Cycles."""
-    made, ran = tmp_path / "world.blend", tmp_path / "ran"
+    world, marker = tmp_path / "world.blend", tmp_path / "ran"
     script = f"""
 import bpy
 bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -429,23 +431,23 @@ material = bpy.data.materials.new("red")
 material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (.8, 0, 0, 1)
 cube.data.materials.append(material)
 text = bpy.data.texts.new("autorun.py")
-text.write("open({str(ran)!r}, 'w')")
+text.write("open({str(marker)!r}, 'w')")
 text.use_module = True
-cube.driver_add("location", 0).driver.expression = "[0, open({str(ran)!r}, 'w')][0]"
-bpy.ops.wm.save_as_mainfile(filepath={str(made)!r})
+cube.driver_add("location", 0).driver.expression = "[0, open({str(marker)!r}, 'w')][0]"
+bpy.ops.wm.save_as_mainfile(filepath={str(world)!r})
 """
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
-    ran.unlink(missing_ok=True)  # Blender drives while it makes the file
+    marker.unlink(missing_ok=True)  # Blender drives while it makes the file
     (tmp_path / "poses.txt").write_text(FORWARD)
     config = compose_config(
         [
-            *("scenes=mesh", f"scenes.file={made}", f"scenes.poses={tmp_path}/poses.txt"),
+            *("scenes=mesh", f"scenes.file={world}", f"scenes.poses={tmp_path}/poses.txt"),
             *("scenes.width=96", "scenes.height=64", "render=analytic"),
             "scenes.classes=[{class: valve, parts: valve}]",
         ]
     )
     (frame,) = frames(config)
-    assert not ran.exists()
+    assert not marker.exists()
     on = frame.segmentation == 21
     assert on.any()
     red, green, _ = frame.rgb[on].astype(float).T
@@ -484,15 +486,18 @@ def test_every_file_of_a_mesh_counts(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
 
     def hashes() -> list[str]:
-        found = []
+        actual = []
         for name in ("a.gltf", "a.obj"):
             file = str(tmp_path / name)
             scenes = [
                 {"kind": "mesh", "file": file},
                 {"kind": "seabed", "own_objects": [{"file": file, "class": "thing"}]},
             ]
-            found += [config_hash(identity(from_mapping({"scenes": one}))) for one in scenes]
-        return found
+            actual += [
+                config_hash(identity(from_mapping({"scenes": scene_settings})))
+                for scene_settings in scenes
+            ]
+        return actual
 
     (tmp_path / "a.bin").write_bytes(points.tobytes() + faces.tobytes())
     (tmp_path / "a.mtl").write_text("newmtl grey\nKd 0.5 0.5 0.5\n")

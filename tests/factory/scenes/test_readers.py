@@ -39,8 +39,8 @@ DEPTH = np.linspace(0.5, 6, 16 * 24, dtype=np.float32).reshape(16, 24)
 
 
 def reader(kind: str, root: Path, **values: object) -> Reader:
-    where = {KEYS[kind]: str(root)}
-    settings: Any = build(Scenes, {"kind": kind, **where, **values}, "scenes")
+    location = {KEYS[kind]: str(root)}
+    settings: Any = build(Scenes, {"kind": kind, **location, **values}, "scenes")
     return open_reader(settings)
 
 
@@ -83,12 +83,12 @@ def test_missing_and_empty_roots_get_one_line(tmp_path: Path, kind: str) -> None
 @pytest.mark.parametrize("kind", ["flsea", "csv_list", "seabed"])
 def test_yaml_lists_every_key_with_the_default(kind: str) -> None:
     values = yaml.safe_load((ROOT / f"conf/scenes/{kind}.yaml").read_text())
-    given = {key: value for key, value in values.items() if value != "???"}
+    defaults = {key: value for key, value in values.items() if value != "???"}
     required: dict[str, object] = {} if kind == "seabed" else {KEYS[kind]: "x"}
     required |= {"intrinsics": PINHOLE} if kind == "csv_list" else {}
     settings: Any = build(Scenes, {"kind": kind, **required}, "scenes")
     assert set(values) == set(settings.__dataclass_fields__)
-    assert build(Scenes, {**given, **required}, "scenes") == settings
+    assert build(Scenes, {**defaults, **required}, "scenes") == settings
 
 
 # --- CSV lists -----------------------------------------------------------------------------------
@@ -109,17 +109,17 @@ def test_csv_list_reads_every_depth_kind(tmp_path: Path) -> None:
     )
     values = {"intrinsics": PINHOLE, "depth_scale": 256, "invalid_above_m": 100}
     listed = reader("csv_list", path, **values)
-    found = listed.discover()
-    assert [ref.name for ref in found.frames] == ["list/2", "list/a-1", "south/1"]
-    assert found.skipped == {"listed twice": 1}
-    two, one, south = map(listed.load, found.frames)
-    np.testing.assert_allclose(two.depth_m, DEPTH, atol=1 / 256)
-    np.testing.assert_array_equal(one.depth_m, np.where(DEPTH < 1, 0, DEPTH))
+    actual = listed.discover()
+    assert [ref.name for ref in actual.frames] == ["list/2", "list/a-1", "south/1"]
+    assert actual.skipped == {"listed twice": 1}
+    first, north, south = map(listed.load, actual.frames)
+    np.testing.assert_allclose(first.depth_m, DEPTH, atol=1 / 256)
+    np.testing.assert_array_equal(north.depth_m, np.where(DEPTH < 1, 0, DEPTH))
     np.testing.assert_array_equal(south.depth_m, np.where(DEPTH > 5, 0, DEPTH))
-    assert two.intrinsics.cx == 11.5
+    assert first.intrinsics.cx == 11.5
     floor_m = float(DEPTH[2, 3])
     nearest = reader("csv_list", path, **values, invalid_below_m=floor_m)
-    masked = nearest.load(found.frames[2]).depth_m
+    masked = nearest.load(actual.frames[2]).depth_m
     np.testing.assert_array_equal(masked > 0, np.greater(DEPTH, floor_m) & (DEPTH <= 5))
     strict = reader("csv_list", path, **values, invalid_below_m=None)
     with pytest.raises(FrameError, match=r"negative.*1\.tif"):
@@ -186,18 +186,18 @@ def test_flsea_finds_every_layout(tmp_path: Path) -> None:
     write(tmp_path / "red_sea/sub_pier/depth/7_SeaErra_abs_depth.tif", DEPTH)
     (tmp_path / "canyons/u_canyon/imgs/._1.tiff").write_bytes(b"Mac")
     (tmp_path / "canyons/u_canyon/notes.txt").write_text("dive")
-    found = reader("flsea", tmp_path).discover()
-    assert [ref.name for ref in found.frames] == [
+    actual = reader("flsea", tmp_path).discover()
+    assert [ref.name for ref in actual.frames] == [
         "canyons/flatiron/9",
         "canyons/u_canyon/1",
         "canyons/u_canyon/2",
         "red_sea/sub_pier/5",
     ]
-    assert found.skipped == {"depth map without an image": 1, "image without a depth map": 1}
-    assert found.notes[0] == "FLSea: 3 of 12 scenes"
-    assert "horse_canyon, tiny_canyon, big_dice_loop" in found.notes[1]
-    assert "u_canyon" not in found.notes[1]
-    for ref in found.frames:
+    assert actual.skipped == {"depth map without an image": 1, "image without a depth map": 1}
+    assert actual.notes[0] == "FLSea: 3 of 12 scenes"
+    assert "horse_canyon, tiny_canyon, big_dice_loop" in actual.notes[1]
+    assert "u_canyon" not in actual.notes[1]
+    for ref in actual.frames:
         frame = reader("flsea", tmp_path).load(pickle.loads(pickle.dumps(ref)))
         np.testing.assert_array_equal(frame.rgb, RGB)
         np.testing.assert_array_equal(frame.depth_m, DEPTH)
@@ -207,10 +207,10 @@ def test_flsea_finds_every_layout(tmp_path: Path) -> None:
 def test_flsea_root_may_be_any_level(tmp_path: Path, start: str) -> None:
     flsea_frame(tmp_path / "canyons/u_canyon/u_canyon", "1")
     flsea = reader("flsea", tmp_path / start)
-    found = flsea.discover()
-    assert [ref.name for ref in found.frames] == ["canyons/u_canyon/1"]
+    actual = flsea.discover()
+    assert [ref.name for ref in actual.frames] == ["canyons/u_canyon/1"]
     # The built-in calibration is for 968x608, the image has 24x16 pixels.
-    camera, known = flsea.load(found.frames[0]).intrinsics, BUILT_IN["canyons"]
+    camera, known = flsea.load(actual.frames[0]).intrinsics, BUILT_IN["canyons"]
     assert (camera.fx, camera.fy) == pytest.approx((known.fx * 24 / 968, known.fy * 16 / 608))
     assert camera.distortion == known.distortion
 
@@ -257,10 +257,10 @@ def test_a_bad_frame_is_told_with_its_file(tmp_path: Path, kind: float | str, me
 @pytest.mark.skipif(not FLSEA.is_dir(), reason="FLSea frames are not here")
 def test_real_flsea_frames() -> None:
     flsea = reader("flsea", FLSEA)
-    found = flsea.discover()
-    assert len(found.frames) == 6
-    assert {ref.location for ref in found.frames} == {"canyons", "red_sea"}
-    for ref in found.frames:
+    actual = flsea.discover()
+    assert len(actual.frames) == 6
+    assert {ref.location for ref in actual.frames} == {"canyons", "red_sea"}
+    for ref in actual.frames:
         frame = flsea.load(ref)
         assert frame.rgb.shape == (608, 968, 3)
         assert frame.intrinsics.fx == BUILT_IN[ref.location].fx
@@ -302,9 +302,9 @@ def read_file(path: Path) -> Array:
 def test_what_was_written_is_read(name: str, tmp_path: Path) -> None:
     data, expected = samples()[name]
     (tmp_path / name).write_bytes(data)
-    found = read_file(tmp_path / name)
-    assert found.dtype == (np.float32 if name.startswith("depth") else np.uint8)
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    actual = read_file(tmp_path / name)
+    assert actual.dtype == (np.float32 if name.startswith("depth") else np.uint8)
+    np.testing.assert_allclose(actual, expected, rtol=1e-7)
 
 
 @settings(max_examples=20)
@@ -316,14 +316,14 @@ def test_a_truncated_file_is_refused_and_never_half_read(
     path = tmp_path_factory.mktemp("cut") / name
     path.write_bytes(data[: int(len(data) * fraction)])
     try:
-        found = read_file(path)
+        actual = read_file(path)
     except FrameError as error:
-        found, fault = None, str(error)
-    if found is None:
+        actual, fault = None, str(error)
+    if actual is None:
         assert fault.startswith(str(path))
         assert "\n" not in fault
     else:  # only bytes after the last pixel were missing
-        np.testing.assert_allclose(found, expected, rtol=1e-7)
+        np.testing.assert_allclose(actual, expected, rtol=1e-7)
 
 
 def test_a_damaged_tiff_writes_nothing_to_stderr(
@@ -556,10 +556,10 @@ def test_two_frames_are_equal_only_if_their_files_are(tmp_path: Path) -> None:
             "./a-b/1.png,2.npy", "b/1.png,1.npy"]  # fmt: skip
     (tmp_path / "list.csv").write_text("\n".join(rows))
     write(tmp_path / "b/1.png", RGB)
-    found = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE).discover()
-    assert len({ref.name for ref in found.frames}) == 5
-    assert len({ref.paths for ref in found.frames}) == 5
-    assert found.skipped == {"listed twice": 1}
+    actual = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE).discover()
+    assert len({ref.name for ref in actual.frames}) == 5
+    assert len({ref.paths for ref in actual.frames}) == 5
+    assert actual.skipped == {"listed twice": 1}
 
 
 def test_tum_poses_against_scipy(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_frames_are_measured_labelled_and_look_a_little_down(
     frames: dict[tuple[int, int], Frame],
 ) -> None:
     """Close ground, one class an instance and none for ground, rigid poses, every class seen."""
-    seen: set[int] = set()
+    observed: set[int] = set()
     for name, frame in frames.items():
         depth = frame.depth_m[frame.valid]
         assert 0.5 < frame.valid.mean() < 0.95, name
@@ -80,34 +80,34 @@ def test_frames_are_measured_labelled_and_look_a_little_down(
         for number in np.unique(frame.instance):
             classes = np.unique(frame.segmentation[frame.instance == number])
             assert len(classes) == 1
-            seen.update(map(int, classes))
+            observed.update(map(int, classes))
         assert frame.world_from_camera is not None
         rotation = frame.world_from_camera[:3, :3]
         np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
         assert np.linalg.det(rotation) == pytest.approx(1)
         assert 8 <= np.rad2deg(np.arcsin(-rotation[2, 2])) <= 35, name  # pitch
         assert rotation[2, 1] < -0.8, name  # the picture's y axis points down
-    assert {CLASSES[k] for k in seen} == set(CLASSES)
+    assert {CLASSES[k] for k in observed} == set(CLASSES)
 
 
 def test_two_views_show_the_same_surface(frames: dict[tuple[int, int], Frame]) -> None:
     """Points of one view, seen from the next, are never in front of what that view measured."""
     checked = 0
     for location in LOCATIONS:
-        one, two = (frames[location, pose] for pose in POSES)
-        assert two.world_from_camera is not None
-        points = world_points(one)[one.valid]
-        inverse = np.linalg.inv(two.world_from_camera)
+        first_view, second_view = (frames[location, pose] for pose in POSES)
+        assert second_view.world_from_camera is not None
+        points = world_points(first_view)[first_view.valid]
+        inverse = np.linalg.inv(second_view.world_from_camera)
         x, y, z = (points @ inverse[:3, :3].T + inverse[:3, 3]).T
-        camera = two.intrinsics
+        camera = second_view.intrinsics
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
         inside = (z > 0.3) & (u > 1) & (u < 240) & (v > 1) & (v < 150)
         column, row = u[inside].round().astype(int), v[inside].round().astype(int)
-        measured, expected = two.depth_m[row, column], z[inside]
+        measured, expected = second_view.depth_m[row, column], z[inside]
         # A pixel away from depth edges, whose neighbours agree, may be compared point to pixel.
         around = np.stack(
-            [two.depth_m[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+            [second_view.depth_m[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
         )
         flat = (around.min(axis=0) > 0) & (np.ptp(around, axis=0) < 0.04 * measured)
         if flat.sum() < 300:
@@ -138,8 +138,8 @@ def test_a_frame_depends_on_its_name_alone(frames: dict[tuple[int, int], Frame])
 
 def test_only_wanted_kinds_lie_there() -> None:
     reader = small_reader(kinds=("Tire", "Boulder"), places=("debris",))
-    seen = np.unique(np.concatenate([reader.load(ref(k, 0)).segmentation for k in range(3)]))
-    assert {CLASSES[k] for k in seen} == {"Background", "Tire", "Boulder"}
+    observed = np.unique(np.concatenate([reader.load(ref(k, 0)).segmentation for k in range(3)]))
+    assert {CLASSES[k] for k in observed} == {"Background", "Tire", "Boulder"}
     bare = small_reader(objects=0, kinds=(), places=("sand",)).load(ref(0, 0))
     assert bare.segmentation is not None
     assert not bare.segmentation.any()
@@ -250,11 +250,11 @@ def test_frames_are_the_lines(tmp_path):
     assert (first.time_s, second.time_s) == (0.0, 0.2)
     assert first.altitude_m is not None
     assert first.altitude_m > 0.5
-    there, here = first.world_from_camera, second.world_from_camera
-    assert there is not None
-    assert here is not None
-    assert np.linalg.norm(here[:2, 3] - there[:2, 3]) == pytest.approx(0.5)
-    assert here[2, 3] - there[2, 3] == pytest.approx(0.1)
+    first_pose, second_pose = first.world_from_camera, second.world_from_camera
+    assert first_pose is not None
+    assert second_pose is not None
+    assert np.linalg.norm(second_pose[:2, 3] - first_pose[:2, 3]) == pytest.approx(0.5)
+    assert second_pose[2, 3] - first_pose[2, 3] == pytest.approx(0.1)
     known = identity(config)["scenes"]["path"]
     path.write_text(PATH + "0.4,1,0,0\n", encoding="utf-8")
     assert identity(config)["scenes"]["path"] != known

@@ -33,8 +33,8 @@ def poses(config: FactoryConfig) -> list[tuple[float, float]]:
 
 @pytest.mark.parametrize("mount", [(), (MOUNT,)])
 def test_the_sonar_of_a_place_is_so_high_and_looks_so_far_down(mount: tuple[str, ...]) -> None:
-    found = poses(compose_config([*PLACE, *mount]))
-    assert np.array(found) == pytest.approx(np.array([(1.2, 20.0)] * 2), abs=1e-3)
+    actual = poses(compose_config([*PLACE, *mount]))
+    assert np.array(actual) == pytest.approx(np.array([(1.2, 20.0)] * 2), abs=1e-3)
 
 
 @pytest.mark.parametrize("route", ["orbit", "transect"])
@@ -44,9 +44,9 @@ def test_the_sonar_of_a_drawn_path_does_too(route: str, tmp_path: Path) -> None:
     words = ["scenes=mesh", f"scenes.file={tmp_path}/ground.obj", f"scenes.route={route}"]
     words += ["scenes.paths=1", "scenes.views_per_path=4", "scenes.speed_m_s=6", *PLACE[2:]]
     # A transect begins beside the ground.
-    found = [pose for pose in poses(compose_config(words)) if np.isfinite(pose[0])]
-    assert len(found) >= 2
-    assert np.array(found) == pytest.approx(np.array([(1.2, 20.0)] * len(found)), abs=1e-3)
+    actual = [pose for pose in poses(compose_config(words)) if np.isfinite(pose[0])]
+    assert len(actual) >= 2
+    assert np.array(actual) == pytest.approx(np.array([(1.2, 20.0)] * len(actual)), abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -81,6 +81,6 @@ def test_frames_with_echoes_in_few_beams_are_refused() -> None:
             with pytest.raises(FrameError, match=r"frames\.min_insonified"):
                 observe(frame, rendered, config)
             continue
-        made = observe(frame, rendered, config)
-        share = insonified_share(made.scene.filled, made.window, config.sonar)
+        observed_frame = observe(frame, rendered, config)
+        share = insonified_share(observed_frame.scene.filled, observed_frame.window, config.sonar)
         assert (share < 0.2) == (rendered is narrow)

@@ -70,8 +70,8 @@ def test_of_many_that_come_at_once_one_gets_the_lock(tmp_path: Path) -> None:
     (tmp_path / LOCK_NAME).write_text("{}")  # of somebody dead
     crowd = [holding(tmp_path) for _ in range(4)]
     wait_for(lambda: sum(process.poll() is not None for process in crowd) == 3)
-    told = [process.communicate()[0] for process in crowd]
-    assert told.count("held\n") == 1
+    message = [process.communicate()[0] for process in crowd]
+    assert message.count("held\n") == 1
     wait_for(lambda: not os.listdir(tmp_path))
 
 

@@ -133,11 +133,11 @@ def test_the_papers_48_processes_in_a_narrow_shell(
     )
     values = yaml.safe_load((ROOT / "conf/scheduler/paper48.yaml").read_text())
     del values["defaults"]
-    found = SchedulerSettings(**values).crew(480, 480)
-    assert 4 < found.total < 40
+    actual = SchedulerSettings(**values).crew(480, 480)
+    assert 4 < actual.total < 40
     shown = most if which == "n" else most // 1024
     assert capsys.readouterr().err.startswith(
-        f"ulimit -{which} is {shown}: {found.total} of 48 workers fit and are used; raise it"
+        f"ulimit -{which} is {shown}: {actual.total} of 48 workers fit and are used; raise it"
     )
 
 
@@ -157,8 +157,8 @@ def test_what_the_machine_refuses_is_one_line(
         raise error
 
     assert guard(action) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(said)
-    assert told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert message.startswith(said)
+    assert message.count("\n") == 1
     with pytest.raises(type(error)):
         guard(action, debug=True)

@@ -52,32 +52,34 @@ def test_frames_that_fail_kill_or_break_cost_themselves_alone(
         marks=str(tmp_path),
     )
     report = make(directory, config)
-    told = failures(directory)
-    assert {name: item["kind"] for name, item in told.items()} == {
+    message = failures(directory)
+    assert {name: item["kind"] for name, item in message.items()} == {
         "reef/alpha/0000": "frame",
         "reef/alpha/0001": "error",
         "reef/alpha/0006": "crash",
     }
-    assert told["reef/alpha/0000"]["reason"] == "reef/alpha/0000: depth has 3 NaN pixels"
-    assert "ZeroDivisionError: no such thing (fake_source.py:" in told["reef/alpha/0001"]["reason"]
-    assert "SIGKILL" in told["reef/alpha/0006"]["reason"]
-    assert told["reef/alpha/0006"]["command"].endswith("frames.only=[reef/alpha/0006]")
-    assert [failure.ref.name for failure in report.failures] == sorted(told)
+    assert message["reef/alpha/0000"]["reason"] == "reef/alpha/0000: depth has 3 NaN pixels"
+    assert (
+        "ZeroDivisionError: no such thing (fake_source.py:" in message["reef/alpha/0001"]["reason"]
+    )
+    assert "SIGKILL" in message["reef/alpha/0006"]["reason"]
+    assert message["reef/alpha/0006"]["command"].endswith("frames.only=[reef/alpha/0006]")
+    assert [failure.ref.name for failure in report.failures] == sorted(message)
     assert report.samples == 32 - 3 * 2
     manifest = load_manifest(directory)
     assert manifest is not None
     assert manifest.shards["train/shard-00001.h5"].failed == ("reef/alpha/0006",)
-    made = shard_bytes(directory)
+    bytes_of_shard = shard_bytes(directory)
     for path in ("train/shard-00002.h5", "test/shard-00000.h5"):
-        assert made[path] == undisturbed[path], "a worker that died once left a trace"
+        assert bytes_of_shard[path] == undisturbed[path], "a worker that died once left a trace"
     assert litter(directory) == []
 
     # The shards that are as good as they can be stay as they are; cured frames come in.
-    before = {path: (directory / path).stat().st_mtime_ns for path in made}
+    before = {path: (directory / path).stat().st_mtime_ns for path in bytes_of_shard}
     again = make(directory, FakeConfig(bad=config.bad, kills=config.kills, buggy=config.buggy))
     assert again.reused_shards == 4
-    assert {path: (directory / path).stat().st_mtime_ns for path in made} == before
-    assert set(failures(directory)) == set(told)
+    assert {path: (directory / path).stat().st_mtime_ns for path in bytes_of_shard} == before
+    assert set(failures(directory)) == set(message)
     cured = make(directory)
     assert (cured.samples, cured.reused_shards, cured.failures) == (32, 2, ())
     assert failures(directory) == {}
@@ -120,16 +122,16 @@ def test_damaged_shards_are_made_again_and_the_rest_kept(
     first.write_bytes(first.read_bytes()[:-100])
     flip(directory / "train/shard-00001.h5", 3000, 2)
     (directory / "test/shard-00000.h5").unlink()
-    kept = (directory / "train/shard-00002.h5").stat().st_mtime_ns
+    remaining = (directory / "train/shard-00002.h5").stat().st_mtime_ns
     report = make(directory)
     assert report.reused_shards == 1
-    told = capfd.readouterr().err
-    assert "train/shard-00000.h5: " in told
-    assert "bytes instead of" in told
-    assert "train/shard-00001.h5: SHA-256 differs; it is made again" in told
-    assert "test/shard-00000.h5: absent" in told
+    message = capfd.readouterr().err
+    assert "train/shard-00000.h5: " in message
+    assert "bytes instead of" in message
+    assert "train/shard-00001.h5: SHA-256 differs; it is made again" in message
+    assert "test/shard-00000.h5: absent" in message
     assert shard_bytes(directory) == undisturbed
-    assert (directory / "train/shard-00002.h5").stat().st_mtime_ns == kept
+    assert (directory / "train/shard-00002.h5").stat().st_mtime_ns == remaining
 
 
 def test_a_full_disk_is_said_in_one_line_and_cured_by_running_again(
@@ -155,8 +157,8 @@ SERIAL = {"backend": "serial"}
 
 
 def status(directory: Path) -> dict[str, object]:
-    told: dict[str, object] = json.loads((directory / "status.json").read_text())
-    return told
+    message: dict[str, object] = json.loads((directory / "status.json").read_text())
+    return message
 
 
 @pytest.mark.parametrize("backend", ["serial", "local"])
@@ -168,9 +170,9 @@ def test_frames_that_are_prepared_by_others_give_the_same_bytes(
     assert (report.samples, report.failures) == (32, ())
     assert shard_bytes(directory) == undisturbed
     assert litter(directory) == []
-    told = status(directory)
-    assert told["state"] == "finished"
-    assert told["frames"] == {"total": 16, "rendered": 16, "from_cache": 0, "failed": 0}
+    message = status(directory)
+    assert message["state"] == "finished"
+    assert message["frames"] == {"total": 16, "rendered": 16, "from_cache": 0, "failed": 0}
     if backend != "serial":
         makers = {file.read_text() for file in (tmp_path / "prepared").iterdir()}
         assert len(makers) == 1, "somebody else than the render worker prepared a frame"
@@ -190,23 +192,25 @@ def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
         marks=str(tmp_path),
     )
     report = staged(directory, config, scheduler={"backend": backend}, frame_timeout_s=1.0)
-    told = failures(directory)
-    assert {name: item["kind"] for name, item in told.items()} == {
+    message = failures(directory)
+    assert {name: item["kind"] for name, item in message.items()} == {
         "reef/alpha/0000": "frame",
         "reef/alpha/0001": "error",
         "reef/alpha/0006": "crash",
         "reef/alpha/0010": "timeout",
     }
-    assert told["reef/alpha/0010"]["shard"] == "train/shard-00002.h5"
-    assert "in each of 2 tries" in told["reef/alpha/0006"]["reason"]
-    assert "FakePreparer" not in told["reef/alpha/0001"]["reason"]
+    assert message["reef/alpha/0010"]["shard"] == "train/shard-00002.h5"
+    assert "in each of 2 tries" in message["reef/alpha/0006"]["reason"]
+    assert "FakePreparer" not in message["reef/alpha/0001"]["reason"]
     assert report.samples == 32 - 4 * 2
-    made = shard_bytes(directory)
-    assert made["test/shard-00000.h5"] == undisturbed["test/shard-00000.h5"], "killed once"
-    assert "took longer than scheduler.frame_timeout_s=1" in told["reef/alpha/0010"]["reason"]
+    bytes_of_shard = shard_bytes(directory)
+    assert bytes_of_shard["test/shard-00000.h5"] == undisturbed["test/shard-00000.h5"], (
+        "killed once"
+    )
+    assert "took longer than scheduler.frame_timeout_s=1" in message["reef/alpha/0010"]["reason"]
 
     # Running again tries what failed, touches nothing else, and takes in what is cured.
-    before = {path: (directory / path).stat().st_mtime_ns for path in made}
+    before = {path: (directory / path).stat().st_mtime_ns for path in bytes_of_shard}
     again = staged(directory, replace(config, hangs=(), kills=()), frame_timeout_s=1.0)
     assert {f.ref.name for f in again.failures} == {"reef/alpha/0000", "reef/alpha/0001"}
     assert again.reused_shards == 2
@@ -222,11 +226,13 @@ def test_a_prepared_frame_that_vanishes_is_prepared_again(
     ref = refs(12)[5]
     lost: list[int] = []
 
-    def forgetful(self: GentleSource, asked: object, variants: object, pairs=GentleSource.pairs):
-        if asked == ref and not lost:
+    def forgetful(
+        self: GentleSource, requested_ref: object, variants: object, pairs=GentleSource.pairs
+    ):
+        if requested_ref == ref and not lost:
             lost.append(1)
             prepared_file(self.config, ref).unlink()
-        return pairs(self, asked, variants)
+        return pairs(self, requested_ref, variants)
 
     monkeypatch.setattr(GentleSource, "pairs", forgetful)
     staged(tmp_path / "dataset", scheduler=SERIAL)

@@ -63,11 +63,11 @@ def test_signals_stop_quickly_leave_nobody_and_lose_nothing(
     directory = tmp_path / "dataset"
     process = start("-m", "tests.run_fake", directory, 2, 0.1)
     wait_for(lambda: finished(directory))
-    asked = time.monotonic()
+    start_s = time.monotonic()
     # Ctrl-C reaches every process of the terminal's group, kill only the one.
     (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
     _, errors = process.communicate(timeout=20)
-    assert time.monotonic() - asked < 5
+    assert time.monotonic() - start_s < 5
     assert process.returncode == exit_code
     assert b"Traceback" not in errors
     wait_for(lambda: not session_members(process.pid), 5)
@@ -76,9 +76,9 @@ def test_signals_stop_quickly_leave_nobody_and_lose_nothing(
         (directory / "train" / name).write_bytes(b"half")
     else:
         assert litter(directory) == []
-    kept = finished(directory)
-    assert 1 <= kept < 4
-    assert make(directory).reused_shards == kept
+    remaining = finished(directory)
+    assert 1 <= remaining < 4
+    assert make(directory).reused_shards == remaining
     assert litter(directory) == []
     assert shard_bytes(directory) == undisturbed
 
@@ -105,10 +105,10 @@ def test_a_second_signal_kills_at_once(tmp_path: Path, undisturbed: dict[str, by
     wait_for((tmp_path / "dataset.stopping").exists)
     time.sleep(0.4)  # what comes sooner is the same keypress
     assert process.poll() is None
-    asked = time.monotonic()
+    start_s = time.monotonic()
     os.kill(process.pid, signal.SIGTERM)
     assert process.wait(20) == 143
-    assert time.monotonic() - asked < 2
+    assert time.monotonic() - start_s < 2
     wait_for(lambda: not session_members(process.pid), 10)
     make(directory)
     assert litter(directory) == []
@@ -139,9 +139,9 @@ AT_THE_END: dict[str, Any] = {
 
 def everything(folder: Path) -> dict[str, bytes]:
     paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-    del found["status.json"]  # has the time in it
-    return found
+    actual = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+    del actual["status.json"]  # has the time in it
+    return actual
 
 
 @pytest.fixture(scope="module")
@@ -170,9 +170,9 @@ def test_a_signal_at_the_end_of_a_run_is_one_line_and_loses_nothing(
     folder = tmp_path / "dataset"
     write = getattr(run, place)
 
-    def interrupted(*given: Any, **named: Any) -> None:
+    def interrupted(*arguments: Any, **named: Any) -> None:
         way(number)
-        write(*given, **named)
+        write(*arguments, **named)
         time.sleep(30)
 
     with monkeypatch.context() as patch:

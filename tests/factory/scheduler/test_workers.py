@@ -90,14 +90,14 @@ def children() -> list[psutil.Process]:
 def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
     names = ["a", "die", "b", "sleep", "c"]
     with TaskPool(2) as pool:
-        found = dict(pool.run(task, deque(names), lambda name: 1.0 if name == "sleep" else 60.0))
-    assert set(found) == set(names)
+        actual = dict(pool.run(task, deque(names), lambda name: 1.0 if name == "sleep" else 60.0))
+    assert set(actual) == set(names)
     for name in "abc":
-        outcome = found[name]
+        outcome = actual[name]
         assert not isinstance(outcome, TaskLost)
         assert outcome[0] == name
         assert outcome[1] != os.getpid()
-    died, slept = found["die"], found["sleep"]
+    died, slept = actual["die"], actual["sleep"]
     assert isinstance(died, TaskLost)
     assert "SIGKILL" in died.reason
     assert slept == TaskLost("took longer than 1 s")
@@ -117,8 +117,8 @@ def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
         with pytest.raises(WorkerDied, match="stood still before it had begun"):
             submit(workers, len, bytes(1 << 24), "light").result(30)
         assert submit(workers, len, bytes(1 << 24), "light").result(60) == 1 << 24
-        (other,) = children()
-        assert other.pid != process.pid
+        (replacement,) = children()
+        assert replacement.pid != process.pid
     finally:
         workers.close()
     assert not children()
@@ -172,23 +172,23 @@ def none_before() -> Iterator[None]:
     assert not children()
 
 
-def asked() -> tuple[int, int, bool, str]:
+def report_of_worker() -> tuple[int, int, bool, str]:
     """(process, parent, whether LOADED is, OMP_NUM_THREADS) of a worker."""
     backend = LocalBackend((LIGHT,), preload=(LOADED,))
     try:
-        found = submit(backend, seen, "OMP_NUM_THREADS", "light").result(60)
+        actual = submit(backend, seen, "OMP_NUM_THREADS", "light").result(60)
     finally:
         backend.close()
-    assert found[3] is not None
-    return found[0], found[1], found[2], found[3]
+    assert actual[3] is not None
+    return actual[0], actual[1], actual[2], actual[3]
 
 
 @pytest.mark.usefixtures("none_before")
 def test_what_was_loaded_is_there_and_nothing_is_forked_from_this_process() -> None:
-    _, parent, loaded, threads = asked()
+    _, parent, loaded, threads = report_of_worker()
     assert (loaded, threads) == (True, "1")
     assert parent != os.getpid()
-    assert asked()[1] == parent
+    assert report_of_worker()[1] == parent
 
 
 @pytest.mark.usefixtures("none_before")
@@ -203,8 +203,8 @@ def test_environment_and_folder_are_those_of_now(
     backend = LocalBackend((LIGHT,), preload=(LOADED,))
     try:
         for name, value in (("SIMNFND_TEST_GONE", None), ("SIMNFND_TEST_NEW", "2")):
-            *_, loaded, told, folder = submit(backend, seen, name, "light").result(60)
-            assert (loaded, told, folder) == (True, value, str(tmp_path))
+            *_, loaded, message, folder = submit(backend, seen, name, "light").result(60)
+            assert (loaded, message, folder) == (True, value, str(tmp_path))
     finally:
         backend.close()
 
@@ -217,7 +217,7 @@ def test_one_that_stands_still_is_killed_and_the_worker_comes(
     template.start((LOADED,))
     psutil.Process(template_pid()).suspend()
     begun = time.monotonic()
-    assert asked()[:2] != (0, 0)
+    assert report_of_worker()[:2] != (0, 0)
     assert 2.0 <= time.monotonic() - begun < 30.0
 
 

@@ -68,16 +68,16 @@ def test_turned_fans(
     back = turned.turned(*size)
     assert (back.apex_x_px, back.apex_y_px) == pytest.approx((apex_x, apex_y))
     assert replace(back, apex_x_px=apex_x, apex_y_px=apex_y) == upright
-    expected, found = upright.maps(0, 0, rows, columns), turned.maps(0, 0, *size)
-    away = np.rot90(found["range_fraction"], turns)
+    expected, actual = upright.maps(0, 0, rows, columns), turned.maps(0, 0, *size)
+    away = np.rot90(actual["range_fraction"], turns)
     np.testing.assert_allclose(away, expected["range_fraction"], atol=1e-5)
     # Behind the apex the bearing turns over, and in it there is none.
-    apart = np.rot90(found["azimuth_rad"], turns) - expected["azimuth_rad"]
+    apart = np.rot90(actual["azimuth_rad"], turns) - expected["azimuth_rad"]
     apart = np.abs((apart + np.pi) % (2 * np.pi) - np.pi)[away > 0.02]
     assert apart.max() < 1e-3
     off = np.rot90(turned.sector_mask(*size), turns) != upright.sector_mask(rows, columns)
     assert off.mean() < 0.01, "but for rounding on the edge"
-    row, column = turned.pixels(found["range_fraction"], found["azimuth_rad"])
+    row, column = turned.pixels(actual["range_fraction"], actual["azimuth_rad"])
     np.testing.assert_allclose(row, np.broadcast_to(np.arange(size[0])[:, None], size), atol=1e-2)
     np.testing.assert_allclose(column, np.broadcast_to(np.arange(size[1]), size), atol=1e-2)
 

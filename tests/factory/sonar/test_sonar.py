@@ -105,12 +105,12 @@ def test_a_place_keeps_one_of_the_windows():
         for place in map(str, range(40))
         for frame in "ab"
     }
-    for (place, _), found in drawn.items():
-        assert found == drawn[place, "a"]
-        assert found.fixed
-    shares = [sum(one.min_m == near for one in drawn.values()) / 80 for near in (1, 2)]
+    for (place, _), actual in drawn.items():
+        assert actual == drawn[place, "a"]
+        assert actual.fixed
+    shares = [sum(window.min_m == near for window in drawn.values()) / 80 for near in (1, 2)]
     assert min(shares) > 0.25
-    assert {(one.min_m, one.max_m) for one in drawn.values()} == {(1, 4), (2, 5)}
+    assert {(window.min_m, window.max_m) for window in drawn.values()} == {(1, 4), (2, 5)}
     usual: SonarSettings = build(SonarSettings, {"range": {"auto": False}})
     assert set_window(usual, 7, FrameRef("seabed", "3", "a")) is usual
 

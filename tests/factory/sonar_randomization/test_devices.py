@@ -50,12 +50,14 @@ def test_every_variant_has_a_device_of_its_own_and_says_which() -> None:
 def test_the_same_name_draws_the_same_device() -> None:
     settings = compose_config(["experiment=any_sonar"]).devices
     assert settings is not None
-    first, again, other = (devices.draw(settings, 0, "a", n) for n in (1, 1, 2))
+    first, again, third = (devices.draw(settings, 0, "a", n) for n in (1, 1, 2))
     assert first == again
-    assert first.values != other.values
+    assert first.values != third.values
     drawn = [devices.draw(settings, 3, n) for n in range(400)]
-    assert np.mean([one.formation == "coherent" for one in drawn]) == pytest.approx(0.9, abs=0.05)
-    assert {round(one.values["beams"]) for one in drawn} == {48, 96, 128, 160, 256, 512}
+    assert np.mean([device.formation == "coherent" for device in drawn]) == pytest.approx(
+        0.9, abs=0.05
+    )
+    assert {round(device.values["beams"]) for device in drawn} == {48, 96, 128, 160, 256, 512}
 
 
 def test_drawn_values_given_as_numbers_make_the_same_picture() -> None:
@@ -75,13 +77,13 @@ def test_odd_effects_are_those_of_a_share_of_the_pictures() -> None:
         config = compose_config(["experiment=any_sonar", *ALL_FIELD, f"devices.odd_share={share}"])
         assert config.devices is not None
         drawn = [devices.draw(config.devices, 0, number) for number in range(variants)]
-        noises = [devices.configured(config, one, any_size=True).noise for one in drawn]
-        return [{name: block.enabled for name, block in blocks(one).items()} for one in noises]
+        noises = [devices.configured(config, device, any_size=True).noise for device in drawn]
+        return [{name: block.enabled for name, block in blocks(noise).items()} for noise in noises]
 
     for without in on(0, 4):
         assert not any(without[name] for name in odd)
         assert all(without[name] for name in ("speckle", "receiver", "volume"))
-    share = np.mean([found[name] for found in on(1, 40) for name in odd])
+    share = np.mean([actual[name] for actual in on(1, 40) for name in odd])
     assert share == pytest.approx(0.5, abs=0.15)
 
 
@@ -117,11 +119,11 @@ def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
     for key, value in (("sampling", "nearest"), ("enlarged", 1.5), ("jpeg_quality", 60)):
         config = compose_config(["experiment=physical", f"sonar.image.{key}={value}"])
         assert identity(config)["sonar"]["image"][key] == value
-        made = pair(*words, f"sonar.image.{key}={value}")
-        assert made.noisy.shape == before.noisy.shape
-        assert (made.noisy != before.noisy).any()
+        changed = pair(*words, f"sonar.image.{key}={value}")
+        assert changed.noisy.shape == before.noisy.shape
+        assert (changed.noisy != before.noisy).any()
         # A clean picture has no traces of compression.
-        assert (made.clean != before.clean).any() == (key != "jpeg_quality")
+        assert (changed.clean != before.clean).any() == (key != "jpeg_quality")
 
 
 def test_a_device_that_sees_nothing_gives_way_to_the_next() -> None:

@@ -67,21 +67,21 @@ def url(request: pytest.FixtureRequest, bucket: str, tmp_path: Path) -> str:
 
 def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> None:
     assert make(folder_of(url)).samples == 32
-    found = contents(url)
-    assert {name: found[name] for name in found if "/" in name} == shard_bytes(local)
-    there = {path.name for path in local.iterdir() if path.is_file()}
-    assert {name for name in found if "/" not in name} == there - {"status.json"}
+    actual = contents(url)
+    assert {name: actual[name] for name in actual if "/" in name} == shard_bytes(local)
+    local_names = {path.name for path in local.iterdir() if path.is_file()}
+    assert {name for name in actual if "/" not in name} == local_names - {"status.json"}
     for name in ("manifest.json", "README.md", "failed.jsonl"):
-        assert (name in found) == (local / name).exists()
-    assert found["manifest.json"] == (local / "manifest.json").read_bytes()
+        assert (name in actual) == (local / name).exists()
+    assert actual["manifest.json"] == (local / "manifest.json").read_bytes()
     shutil.rmtree(folder_of(url))
     with PairDataset(url) as pairs, PairDataset(local) as expected:
         assert not list(pairs.folder.glob("t*/*.h5")), "nothing is fetched before it is asked for"
         assert len(pairs) == len(expected) == 24
         np.testing.assert_array_equal(pairs[17]["noisy"], expected[17]["noisy"])
         assert len(list(pairs.folder.glob("t*/*.h5"))) == 1
-        other = pickle.loads(pickle.dumps(pairs))
-        np.testing.assert_array_equal(other[3:9]["clean"], expected[3:9]["clean"])
+        unpickled = pickle.loads(pickle.dumps(pairs))
+        np.testing.assert_array_equal(unpickled[3:9]["clean"], expected[3:9]["clean"])
     report = validate(local_folder(url, fresh=True), deep=True)
     assert not [line for line in report.findings if "1 location(s)" not in line]
     again = make(folder_of(url))
@@ -230,9 +230,9 @@ def test_slices_make_one_dataset(bucket: str, local: Path) -> None:
     ],
 )
 def test_urls_that_are_none_are_one_line(bucket: str, url: str, why: str) -> None:
-    with pytest.raises(FactoryError, match=why) as found:
+    with pytest.raises(FactoryError, match=why) as actual:
         PairDataset(url)
-    assert "\n" not in str(found.value)
+    assert "\n" not in str(actual.value)
 
 
 def test_a_url_with_other_files_is_left_alone(bucket: str) -> None:
@@ -263,14 +263,14 @@ def test_workers_that_share_no_folder_prepare_and_put(
     bucket: str, tmp_path: Path, monkeypatch: Any
 ) -> None:
     config = FakeConfig(prepared=str(tmp_path / "prepared"), bad=("reef/alpha/0003",))
-    how = {"source": GentleSource, "preparer": FakePreparer, "config": config}
-    make(tmp_path / "dataset", **how)
+    options = {"source": GentleSource, "preparer": FakePreparer, "config": config}
+    make(tmp_path / "dataset", **options)
     shutil.rmtree(tmp_path / "prepared")
     url = f"{bucket}/apart"
     monkeypatch.setattr(
         run, "publishing", lambda folder, part, apart: publishing(folder, part, apart=True)
     )
-    report = make(folder_of(url), **how)
+    report = make(folder_of(url), **options)
     assert [failure.ref.name for failure in report.failures] == ["reef/alpha/0003"]
     assert shards_of(url) == shard_bytes(tmp_path / "dataset")
     assert not [name for name in contents(url) if name.startswith(".")]
@@ -312,19 +312,19 @@ def far(dozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def requests(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often the storage was asked for each shard."""
-    found, plain = Counter[str](), Store.get
+    actual, plain = Counter[str](), Store.get
 
     def get(self: Store, name: str) -> Any:
         content = plain(self, name)
         if name.endswith(".h5") and name != "index.h5":
-            found[name] += 1
+            actual[name] += 1
             time.sleep(0.01)  # as long as others need to ask for it, too
         return content
 
     monkeypatch.setattr(Store, "get", get)
-    return found
+    return actual
 
 
 def keep(monkeypatch: pytest.MonkeyPatch, dozen: Path, shards: float) -> None:
@@ -336,24 +336,24 @@ def keep(monkeypatch: pytest.MonkeyPatch, dozen: Path, shards: float) -> None:
 # One shard; all.
 @pytest.mark.parametrize("room", [1, 50])
 def test_shuffled_fetches_each_shard_once_an_epoch(
-    dozen: Path, far: str, asked: Counter[str], monkeypatch: pytest.MonkeyPatch, room: float
+    dozen: Path, far: str, requests: Counter[str], monkeypatch: pytest.MonkeyPatch, room: float
 ) -> None:
     keep(monkeypatch, dozen, room)
     with PairDataset(far) as distant, PairDataset(dozen) as near:
         for epoch in range(2):
-            found = [one["noisy"].tobytes() for one in distant.shuffled(3, epoch, window=WINDOW)]
-            wanted = [one["noisy"].tobytes() for one in near.shuffled(3, epoch, window=WINDOW)]
-            assert found == wanted
-            assert sorted(found) == sorted(one["noisy"].tobytes() for one in near)
-            kept = sum(path.stat().st_size for path in distant.folder.glob("t*/*.h5"))
-            assert kept <= int(os.environ["SIMNFND_CLOUD_CACHE_BYTES"])
-            assert max(asked.values()) <= epoch + 1
-    assert len(asked) == SHARDS
+            actual = [pair["noisy"].tobytes() for pair in distant.shuffled(3, epoch, window=WINDOW)]
+            wanted = [pair["noisy"].tobytes() for pair in near.shuffled(3, epoch, window=WINDOW)]
+            assert actual == wanted
+            assert sorted(actual) == sorted(pair["noisy"].tobytes() for pair in near)
+            remaining = sum(path.stat().st_size for path in distant.folder.glob("t*/*.h5"))
+            assert remaining <= int(os.environ["SIMNFND_CLOUD_CACHE_BYTES"])
+            assert max(requests.values()) <= epoch + 1
+    assert len(requests) == SHARDS
 
 
 @pytest.mark.parametrize("room", [1, 4.5])
 def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
-    dozen: Path, far: str, asked: Counter[str], monkeypatch: pytest.MonkeyPatch, room: float
+    dozen: Path, far: str, requests: Counter[str], monkeypatch: pytest.MonkeyPatch, room: float
 ) -> None:
     pytest.importorskip("torch")
     from simnfnd.models.data.crops import VisitSampler
@@ -362,8 +362,8 @@ def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
 
     keep(monkeypatch, dozen, room)
     table = read_table(far, "train")
-    assert asked == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}
-    asked.clear()
+    assert requests == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}
+    requests.clear()
     source = PairSource(table.samples, table.sonar)
     sizes: Any = {"patch": 16, "batch": 1, "crops": 1, "weaker": 0, "workers": 0, "reuse": 1}
     data = PairsData(kind="pairs", validation=0.1, validation_limit=None, **sizes)
@@ -371,7 +371,7 @@ def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
         for visit in step:
             source.sample(visit.image, visit.number)
     # 36 visits: one round, of which the cache still holds some shards.
-    assert max(asked.values(), default=0) == 1
+    assert max(requests.values(), default=0) == 1
 
 
 def test_a_limit_that_is_no_number_is_one_line(far: str, monkeypatch: pytest.MonkeyPatch) -> None:

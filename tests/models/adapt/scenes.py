@@ -15,14 +15,14 @@ SIDE = 64
 def scene(seed: int, height: int = SIDE, width: int = SIDE) -> Gray:
     """(H, W) float32 in 0..1: blobs of several sizes on a grey floor."""
     wide = np.random.default_rng(seed).normal(0, 1, (height, width)).astype(np.float32)
-    found = np.asarray(sum(size * cv2.GaussianBlur(wide, (0, 0), size) for size in (2.5, 5.0)))
-    return np.asarray(np.clip(0.5 + 0.15 * found / found.std(), 0, 1), np.float32)
+    actual = np.asarray(sum(size * cv2.GaussianBlur(wide, (0, 0), size) for size in (2.5, 5.0)))
+    return np.asarray(np.clip(0.5 + 0.15 * actual / actual.std(), 0, 1), np.float32)
 
 
 def noisy(of: Gray, seed: int, noise: float = 0.08) -> Gray:
     """The scene with fresh white noise."""
-    seen = of + np.random.default_rng(1000 + seed).normal(0, noise, of.shape)
-    return np.asarray(np.clip(seen, 0, 1), np.float32)
+    observed = of + np.random.default_rng(1000 + seed).normal(0, noise, of.shape)
+    return np.asarray(np.clip(observed, 0, 1), np.float32)
 
 
 def write(path: Path, picture: Gray) -> None:

@@ -40,9 +40,9 @@ def weights(tmp_path: Path) -> Path:
 
 def stand_still(folder: Path, scenes: int = 2, frames: int = 6) -> list[Gray]:
     truth = [scene(number) for number in range(scenes)]
-    for number, one in enumerate(truth):
+    for number, scene_ in enumerate(truth):
         for frame in range(frames):
-            write(folder / f"{number}" / f"f{frame}.png", noisy(one, 100 * number + frame))
+            write(folder / f"{number}" / f"f{frame}.png", noisy(scene_, 100 * number + frame))
     return truth
 
 
@@ -125,9 +125,9 @@ def test_the_frames_that_judge_have_no_part_in_the_choice(tmp_path: Path) -> Non
 
 
 def test_what_moves_is_no_target(tmp_path: Path) -> None:
-    one = scene(0)
+    truth = scene(0)
     for frame in range(8):
-        picture = noisy(one, frame, 0.03)
+        picture = noisy(truth, frame, 0.03)
         picture[24:34, 7 * frame + 2 : 7 * frame + 12] = 1
         write(tmp_path / f"{frame}.png", picture)
     lessons = find_lessons(clips_of(tmp_path))
@@ -148,7 +148,7 @@ def test_stretches_are_found_in_a_shuffled_folder(tmp_path: Path) -> None:
     assert not lessons.same
     stills = [*lessons.learning, *lessons.held]
     closest = [
-        int(np.argmin([np.abs(np.mean(still.frames, axis=0) - one).mean() for one in truth]))
+        int(np.argmin([np.abs(np.mean(still.frames, axis=0) - image).mean() for image in truth]))
         for still in stills
     ]
     assert set(closest) >= {0, 1}
@@ -201,10 +201,10 @@ def test_sample_recordings_stand_still(tmp_path: Path) -> None:
     with_ping = read_clips([DATA / "aris-sdk/sample.aris"], tmp_path, Geometries(NONE))
     lessons = find_lessons(with_ping.clips)
     assert lessons is not None
-    assert [len(one.frames) for one in (*lessons.learning, *lessons.held)] == [5, 1]
+    assert [len(stretch.frames) for stretch in (*lessons.learning, *lessons.held)] == [5, 1]
     video = DATA / "didson/lamprey1.avi"
     part = read_clips([video], tmp_path, Geometries(NONE), most=16)
     assert (part.frames, sum(len(clip.shots) for clip in part.clips)) == (150, 16)
     lessons = find_lessons(part.clips)
     assert lessons is not None
-    assert [len(one.frames) for one in (*lessons.learning, *lessons.held)] == [13, 3]
+    assert [len(stretch.frames) for stretch in (*lessons.learning, *lessons.held)] == [13, 3]

@@ -58,9 +58,9 @@ def drawn_devices(rendered: tuple[Path, Path], **changes: Any) -> DeviceSource:
 
 
 def _opened(rendered: tuple[Path, Path], kind: str, changes: dict[str, Any]) -> Source:
-    given = {"pack": str(rendered[1]), "validation": 0.3, **changes}
+    data_options = {"pack": str(rendered[1]), "validation": 0.3, **changes}
     settings, _ = composed(f"data={kind}", f"dataset.dir='{rendered[0]}'", "data.patch=32")
-    data = replace(settings.data, **given)
+    data = replace(settings.data, **data_options)
     return open_data(replace(settings, data=data, seed=5)).learning
 
 

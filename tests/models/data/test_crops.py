@@ -28,13 +28,13 @@ def test_validation_shares_no_scene_with_training(dataset: Path) -> None:
     assert {s.scene for s in learning}.isdisjoint(s.scene for s in validation)
     assert len(learning) + len(validation) == 24
     assert len({s.scene for s in validation}) == 1
-    one = tuple(s for s in samples if s.scene == samples[0].scene)
-    learning, validation = hold_out(one, 0.3, seed=0)
+    of_scene = tuple(s for s in samples if s.scene == samples[0].scene)
+    learning, validation = hold_out(of_scene, 0.3, seed=0)
     assert {s.frame for s in learning}.isdisjoint(s.frame for s in validation)
     assert learning
     assert validation
     with pytest.raises(FactoryError, match="one frame"):
-        hold_out(tuple(s for s in one if s.frame == one[0].frame), 0.5, seed=0)
+        hold_out(tuple(s for s in of_scene if s.frame == of_scene[0].frame), 0.5, seed=0)
 
 
 def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None:
@@ -77,8 +77,8 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
         )
         return [batch["noisy"] for batch in loader]
 
-    for one, other in zip(batches(0), batches(1), strict=True):
-        assert torch.equal(one, other)
+    for first, second in zip(batches(0), batches(1), strict=True):
+        assert torch.equal(first, second)
 
 
 def test_the_sampler_goes_on_where_it_was_interrupted() -> None:
@@ -121,12 +121,12 @@ class CountedSource(Source):
 def test_an_image_serves_as_many_visits_as_asked_for(images: int, processes: int) -> None:
     """For any number of reading processes, which take the steps in turns."""
     sampler = VisitSampler(images, data_settings(batch=8, crops=2, reuse=8), every=100, seed=0)
-    made = CountedSource(images)
-    kept = [KeptSource(made, processes) for _ in range(processes)]
+    counted = CountedSource(images)
+    remaining = [KeptSource(counted, processes) for _ in range(processes)]
     visits = 0
     for sampler.step in range(0, 1000, 100):
         for number, step in enumerate(sampler):
             for visit in step:
-                kept[number % processes].sample(visit.image, visit.round)
+                remaining[number % processes].sample(visit.image, visit.round)
                 visits += 1
-    assert visits / made.count > 7
+    assert visits / counted.count > 7

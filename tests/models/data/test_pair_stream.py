@@ -39,18 +39,18 @@ def test_batches_are_pairs_under_fresh_noise(words: tuple[str, ...]) -> None:
     frames = len(stream.frames)
     assert frames == 4
     batch = stream.batch(0)
-    assert {name: (one.shape, one.dtype) for name, one in batch.items()} == dict.fromkeys(
+    assert {name: (values.shape, values.dtype) for name, values in batch.items()} == dict.fromkeys(
         ("noisy", "clean", "shadow"), (torch.Size([2, 1, 256, 256]), torch.float32)
     )
     assert 0 <= batch["noisy"].min() < batch["noisy"].max() <= 1
     assert not torch.equal(batch["noisy"], batch["clean"])
     rounds = [[stream.pair(position) for position in range(k, k + frames)] for k in (0, frames)]
-    names = [[pair.record["frame"] for pair in one] for one in rounds]
-    scenes = [[pair.record["scene"] for pair in one] for one in rounds]
+    names = [[pair.record["frame"] for pair in round_] for round_ in rounds]
+    scenes = [[pair.record["scene"] for pair in round_] for round_ in rounds]
     places = [sorted(zip(*both, strict=True)) for both in zip(scenes, names, strict=True)]
     assert places[0] == places[1]
     assert len(set(places[0])) == frames
-    noisy = {pair.noisy.tobytes() for one in rounds for pair in one}
+    noisy = {pair.noisy.tobytes() for round_ in rounds for pair in round_}
     assert len(noisy) == 2 * frames
     folder = words[-1].partition("=")[2]
     with PairDataset(folder, "train", trusted=True) as pairs:

@@ -137,12 +137,12 @@ LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
 def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
     shutil.copy(LAMPREY, tmp_path / "dive.avi")
     cv2.imwrite(str(tmp_path / "one.png"), np.full((300, 500), 90, np.uint8))
-    found = list_images(tmp_path)
-    assert [sample.frame for sample in found] == [*(f"dive.avi#{n}" for n in range(36)), "one.png"]
-    assert found[0].scene == "dive.avi"
-    side, smallest = smallest_side(found)
+    actual = list_images(tmp_path)
+    assert [sample.frame for sample in actual] == [*(f"dive.avi#{n}" for n in range(36)), "one.png"]
+    assert actual[0].scene == "dive.avi"
+    side, smallest = smallest_side(actual)
     assert (side, smallest.frame) == (300, "one.png")
-    frames = [read_sample(found[number])[0] for number in (7, 0, 36)]
+    frames = [read_sample(actual[number])[0] for number in (7, 0, 36)]
     assert [frame.shape for frame in frames] == [(774, 400), (774, 400), (300, 500)]
     assert 0 <= frames[0].min() < frames[0].max() <= 1
     np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])
@@ -151,9 +151,9 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
 def test_arrays_are_recordings_for_training_and_for_evaluate_real(tmp_path: Path) -> None:
     pictures = pings(9, 30, 40)
     path = write_array(tmp_path / "a.npy", pictures)
-    found = list_images(path)
-    assert [sample.frame for sample in found] == [f"a.npy#{n}" for n in range(9)]
-    picture, _ = read_sample(found[5])
+    actual = list_images(path)
+    assert [sample.frame for sample in actual] == [f"a.npy#{n}" for n in range(9)]
+    picture, _ = read_sample(actual[5])
     np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
     words = ("data=olddata", f"data.folder='{path}'", "data.patch=16")
     assert len(open_data(composed(*words)[0]).validation) > 0

@@ -72,13 +72,15 @@ def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
 def test_weaker_and_fewer_noise_down_to_none(rendered: tuple[Path, Path]) -> None:
     source = renders(rendered, weaker=0.5, fewer=0.5)
     settings = [source.noise_of(0, visit) for visit in range(80)]
-    kept = [tuple(getattr(one, effect).enabled for effect in POINT_EFFECTS) for one in settings]
-    assert 0.2 < np.mean([all(enabled) for enabled in kept]) < 0.6
-    assert len(set(kept)) > 8, "each effect has a coin of its own"
+    remaining = [
+        tuple(getattr(noise, effect).enabled for effect in POINT_EFFECTS) for noise in settings
+    ]
+    assert 0.2 < np.mean([all(enabled) for enabled in remaining]) < 0.6
+    assert len(set(remaining)) > 8, "each effect has a coin of its own"
     full = source.config.noise.background.density.values[1]
-    seen = [one.background.density.values[1] / full for one in settings]
-    assert min(seen) < 0.2
-    assert max(seen) == 1
+    observed = [noise.background.density.values[1] / full for noise in settings]
+    assert min(observed) < 0.2
+    assert max(observed) == 1
     none = next(visit for visit in range(200) if not any(_enabled(source.noise_of(0, visit))))
     sample = source.sample(0, none)
     np.testing.assert_array_equal(sample.noisy, sample.clean)
@@ -102,21 +104,21 @@ def test_training_on_renders_broken_off_ends_with_the_same_bytes(
     step = Loop.update
     calls: list[int] = []
 
-    def breaks_down(self: Loop, *given: Any) -> Any:
-        calls.append(len(given[-1]["noisy"]))
+    def breaks_down(self: Loop, *arguments: Any) -> Any:
+        calls.append(len(arguments[-1]["noisy"]))
         if len(calls) == 4:
             raise OSError("the power went")
-        return step(self, *given)
+        return step(self, *arguments)
 
     with monkeypatch.context() as patch:
         patch.setattr(Loop, "update", breaks_down)
         with pytest.raises(OSError, match="power"):
             train(*composed(*words, f"out='{tmp_path / 'broken'}'"))
     train(*composed(*words, f"out='{tmp_path / 'broken'}'"))
-    one, other = (
+    first, second = (
         (tmp_path / name / "weights.safetensors").read_bytes() for name in ("whole", "broken")
     )
-    assert one == other
+    assert first == second
 
 
 def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) -> None:
@@ -126,7 +128,7 @@ def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) 
     drawn = {visit: source.scale_of(0, visit) for visit in range(40)}
     assert 8 < sum(scale == 2 for scale in drawn.values()) < 32
     for scale in (1.0, 2.0):
-        visit = next(number for number, one in drawn.items() if one == scale)
+        visit = next(number for number, drawn_scale in drawn.items() if drawn_scale == scale)
         sample = source.sample(0, visit)
         assert sample.noisy.shape == (scale * height, scale * width)
         assert sample.geometry is not None
@@ -182,16 +184,16 @@ def source(rendered: tuple[Path, Path]) -> DeviceSource:
 def test_every_visit_is_another_picture_and_the_same_one_again(source: DeviceSource) -> None:
     elsewhere = pickle.loads(pickle.dumps(source))
     samples = [source.sample(0, visit) for visit in range(4)]
-    assert len({one.noisy.shape for one in samples}) > 1
+    assert len({sample.noisy.shape for sample in samples}) > 1
     again = elsewhere.sample(0, 3)
     np.testing.assert_array_equal(again.noisy, samples[3].noisy)
     assert again.geometry == samples[3].geometry
-    for one in samples:
-        assert one.shadow is not None
-        assert one.noisy.shape == one.clean.shape == one.shadow.shape
-        assert min(one.noisy.shape) >= 48
-        assert one.noisy.min() >= 0
-        assert one.noisy.max() <= 1
+    for sample in samples:
+        assert sample.shadow is not None
+        assert sample.noisy.shape == sample.clean.shape == sample.shadow.shape
+        assert min(sample.noisy.shape) >= 48
+        assert sample.noisy.min() >= 0
+        assert sample.noisy.max() <= 1
         # A shadow is learned where it is black, not where haze lies over it.
-        assert not (one.shadow.astype(bool) & (one.clean > 0.02)).any()
-    assert any((one.noisy != one.clean).any() for one in samples)
+        assert not (sample.shadow.astype(bool) & (sample.clean > 0.02)).any()
+    assert any((sample.noisy != sample.clean).any() for sample in samples)

@@ -105,10 +105,10 @@ def test_crops_are_drawn_by_index_and_visit_alone(swims):
     words = ("data.crops=4", "data.batch=4", "data.targets=1")
     source, again = source_of(swims, *words), source_of(swims, *words)
     first = source.crops(1, 3, 32)
-    for crop, other in zip(first, again.crops(1, 3, 32), strict=True):
+    for crop, repeated in zip(first, again.crops(1, 3, 32), strict=True):
         assert crop.noisy.shape == (7, 32, 32)
-        assert crop.corner == other.corner
-        np.testing.assert_array_equal(crop.noisy, other.noisy)
+        assert crop.corner == repeated.corner
+        np.testing.assert_array_equal(crop.noisy, repeated.noisy)
         assert crop.moving[3].any()
     assert [crop.corner for crop in source.crops(1, 4, 32)] != [crop.corner for crop in first]
     none = source_of(swims, *words[:2], "data.targets=0")
@@ -138,11 +138,11 @@ def test_a_training_on_sequences_broken_off_ends_with_the_same_bytes(swims, tmp_
     step = Loop.update
     calls: list[int] = []
 
-    def breaks_down(self: Loop, *given: Any) -> Any:
+    def breaks_down(self: Loop, *arguments: Any) -> Any:
         calls.append(1)
         if len(calls) == 4:
             raise OSError("the power went")
-        return step(self, *given)
+        return step(self, *arguments)
 
     with monkeypatch.context() as patch:
         patch.setattr(Loop, "update", breaks_down)

@@ -62,9 +62,9 @@ def test_an_unknown_reference_stays_unknown() -> None:
 
 
 def test_targets_depend_on_the_stream_alone() -> None:
-    first, second, other = (draw_targets(np.random.default_rng(seed), SHAPE) for seed in (1, 1, 2))
+    first, second, third = (draw_targets(np.random.default_rng(seed), SHAPE) for seed in (1, 1, 2))
     assert first == second
-    assert first != other
+    assert first != third
 
 
 def test_a_resized_fan_keeps_range_and_bearing_of_the_scene() -> None:

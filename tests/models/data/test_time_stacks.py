@@ -58,15 +58,15 @@ def test_a_recording_that_moves_is_taught_alone() -> None:
 def test_speckle_that_stands_still_stays_in_the_target() -> None:
     rng = np.random.default_rng(1)
     noisy = np.clip(scene() * rng.gamma(3, 1 / 3, SHAPE), 0, 1).astype(np.float32)
-    kept = [
+    remaining = [
         standing(Sample(noisy, scene(), np.zeros(SHAPE, np.float32), POLAR), rng) for _ in range(12)
     ]
-    spread = [float(np.nanstd(one.clean - scene())) for one in kept]
+    spread = [float(np.nanstd(sample.clean - scene())) for sample in remaining]
     assert min(spread) < 0.01
     assert max(spread) > 0.1
-    for one in kept:
-        assert one.frames is not None
-        assert np.nanmax(np.abs(one.noisy - one.clean)) < 0.5
+    for sample in remaining:
+        assert sample.frames is not None
+        assert np.nanmax(np.abs(sample.noisy - sample.clean)) < 0.5
 
 
 def test_a_loud_beam_is_not_in_the_target() -> None:
@@ -74,10 +74,10 @@ def test_a_loud_beam_is_not_in_the_target() -> None:
         dark = Sample(
             np.full(SHAPE, 0.05, np.float32), np.full(SHAPE, 0.05, np.float32), None, POLAR
         )
-        found = with_loud_beam(dark, np.random.default_rng(seed))
-        assert found.clean.std() < 1e-6
-        if found is not dark:
-            along = (found.noisy - found.clean).mean(axis=0)
+        actual = with_loud_beam(dark, np.random.default_rng(seed))
+        assert actual.clean.std() < 1e-6
+        if actual is not dark:
+            along = (actual.noisy - actual.clean).mean(axis=0)
             assert along.max() > 5 * np.median(along)
             return
     raise AssertionError("no loud beam in 60 pictures")
@@ -109,6 +109,6 @@ def test_all_kinds_are_mixed_and_every_visit_is_the_same_again() -> None:
     data = replace(settings.data, points_share=0.2, recordings_share=0.3, several=0.5)
     source = MixedSource(Only(), Only(), [stack(20)], data, seed=3)
     samples = [source.sample(index % 4, index // 4) for index in range(60)]
-    assert {one.taught for one in samples} == {0.0, 0.5, 0.8}
+    assert {sample.taught for sample in samples} == {0.0, 0.5, 0.8}
     again = source.sample(2, 5)
     np.testing.assert_array_equal(again.noisy, samples[22].noisy)

@@ -24,6 +24,6 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
-    made = Halving()
-    monkeypatch.setattr(command, "Denoiser", lambda *given, **named: made)
-    return made
+    denoiser = Halving()
+    monkeypatch.setattr(command, "Denoiser", lambda *arguments, **named: denoiser)
+    return denoiser

@@ -19,18 +19,20 @@ from tests.models.recordings.recording_files import pings
 def test_bags_become_bags(tmp_path: Path, halving: Halving) -> None:
     folder = tmp_path / "in"
     (folder / "deep").mkdir(parents=True)
-    given = pings(3, 20, 16)
+    samples = pings(3, 20, 16)
     for name, version in (("a.bag", 1), ("deep/b", 2), ("c.mcap", 2)):
         store = typestore(version)
-        messages = [sonar(store, number, one) for number, one in enumerate(given)]
+        messages = [sonar(store, number, ping) for number, ping in enumerate(samples)]
         write_bag(folder / name, {"/sonar": (SONAR, messages)})
     out = tmp_path / "out"
     assert main([str(folder), "--out", str(out), "--compare"]) == 0
     for name in ("a.bag", "deep/b", "c.mcap"):
-        before, after = ([one[:3] for one in content(where / name)] for where in (folder, out))
+        before, after = (
+            [message[:3] for message in content(place / name)] for place in (folder, out)
+        )
         assert before == after
         with open_recording(out / name) as bag:
-            for old, new in zip(given, bag, strict=True):
+            for old, new in zip(samples, bag, strict=True):
                 assert np.abs(new.samples - old / 2).max() <= 0.5
     assert len(halving.told) == 9
     told = halving.told[0]

@@ -33,10 +33,10 @@ def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None
         for old, new in zip(before, after, strict=True):
             assert np.abs(new.samples - old.samples / 2).max() <= 0.5
             assert (new.beams, new.time_s, new.pose) == (old.beams, old.time_s, old.pose)
-    told = halving.told[0]
-    assert told is not None
-    assert (told.layout, told.range_bins, len(told.beam_azimuths_rad)) == ("polar", 40, 48)
-    assert told.range_min_m == pytest.approx(2.0, abs=0.01)
+    message = halving.told[0]
+    assert message is not None
+    assert (message.layout, message.range_bins, len(message.beam_azimuths_rad)) == ("polar", 40, 48)
+    assert message.range_min_m == pytest.approx(2.0, abs=0.01)
     assert (out / "compare" / "a.aris.png").is_file()
     assert sorted(path.name for path in out.iterdir()) == ["a.aris", "compare"]
 
@@ -45,49 +45,49 @@ def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None
 def test_stacks_and_arrays_become_the_same(tmp_path: Path, halving: Halving, dtype: Any) -> None:
     """All of their frames, grey or in colours; tables beside them are left alone."""
     full = 1 if dtype is np.uint8 else 257 if dtype is np.uint16 else 1 / 255
-    given = (pings(3, 41, 48) * float(full)).astype(dtype)
-    coloured = np.stack(list(given), axis=-1)
-    arrays = {"one": given[0], "several": given, "colours": coloured, "first": given[:1]}
+    samples = (pings(3, 41, 48) * float(full)).astype(dtype)
+    coloured = np.stack(list(samples), axis=-1)
+    arrays = {"one": samples[0], "several": samples, "colours": coloured, "first": samples[:1]}
     for name, array in arrays.items():
         np.save(tmp_path / f"{name}.npy", array)
     np.save(tmp_path / "poses.npy", np.zeros((3, 4, 4)))
-    write_stack(tmp_path / "a.tif", given)
-    write_stack(tmp_path / "page.tif", given[:1])
+    write_stack(tmp_path / "a.tif", samples)
+    write_stack(tmp_path / "page.tif", samples[:1])
     out = tmp_path / "out"
     assert main([str(tmp_path), "--out", str(out), "--compare"]) == 0
     assert {path.stem for path in out.iterdir()} == {*arrays, "a", "page", "compare"}
     for name, array in arrays.items():
-        found = np.load(out / f"{name}.npy")
-        assert (found.dtype, found.shape) == (dtype, array.shape)
-        assert np.abs(found - array / 2.0).max() <= 0.5
+        actual = np.load(out / f"{name}.npy")
+        assert (actual.dtype, actual.shape) == (dtype, array.shape)
+        assert np.abs(actual - array / 2.0).max() <= 0.5
     with open_recording(out / "a.tif") as after:
         pages = np.array([frame.samples for frame in after])
     assert pages.dtype == dtype
-    assert np.abs(pages - given / 2.0).max() <= 0.5
+    assert np.abs(pages - samples / 2.0).max() <= 0.5
     assert (out / "compare" / "a.tif.png").is_file()
 
 
 @pytest.mark.parametrize("name", ["a.npz", "b.mat"])
 def test_arrays_in_files_of_several(tmp_path: Path, halving: Halving, name: str) -> None:
     """The pictures come back as a .npy file."""
-    given = pings(5, 41, 48)
+    samples = pings(5, 41, 48)
     folder = tmp_path / "in"
     folder.mkdir()
-    write_array(folder / name, given, poses=np.zeros((5, 4, 4)))
+    write_array(folder / name, samples, poses=np.zeros((5, 4, 4)))
     write_array(folder / f"z{name}", np.zeros((5, 4, 4)))
     out = tmp_path / "out"
     assert main([str(folder), "--out", str(out)]) == 0
     assert [path.name for path in out.iterdir()] == [f"{name[0]}.npy"]
-    found = np.load(out / f"{name[0]}.npy")
-    assert np.abs(found - given / 2.0).max() <= 0.5
+    actual = np.load(out / f"{name[0]}.npy")
+    assert np.abs(actual - samples / 2.0).max() <= 0.5
 
 
 def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:
     picture = pings(1, 41, 48)[0]
     assert cv2.imwrite(str(tmp_path / "a.webp"), picture, [cv2.IMWRITE_WEBP_QUALITY, 101])
     assert main([str(tmp_path / "a.webp"), "--out", str(tmp_path / "out")]) == 0
-    found = cv2.imread(str(tmp_path / "out" / "a.webp"), cv2.IMREAD_GRAYSCALE)
-    assert np.abs(found - picture / 2.0).max() <= 0.5
+    actual = cv2.imread(str(tmp_path / "out" / "a.webp"), cv2.IMREAD_GRAYSCALE)
+    assert np.abs(actual - picture / 2.0).max() <= 0.5
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -126,15 +126,15 @@ def test_fans_are_found_unless_told_not_to(
     said = capsys.readouterr().out
     assert f"geometry: fan found in 2 of 3 pictures searched ({folder})" in said
     assert f"geometry: fan found in 1 of 1 pictures searched ({folder / 'deep'})" in said
-    found = [told for told in halving.told if told is not None]
-    assert len(found) == 3
-    assert found[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)
+    actual = [message for message in halving.told if message is not None]
+    assert len(actual) == 3
+    assert actual[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)
     halving.told.clear()
     assert main([*arguments, "--geometry", "none"]) == 0
     assert halving.told == [None] * 4
     assert "geometry" not in capsys.readouterr().out
     assert main([*arguments, "--geometry", "polar"]) == 0
-    assert {told.layout for told in halving.told if told is not None} == {"polar"}
+    assert {message.layout for message in halving.told if message is not None} == {"polar"}
 
 
 def test_damaged_recordings_are_skipped(

@@ -113,10 +113,10 @@ def test_deep_greys_keep_their_bits(
         assert before[0].samples.dtype == after[0].samples.dtype == np.uint16
         assert before.properties.bits == after.properties.bits == bits
         distinct = len(np.unique(before[0].samples))
-        wanted, found = before[1].samples / 2, after[1].samples
+        wanted, actual = before[1].samples / 2, after[1].samples
     assert distinct > 256
-    assert len(np.unique(found)) > 256
-    assert np.abs(found - wanted).max() <= 65535 / ((1 << bits) - 1)
+    assert len(np.unique(actual)) > 256
+    assert np.abs(actual - wanted).max() <= 65535 / ((1 << bits) - 1)
     assert "skipped" not in capsys.readouterr().err
 
 
@@ -194,8 +194,8 @@ def jet(levels: npt.NDArray[np.floating] | Bytes) -> Bytes:
     return np.asarray(cv2.applyColorMap(rounded, cv2.COLORMAP_JET), np.uint8)
 
 
-def away(one: npt.NDArray[Any], other: Bytes) -> float:
-    return float(np.abs(one.astype(int) - other).mean())
+def away(frame: npt.NDArray[Any], reference: Bytes) -> float:
+    return float(np.abs(frame.astype(int) - reference).mean())
 
 
 @pytest.mark.usefixtures("halving")

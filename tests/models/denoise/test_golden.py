@@ -42,20 +42,20 @@ GOLDEN = {
 def frames(path: Path = RECORDING) -> tuple[Grey, FanGeometry]:
     """(T, H, W) float32 in 0..1, and the fan."""
     video = cv2.VideoCapture(str(path))
-    found: list[npt.NDArray[Any]] = []
-    while len(found) < _FRAMES and (read := video.read())[0]:
-        found.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))
-    geometry = find_geometry(found[0])
+    actual: list[npt.NDArray[Any]] = []
+    while len(actual) < _FRAMES and (read := video.read())[0]:
+        actual.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))
+    geometry = find_geometry(actual[0])
     assert geometry is not None
-    return np.stack(found).astype(np.float32) / 255, geometry
+    return np.stack(actual).astype(np.float32) / 255, geometry
 
 
 def target(members: range) -> Grey:
     """The mean of the other frames, NaN outside the fan."""
-    seen, geometry = frames()
-    others = [number for number in range(len(seen)) if number not in members]
-    sector = geometry.maps(0, 0, *seen.shape[1:])["sector"] > 0
-    return np.where(sector, seen[others].mean(axis=0), np.nan).astype(np.float32)
+    observed, geometry = frames()
+    others = [number for number in range(len(observed)) if number not in members]
+    sector = geometry.maps(0, 0, *observed.shape[1:])["sector"] > 0
+    return np.where(sector, observed[others].mean(axis=0), np.nan).astype(np.float32)
 
 
 def pairs(kind: str) -> list[tuple[Grey, Grey, FanGeometry]]:
@@ -78,27 +78,27 @@ def psnr(picture: Grey, reference: Grey) -> float:
 def figures(name: str) -> dict[str, float]:
     """What a file gains, dB: on single frames, on means of seven, on procedural pictures."""
     denoise = Denoiser(name, "cpu")
-    seen, geometry = frames()
+    observed, geometry = frames()
     single: list[float] = []
     several: list[float] = []
     for members in (range(2, 3), range(5, 6), range(4), range(4, 8)):
-        noisy = seen[members.start : members.stop].mean(axis=0)
-        made, wished = denoise(noisy, geometry, frames=len(members)), target(members)
-        gain = psnr_after_levels(made, wished) - psnr_after_levels(noisy, wished)
+        noisy = observed[members.start : members.stop].mean(axis=0)
+        denoised, wished = denoise(noisy, geometry, frames=len(members)), target(members)
+        gain = psnr_after_levels(denoised, wished) - psnr_after_levels(noisy, wished)
         (single if len(members) == 1 else several).append(gain)
-    found = {"frame": float(np.mean(single)), "mean of 4": float(np.mean(several))}
+    actual = {"frame": float(np.mean(single)), "mean of 4": float(np.mean(several))}
     for kind in ("sonar", "points"):
         gains = [
-            psnr(denoise(noisy, where), clean) - psnr(noisy, clean)
-            for noisy, clean, where in pairs(kind)
+            psnr(denoise(noisy, geometry), clean) - psnr(noisy, clean)
+            for noisy, clean, geometry in pairs(kind)
         ]
-        found[kind] = float(np.mean(gains))
-    return found
+        actual[kind] = float(np.mean(gains))
+    return actual
 
 
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_weights_that_ship_keep_their_decibels(name: str) -> None:
-    found = figures(name)
+    actual = figures(name)
     assert GOLDEN.keys() == shipped().keys()
-    short = {key: round(found[key], 3) for key, least in GOLDEN[name].items()}
-    assert all(found[key] > least - _MAY_LOSE for key, least in GOLDEN[name].items()), short
+    short = {key: round(actual[key], 3) for key, least in GOLDEN[name].items()}
+    assert all(actual[key] > least - _MAY_LOSE for key, least in GOLDEN[name].items()), short

@@ -35,15 +35,15 @@ def test_turned_fans_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
         again = np.rot90(read[name], -turns).astype(np.float64)
         assert np.abs(again - usual).mean() < 0.2, name
     turned = np.rot90(grey)
-    found = find_geometry(turned)
-    assert found is not None
+    actual = find_geometry(turned)
+    assert actual is not None
     in_python = simnfnd.denoise(turned.astype(np.float32) / 255)
     np.testing.assert_allclose(in_python * 255, read["from the left"], atol=1.5)
-    shot = Shot((turned / np.float32(255)).astype(np.float32), found)
-    for made in presented([shot]):
-        np.testing.assert_allclose(made.grey * 255, grey, atol=1e-3)
-        assert made.geometry is not None
-        assert made.geometry.quarter_turns == 0
+    shot = Shot((turned / np.float32(255)).astype(np.float32), actual)
+    for presented_shot in presented([shot]):
+        np.testing.assert_allclose(presented_shot.grey * 255, grey, atol=1e-3)
+        assert presented_shot.geometry is not None
+        assert presented_shot.geometry.quarter_turns == 0
 
 
 @pytest.mark.parametrize("ground", [(0, 0, 0), (45, 45, 45)])

@@ -40,9 +40,9 @@ def pings(count: int) -> list[Bytes]:
 
 
 def geometry_of(grey: Bytes) -> FanGeometry:
-    found = FanTracker().geometry(grey)
-    assert found is not None
-    return found
+    actual = FanTracker().geometry(grey)
+    assert actual is not None
+    return actual
 
 
 def half(grey: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
@@ -64,11 +64,11 @@ def test_copies_in_a_video_are_told_from_pings(
     path = encode(tmp_path / name, repeated, codec=codec, stored=stored, options=options, rate=24)
     finder = RepeatFinder()
     with open_recording(path) as recording:
-        found = [finder.is_repeat(frame.samples.astype(np.float32) / 255) for frame in recording]
+        actual = [finder.is_repeat(frame.samples.astype(np.float32) / 255) for frame in recording]
     expected = [number % 3 > 0 for number in range(18)]
-    wrong = sum(a != b for a, b in zip(found, expected, strict=True))
+    wrong = sum(a != b for a, b in zip(actual, expected, strict=True))
     assert wrong <= (0 if codec == "ffv1" else 2), "a rate control that settles costs a copy"
-    assert not any(found[::3]), "a new ping is never taken for a copy"
+    assert not any(actual[::3]), "a new ping is never taken for a copy"
 
 
 def test_a_recording_with_copies_is_denoised_as_at_its_own_rate() -> None:
@@ -113,9 +113,9 @@ def test_references_hold_no_copy(tmp_path: Path) -> None:
 
 def test_adapt_learns_from_no_copy(tmp_path: Path) -> None:
     path = encode(tmp_path / "a.avi", [frame for frame in pings(8) for _ in range(2)])
-    found = read_clips([path], tmp_path / "out", Geometries("none"))
-    assert [len(clip.shots) for clip in found.clips] == [8]
-    assert found.copies == 8
+    actual = read_clips([path], tmp_path / "out", Geometries("none"))
+    assert [len(clip.shots) for clip in actual.clips] == [8]
+    assert actual.copies == 8
 
 
 # --- fans that change -----------------------------------------------------------------------------
@@ -149,23 +149,23 @@ def test_the_fan_is_followed(tmp_path: Path) -> None:
     fans = {"small": geometry_of(small[0]), "large": geometry_of(frames[3])}
     tracker = FanTracker()
     for number, (frame, name) in enumerate(zip(shown, expected, strict=True)):
-        found = tracker.geometry(frame)
-        assert (found is None) == (name is None), number
-        if found is not None and name is not None:
-            assert found.far_px == pytest.approx(fans[name].far_px, abs=2), number
+        actual = tracker.geometry(frame)
+        assert (actual is None) == (name is None), number
+        if actual is not None and name is not None:
+            assert actual.far_px == pytest.approx(fans[name].far_px, abs=2), number
     assert tracker.changes == 1
     assert tracker.searched < 10, "most frames are not searched"
     with open_shown(path) as recording:
-        for one, name in zip(recording, expected, strict=True):
-            assert (one.geometry is None) == (name is None)
-            if one.geometry is not None and name is not None:
-                assert one.geometry.far_px == pytest.approx(fans[name].far_px, abs=2)
+        for shot, name in zip(recording, expected, strict=True):
+            assert (shot.geometry is None) == (name is None)
+            if shot.geometry is not None and name is not None:
+                assert shot.geometry.far_px == pytest.approx(fans[name].far_px, abs=2)
 
 
 def test_the_fan_of_still_frames_is_one_object() -> None:
     tracker = FanTracker()
-    found = {id(tracker.geometry(frame)) for frame in pings(8)}
-    assert len(found) == 1
+    actual = {id(tracker.geometry(frame)) for frame in pings(8)}
+    assert len(actual) == 1
     assert (tracker.searched, tracker.changes) == (1, 0)
 
 

@@ -51,10 +51,10 @@ def both(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, Path]:
     """Weights of a small network that changes pictures, and its graph."""
-    return made(MODELS[request.param], tmp_path_factory.mktemp("runtime"))
+    return exported(MODELS[request.param], tmp_path_factory.mktemp("runtime"))
 
 
-def made(model: dict[str, Any], folder: Path) -> tuple[Path, Path]:
+def exported(model: dict[str, Any], folder: Path) -> tuple[Path, Path]:
     folder.mkdir(exist_ok=True)
     torch.manual_seed(1)
     network = build_network(model)
@@ -80,12 +80,12 @@ def in_torch(both: tuple[Path, Path]) -> Denoiser:
 
 
 def test_a_graph_of_another_network_is_no_graph_of_these_weights(tmp_path: Path) -> None:
-    weights, _ = made(MODELS["grid"], tmp_path / "grid")
-    _, other = made(MODELS["plane"], tmp_path / "plane")
-    weights.with_suffix(".onnx").write_bytes(other.read_bytes())
+    weights, _ = exported(MODELS["grid"], tmp_path / "grid")
+    _, other_weights = exported(MODELS["plane"], tmp_path / "plane")
+    weights.with_suffix(".onnx").write_bytes(other_weights.read_bytes())
     assert find_graph(weights) is None
     assert _runtime_of(str(weights)) == "torch"
-    made(MODELS["grid"], tmp_path / "grid")
+    exported(MODELS["grid"], tmp_path / "grid")
     assert _runtime_of(str(weights)) == "onnxruntime"
 
 
@@ -96,21 +96,23 @@ def within(denoise: Denoiser) -> float:
 
 
 @pytest.mark.parametrize("frames", [None, 3.0, "map"])
-@pytest.mark.parametrize("where", ["fan", "polar", "unknown"])
+@pytest.mark.parametrize("kind", ["fan", "polar", "unknown"])
 def test_onnxruntime_gets_what_torch_gets(
-    both: tuple[Path, Path], where: str, frames: float | str | None
+    both: tuple[Path, Path], kind: str, frames: float | str | None
 ) -> None:
     drawn, geometry = fan(preset("aris_explorer_3000", 90, 127), 0.3, holes=False)
     picture = drawn.astype(np.float32) / 255
     polar = FanGeometry.polar().with_size(*picture.shape)
-    known = {"fan": geometry, "polar": polar, "unknown": None}[where]
-    told: float | np.ndarray | None = None if isinstance(frames, str) else frames
+    known = {"fan": geometry, "polar": polar, "unknown": None}[kind]
+    message: float | np.ndarray | None = None if isinstance(frames, str) else frames
     if frames == "map":
-        told = np.random.default_rng(0).uniform(1, 7, picture.shape).astype(np.float32)
+        message = np.random.default_rng(0).uniform(1, 7, picture.shape).astype(np.float32)
     of_torch, of_onnx = in_torch(both), in_onnx(both)
-    wished = of_torch(picture, known, frames=told)
+    wished = of_torch(picture, known, frames=message)
     assert np.abs(wished - picture).max() > 0.01
-    np.testing.assert_allclose(of_onnx(picture, known, frames=told), wished, atol=within(of_onnx))
+    np.testing.assert_allclose(
+        of_onnx(picture, known, frames=message), wished, atol=within(of_onnx)
+    )
     if frames is not None and of_onnx.knows_frames:
         assert np.abs(of_torch(picture, known) - wished).max() > 1e-4
 

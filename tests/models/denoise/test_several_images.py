@@ -42,9 +42,9 @@ def test_animations_come_back_frame_by_frame(tmp_path: Path, name: str) -> None:
         written = [TimedImage(image, duration_s=0.12) for image in changed]
         write_frames(tmp_path / "out" / name, written, recording)
     with open_recording(tmp_path / "out" / name) as again:
-        found = list(again)
-        np.testing.assert_array_equal([frame.samples for frame in found], changed)
-    assert [frame.duration_s for frame in found] == [0.12] * 5
+        actual = list(again)
+        np.testing.assert_array_equal([frame.samples for frame in actual], changed)
+    assert [frame.duration_s for frame in actual] == [0.12] * 5
     with Image.open(tmp_path / "out" / name) as image:
         assert getattr(image, "n_frames", 1) == 5, "other programs see every frame, repeated or not"
 
@@ -53,8 +53,8 @@ def test_deep_and_coloured_animations(tmp_path: Path) -> None:
     deep = pings(3, 24, 32).astype(np.uint16) * 17
     path = animated(tmp_path / "deep.png", deep)
     coloured = np.random.default_rng(0).integers(0, 256, (3, 24, 32, 3), dtype=np.uint8)
-    other = animated(tmp_path / "a.webp", coloured, lossless=True)
-    for file, expected in ((path, deep), (other, coloured[..., ::-1])):
+    animation = animated(tmp_path / "a.webp", coloured, lossless=True)
+    for file, expected in ((path, deep), (animation, coloured[..., ::-1])):
         with open_recording(file) as recording:
             frames = [frame.samples for frame in recording]
             np.testing.assert_array_equal(frames, expected)
@@ -71,10 +71,10 @@ def test_an_animation_that_is_cut_short(tmp_path: Path, name: str, share: float)
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     with open_recording(path) as recording:
-        found = [frame.samples for frame in recording]
+        actual = [frame.samples for frame in recording]
         assert "cut short" in recording.warning
-        assert len(found) == len(recording) == int(6 * share - 0.05)
-    np.testing.assert_array_equal(found, frames[: len(found)])
+        assert len(actual) == len(recording) == int(6 * share - 0.05)
+    np.testing.assert_array_equal(actual, frames[: len(actual)])
 
 
 @pytest.mark.parametrize("dtype", ["u1", "u2", ">u2", "f4"])
@@ -91,7 +91,7 @@ def test_images_behind_one_directory(tmp_path: Path, dtype: str) -> None:
     for file, count in ((path, 6), (cut, 4)):
         assert kind_of(file) == "stack"
         with open_recording(file) as recording:
-            np.testing.assert_array_equal([one.samples for one in recording], native[:count])
+            np.testing.assert_array_equal([frame.samples for frame in recording], native[:count])
             assert len(recording) == count
             assert ("cut short" in recording.warning) == (count < 6)
 
@@ -105,10 +105,10 @@ def test_pages_that_are_cut_short(tmp_path: Path) -> None:
     content = path.read_bytes()
     path.write_bytes(content[: int(0.7 * len(content))])
     with open_recording(path) as recording:
-        found = [frame.samples for frame in recording]
+        actual = [frame.samples for frame in recording]
         assert "cut short" in recording.warning
-    assert 3 <= len(found) <= 4
-    np.testing.assert_array_equal(found, frames[: len(found)])
+    assert 3 <= len(actual) <= 4
+    np.testing.assert_array_equal(actual, frames[: len(actual)])
 
 
 @pytest.mark.usefixtures("halving")
@@ -207,10 +207,10 @@ def test_an_array_that_is_cut_short(tmp_path: Path, name: str) -> None:
     content = path.read_bytes()
     path.write_bytes(content[: int(0.7 * len(content))])
     with open_recording(path) as recording:
-        found = [frame.samples for frame in recording]
+        actual = [frame.samples for frame in recording]
         assert "cut short" in recording.warning
-    assert 6 <= len(found) <= 7
-    np.testing.assert_array_equal(found, frames[: len(found)])
+    assert 6 <= len(actual) <= 7
+    np.testing.assert_array_equal(actual, frames[: len(actual)])
 
 
 @pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])

@@ -53,9 +53,9 @@ def use(
     number: int = signal.SIGINT,
     kind: type[Stopping] = Stopping,
 ) -> Stopping:
-    made = kind(at, number)
-    monkeypatch.setattr(command, "Denoiser", lambda *given, **named: made)
-    return made
+    denoiser = kind(at, number)
+    monkeypatch.setattr(command, "Denoiser", lambda *arguments, **named: denoiser)
+    return denoiser
 
 
 @pytest.mark.parametrize(
@@ -69,8 +69,8 @@ def test_what_is_done_is_skipped_by_the_next_run(
     window: str,
     code: int,
 ) -> None:
-    for one in range(12):
-        write(tmp_path / "in" / f"f{one:02d}.png", noisy(scene(0), one))
+    for index in range(12):
+        write(tmp_path / "in" / f"f{index:02d}.png", noisy(scene(0), index))
     out = tmp_path / "out"
     words = [str(tmp_path / "in"), "--out", str(out), "--geometry", "none", "--frames", window]
     use(monkeypatch, 9, number)
@@ -97,8 +97,8 @@ def test_a_stopped_run_ends_with_the_bytes_of_an_undisturbed_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     """Though the strength changes as the recording goes on."""
-    for one in range(30):
-        write(tmp_path / "in" / f"f{one:02d}.png", noisy(scene(0), one))
+    for index in range(30):
+        write(tmp_path / "in" / f"f{index:02d}.png", noisy(scene(0), index))
     words = [str(tmp_path / "in"), "--geometry", "none", "--frames", "3", "--out"]
 
     use(monkeypatch, None, kind=Smoothing)
@@ -123,8 +123,8 @@ def images_in(folder: Path) -> dict[str, bytes]:
 def test_after_a_full_disk_the_same_command_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for one in range(9):
-        write(tmp_path / "in" / f"f{one}.png", noisy(scene(0), one))
+    for index in range(9):
+        write(tmp_path / "in" / f"f{index}.png", noisy(scene(0), index))
     out = tmp_path / "out"
     words = ["denoise", str(tmp_path / "in"), "--out", str(out), "--geometry", "none"]
     use(monkeypatch, None)
@@ -140,7 +140,7 @@ def test_after_a_full_disk_the_same_command_goes_on(
         assert simnfnd_main(words) == 2
     assert "no room to write" in capsys.readouterr().err
     done = images_in(out)
-    assert sorted(done) == [f"f{one}.png" for one in range(5)]
+    assert sorted(done) == [f"f{index}.png" for index in range(5)]
     assert simnfnd_main(words) == 0
     assert "already denoised: 5 file(s)" in capsys.readouterr().out
     assert len(images_in(out)) == 9
@@ -178,8 +178,8 @@ def test_a_killed_run_keeps_what_its_journal_names(tmp_path: Path) -> None:
         assert (tmp_path / JOURNAL_NAME).stat().st_size == size, "a full disk takes the names"
     content = (tmp_path / JOURNAL_NAME).read_bytes()
     cut = content.replace(b'"b.png"', b'"b.p   ')
-    for kept, expected in ((content, items[:2]), (cut, items[:1]), (b"", []), (b"\xff{", [])):
-        (tmp_path / JOURNAL_NAME).write_bytes(kept)
+    for remaining, expected in ((content, items[:2]), (cut, items[:1]), (b"", []), (b"\xff{", [])):
+        (tmp_path / JOURNAL_NAME).write_bytes(remaining)
         with opened_journal(tmp_path, "0", ["words"]) as journal:
             assert [item for item in items if item in journal] == expected
         with opened_journal(tmp_path, "0", ["others"]) as journal:
@@ -187,8 +187,8 @@ def test_a_killed_run_keeps_what_its_journal_names(tmp_path: Path) -> None:
 
 
 def test_another_command_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for one in range(4):
-        write(tmp_path / "in" / f"f{one}.png", noisy(scene(0), one))
+    for index in range(4):
+        write(tmp_path / "in" / f"f{index}.png", noisy(scene(0), index))
     words = [str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--geometry", "none"]
     use(monkeypatch, 3)
     with pytest.raises(KeyboardInterrupt):
@@ -205,8 +205,8 @@ def test_a_video_that_is_stopped_leaves_nothing(
     source.parent.mkdir()
     code = cv2.VideoWriter.fourcc(*"FFV1")
     writer = cv2.VideoWriter(str(source), code, 5.0, (64, 64))
-    for one in range(8):
-        grey = np.rint(noisy(scene(0), one) * 255).astype(np.uint8)
+    for index in range(8):
+        grey = np.rint(noisy(scene(0), index) * 255).astype(np.uint8)
         writer.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
     writer.release()
     out = tmp_path / "out"

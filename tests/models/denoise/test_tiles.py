@@ -57,8 +57,8 @@ def ground(side: int) -> Grey:
 
 
 def larger(grey: Grey, times: float) -> Grey:
-    found = cv2.resize(grey, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(found, np.float32)
+    actual = cv2.resize(grey, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(actual, np.float32)
 
 
 def test_weights_that_ship_denoise_enlarged_pictures() -> None:
@@ -69,9 +69,9 @@ def test_weights_that_ship_denoise_enlarged_pictures() -> None:
     wide, truth = larger(grain(side), 2), larger(ground(side), 2)
 
     def error(denoise: Denoiser) -> float:
-        found = denoise(wide)
-        level = found.mean() / truth.mean()
-        return float((found / level - truth)[20:-20, 20:-20].std())
+        actual = denoise(wide)
+        level = actual.mean() / truth.mean()
+        return float((actual / level - truth)[20:-20, 20:-20].std())
 
     with_scales = error(once)
     once.runtime.wide_grain = 1.0

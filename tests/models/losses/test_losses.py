@@ -132,11 +132,11 @@ def test_the_blend_term_is_computed_outside_autocast(monkeypatch: pytest.MonkeyP
     """A GPU refuses the cross entropy of probabilities under autocast; so does this stand-in."""
     entropy = torch.nn.functional.binary_cross_entropy
 
-    def refusing(*given: Any) -> Tensor:
+    def refusing(*tensors: Any) -> Tensor:
         if torch.is_autocast_enabled("cpu"):
             raise RuntimeError("binary_cross_entropy is unsafe to autocast")
-        assert all(values.dtype == torch.float32 for values in given)
-        return entropy(*given)
+        assert all(values.dtype == torch.float32 for values in tensors)
+        return entropy(*tensors)
 
     monkeypatch.setattr("simnfnd.models.losses.functional.binary_cross_entropy", refusing)
     source = torch.Generator().manual_seed(0)

@@ -145,9 +145,9 @@ def test_networks_are_as_large_as_published(
 
 
 def test_configs_are_those_of_the_registry() -> None:
-    found = {path.stem for path in (ROOT / "conf" / "model").glob("*.yaml")}
+    actual = {path.stem for path in (ROOT / "conf" / "model").glob("*.yaml")}
     sizes = {"sonarnet_small"}  # of a kind that has a configuration of its own
-    assert found - sizes == set(KINDS) == set(TINY)
+    assert actual - sizes == set(KINDS) == set(TINY)
     for kind, config in SHIPPED.items():
         assert config["kind"] == kind
         folder = "rivals." if kind in RIVALS else ""

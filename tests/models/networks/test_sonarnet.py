@@ -111,10 +111,10 @@ def test_the_polar_grid_is_the_factorys() -> None:
     polar, fan, maps = fan_and_polar()
     grid = polar_grid(**maps, fan=None)
     assert grid is not None
-    seen = sampled(fan, grid.to_polar)
+    observed = sampled(fan, grid.to_polar)
     # Away from the edges, where the fan ends between two pixels.
     inner = np.s_[..., 4:-4, 4:-4]
-    assert (seen - polar)[inner].abs().max() < 0.02
+    assert (observed - polar)[inner].abs().max() < 0.02
     near_row, far_row = grid.range_fraction[0, 0, [0, -1], 0].tolist()
     assert near_row == pytest.approx(0.3, abs=0.02)
     assert far_row == pytest.approx(1.0, abs=0.02)

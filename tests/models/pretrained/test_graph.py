@@ -50,26 +50,26 @@ def weights(folder: Path, kind: str) -> Path:
 def test_onnxruntime_gets_what_torch_gets_at_any_size(
     kind: str, layout: Layout, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given, out = weights(tmp_path, kind), tmp_path / "network.onnx"
-    assert main([str(given), "--to", "onnx", "--geometry", layout, "--out", str(out)]) == 0
+    weights_file, out = weights(tmp_path, kind), tmp_path / "network.onnx"
+    assert main([str(weights_file), "--to", "onnx", "--geometry", layout, "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert f"ONNX, opset {OPSET}" in said
-    graph = Graph(load_weights(given).network, layout)
+    graph = Graph(load_weights(weights_file).network, layout)
     session = onnxruntime.InferenceSession(out.read_bytes())
     assert tuple(value.name for value in session.get_inputs()) == graph.inputs
     assert tuple(value.name for value in session.get_outputs()) == graph.outputs
     inputs = {k: v.numpy() for k, v in graph.example(57, 83, 2, seed=9).items()}
-    found = session.run(None, inputs)
-    assert found[0].shape == inputs["noisy"].shape
-    assert np.abs(found[0] - inputs["noisy"]).max() > 0.01
+    actual = session.run(None, inputs)
+    assert actual[0].shape == inputs["noisy"].shape
+    assert np.abs(actual[0] - inputs["noisy"]).max() > 0.01
     wished = graph(*map(torch.from_numpy, inputs.values()))
-    for values, expected in zip(found, wished, strict=True):
+    for values, expected in zip(actual, wished, strict=True):
         np.testing.assert_allclose(values, expected.numpy(), atol=1e-4, rtol=0)
 
 
 def test_the_file_says_what_it_is(tmp_path: Path) -> None:
-    given, out = weights(tmp_path, "sonarnet"), tmp_path / "network.onnx"
-    words = [str(given), "--to", "onnx", "--geometry", "fan", "--out", str(out)]
+    weights_file, out = weights(tmp_path, "sonarnet"), tmp_path / "network.onnx"
+    words = [str(weights_file), "--to", "onnx", "--geometry", "fan", "--out", str(out)]
     assert main(words) == 0
     model = onnx.load(out)
     facts = {entry.key: entry.value for entry in model.metadata_props}
@@ -86,13 +86,13 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
 def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float) -> None:
     graph = Graph(load_weights(weights(tmp_path, "nafnet")).network, "none")
 
-    def other(inputs: Any) -> list[np.ndarray]:
-        found = [values.numpy().copy() for values in graph(*inputs.values())]
-        found[0][0, 0, 5, 5] += wrong
-        return found
+    def different(inputs: Any) -> list[np.ndarray]:
+        actual = [values.numpy().copy() for values in graph(*inputs.values())]
+        actual[0][0, 0, 5, 5] += wrong
+        return actual
 
     with pytest.raises(FactoryError, match=r"differs from torch by .*nothing was written"):
-        compared(graph, other)
+        compared(graph, different)
 
 
 def test_the_example_denoises_as_the_command_does(

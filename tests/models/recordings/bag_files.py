@@ -19,9 +19,11 @@ STRING = "std_msgs/msg/String"
 
 def header(store: Any, number: int) -> Any:
     kinds = store.types
-    given = {} if "seq" not in kinds["std_msgs/msg/Header"].__annotations__ else {"seq": number}
+    header_fields = (
+        {} if "seq" not in kinds["std_msgs/msg/Header"].__annotations__ else {"seq": number}
+    )
     time = kinds["builtin_interfaces/msg/Time"](sec=1_600_000_000 + number, nanosec=250_000_000)
-    return kinds["std_msgs/msg/Header"](stamp=time, frame_id="sonar", **given)
+    return kinds["std_msgs/msg/Header"](stamp=time, frame_id="sonar", **header_fields)
 
 
 def sonar(store: Any, number: int, samples: np.ndarray, *, side: int = 1, big: bool = False) -> Any:
@@ -99,13 +101,13 @@ def write_bag(
             topic: writer.add_connection(topic, kind, typestore=store)
             for topic, (kind, _) in topics.items()
         }
-        for number in range(max(len(found) for _, found in topics.values())):
+        for number in range(max(len(actual) for _, actual in topics.values())):
             time_ns = START_NS + number * STEP_NS
             text = store.types[STRING](f"note {number}")
             writer.write(notes, time_ns, serialize(text, STRING))
-            for shift, (topic, (kind, found)) in enumerate(topics.items(), start=1):
-                if number < len(found):
-                    message = serialize(found[number], kind)
+            for shift, (topic, (kind, actual)) in enumerate(topics.items(), start=1):
+                if number < len(actual):
+                    message = serialize(actual[number], kind)
                     writer.write(added[topic], time_ns + shift, message)
     if single:
         (folder / path.name).rename(path)
@@ -117,5 +119,10 @@ def content(path: Path) -> Iterator[tuple[str, str, int, Any]]:
     from rosbags.highlevel import AnyReader
 
     with AnyReader([path]) as reader:
-        for one, time_ns, data in reader.messages():
-            yield one.topic, one.msgtype, time_ns, reader.deserialize(data, one.msgtype)
+        for connection, time_ns, data in reader.messages():
+            yield (
+                connection.topic,
+                connection.msgtype,
+                time_ns,
+                reader.deserialize(data, connection.msgtype),
+            )

@@ -22,9 +22,9 @@ def preset(name: str, width: int, height: int) -> SonarSettings:
     """A device of conf/sonar with a fan picture of this size."""
     with initialize_config_module("simnfnd.conf", version_base=None):
         config = compose("factory", [f"sonar={name}"])
-    given: Any = OmegaConf.to_container(config.sonar)
+    sonar_values: Any = OmegaConf.to_container(config.sonar)
     image = {"layout": "fan", "width_px": width, "height_px": height}
-    settings: SonarSettings = build(SonarSettings, {**given, "image": image})
+    settings: SonarSettings = build(SonarSettings, {**sonar_values, "image": image})
     return settings
 
 

@@ -28,18 +28,20 @@ def saved(path: Path, array: Any) -> Path:
 def test_a_picture_and_several(tmp_path: Path, dtype: str, order: Any) -> None:
     values = pings(3, 30, 40) / (255 if dtype[0] == "f" else 1)
     array = np.asarray(values.astype(dtype), order=order)
-    one, several = saved(tmp_path / "one.npy", array[1]), saved(tmp_path / "more.npy", array)
-    assert (kind_of(one), is_recording(one)) == ("pictures", False)
+    single, several = saved(tmp_path / "one.npy", array[1]), saved(tmp_path / "more.npy", array)
+    assert (kind_of(single), is_recording(single)) == ("pictures", False)
     assert (kind_of(several), is_recording(several)) == ("array", True)
-    kept = np.dtype("f4") if dtype[0] == "f" else np.dtype(dtype).newbyteorder("=")
-    assert read_picture(one).dtype == kept
-    np.testing.assert_array_equal(read_picture(one), array[1].astype(kept))
-    np.testing.assert_array_equal(read_picture(several), array[0].astype(kept))
+    remaining = np.dtype("f4") if dtype[0] == "f" else np.dtype(dtype).newbyteorder("=")
+    assert read_picture(single).dtype == remaining
+    np.testing.assert_array_equal(read_picture(single), array[1].astype(remaining))
+    np.testing.assert_array_equal(read_picture(several), array[0].astype(remaining))
     np.savez(tmp_path / "a.npz", frames=array)
     for path in (several, tmp_path / "a.npz"):
         with open_recording(path) as recording:
-            np.testing.assert_array_equal([one.samples for one in recording], array.astype(kept))
-            np.testing.assert_array_equal(recording[2].samples, array[2].astype(kept))
+            np.testing.assert_array_equal(
+                [frame.samples for frame in recording], array.astype(remaining)
+            )
+            np.testing.assert_array_equal(recording[2].samples, array[2].astype(remaining))
 
 
 @pytest.mark.parametrize("name", NAMES)

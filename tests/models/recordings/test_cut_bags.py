@@ -66,11 +66,11 @@ def test_a_video_that_is_cut_short(tmp_path: Path, name: str) -> None:
     content = path.read_bytes()
     path.write_bytes(content[: int(0.7 * len(content))])
     with open_recording(path) as recording:
-        found = [frame.samples for frame in recording]
+        actual = [frame.samples for frame in recording]
         assert "cut short" in recording.warning
-        assert len(recording) == len(found)
-    assert 5 <= len(found) <= 8
-    np.testing.assert_array_equal(found, whole[: len(found)])
+        assert len(recording) == len(actual)
+    assert 5 <= len(actual) <= 8
+    np.testing.assert_array_equal(actual, whole[: len(actual)])
 
 
 def test_a_video_without_its_index_names_the_remedy(tmp_path: Path) -> None:

@@ -62,11 +62,11 @@ def test_a_squeezed_fan(squeeze: float) -> None:
     grey, true = fan(preset("aris_explorer_3000", 600, 600), 0.3, False)
     width = round(600 * squeeze)
     narrow = cv2.resize(grey, (width, 600), interpolation=cv2.INTER_NEAREST)
-    found = find_geometry(np.asarray(narrow))
-    assert found is not None
-    assert found.x_scale == pytest.approx(squeeze, rel=0.02)
-    assert found.apex_y_px == pytest.approx(true.apex_y_px, abs=2.5)
-    assert found.apex_x_px == pytest.approx((width - 1) / 2, abs=1)
+    actual = find_geometry(np.asarray(narrow))
+    assert actual is not None
+    assert actual.x_scale == pytest.approx(squeeze, rel=0.02)
+    assert actual.apex_y_px == pytest.approx(true.apex_y_px, abs=2.5)
+    assert actual.apex_x_px == pytest.approx((width - 1) / 2, abs=1)
 
 
 def test_what_happens_to_pictures_on_their_way() -> None:
@@ -80,10 +80,10 @@ def test_what_happens_to_pictures_on_their_way() -> None:
     check(find_geometry(np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE))), true)
     text = cv2.copyMakeBorder(grey, 40, 40, 30, 50, cv2.BORDER_CONSTANT)
     cv2.putText(text, "2013-06-14 12:00:01", (3, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE)
-    found = find_geometry(np.asarray(text))
-    assert found is not None
-    assert found.apex_x_px == pytest.approx(true.apex_x_px + 30, abs=2)
-    assert found.apex_y_px == pytest.approx(true.apex_y_px + 40, abs=2)
+    actual = find_geometry(np.asarray(text))
+    assert actual is not None
+    assert actual.apex_x_px == pytest.approx(true.apex_x_px + 30, abs=2)
+    assert actual.apex_y_px == pytest.approx(true.apex_y_px + 40, abs=2)
 
 
 @pytest.mark.parametrize(
@@ -97,10 +97,10 @@ def test_a_fan_on_a_bright_page(page: int, kind: str) -> None:
     if kind == "jpg":
         _, content = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 90])
         shown = np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE), np.uint8)
-    found = find_geometry(shown)
-    assert found is not None
-    assert found.apex_x_px == pytest.approx(geometry.apex_x_px + 30, abs=2)
-    assert found.sector_rad == pytest.approx(geometry.sector_rad, rel=0.03)
+    actual = find_geometry(shown)
+    assert actual is not None
+    assert actual.apex_x_px == pytest.approx(geometry.apex_x_px + 30, abs=2)
+    assert actual.sector_rad == pytest.approx(geometry.sector_rad, rel=0.03)
     assert find_geometry(np.full((300, 300), page, np.uint8)) is None
 
 
@@ -108,10 +108,10 @@ def test_a_fan_on_a_bright_page(page: int, kind: str) -> None:
 @pytest.mark.parametrize("name", ["didson_hf", "oculus_m1200d_hf"])
 def test_fans_whose_far_range_is_not_on_top(name: str, turns: int) -> None:
     grey, true = fan(preset(name, 300, 400), 0.3, holes=False)
-    found = find_geometry(np.rot90(grey, -turns))
-    assert found is not None
-    assert found.quarter_turns == turns
-    turned = found.turned(*np.rot90(grey, -turns).shape)
+    actual = find_geometry(np.rot90(grey, -turns))
+    assert actual is not None
+    assert actual.quarter_turns == turns
+    turned = actual.turned(*np.rot90(grey, -turns).shape)
     check(turned, true)
     # Masks of objects are no fans, however they lie.
     spot = np.zeros_like(grey)
@@ -128,14 +128,14 @@ def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
     if turns:
         fans = np.rot90(grey, -turns)
         shown = screen(fans, true.turned_back(turns, *fans.shape).sector_mask(*fans.shape), ground)
-    found = find_geometry(shown)
-    assert found is not None
-    upright = found.turned(*shown.shape[:2])
+    actual = find_geometry(shown)
+    assert actual is not None
+    upright = actual.turned(*shown.shape[:2])
     assert upright.sector_rad == pytest.approx(true.sector_rad, rel=0.03)
     # A bright page is taken a pixel wider, as JPEG rings there: a narrow fan's apex moves by six.
     close = 4 if max(ground) < 200 else 7
     assert upright.far_px == pytest.approx(true.far_px, abs=close)
-    assert found.quarter_turns == turns
+    assert actual.quarter_turns == turns
     if not turns:
         assert upright.apex_x_px == pytest.approx(true.apex_x_px + LEFT, abs=2)
         assert upright.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=close)
@@ -160,24 +160,24 @@ def test_fans_between_drawn_lines_of_chart_plotters() -> None:
 def no_fans() -> dict[str, npt.NDArray[Any]]:
     rng = np.random.default_rng(0)
     noise = rng.rayleigh(60, (300, 400)).clip(1, 255).astype(np.uint8)
-    made: dict[str, Grey] = {
+    images: dict[str, Grey] = {
         "noise": noise,
         "nothing": np.zeros((300, 400), np.uint8),
         "one pixel": np.zeros((300, 400), np.uint8),
         "tiny": noise[:20, :20],
         "a row": noise[:1],
     }
-    made["one pixel"][100, 100] = 255
+    images["one pixel"][100, 100] = 255
     for name in ("letterbox", "disc", "ellipse", "triangle", "polar", "specks"):
-        made[name] = np.zeros((300, 400), np.uint8)
-    made["letterbox"][50:250, 60:340] = noise[50:250, 60:340]
-    cv2.circle(made["disc"], (200, 150), 120, WHITE, -1)
-    cv2.ellipse(made["ellipse"], (200, 150), (160, 90), 0, 0, 360, WHITE, -1)
+        images[name] = np.zeros((300, 400), np.uint8)
+    images["letterbox"][50:250, 60:340] = noise[50:250, 60:340]
+    cv2.circle(images["disc"], (200, 150), 120, WHITE, -1)
+    cv2.ellipse(images["ellipse"], (200, 150), (160, 90), 0, 0, 360, WHITE, -1)
     corners = np.array([(50, 50), (350, 50), (200, 150)])
-    cv2.fillPoly(made["triangle"], [corners], WHITE)
-    made["polar"][80:] = noise[80:]
-    made["specks"][rng.random((300, 400)) < 0.01] = 200
-    return made
+    cv2.fillPoly(images["triangle"], [corners], WHITE)
+    images["polar"][80:] = noise[80:]
+    images["specks"][rng.random((300, 400)) < 0.01] = 200
+    return images
 
 
 def test_pictures_without_a_fan() -> None:
@@ -208,8 +208,8 @@ def test_mdd() -> None:
 def test_didson_video() -> None:
     capture = cv2.VideoCapture(str(DATA / "didson" / "lamprey1.avi"))
     for _ in range(2):
-        found = find_geometry(np.asarray(capture.read()[1]))
-        assert found is not None
+        actual = find_geometry(np.asarray(capture.read()[1]))
+        assert actual is not None
         # 400 pixels for the device's sector of 28.8 degrees make 804 for the range.
-        assert found.far_px == pytest.approx(804, abs=6)
-        assert math.degrees(found.sector_rad) == pytest.approx(28.8, abs=0.6)
+        assert actual.far_px == pytest.approx(804, abs=6)
+        assert math.degrees(actual.sector_rad) == pytest.approx(28.8, abs=0.6)

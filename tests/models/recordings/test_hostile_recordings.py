@@ -44,7 +44,7 @@ def _bag(path: Path, kind: str, compression: str = "") -> Path:
     store = typestore(1 if path.suffix == ".bag" else 2)
     makers: dict[str, Callable[..., Any]] = {SONAR: sonar, IMAGE: image, COMPRESSED: compressed}
     make = makers[kind]
-    messages = [make(store, number, one) for number, one in enumerate(pings(3, 12, 8))]
+    messages = [make(store, number, ping) for number, ping in enumerate(pings(3, 12, 8))]
     return write_bag(path, {"/sonar": (kind, messages)}, compression=compression)
 
 

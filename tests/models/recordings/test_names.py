@@ -41,7 +41,7 @@ ONE_SEQUENCE = {
 def test_names_of_one_recording(kind: str) -> None:
     names = ONE_SEQUENCE[kind]
     shuffled = Random(0).sample(names, len(names))
-    assert [[shuffled[index] for index in found] for found in sequences_of(shuffled)] == [names]
+    assert [[shuffled[index] for index in actual] for actual in sequences_of(shuffled)] == [names]
 
 
 SEVERAL = {
@@ -64,8 +64,8 @@ SEVERAL = {
 def test_names_of_several_recordings(kind: str) -> None:
     names = [name for sequence in SEVERAL[kind] for name in sequence]
     shuffled = Random(0).sample(names, len(names))
-    found = [[shuffled[index] for index in sequence] for sequence in sequences_of(shuffled)]
-    assert found == SEVERAL[kind]
+    actual = [[shuffled[index] for index in sequence] for sequence in sequences_of(shuffled)]
+    assert actual == SEVERAL[kind]
 
 
 def test_natural_order() -> None:

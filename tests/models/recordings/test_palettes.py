@@ -48,29 +48,29 @@ def painted(levels: Bytes, name: str) -> Bytes:
 def test_levels_of_known_maps(name: str, order: int) -> None:
     levels = echoes()
     colours = painted(levels, name)[..., ::order]
-    found = find_painted(colours)
-    assert found is not None
-    assert found.palette.name == name.lower()
-    assert found.known.all()
+    actual = find_painted(colours)
+    assert actual is not None
+    assert actual.palette.name == name.lower()
+    assert actual.known.all()
     # Neighbouring levels of some maps have one colour.
-    assert np.abs(found.levels * 255 - levels).max() <= 3
-    brighter = np.clip(found.levels + 0.1, 0, 1)
+    assert np.abs(actual.levels * 255 - levels).max() <= 3
+    brighter = np.clip(actual.levels + 0.1, 0, 1)
     wanted = painted(np.rint(brighter * 255).astype(np.uint8), name)[..., ::order]
-    assert np.abs(found.repainted(brighter).astype(int) - wanted)[:, 10:-10].max() <= 12
+    assert np.abs(actual.repainted(brighter).astype(int) - wanted)[:, 10:-10].max() <= 12
 
 
 @pytest.mark.parametrize("ramp", [COPPER, BRONZE], ids=["copper", "bronze"])
 def test_levels_of_a_map_that_nobody_knows(ramp: Bytes) -> None:
     levels = echoes()
-    found = find_painted(cv2.applyColorMap(levels, ramp))
-    assert found is not None
-    assert found.palette.name == SUM
+    actual = find_painted(cv2.applyColorMap(levels, ramp))
+    assert actual is not None
+    assert actual.palette.name == SUM
     order = np.argsort(levels, axis=None, kind="stable")
-    assert np.diff(found.levels.ravel()[order]).min() >= 0, "brighter is more"
+    assert np.diff(actual.levels.ravel()[order]).min() >= 0, "brighter is more"
     higher = cv2.applyColorMap(np.clip(levels.astype(int) + 20, 0, 230).astype(np.uint8), ramp)
     target = find_painted(higher)
     assert target is not None
-    again = found.repainted(target.levels)
+    again = actual.repainted(target.levels)
     assert np.abs(again.astype(int) - higher).mean() < 1.5
 
 
@@ -85,13 +85,13 @@ def test_what_does_not_change_keeps_its_colours(seed: int, name: str, dtype: str
     page = np.dstack([page, np.full(page.shape[:2], 255, np.uint8)])
     full = {"u1": 255, "u2": 65535, "f4": 1}[dtype]
     picture = (page * (full / 255)).astype(dtype)
-    found = find_painted(picture)
-    assert found is not None
-    np.testing.assert_array_equal(found.repainted(found.levels), picture)
-    darker = found.repainted(found.levels / 2)
+    actual = find_painted(picture)
+    assert actual is not None
+    np.testing.assert_array_equal(actual.repainted(actual.levels), picture)
+    darker = actual.repainted(actual.levels / 2)
     assert darker.dtype == picture.dtype
     np.testing.assert_array_equal(darker[..., 3], picture[..., 3])
-    np.testing.assert_array_equal(darker[~found.known], picture[~found.known])
+    np.testing.assert_array_equal(darker[~actual.known], picture[~actual.known])
     assert (darker[30:-30, 50:-50] != picture[30:-30, 50:-50]).any()
 
 
@@ -100,10 +100,10 @@ def test_what_does_not_change_keeps_its_colours(seed: int, name: str, dtype: str
 def test_jpeg_mixes_colours_and_levels_are_found_all_the_same(name: str, quality: int) -> None:
     levels = cv2.GaussianBlur(echoes(), (0, 0), 1.2)
     _, content = cv2.imencode(".jpg", painted(levels, name), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    found = find_painted(cv2.imdecode(content, cv2.IMREAD_COLOR))
-    assert found is not None
-    assert found.palette.name == name.lower()
-    assert np.corrcoef(found.levels.ravel(), levels.ravel())[0, 1] > (
+    actual = find_painted(cv2.imdecode(content, cv2.IMREAD_COLOR))
+    assert actual is not None
+    assert actual.palette.name == name.lower()
+    assert np.corrcoef(actual.levels.ravel(), levels.ravel())[0, 1] > (
         0.98 if quality > 60 else 0.97
     )
 
@@ -115,18 +115,18 @@ def test_marks_over_a_map_on_a_screen(name: str | None) -> None:
     inside = true.sector_mask(*grey.shape)
     shown = screen(grey if name is None else painted(grey, name), inside, (80, 30, 10))
     ringed = with_rings(shown, true, (0, 200, 0))
-    found = find_painted(ringed)
-    assert found is not None
-    assert found.palette.name == ("grey" if name is None else name.lower())
+    actual = find_painted(ringed)
+    assert actual is not None
+    assert actual.palette.name == ("grey" if name is None else name.lower())
     part = slice(TOP, TOP + grey.shape[0]), slice(LEFT, LEFT + grey.shape[1])
     rings = (ringed != shown).any(axis=2)[part]
     plain = inside & ~rings
-    assert found.known[part][plain].all()
-    assert np.abs(found.levels[part] * 255 - grey)[plain].max() <= 3
-    assert not found.known[part][rings & inside].any()
-    dark = found.levels[part][rings & inside] < 0.5 * grey[plain].mean() / 255
+    assert actual.known[part][plain].all()
+    assert np.abs(actual.levels[part] * 255 - grey)[plain].max() <= 3
+    assert not actual.known[part][rings & inside].any()
+    dark = actual.levels[part][rings & inside] < 0.5 * grey[plain].mean() / 255
     assert dark.mean() < 0.35, "rings have the level of what is around them"
-    again = found.repainted(found.levels * np.float32(0.5))
+    again = actual.repainted(actual.levels * np.float32(0.5))
     np.testing.assert_array_equal(again[part][rings & inside], ringed[part][rings & inside])
 
 

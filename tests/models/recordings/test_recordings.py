@@ -226,9 +226,9 @@ def test_a_stack_of_pages(tmp_path: Path, dtype: Any) -> None:
     with open_recording(path) as recording:
         assert len(recording) == 5
         order = [recording[number].samples for number in (3, 0, 4)]
-        assert [one.dtype for one in order] == [dtype] * 3
-        for number, one in zip((3, 0, 4), order, strict=True):
-            assert np.array_equal(one, pages[number].astype(dtype))
+        assert [page.dtype for page in order] == [dtype] * 3
+        for number, page in zip((3, 0, 4), order, strict=True):
+            assert np.array_equal(page, pages[number].astype(dtype))
 
 
 def test_pages_that_are_no_frames(tmp_path: Path) -> None:
@@ -288,8 +288,8 @@ def test_a_ping_as_a_fan() -> None:
     assert picture.shape[0] >= 400
     row, column = np.unravel_index(picture.argmax(), picture.shape)
     range_m = 2.0 + 8.0 * 100.5 / 400
-    there = geometry.pixels(np.array(range_m / 10), np.array(bearings[50]))
-    assert np.hypot(row - there[0], column - there[1]) < 3
+    pixel = geometry.pixels(np.array(range_m / 10), np.array(bearings[50]))
+    assert np.hypot(row - pixel[0], column - pixel[1]) < 3
     assert column > geometry.apex_x_px, "positive bearings are on the right"
     maps = geometry.maps(0, 0, *picture.shape)
     assert not picture[maps["sector"] == 0].any()
@@ -356,6 +356,6 @@ def test_the_orientation_of_exif_is_applied(tmp_path: Path, suffix: str, value: 
     tag[274] = value
     path = tmp_path / f"a{suffix}"
     Image.fromarray(stored).save(path, exif=tag, quality=100, lossless=True)
-    found = read_picture(path)
-    grey = found if found.ndim == 2 else found[..., 0]
+    actual = read_picture(path)
+    grey = actual if actual.ndim == 2 else actual[..., 0]
     assert np.abs(grey.astype(int) - upright).max() <= 2

@@ -38,22 +38,22 @@ def version(name: str) -> int:
     return 1 if name.endswith(".bag") else 2
 
 
-def sonar_bag(path: Path, samples: np.ndarray, how: Any = None, **options: Any) -> Path:
+def sonar_bag(path: Path, samples: np.ndarray, bag_options: Any = None, **options: Any) -> Path:
     store = typestore(version(path.name))
-    messages = [sonar(store, number, one, **options) for number, one in enumerate(samples)]
-    return write_bag(path, {"/sonar": (SONAR, messages)}, **(how or {}))
+    messages = [sonar(store, number, ping, **options) for number, ping in enumerate(samples)]
+    return write_bag(path, {"/sonar": (SONAR, messages)}, **(bag_options or {}))
 
 
-@pytest.mark.parametrize(("name", "how"), CASES)
-def test_a_bag_goes_in_and_out(tmp_path: Path, name: str, how: dict[str, str]) -> None:
-    given = pings(4, 20, 16)
-    path = sonar_bag(tmp_path / name, given, how)
+@pytest.mark.parametrize(("name", "bag_options"), CASES)
+def test_a_bag_goes_in_and_out(tmp_path: Path, name: str, bag_options: dict[str, str]) -> None:
+    samples = pings(4, 20, 16)
+    path = sonar_bag(tmp_path / name, samples, bag_options)
     out = tmp_path / "out" / name
     with open_recording(path) as bag:
         assert isinstance(bag, RosBag)
         assert len(bag) == 4
         frames = list(bag)
-        np.testing.assert_array_equal(np.stack([frame.samples for frame in frames]), given)
+        np.testing.assert_array_equal(np.stack([frame.samples for frame in frames]), samples)
         assert [frame.number for frame in frames] == [0, 1, 2, 3]
         assert [frame.time_s for frame in frames] == [1.6e9 + k + 0.25 for k in range(4)]
         beams = frames[0].beams
@@ -62,14 +62,14 @@ def test_a_bag_goes_in_and_out(tmp_path: Path, name: str, how: dict[str, str]) -
         assert (beams.range_min_m, beams.range_max_m) == pytest.approx((1, 5), abs=1e-6)
         assert (frames[0].device.name, frames[0].device.frequency_khz) == ("sonar", 1200)
         assert bag[2].number == 2  # by number: on, again, and back
-        np.testing.assert_array_equal(bag[2].samples, given[2])
-        np.testing.assert_array_equal(bag[0].samples, given[0])
+        np.testing.assert_array_equal(bag[2].samples, samples[2])
+        np.testing.assert_array_equal(bag[0].samples, samples[0])
         bag.rewrite((frame.samples // 2 for frame in bag), out)
     assert kind_of(out) == "rosbag"
-    assert [one.name for one in out.parent.iterdir()] == [name]
+    assert [path.name for path in out.parent.iterdir()] == [name]
     before, after = list(content(path)), list(content(out))
-    assert [one[:3] for one in before] == [one[:3] for one in after]
-    assert {one[2] for one in after} == {
+    assert [message[:3] for message in before] == [message[:3] for message in after]
+    assert {message[2] for message in after} == {
         START_NS + k * STEP_NS + s for k in range(4) for s in (0, 1)
     }
     for (topic, _, _, old), (_, _, _, new) in zip(before, after, strict=True):
@@ -83,21 +83,21 @@ def test_a_bag_goes_in_and_out(tmp_path: Path, name: str, how: dict[str, str]) -
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
 @pytest.mark.parametrize("big", [False, True])
 def test_samples_of_every_type_and_order(tmp_path: Path, dtype: str, big: bool) -> None:
-    given = pings(2, 20, 16).astype(dtype)
-    given = given / np.float32(255) if dtype == "float32" else given * given.dtype.type(1)
-    path = sonar_bag(tmp_path / "a.bag", given, big=big)
+    samples = pings(2, 20, 16).astype(dtype)
+    samples = samples / np.float32(255) if dtype == "float32" else samples * samples.dtype.type(1)
+    path = sonar_bag(tmp_path / "a.bag", samples, big=big)
     with RosBag(path) as bag:
         frames = list(bag)
         assert frames[0].samples.dtype == np.dtype(dtype)
-        np.testing.assert_array_equal(np.stack([frame.samples for frame in frames]), given)
+        np.testing.assert_array_equal(np.stack([frame.samples for frame in frames]), samples)
         bag.rewrite([frame.samples[::-1] for frame in frames], tmp_path / "b.bag")
     with open_recording(tmp_path / "b.bag") as bag:
-        np.testing.assert_array_equal(bag[1].samples, given[1][::-1])
+        np.testing.assert_array_equal(bag[1].samples, samples[1][::-1])
 
 
 def test_beams_go_from_left_to_right_whatever_the_sign_of_y(tmp_path: Path) -> None:
-    given = pings(1, 20, 16)
-    paths = [sonar_bag(tmp_path / f"{side}.bag", given, side=side) for side in (1, -1)]
+    samples = pings(1, 20, 16)
+    paths = [sonar_bag(tmp_path / f"{side}.bag", samples, side=side) for side in (1, -1)]
     right, left = (open_recording(path)[0] for path in paths)
     assert right.beams is not None
     assert left.beams is not None
@@ -118,18 +118,18 @@ PICTURES = [
 def test_pictures_keep_encoding_and_padding(
     tmp_path: Path, encoding: str, dtype: Any, shape: tuple[int, ...]
 ) -> None:
-    given = np.random.default_rng(1).integers(0, 256, shape).astype(dtype)
-    given = given / np.float32(255) if encoding == "32FC1" else given
+    samples = np.random.default_rng(1).integers(0, 256, shape).astype(dtype)
+    samples = samples / np.float32(255) if encoding == "32FC1" else samples
     store = typestore(2)
-    messages = [image(store, 0, given, encoding, padding=8)]
+    messages = [image(store, 0, samples, encoding, padding=8)]
     path = write_bag(tmp_path / "a.mcap", {"/pictures": (IMAGE, messages)})
     with RosBag(path) as bag:
         frame = bag[0]
         assert frame.beams is None
-        np.testing.assert_array_equal(frame.samples, given)
+        np.testing.assert_array_equal(frame.samples, samples)
         bag.rewrite([frame.samples[::-1]], tmp_path / "b.mcap")
     with open_recording(tmp_path / "b.mcap") as bag:
-        np.testing.assert_array_equal(bag[0].samples, given[::-1])
+        np.testing.assert_array_equal(bag[0].samples, samples[::-1])
     (message,) = (m for topic, _, _, m in content(tmp_path / "b.mcap") if topic == "/pictures")
     rows = message.data.reshape(30, -1)
     assert (rows[:, -8:] == 77).all()
@@ -152,7 +152,7 @@ def test_compressed_pictures_stay_so(tmp_path: Path, suffix: str, apart: int) ->
 
 def test_which_topics_are_frames(tmp_path: Path) -> None:
     store = typestore(2)
-    pictures = [image(store, number, one) for number, one in enumerate(pings(3, 12, 8))]
+    pictures = [image(store, number, ping) for number, ping in enumerate(pings(3, 12, 8))]
     both = {"/front": (IMAGE, pictures), "/back": (IMAGE, pictures[:2])}
     path = write_bag(tmp_path / "a.mcap", both)
     with pytest.raises(FactoryError, match=r"several topics \(/front, /back\); say with --topic"):
@@ -177,35 +177,40 @@ def test_types_that_nobody_knows_are_copied_and_never_run(tmp_path: Path) -> Non
 
     store, odd = typestore(1), "int32 a\n__import__('os').abort()\n"
     with Writer(tmp_path / "a.bag") as writer:
-        other = writer.add_connection("/odd", "my_msgs/msg/Odd", msgdef=odd, md5sum="0" * 32)
+        odd_connection = writer.add_connection(
+            "/odd", "my_msgs/msg/Odd", msgdef=odd, md5sum="0" * 32
+        )
         pictures = writer.add_connection("/sonar", SONAR, typestore=store)
-        writer.write(other, 5, b"abc")
+        writer.write(odd_connection, 5, b"abc")
         message = sonar(store, 0, pings(1, 12, 8)[0])
         writer.write(pictures, 6, store.serialize_ros1(message, SONAR))
     with RosBag(tmp_path / "a.bag") as bag:
         bag.rewrite([bag[0].samples], tmp_path / "b.bag")
     with Reader(tmp_path / "b.bag") as reader:
-        found = [(one.topic, one.msgdef.data, time, data) for one, time, data in reader.messages()]
-        assert found[0] == ("/odd", odd, 5, b"abc")
+        actual = [
+            (connection.topic, connection.msgdef.data, time, data)
+            for connection, time, data in reader.messages()
+        ]
+        assert actual[0] == ("/odd", odd, 5, b"abc")
 
 
 def test_another_type_of_the_same_name_is_refused(tmp_path: Path) -> None:
     from rosbags.rosbag1 import Writer
 
     with Writer(tmp_path / "a.bag") as writer:
-        one = writer.add_connection("/sonar", SONAR, msgdef="int32 a\n", md5sum="1" * 32)
-        writer.write(one, 5, b"abcd")
+        connection = writer.add_connection("/sonar", SONAR, msgdef="int32 a\n", md5sum="1" * 32)
+        writer.write(connection, 5, b"abcd")
     with pytest.raises(FactoryError, match=r"/sonar has another .* fingerprint is 1111"):
         open_recording(tmp_path / "a.bag")
 
 
 def test_what_a_message_says_must_fit(tmp_path: Path) -> None:
-    store, given = typestore(1), pings(1, 12, 8)[0]
-    odd, uneven, few = (sonar(store, 0, given) for _ in range(3))
+    store, samples = typestore(1), pings(1, 12, 8)[0]
+    odd, uneven, few = (sonar(store, 0, samples) for _ in range(3))
     odd.image.dtype = 4
     uneven.ranges = uneven.ranges**2
     few.beam_directions = few.beam_directions[::2]
-    bayer, cut = image(store, 0, given, "bayer_rggb8"), compressed(store, 0, given)
+    bayer, cut = image(store, 0, samples, "bayer_rggb8"), compressed(store, 0, samples)
     cut.data = cut.data[8:]
     for number, (kind, message, words) in enumerate((
         (SONAR, odd, "message 0 of /p has samples of type 4"),
