@@ -217,7 +217,7 @@ def test_the_report(tmp_path: Path, frames: Frames, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize(
-    ("made", "words"),
+    ("recording_options", "words"),
     [
         ({"step_px": 3}, "moves"),
         ({"count": 12}, "12 frames"),
