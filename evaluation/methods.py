@@ -105,6 +105,7 @@ def shipped_for(dataset: Path) -> list[str]:
     """Name of the weights that `simnfnd denoise` takes here; [] where nothing runs them."""
     if not all(map(find_spec, ("onnxruntime", "safetensors"))):
         return []
+    from ..factory.dataset.layout import config_of
     from ..models.denoise.shards import made_of_points, opened_shard
     from ..models.pretrained import DEFAULT, POINTS
 
@@ -112,7 +113,7 @@ def shipped_for(dataset: Path) -> list[str]:
     if shard is None:
         return [DEFAULT]
     with opened_shard(shard) as opened:
-        return [POINTS if made_of_points(opened) else DEFAULT]
+        return [POINTS if made_of_points(config_of(opened)) else DEFAULT]
 
 
 def networks_at(

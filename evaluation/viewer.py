@@ -168,7 +168,8 @@ class ShownDataset:
 
     def facts(self, number: int) -> Facts:
         """Names and values of the row of /meta.  Raises FactoryError when it is damaged."""
-        row, found = self._table[self._samples[number]], Facts()
+        row = self._table[self._samples[number]]
+        found = Facts()
         for name in self._table.dtype.names or ():
             value = row[name]
             if isinstance(value, bytes):

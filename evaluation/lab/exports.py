@@ -105,7 +105,7 @@ def recipe(base: Base, changes: Values) -> str:
 
     body: dict[str, Any] = {}
     for key, value in {**base.settings, **changes}.items():
-        _put(body, key, _replacing(value, _value_at(base.values, key)))
+        put(body, key, _replacing(value, _value_at(base.values, key)))
     file = Path("presets", "experiment", f"{RECIPE}.yaml")
     head = (
         "# @package _global_\n"
@@ -117,7 +117,8 @@ def recipe(base: Base, changes: Values) -> str:
     return head + text
 
 
-def _put(values: dict[str, Any], key: str, value: Any) -> None:
+def put(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set a dotted key in nested mappings; those that are missing are made."""
     *groups, name = key.split(".")
     for group in groups:
         values = values.setdefault(group, {})

@@ -155,10 +155,13 @@ def _parameter(
     if tuple in limits.types or not limits.types & {int, float, Distribution}:
         return None
 
-    lowest, highest, plain = limits.lowest, limits.highest, value
+    lowest = limits.lowest
+    highest = limits.highest
+    plain = value
     numbers: tuple[float, ...] = () if value is None else (value,)
     if isinstance(value, Distribution):
-        lowest, highest = value.low, value.high
+        lowest = value.low
+        highest = value.high
         plain = value.plain()
         numbers = _ends_of(value)
     is_whole = int in limits.types and float not in limits.types

@@ -21,7 +21,7 @@ from ...factory.render.view import View
 from ...factory.scenes import Scenes, open_reader
 from ...factory.selection import choose_frames
 from ...factory.views import ViewMaker, Views, open_views
-from .exports import Base, Exports, change_words, command_line, recipe, sweep_line
+from .exports import Base, Exports, change_words, command_line, put, recipe, sweep_line
 from .parameters import Parameter, parameters_of
 
 Changes = Mapping[str, Any]
@@ -81,11 +81,7 @@ class Session:
                 raise FactoryError(f"{key}: no parameter of this configuration")
         values = deepcopy(dict(self._base.values))
         for key, value in changes.items():
-            *groups, name = key.split(".")
-            group = values
-            for part in groups:
-                group = group.setdefault(part, {})
-            group[name] = value
+            put(values, key, value)
         config = from_mapping(values)
         # Layers and columns take time, and change no image.
         return replace(config, dataset=replace(config.dataset, layers=(), columns=()))

@@ -17,8 +17,9 @@ from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
 from .comparison_video import SUFFIX, comparison_video
 from .denoiser import Denoiser
-from .files import Job, denoise_files
+from .files import denoise_files
 from .inputs import FIND, Geometries, Item, find_items, said_of_sequences, sequences
+from .job import Job
 from .journal import opened_journal
 from .pictures import Denoising
 from .temporal.stream import FRAMES

@@ -5,7 +5,7 @@ Frames of a recording are denoised in time, also where it lies in several shards
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,15 +15,14 @@ import numpy as np
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+from .inputs import Item
+from .job import Job
 from .pictures import Denoised, Picture
 from .temporal.stream import Shot
 from .writers import COMPARED, Compared, write_compared
 
 if TYPE_CHECKING:
     import h5py
-
-    from .files import Job
-    from .inputs import Item
 
 SCHEMA = "simnfnd-denoised/1"
 
@@ -33,6 +32,14 @@ class _Sample(NamedTuple):
 
     shard: _Shard
     row: int
+
+
+class _Images(NamedTuple):
+    """A row with its images, as stored."""
+
+    sample: _Sample
+    noisy: Picture
+    clean: Picture
 
 
 class _Shard:
@@ -46,7 +53,7 @@ class _Shard:
         with opened_shard(item.source) as source:
             self.table = source["meta"][()]
             self.config = config_of(source)
-            self.of_points = made_of_points(source)
+        self.of_points = made_of_points(self.config)
         self.sonar = recorded_sonar(self.config)
         self.rows_left = len(self.table)
         self.shown: list[Compared] = []
@@ -187,22 +194,21 @@ def _denoise_sequence(samples: Sequence[_Sample], finished: set[int], job: Job) 
         wanted = id(shard) not in finished
         place = partial(shard.place, sample.row)
         try:
-            noisy, _ = shard.images(sample.row)
-            return denoising.shot(sample, noisy, place, wanted=wanted, is_tracked=True)
+            images = _Images(sample, *shard.images(sample.row))
+            return denoising.shot(images, images.noisy, place, wanted=wanted, is_tracked=True)
         except (FactoryError, LookupError, ValueError) as error:
             raise FrameError(f"{shard.item.source}: {error}") from error
 
     for denoised in denoising.sequence(map(shot_of, samples), alone=len(samples) == 1):
-        if id(denoised.key.shard) not in finished:
+        if id(denoised.key.sample.shard) not in finished:
             _keep(denoised, job)
 
 
 def _keep(denoised: Denoised, job: Job) -> None:
-    shard, row = denoised.key
+    (shard, row), noisy, clean = denoised.key
     shard.put(row, denoised.image)
     job.removed.add(f"{shard.item.relative}, pair {row}", denoised.removed)
     full = shard.full_scale()
-    noisy, clean = shard.images(row)
     if job.video is not None:
         job.video.add(noisy / full, denoised.image / full)
     if job.compare and row < COMPARED:
@@ -235,9 +241,8 @@ def opened_shard(path: Path) -> h5py.File:
         raise FrameError(str(error)) from error
 
 
-def made_of_points(shard: h5py.File) -> bool:
-    """Whether the images of a shard have the paper's noise: acoustics=pointwise."""
-    from ...factory.dataset.layout import config_of
+def made_of_points(config: Mapping[str, Any]) -> bool:
+    """Whether images have the paper's noise: acoustics=pointwise.  config: as a shard states it."""
     from ...factory.dataset.meaning import formation_of
 
-    return formation_of(config_of(shard)) == "pointwise"
+    return formation_of(config) == "pointwise"
