@@ -7,7 +7,6 @@ import json
 import re
 import shlex
 import shutil
-import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
-from urllib.parse import quote, unquote, urlsplit
+from urllib.parse import quote
 from urllib.request import urlopen
 
 import cv2
@@ -30,7 +29,6 @@ from simnfnd.evaluation.lab.parameters import parameters_of, sentences_of, slide
 from simnfnd.evaluation.lab.server import LabServer
 from simnfnd.evaluation.lab.session import Session
 from simnfnd.evaluation.lab.stored_words import words_of_dataset
-from simnfnd.evaluation.page_server import Answer, json_answer
 from simnfnd.factory.cli.compose import compose_config, compose_points
 from simnfnd.factory.dataset.pair_dataset import PairDataset
 from simnfnd.factory.errors import FactoryError
@@ -38,8 +36,8 @@ from simnfnd.factory.identity import identity
 from simnfnd.factory.imaging.settings import CoherentSettings
 from simnfnd.factory.noise.registry import EFFECTS
 from simnfnd.factory.sonar.settings import SonarSettings
+from tests.evaluation.browser import CHROMIUM, kept_by_page
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 SMALL = (
     "render=analytic", "scenes.locations=1", "scenes.frames_per_location=2", "scenes.width=160",
     "scenes.height=100", "sonar.beams=48", "sonar.range_bins=64", "sonar.image.width_px=64",
@@ -321,23 +319,6 @@ whenAnswered(1, () => {
 """
 
 
-class _WatchedLab(LabServer):
-    """Takes what the script has kept."""
-
-    def __init__(self, session: Session) -> None:
-        super().__init__(session)
-        self.kept: dict[str, Any] = {}
-        self.has_kept = threading.Event()
-
-    def answer(self, path: str) -> Answer:
-        parts = urlsplit(path)
-        if parts.path != "/kept":
-            return super().answer(path)
-        self.kept = json.loads(unquote(parts.query))
-        self.has_kept.set()
-        return json_answer({})
-
-
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 def test_a_slider_moves_the_image(
     session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -346,19 +327,8 @@ def test_a_slider_moves_the_image(
     with (folder / "page.js").open("a") as file:
         file.write(_SCRIPT)
     monkeypatch.setattr(server, "_FOLDER", folder)
-    profile = f"--user-data-dir={tmp_path / 'profile'}"
-    flags = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", profile)
-    with _WatchedLab(session) as lab:
-        threading.Thread(target=lab.serve_forever, daemon=True).start()
-        # A port to be debugged by keeps it open.
-        command = [str(CHROMIUM), *flags, "--remote-debugging-port=0", lab.url]
-        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as browser:
-            try:
-                assert lab.has_kept.wait(120)
-            finally:
-                browser.terminate()
-        lab.shutdown()
-    kept = lab.kept
+    with LabServer(session) as lab:
+        kept = kept_by_page(lab, tmp_path, monkeypatch)
     before, after = (base64.b64decode(kept[name]) for name in ("before", "after"))
     # The lower end of the range, which takes the upper one along.
     changes = {"noise.receiver.level_db": {"uniform": [31, 31]}}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -26,11 +25,11 @@ from simnfnd.evaluation import page_server
 from simnfnd.evaluation import viewer as server
 from simnfnd.evaluation.viewer import Shown, Viewer, open_shown
 from simnfnd.factory.errors import FactoryError
+from tests.evaluation.browser import CHROMIUM, kept_by_page
 from tests.factory.export.export_dataset import SHAPE, write
 from tests.models.recordings.recording_files import pings, write_aris
 from tests.recorded_dataset import FRAMES, recorded_pair, write_recordings
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 # Pressed one after the other: to the last, two back by ten (to the first), two on, swap.
 _KEYS = """
 <script>
@@ -43,6 +42,25 @@ _KEYS = """
     press("ArrowRight", true);
     press("ArrowLeft");
   }, 50);
+</script>
+"""
+
+# Plays, and sends what is shown when the last frame has stopped it.
+_PLAY = """
+<script>
+  const button = document.getElementById("play");
+  const kept = {};
+  const when = (holds, then) => setTimeout(() => (holds() ? then() : when(holds, then)), 20);
+  when(() => document.body.dataset.shown === "0", () => {
+    document.dispatchEvent(new KeyboardEvent("keydown", {key: "p", bubbles: true}));
+    kept.began = button.textContent;
+    when(() => button.textContent !== kept.began, () => {
+      kept.shown = document.body.dataset.shown;
+      kept.pressed = button.getAttribute("aria-pressed");
+      kept.label = button.textContent;
+      fetch(`kept?${encodeURIComponent(JSON.stringify(kept))}`);
+    });
+  });
 </script>
 """
 
@@ -221,20 +239,17 @@ def test_the_page_plays_a_recording_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_recordings(tmp_path / "dataset")
-    script = """
-<script>
-  const wait = setInterval(() => {
-    if (document.body.dataset.shown !== "0") return;
-    clearInterval(wait);
-    document.dispatchEvent(new KeyboardEvent("keydown", {key: "p", bubbles: true}));
-    document.body.dataset.began = document.getElementById("play").textContent;
-  }, 50);
-</script>
-"""
-    found = page_after(open_shown(folder / "sea/0"), script, tmp_path, monkeypatch)
-    assert 'data-began="pause"' in found
-    assert f'data-shown="{FRAMES - 1}"' in found
-    assert 'aria-pressed="false">play<' in found
+    page = tmp_path / "page.html"
+    page.write_text(server._PAGE.read_text(encoding="utf-8") + _PLAY, encoding="utf-8")
+    monkeypatch.setattr(server, "_PAGE", page)
+    with Viewer(open_shown(folder / "sea/0")) as viewer:
+        kept = kept_by_page(viewer, tmp_path, monkeypatch)
+    assert kept == {
+        "began": "pause",
+        "shown": str(FRAMES - 1),
+        "pressed": "false",
+        "label": "play",
+    }
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
