@@ -44,7 +44,8 @@ ONE = ("scheduler.workers=1", "dataset.preview_pairs=0")
 
 def measure(options: Options) -> Section:
     """A table for procedural frames, and one for real ones."""
-    few, many = options.amount(4, 1), options.amount(44, 2)
+    few = options.amount(4, 1)
+    many = options.amount(44, 2)
     tables = []
     with tempfile.TemporaryDirectory(prefix="command-") as name:
         folder = Path(name)
@@ -93,7 +94,8 @@ def _table(
                         run_command("make", *overrides, f"frames.limit={count}", *places).cpu
                     )
                 spent.append(median(times))
-            (less, more), (few, many) = spent, counts
+            less, more = spent
+            few, many = counts
             frame = (more - less) / (many - few)
             rows.append((f"{renderer}, {state}", recipe / frame, frame, less - few * frame))
     columns = ("through the command", "times less CPU", "CPU s a further frame", "CPU s of a run")

@@ -15,13 +15,15 @@ import numpy as np
 
 from benchmarks.shared import Options, Section, Table, run_command
 
-SIDE_PX, TURNS = 512, 3
+SIDE_PX = 512
+TURNS = 3
 LAMPREY = Path(__file__).parents[1] / "examples/didson/lamprey.avi"
 
 
 def measure(options: Options) -> Section:
     """CPU and wall seconds of one image, and of a further frame of a recording."""
-    few, many = options.amount(10, 2), options.amount(60, 4)
+    few = options.amount(10, 2)
+    many = options.amount(60, 4)
     rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

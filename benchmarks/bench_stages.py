@@ -42,12 +42,14 @@ def _table(options: Options) -> Table:
     config = compose_config(["render=embree", *frame_words(options.frame)])
     repeats = options.amount(REPEATS)
     sonar = config.sonar
-    reader, renderer = open_reader(config.scenes), open_renderer(config.render)
+    reader = open_reader(config.scenes)
+    renderer = open_renderer(config.render)
     ref = reader.discover().frames[0]
     frame = reader.load(ref)
     rendered = renderer.render(frame, sonar.mount)
     observed = pairs.observe(frame, rendered, config)
-    window, names = observed.window, StreamNames.of(frame.ref, 0, has_pose=True)
+    window = observed.window
+    names = StreamNames.of(frame.ref, 0, has_pose=True)
     echoes = insonified(frame, rendered, window, sonar).echoes
     echo_subset = pointwise.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
     draws = draw(config.noise, config.seed, names)

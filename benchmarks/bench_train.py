@@ -9,7 +9,8 @@ from benchmarks.shared import Options, Section, Table, run_command
 
 def measure(options: Options) -> Section:
     """A row for each network that people train."""
-    few, many = options.amount(20, 2), options.amount(120, 4)
+    few = options.amount(20, 2)
+    many = options.amount(120, 4)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         run_command("demo", "render=analytic", f"dataset.dir={folder}/demo")

@@ -64,7 +64,8 @@ class Tally:
 
 def measure(options: Options) -> Section:
     """A row for each kind of attack."""
-    amount, rows = options.amount, list[tuple[str, Tally]]()
+    amount = options.amount
+    rows = list[tuple[str, Tally]]()
     with tempfile.TemporaryDirectory(prefix="trust-") as folder:
         root = Path(folder)
         for workers in (2, 48):
@@ -89,14 +90,17 @@ def measure(options: Options) -> Section:
 
 def storms(folder: Path, workers: int, rounds: int) -> Tally:
     """Make a dataset again and again under fire; its bytes must be those of a quiet run."""
-    tally, acts, longest = Tally(), 0, 0.0
+    tally = Tally()
+    acts = 0
+    longest = 0.0
     quiet = folder / "quiet"
     _finish(_start(quiet, folder / "quiet-cache", 1), tally, "quiet")
     expected = _hashes(quiet)
     tally.must(len(expected) > 10, "the quiet run made too little")
     chance = random.Random(workers)
     for number in range(rounds):
-        dataset, cache = folder / f"made-{number}", folder / f"cache-{number}"
+        dataset = folder / f"made-{number}"
+        cache = folder / f"cache-{number}"
         for _ in range(4):
             run = _start(dataset, cache, workers)
             acts += _fire(run, chance)
@@ -139,7 +143,8 @@ def _fire(run: subprocess.Popen[bytes], chance: random.Random) -> int:
         time.sleep(chance.uniform(0.5, 3.0))
         if run.poll() is not None:
             break
-        act, workers = chance.choice(_ACTS), workers_of(run.pid)
+        act = chance.choice(_ACTS)
+        workers = workers_of(run.pid)
         try:
             if act == "kill run":
                 os.killpg(run.pid, signal.SIGKILL)
@@ -180,8 +185,11 @@ def _hashes(dataset: Path) -> dict[str, str]:
 def flipped(folder: Path, times: int) -> Tally:
     """Single bits of shards; a reader gives the same images or refuses."""
     folder.mkdir()
-    root, tally, rng = hostile.whole(folder / "sound"), Tally(), np.random.default_rng(1)
-    sound, refused = flips.given_out(root), 0
+    root = hostile.whole(folder / "sound")
+    tally = Tally()
+    rng = np.random.default_rng(1)
+    sound = flips.given_out(root)
+    refused = 0
     shards = sorted(root.glob("train/*.h5"))
     for _ in range(times):
         path = shards[rng.integers(len(shards))]
@@ -199,8 +207,11 @@ def flipped(folder: Path, times: int) -> Tally:
 def flipped_file(folder: Path, name: str, times: int) -> Tally:
     """Single bits of the index or manifest; `validate` finds them, or they change nothing."""
     folder.mkdir()
-    root, tally, rng = hostile.whole(folder / "sound"), Tally(), np.random.default_rng(2)
-    sound, detected = flips.given_out(root), 0
+    root = hostile.whole(folder / "sound")
+    tally = Tally()
+    rng = np.random.default_rng(2)
+    sound = flips.given_out(root)
+    detected = 0
     for _ in range(times):
         place, bit = flips.any_bit(root / name, rng)
         flips.flip(root / name, place, bit)
@@ -223,8 +234,10 @@ def flipped_file(folder: Path, name: str, times: int) -> Tally:
 def forged(folder: Path, times: int) -> Tally:
     """Datasets forged with true checksums, or damaged: a clear answer, no file outside of them."""
     folder.mkdir()
-    sound, tally = hostile.whole(folder / "sound"), Tally()
-    readable, reader = 0, IsolatedProcess()
+    sound = hostile.whole(folder / "sound")
+    tally = Tally()
+    readable = 0
+    reader = IsolatedProcess()
     for number in range(times):
         root = hostile.copy(sound, folder / "forged")
         mutation = hostile.mutate(root, number)
@@ -243,7 +256,8 @@ def forged(folder: Path, times: int) -> Tally:
 def bombs(folder: Path) -> Tally:
     """Small files that unpack to gigabytes: one line, exit code not 0, little memory."""
     folder.mkdir()
-    tally, most = Tally(), 0
+    tally = Tally()
+    most = 0
     for name, write in _BOMBS.items():
         path = folder / name
         in_own_process(write, path)  # the memory of who starts a command counts as the command's
@@ -319,9 +333,12 @@ _BOMBS: dict[str, Callable[[Path], None]] = {
 def damaged(folder: Path, name: str, times: int) -> Tally:
     """A recording with bits, words and pieces changed: read, or refused in one line."""
     folder.mkdir(exist_ok=True)
-    tally, refused, rng = Tally(), 0, np.random.default_rng(300)
+    tally = Tally()
+    refused = 0
+    rng = np.random.default_rng(300)
     path = WRITERS[name](folder / name)
-    sound, before = path.read_bytes(), _peak()
+    sound = path.read_bytes()
+    before = _peak()
     for number in range(times):
         path.write_bytes(mutated(sound, rng))
         begun = time.monotonic()

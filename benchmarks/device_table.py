@@ -10,7 +10,8 @@ from simnfnd.factory.cli.compose import compose_config
 def row(name: str) -> str:
     """A line of Markdown for a device."""
     config = compose_config([f"sonar={name}"])
-    sonar, absorption = config.sonar, config.water.absorption_db_per_m(config.sonar.frequency_khz)
+    sonar = config.sonar
+    absorption = config.water.absorption_db_per_m(config.sonar.frequency_khz)
     fields = (
         f"`{name}`", f"{sonar.frequency_khz:g}", f"{sonar.hfov_deg:g} x {sonar.vfov_deg:g}",
         f"{sonar.beams}", f"{sonar.range.min_m:g}-{sonar.range.max_m:g}",

@@ -28,7 +28,9 @@ class LiteralRecipe:
         import open3d
 
         matplotlib.use("Agg")
-        self.bpy, self.open3d, self.folder = bpy, open3d, folder
+        self.bpy = bpy
+        self.open3d = open3d
+        self.folder = folder
 
     def pair(self, frame: Frame) -> list[Path]:
         """The noisy and the clean image of `frame`, as files."""
@@ -68,7 +70,8 @@ class LiteralRecipe:
         cloud.matrix_world = ((1, 0, 0, 0), (0, -1, 0, 0), (0, 0, -1, 0), (0, 0, 0, 1))
         material = bpy.data.materials.new("colours")
         material.use_nodes = True
-        nodes, links = material.node_tree.nodes, material.node_tree.links
+        nodes = material.node_tree.nodes
+        links = material.node_tree.links
         colour = nodes.new("ShaderNodeAttribute")
         colour.attribute_name = cloud.data.color_attributes[0].name
         links.new(colour.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
@@ -84,14 +87,16 @@ class LiteralRecipe:
         scene.collection.objects.link(light)
         scene.collection.objects.link(camera)
         scene.camera = camera
-        scene.render.resolution_x, scene.render.resolution_y = width, height
+        scene.render.resolution_x = width
+        scene.render.resolution_y = height
 
     def _render(self, frame: Frame) -> npt.NDArray[np.float64]:
         import cv2
 
         scene = self.bpy.context.scene
         scene.render.engine = "CYCLES"
-        scene.cycles.device, scene.cycles.samples = "CPU", SAMPLES
+        scene.cycles.device = "CPU"
+        scene.cycles.samples = SAMPLES
         scene.cycles.use_denoising = False
         target = self.folder / "render.png"
         scene.render.filepath = str(target)
@@ -120,7 +125,8 @@ def _points_as_spheres(bpy: Any, radius_m: float, material: Any) -> Any:
     tree = bpy.data.node_groups.new("spheres", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    start, end = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    start = tree.nodes.new("NodeGroupInput")
+    end = tree.nodes.new("NodeGroupOutput")
     points = tree.nodes.new("GeometryNodeMeshToPoints")
     points.inputs["Radius"].default_value = radius_m
     paint = tree.nodes.new("GeometryNodeSetMaterial")
@@ -137,7 +143,8 @@ def _with_noise(
     """Section 3.3 with mid-range numbers: spreading, background, a ghost and a spoke; resampled."""
     range_m = np.linalg.norm(points_m, axis=1)
     spread = points_m + np.abs(rng.standard_normal(points_m.shape)) * (0.02 * range_m[:, None])
-    count, far_m = len(points_m) // 20, range_m.max()
+    count = len(points_m) // 20
+    far_m = range_m.max()
     half_rad = np.deg2rad(22.5)
     azimuth = [
         rng.uniform(-half_rad, half_rad, count),
@@ -149,7 +156,8 @@ def _with_noise(
         rng.normal(far_m / 2, 0.2, count),
         rng.uniform(0, far_m, count),
     ]
-    theta, r = np.concatenate(azimuth), np.concatenate(distance)
+    theta = np.concatenate(azimuth)
+    r = np.concatenate(distance)
     added = np.stack([r * np.sin(theta), np.zeros_like(r), r * np.cos(theta)], axis=1)
     cloud = np.concatenate([spread, added])
     level = np.concatenate([strength, rng.random(len(r))])

@@ -66,7 +66,8 @@ REAL: dict[str, tuple[str, ...]] = {
     ),
 }
 FEW = ("render=analytic", "frames.total=4", "scheduler.shard_size=2", "dataset.preview_pairs=0")
-ONE, MANY = ("scheduler=serial",), ("scheduler=local", "scheduler.workers=48")
+ONE = ("scheduler=serial",)
+MANY = ("scheduler=local", "scheduler.workers=48")
 
 
 def main() -> int:
@@ -174,7 +175,8 @@ def of_real_frames(folder: Path, root: Path, only: list[str] | None, keep: Path)
                 second_dataset,
                 keep,
             )
-        pack, packed = folder / f"{name}.pack", folder / f"{name}_packed"
+        pack = folder / f"{name}.pack"
+        packed = folder / f"{name}_packed"
         run("simnfnd.factory", "cache", "pack", "--out", str(pack), *words, *scenes)
         run("simnfnd.factory", *words, "scenes=pack", f"scenes.root={pack}", *ONE,
             f"dataset.dir={packed}")  # fmt: skip

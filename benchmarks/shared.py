@@ -111,7 +111,8 @@ class Command:
 
 def run_command(*words: str, cwd: Path | None = None) -> Command:
     """Run `python -m simnfnd WORDS`; a failure ends the benchmark with what it printed last."""
-    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    began = time.monotonic()
     command = [sys.executable, "-m", "simnfnd", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd)
     if done.returncode:

@@ -26,7 +26,8 @@ for path in shards:
             sys.exit(f"{folder} has no labels; make it as the first lines say")
         classes = list(shard["segmentation"].attrs["classes"])
         for number, row in enumerate(shard["meta"]):
-            labels, instance = shard["segmentation"][number], shard["instance"][number]
+            labels = shard["segmentation"][number]
+            instance = shard["instance"][number]
             for thing in np.unique(instance[instance > 0]):
                 rows, columns = np.nonzero(instance == thing)
                 if len(rows) < LEAST_PX:

@@ -21,7 +21,9 @@ if not shards:
 with h5py.File(shards[0]) as shard:
     if "field" not in shard:
         sys.exit(f"{folder} has no layer field; make it as the first lines say")
-    field, level_db, row = shard["field"][0], shard["intensity_db"][0], shard["meta"][0]
+    field = shard["field"][0]
+    level_db = shard["intensity_db"][0]
+    row = shard["meta"][0]
 
 intensity = np.abs(field.astype(np.complex128)) ** 2
 heard = intensity > 0

@@ -15,7 +15,8 @@ def main() -> None:
     # It opens its files separately in each worker, however that was started.
     pairs = PairDataset(sys.argv[1], "train", layers=("noisy", "clean", "shadow"), scaled=True)
     loader = DataLoader(pairs, batch_size=4, shuffle=True, num_workers=2)
-    count, shaded = 0, 0.0
+    count = 0
+    shaded = 0.0
     for batch in loader:
         count += len(batch["noisy"])
         shaded += batch["shadow"].float().mean().item() * len(batch["shadow"])

@@ -10,7 +10,8 @@ import sys
 import numpy as np
 import open3d
 
-BODY, WHEEL = (0.25, 0.28, 0.30), (0.55, 0.08, 0.05)
+BODY = (0.25, 0.28, 0.30)
+WHEEL = (0.55, 0.08, 0.05)
 TURNS = {"x": (0, np.pi / 2, 0), "y": (np.pi / 2, 0, 0), "z": (0, 0, 0)}
 make = open3d.geometry.TriangleMesh
 valve = make()

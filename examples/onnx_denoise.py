@@ -24,11 +24,13 @@ def maps(row, height, width):
         float(row[name])
         for name in ("apex_x", "apex_y", "edge_slope", "top_row", "bottom_row", "squeeze")
     )
-    half, far = np.arctan(slope / squeeze), apex_y - top
+    half = np.arctan(slope / squeeze)
+    far = apex_y - top
     near = (apex_y - bottom) / np.cos(half)
     ahead = apex_y - np.arange(height)[:, None]
     right = (np.arange(width)[None] - apex_x) / squeeze
-    range_fraction, azimuth_rad = np.hypot(ahead, right) / far, np.arctan2(right, ahead)
+    range_fraction = np.hypot(ahead, right) / far
+    azimuth_rad = np.arctan2(right, ahead)
     sector = (range_fraction >= near / far) & (range_fraction <= 1) & (abs(azimuth_rad) <= half)
     return {"range_fraction": range_fraction, "azimuth_rad": azimuth_rad, "sector": sector}
 

@@ -152,7 +152,8 @@ def more(config: FactoryConfig, effect: str) -> FactoryConfig:
 
 def end(distribution: Distribution, quantile: float) -> float:
     """The weak (0) or strong (1) end of a distribution; of a normal one two deviations off."""
-    low, high = min(distribution.values), max(distribution.values)
+    low = min(distribution.values)
+    high = max(distribution.values)
     if distribution.kind == "normal":
         mean, std = distribution.values
         low, high = mean - 2 * std, mean + 2 * std
@@ -189,7 +190,9 @@ def from_above(view: View, config: FactoryConfig, cells: int = 420) -> Panel:
     ground_m = echoes.range_m * np.cos(echoes.elevation_rad)
     right_m = ground_m * np.sin(echoes.azimuth_rad)
     ahead_m = ground_m * np.cos(echoes.azimuth_rad)
-    half_m, near_m, far_m = np.abs(right_m).max(), ahead_m.min(), ahead_m.max()
+    half_m = np.abs(right_m).max()
+    near_m = ahead_m.min()
+    far_m = ahead_m.max()
     box = ((near_m, far_m), (-half_m, half_m))
     total, _, _ = np.histogram2d(ahead_m, right_m, cells, box, weights=echoes.strength)
     count, _, _ = np.histogram2d(ahead_m, right_m, cells, box)
@@ -219,7 +222,8 @@ def devices(settings: Sequence[str]) -> list[list[Panel]]:
         config = compose_config([*words, f"sonar={name}", *settings])
         (view,) = views(config, 1)
         picture = make_pair(view.observed, 0, config).noisy
-        rows, columns = picture.any(axis=1).nonzero()[0], picture.any(axis=0).nonzero()[0]
+        rows = picture.any(axis=1).nonzero()[0]
+        columns = picture.any(axis=0).nonzero()[0]
         part = picture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         panels.append(Panel(f"{name}, {config.sonar.frequency_khz:g} kHz", part))
     return [panels[first : first + 5] for first in range(0, len(panels), 5)]

@@ -57,7 +57,8 @@ def main() -> None:
         if not (folder / name).is_file():
             parser.error(f"{folder}: no {name} in it; give the folder of a TUM RGB-D recording")
     matches = pairs(listed(folder / "rgb.txt"), listed(folder / "depth.txt"))
-    target, name = folder / "frames.csv", folder.resolve().name
+    target = folder / "frames.csv"
+    name = folder.resolve().name
     with target.open("w", newline="") as file:
         csv.writer(file).writerows((*pair, name) for pair in matches)
     camera = next((value for key, value in CAMERAS.items() if key in name), "FX,FY,CX,CY")

@@ -39,7 +39,8 @@ class UNet(nn.Module):
 
     def forward(self, noisy: torch.Tensor) -> torch.Tensor:
         """(N, 1, H, W) in 0..1 -> the same, denoised; H and W are multiples of 4."""
-        features, skipped = noisy, []
+        features = noisy
+        skipped = []
         for level in self.down:
             features = level(features)
             skipped.append(features)
@@ -58,7 +59,8 @@ def psnr_db(image: torch.Tensor, clean: torch.Tensor) -> float:
 
 def main() -> None:
     """Train on fresh pairs of the training scenes; measure on stored pairs of the test scenes."""
-    dataset, steps = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 300
+    dataset = sys.argv[1]
+    steps = int(sys.argv[2]) if len(sys.argv) > 2 else 300
     torch.manual_seed(0)
     network = UNet()
     optimizer = torch.optim.Adam(network.parameters(), 2e-3)

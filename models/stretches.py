@@ -307,7 +307,7 @@ def _stretch_of(shots: list[Shot]) -> _Stretch | None:
 
     targets = []
     for index in indices:
-        others = [other for other in indices if other != index]
+        others = [number for number in indices if number != index]
         mean = np.mean(laid_over(frames, group, index, others), axis=0, dtype=np.float64)
         targets.append(np.where(known, mean, np.nan).astype(np.float32))
     return _Stretch(fitting, Still(frames, targets, laid, shots[0].geometry))

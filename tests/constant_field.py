@@ -17,7 +17,8 @@ from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.pairs import ObservedFrame, observe
 from simnfnd.factory.render.base import Rendered
 
-NEAR_M, FAR_M = 4.0, 8.0
+NEAR_M = 4.0
+FAR_M = 8.0
 
 
 def constant_field(

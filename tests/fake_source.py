@@ -186,15 +186,19 @@ def fan(
     """(H, W) float32 picture in [0, 1] of a 60 degree fan, and its shadows."""
     height, width = shape
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
-    ahead, right = 1.02 - rows / height, (columns - width / 2 + 0.5) / height
-    range_, azimuth = np.hypot(ahead, right), np.arctan2(right, ahead)
+    ahead = 1.02 - rows / height
+    right = (columns - width / 2 + 0.5) / height
+    range_ = np.hypot(ahead, right)
+    azimuth = np.arctan2(right, ahead)
     inside = (np.abs(azimuth) < np.deg2rad(30)) & (range_ > 0.1) & (range_ < 1.0)
     floor = 0.25 + 0.1 * np.sin(60 * range_ + 8 * azimuth + rng.uniform(0, 6))
     shadow = np.zeros(shape, dtype=bool)
     image = floor
     for _ in range(5):
-        at, bearing = rng.uniform(0.25, 0.8), rng.uniform(-0.4, 0.4)
-        width_rad, length = rng.uniform(0.03, 0.1), rng.uniform(0.08, 0.25)
+        at = rng.uniform(0.25, 0.8)
+        bearing = rng.uniform(-0.4, 0.4)
+        width_rad = rng.uniform(0.03, 0.1)
+        length = rng.uniform(0.08, 0.25)
         beam = np.abs(azimuth - bearing) < width_rad
         shadow |= beam & (range_ > at) & (range_ < at + length)
         bright = np.exp(-(((range_ - at) / 0.012) ** 2)) * beam

@@ -9,7 +9,9 @@ from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.render.base import Rendered
 
-HEIGHT_M, PITCH_RAD, POST_M = 1.5, np.deg2rad(20), 3.0
+HEIGHT_M = 1.5
+PITCH_RAD = np.deg2rad(20)
+POST_M = 3.0
 
 
 def ground_and_post(width=240, height=160, name="0001", scene="plain") -> Frame:
@@ -20,7 +22,8 @@ def ground_and_post(width=240, height=160, name="0001", scene="plain") -> Frame:
     focal = width / 2 / np.tan(np.deg2rad(22.5))
     intrinsics = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
     u, v = np.meshgrid(np.arange(width), np.arange(height))
-    x, y = (u - intrinsics.cx) / focal, (v - intrinsics.cy) / focal
+    x = (u - intrinsics.cx) / focal
+    y = (v - intrinsics.cy) / focal
     down = y * np.cos(PITCH_RAD) + np.sin(PITCH_RAD)
     with np.errstate(divide="ignore"):
         depth_m = np.where(down > 0, HEIGHT_M / down, 0)
@@ -46,7 +49,9 @@ def labelled(**fields: Any) -> Frame:
 
 def plain_render(frame: Frame) -> Rendered:
     """Every measured pixel echoes with 1 / range^2."""
-    focal, cx, cy = frame.intrinsics.fx, frame.intrinsics.cx, frame.intrinsics.cy
+    focal = frame.intrinsics.fx
+    cx = frame.intrinsics.cx
+    cy = frame.intrinsics.cy
     v, u = np.indices(frame.depth_m.shape)
     slant = np.sqrt(1 + ((u - cx) / focal) ** 2 + ((v - cy) / focal) ** 2)
     range_m = np.maximum(frame.depth_m * slant, 1e-6)

@@ -47,7 +47,8 @@ def box_depth(
     direction: npt.NDArray[np.float64], low: tuple[float, ...], high: tuple[float, ...]
 ) -> npt.NDArray[np.float64]:
     with np.errstate(divide="ignore", invalid="ignore"):
-        low_distance, high_distance = np.asarray(low) / direction, np.asarray(high) / direction
+        low_distance = np.asarray(low) / direction
+        high_distance = np.asarray(high) / direction
     enter = np.nanmax(np.minimum(low_distance, high_distance), axis=-1)
     leave = np.nanmin(np.maximum(low_distance, high_distance), axis=-1)
     return np.where((enter < leave) & (enter > 0), enter, np.inf)

@@ -27,7 +27,8 @@ PROVENANCE = Provenance({"made": "by a test", "noise": {}}, "0123abcd", "tests")
 def fan_mask(size: int) -> npt.NDArray[np.bool_]:
     """(size, size) bool sector with its apex below the picture."""
     rows, columns = np.mgrid[0:size, 0:size]
-    up, right = size * 1.05 - rows, columns - (size - 1) / 2
+    up = size * 1.05 - rows
+    right = columns - (size - 1) / 2
     inside = np.hypot(up, right) < size * 1.05
     return np.asarray(inside & (np.abs(np.arctan2(right, up)) < np.deg2rad(28)))
 
@@ -91,6 +92,7 @@ def write_manifest(root: Path, *relative: str) -> None:
     """A manifest that lists only these shards."""
     manifest = Manifest(config_hash({}), "tests")
     for path in relative:
-        size, checksum = (root / path).stat().st_size, sha256_of(root / path)
+        size = (root / path).stat().st_size
+        checksum = sha256_of(root / path)
         manifest = manifest.with_shard(ShardInfo(path, path.split("/")[0], 1, size, checksum))
     save_manifest(root, manifest)

@@ -10,7 +10,8 @@ def workers_of(pid: int) -> list[psutil.Process]:
 
     A fork has the command line of the template that it was forked from, which is no worker.
     """
-    workers, templates = [], set()
+    workers = []
+    templates = set()
     try:
         children = psutil.Process(pid).children(recursive=True)
     except psutil.NoSuchProcess:

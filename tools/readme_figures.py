@@ -44,7 +44,9 @@ _PROBED = 18
 _AWAY = 3  # frames nearer than this are a denoiser's, not the reference's
 _LIT = 8 / 255
 _CROPS = (slice(20, 380), slice(20, 380)), (slice(230, 350), slice(120, 240))
-_CROP_PX, _GAP_PX, _CAPTION_PX = 240, 4, 24
+_CROP_PX = 240
+_GAP_PX = 4
+_CAPTION_PX = 24
 
 Frames = npt.NDArray[np.float32]
 Figures = dict[str, Any]
@@ -102,10 +104,15 @@ def measured(reports: Path, groups: Path | None, before: Mapping[str, Any]) -> F
 
 def lines_of(figures: Mapping[str, Any]) -> str:
     """The lines of README.md between its marks."""
-    real, targets, groups = figures["real"], figures["detect"], figures["groups"]
-    static, moving = real["static"], real["moving"]
-    recorded, gaussian = targets["recorded"], targets["gaussian (sigma_px=1.5)"]
-    single, in_time = targets["simnfnd, single frames"], targets["simnfnd, 7 frames"]
+    real = figures["real"]
+    targets = figures["detect"]
+    groups = figures["groups"]
+    static = real["static"]
+    moving = real["moving"]
+    recorded = targets["recorded"]
+    gaussian = targets["gaussian (sigma_px=1.5)"]
+    single = targets["simnfnd, single frames"]
+    in_time = targets["simnfnd, 7 frames"]
     return f"""\
 - **Recordings** (`{COMMANDS["real"]}`). On a DIDSON recording that no weights learned from, `simnfnd denoise` reaches {_scores(static["simnfnd: fused and denoised"])} against frames outside its window; the mean of seven frames with tuned total variation {_scores(static["registered mean of 7 + tuned TV"])}, `simnfnd` on single frames {_scores(static["simnfnd: one frame"])}. Under a moving sonar it keeps {_scores(moving["simnfnd: fused and denoised"])}; the mean of seven falls to {moving["mean of 7 + tuned TV"]["psnr_db"]:.1f} dB, and reaches {_scores(moving["registered mean of 7 + tuned TV"])} where whole frames are registered first. The recording was in sight during development. [Recordings](docs/recordings.md)
 - **Moving targets** (`{COMMANDS["detect"]}`). Of the contrast of small and large targets inserted into that recording, `simnfnd denoise` retains {_share(in_time["contrast"])} and single frames (`--frames 1`) {_share(single["contrast"])}; a Gaussian of 1.5 px {_share(gaussian["contrast"])}. A matched filter's AUC is {in_time["auc"]:.3f} and {single["auc"]:.3f} (recorded: {recorded["auc"]:.3f}); at one false alarm per frame {_share(in_time["detection"])} and {_share(single["detection"])} of the targets are detected (recorded: {_share(recorded["detection"])}). [Moving targets](docs/evaluation.md#moving-targets)

@@ -98,7 +98,8 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         return f"{match.group(1)}{link}{'#' * bool(anchor)}{anchor}{match.group(3)}"
 
     # Code blocks stay as they are.
-    parts, last = [], 0
+    parts = []
+    last = 0
     for fence in _FENCE.finditer(markdown):
         parts += [_LINK.sub(with_target, markdown[last : fence.start()]), fence.group(0)]
         last = fence.end()

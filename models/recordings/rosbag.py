@@ -138,9 +138,9 @@ class RosBag(Recording):
                 None,
                 digest_of(connection.msgtype, self.version),
             ):
-                other = f"another {connection.msgtype} than this program knows"
+                mismatch = f"another {connection.msgtype} than this program knows"
                 stated = f"its fingerprint is {connection.digest[:80]}"
-                raise FactoryError(f"{self.path}: {connection.topic} has {other} ({stated})")
+                raise FactoryError(f"{self.path}: {connection.topic} has {mismatch} ({stated})")
         return chosen
 
     def _read(self, number: int) -> Frame:

@@ -180,7 +180,8 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
     """By the names of `export --to png`, PNG or .npy; equal pictures give equal figures."""
     dataset = write_dataset(tmp_path / "data", train=2, test=5, size=48, per_shard=3)
     items = items_of(dataset, "test")
-    mine, arrays = tmp_path / "mine", tmp_path / "arrays"
+    mine = tmp_path / "mine"
+    arrays = tmp_path / "arrays"
     for folder in (mine / "test" / "noisy", arrays):
         folder.mkdir(parents=True)
     for number, item in enumerate(items):
@@ -225,7 +226,9 @@ def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> Non
     assert content["validation"] == [f"{item.shard}#{item.place[1]}" for item in items]
 
     # By hand: every sigma on every pair.
-    baseline, plain, corrected = REGISTRY["gaussian"], {}, {}
+    baseline = REGISTRY["gaussian"]
+    plain = {}
+    corrected = {}
     for point in baseline.points():
         pictures = [picture(item.place) for item in items]
         pairs = [(baseline(pair.noisy, point), pair.clean) for pair in pictures]
@@ -308,7 +311,8 @@ def test_a_method_that_crashes_loses_its_row_alone(
 
 
 def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
-    file, names = tmp_path / "t.json", ("median", "identity")
+    file = tmp_path / "t.json"
+    names = ("median", "identity")
     tune(dataset, file, *names)
     methods = methods_of(baselines_of(names), tuning.load_tuned(file))
     forms = ["", " + levels", " tuned", " tuned + levels"]
@@ -316,7 +320,8 @@ def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
     assert [method.label for method in methods] == labels
     actual = measured(dataset, methods).wide()
     # One pair by hand.
-    number, label = 4, "median tuned + levels"
+    number = 4
+    label = "median tuned + levels"
     pair = picture(items_of(dataset, "test")[number].place)
     method = methods[labels.index(label)]
     assert method.levels is not None
@@ -461,7 +466,8 @@ def test_one_command_gives_both_tables_and_goes_on(
         return command.main([*words, *small[words[0]]])
 
     monkeypatch.setattr(paper, "run", lambda words: 0 if words[0] != "train" else 3)
-    out, real = tmp_path / "out", polar_folder(tmp_path / "real", 1, 4)
+    out = tmp_path / "out"
+    real = polar_folder(tmp_path / "real", 1, 4)
     words = ["--quick", "--real", str(real), "--frames", "8", "--steps", "2", "--out", str(out)]
     assert paper.main(words) == 3
     said = capsys.readouterr()

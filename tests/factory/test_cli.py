@@ -191,7 +191,8 @@ def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, 
     from simnfnd.factory.cli import generate
     from simnfnd.factory.scheduler.workers.signals import Interrupted
 
-    calls, make = [], generate.run
+    calls = []
+    make = generate.run
 
     def interrupted(*arguments, **named):
         calls.append(arguments)
@@ -481,7 +482,7 @@ def test_a_larger_total_keeps_the_frames_of_a_smaller_one():
 
 def test_a_split_that_stays_empty_is_told_with_one_that_works():
     few = found(flatiron=3, pier=2, reef=2)
-    (lost, empty) = warnings(few, split={"test": ["u_canyon", "coral_*"]})
+    lost, empty = warnings(few, split={"test": ["u_canyon", "coral_*"]})
     assert "u_canyon, coral_*" in lost
     offered = empty.partition("split.test=[")[2].partition("]")[0]
     assert empty.startswith("the test split is empty")

@@ -89,7 +89,8 @@ def test_insonified_surface_as_in_double_precision(name: str) -> None:
     echoes, number = plain_surface(frame, rendered, device)
     bins = plain_bins(echoes, at, device)
     remaining = (bins < hit.size) & (echoes.strength > 0)
-    echoes, number = chosen(echoes, remaining), number[remaining]
+    echoes = chosen(echoes, remaining)
+    number = number[remaining]
     # All but the few on the edge of the window.
     assert len(np.setxor1d(number, pixel)) <= 1e-3 * len(number)
     _, index, expected_index = np.intersect1d(
@@ -108,7 +109,8 @@ def test_insonified_surface_as_in_double_precision(name: str) -> None:
 
 @pytest.mark.parametrize("accumulate", ["sum", "mean", "max"])
 def test_accumulation_is_that_of_numpy_and_parts_need_not_be_joined(accumulate: str) -> None:
-    device, at = sonar(accumulate=accumulate), window()
+    device = sonar(accumulate=accumulate)
+    at = window()
     scene = camera_scene(50_000)
     rng = np.random.default_rng(3)
     scene = replace(scene, strength=rng.random(50_000, dtype=np.float32))
@@ -163,7 +165,8 @@ def test_fan_is_bilinear_and_nearest_as_scipy_interpolates() -> None:
     table = fan_table(device, 0.25)
     rng = np.random.default_rng(0)
     level = rng.random((60, 40), dtype=np.float32)
-    rows, columns = device.image.height_px, device.image.width_px
+    rows = device.image.height_px
+    columns = device.image.width_px
     pixel = pixel_size(device, 0.25)
     ahead = 1 - (np.arange(rows)[:, None] + 0.5) * pixel
     right = (np.arange(columns)[None] + 0.5 - columns / 2) * pixel

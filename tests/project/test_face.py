@@ -122,7 +122,8 @@ def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypat
     ]
     assert main(command_words) == 0
     with simnfnd.PairDataset(tmp_path / "out", "all", trusted=True) as pairs:
-        stored, meta = pairs[0], pairs.meta()[0]
+        stored = pairs[0]
+        meta = pairs.meta()[0]
     name = "/".join(meta[key].decode() for key in ("location", "scene", "frame") if meta[key])
     pair = simnfnd.make_pair(
         rgb, millimetres / np.float32(1000), **PLACE, config=words, name=name.split("/")[-1],

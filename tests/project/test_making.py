@@ -230,7 +230,8 @@ def test_a_pair_carries_what_chooses_its_weights(
     recipe = (f"experiment={demo}", *SMALL[1:], "scheduler=serial")
     dataset = simnfnd.make_dataset(*recipe, out=tmp_path / "data")
     with simnfnd.PairDataset(dataset.path, trusted=True) as pairs:
-        stored, sample = pairs.pair(-1), pairs[-1]
+        stored = pairs.pair(-1)
+        sample = pairs[-1]
         assert stored.formation == formation
         np.testing.assert_array_equal(stored.noisy, sample["noisy"])
         assert stored.record["scene"] == pairs.meta()[-1]["scene"].decode()

@@ -62,7 +62,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     frames: list[np.ndarray] = []
     while len(frames) < 10 and (actual := video.read())[0]:
         frames.append(cv2.resize(actual[1], None, fx=0.3, fy=0.3, interpolation=cv2.INTER_AREA))
-    codec, size = cv2.VideoWriter.fourcc(*"FFV1"), frames[0].shape[1::-1]
+    codec = cv2.VideoWriter.fourcc(*"FFV1")
+    size = frames[0].shape[1::-1]
     out = cv2.VideoWriter(str(folder / "examples/didson/lamprey.avi"), codec, 10, size)
     for frame in frames:
         out.write(frame)
@@ -89,7 +90,8 @@ def test_step_runs(step: Step, folder: Path, capfd: pytest.CaptureFixture[str]) 
     if step.page.name == "README.md" and step.kind == "sh":
         code, said = as_the_reader(step, folder)
     else:
-        code, said = run(step, folder), "".join(capfd.readouterr())
+        code = run(step, folder)
+        said = "".join(capfd.readouterr())
     assert code == 0, f"{step.page}:{step.line}: {step.text}\n{said[-4000:]}"
 
 
@@ -107,7 +109,8 @@ def test_both_profiles_of_the_demo_show_the_same_frames(folder: Path) -> None:
 
 def as_the_reader(step: Step, folder: Path) -> tuple[int, str]:
     """Exit code and output of a command of README.md in a process of its own."""
-    command, prefix = step.text.split(), Path(sys.prefix)
+    command = step.text.split()
+    prefix = Path(sys.prefix)
     if command[0] == "make":
         small = f"scenes.frames_per_location=2 dataset.dir={folder}/outputs/demo"
         command += ["-C", str(ROOT), f"VENV={prefix}", f"ARGS={' '.join(SMALL_SEABED)} {small}"]

@@ -48,7 +48,8 @@ def test_what_pages_load_and_link_to_is_there(site: Path) -> None:
     assert len(pages) > 40
     link = re.compile(r"\b(?:src|href)=\"([^\"#?]+)")
     for page in pages:
-        text, name = page.read_text(encoding="utf-8"), page.relative_to(site)
+        text = page.read_text(encoding="utf-8")
+        name = page.relative_to(site)
         assert not [source for source in _LOADED.findall(text) if "//" in source], (
             f"{name} loads it"
         )

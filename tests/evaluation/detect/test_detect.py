@@ -32,7 +32,9 @@ from simnfnd.evaluation.detect.targets import (
 )
 from simnfnd.factory.errors import FactoryError
 
-HEIGHT, WIDTH, COUNT = 150, 170, 28
+HEIGHT = 150
+WIDTH = 170
+COUNT = 28
 CLASSES = classes_of([(3, 2), (6, 3)], [1, 4])
 PLAN = TrackPlan(CLASSES, at_once=4, frames=7, speed_px=(1, 2))
 
@@ -127,7 +129,8 @@ def test_recorded_frames_retain_all_and_a_twin_nothing(insertion: Insertion) -> 
     assert same.overall.contrast.value == pytest.approx(1)
     assert same.overall.detection_gain.value == 0
     assert same.false_alarms.value == pytest.approx(1)
-    faint, bright = same.by_class[0], same.by_class[3]
+    faint = same.by_class[0]
+    bright = same.by_class[3]
     assert 0.5 < faint.auc.value < bright.auc.value
     assert bright.detection.value > 0.9
     erased = answers(insertion, insertion.without, insertion.without)

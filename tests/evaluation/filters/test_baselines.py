@@ -48,7 +48,8 @@ def run(name: str, image: Array, **parameters: float) -> Array:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_gives_a_picture_for_every_picture(name: str) -> None:
-    rng, size = np.random.default_rng(1), (12, 17)
+    rng = np.random.default_rng(1)
+    size = (12, 17)
     for image in (
         rng.random(size, dtype=np.float32),
         np.zeros(size, np.float32),
@@ -73,7 +74,8 @@ def test_some_point_of_the_grid_helps(name: str) -> None:
     """Every denoiser gains on noise that it is made for."""
     white = ("bm3d", "nlm", "tv", "wavelet", "bilateral")
     kind = "white" if name in white else "speckle"
-    clean, noisy = scene(), noisy_scene(kind)
+    clean = scene()
+    noisy = noisy_scene(kind)
     if name == "grey_opening":  # is made for specks
         noisy = np.where(np.random.default_rng(0).random(clean.shape) < 0.03, 1, clean)
         noisy = noisy.astype(np.float32)
@@ -120,13 +122,15 @@ def test_median_and_opening_are_the_definition() -> None:
 
 
 def test_lee_kuan_and_frost_are_their_formulas() -> None:
-    image, cu2 = noisy_scene("speckle", 40), 0.1**2
+    image = noisy_scene("speckle", 40)
+    cu2 = 0.1**2
     y, x = np.mgrid[-3:4, -3:4]
     actual = [run(name, image, size=7, noise_cv=0.1) for name in ("lee", "kuan")]
     actual.append(run("frost", image, size=7, damping=2))
     for row, column in ((20, 20), (9, 30), (12, 4)):
         window = image[row - 3 : row + 4, column - 3 : column + 4].astype(float)
-        mean, ci2 = window.mean(), window.var() / window.mean() ** 2
+        mean = window.mean()
+        ci2 = window.var() / window.mean() ** 2
         part = max(1 - cu2 / ci2, 0) * (float(image[row, column]) - mean)
         weights = np.exp(-2 * ci2 * np.hypot(x, y))
         frost = (weights * window).sum() / weights.sum()
@@ -141,8 +145,10 @@ def test_srad_is_the_formula_step_by_step() -> None:
     for number in range(3):
         q0 = (0.3 * math.exp(-number * 0.2 / 6)) ** 2
         edged = np.pad(values, 1, mode="edge")
-        down, up = edged[2:, 1:-1] - values, edged[:-2, 1:-1] - values
-        right, left = edged[1:-1, 2:] - values, edged[1:-1, :-2] - values
+        down = edged[2:, 1:-1] - values
+        up = edged[:-2, 1:-1] - values
+        right = edged[1:-1, 2:] - values
+        left = edged[1:-1, :-2] - values
         gradient = (down**2 + up**2 + right**2 + left**2) / values**2
         laplace = (down + up + right + left) / values
         q2 = np.maximum(gradient / 2 - laplace**2 / 16, 0) / (1 + laplace / 4) ** 2

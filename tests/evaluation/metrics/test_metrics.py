@@ -178,10 +178,13 @@ def slow_ms_ssim(a: Array, b: Array, full: float) -> float:
     product = 1.0
     weights = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333]
     for scale, weight in enumerate(weights):
-        mu_a, mu_b = averages(a), averages(b)
-        var_a, var_b = averages(a**2) - mu_a**2, averages(b**2) - mu_b**2
+        mu_a = averages(a)
+        mu_b = averages(b)
+        var_a = averages(a**2) - mu_a**2
+        var_b = averages(b**2) - mu_b**2
         cov: Array = averages(a * b) - mu_a * mu_b
-        c1, c2 = (0.01 * full) ** 2, (0.03 * full) ** 2
+        c1 = (0.01 * full) ** 2
+        c2 = (0.03 * full) ** 2
         term = (2 * cov + c2) / (var_a + var_b + c2)
         if scale == 4:
             term = term * (2 * mu_a * mu_b + c1) / (mu_a**2 + mu_b**2 + c1)
@@ -257,7 +260,8 @@ def test_zones_are_even_bright_and_inside() -> None:
 
 def test_contrast_to_noise_is_the_formula() -> None:
     image = np.array([[1.0, 3.0], [10.0, 14.0]])
-    bright, dark = np.array([[0, 0], [1, 1]], bool), np.array([[1, 1], [0, 0]], bool)
+    bright = np.array([[0, 0], [1, 1]], bool)
+    dark = np.array([[1, 1], [0, 0]], bool)
     # Means 12 and 2, variances 4 and 1.
     assert contrast_to_noise(image, bright, dark) == pytest.approx(10 / math.sqrt(5))
     assert contrast_to_noise(image / 14, bright, dark) == pytest.approx(10 / math.sqrt(5))
@@ -267,7 +271,8 @@ def test_contrast_to_noise_is_the_formula() -> None:
 
 
 def test_ratio_mean_is_that_of_the_lit_pixels() -> None:
-    noisy, denoised = np.array([[0.2, 0.6, 0.5]]), np.array([[0.4, 0.3, 0.0]])
+    noisy = np.array([[0.2, 0.6, 0.5]])
+    denoised = np.array([[0.4, 0.3, 0.0]])
     assert ratio_figures(noisy, denoised)["ratio_mean"] == pytest.approx(1.25)
     nothing = ratio_figures(noisy, np.zeros_like(noisy))
     assert all(math.isnan(value) for value in nothing.values())
@@ -300,7 +305,9 @@ def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
     noisy = np.clip(speckled(clean, 9), 0, 1).astype(np.float32)
     shadow = np.zeros(clean.shape, bool)
     shadow[60:90, 40:120] = True
-    clean[shadow], noisy[:, :20], clean[:, :20] = 0, 0, 0
+    clean[shadow] = 0
+    noisy[:, :20] = 0
+    clean[:, :20] = 0
     sector = sector_of(noisy, clean, shadow)
     scene = Scene(Picture(noisy, clean, shadow, sector))
     zones = homogeneous_zones(clean, data_range=1, sector=sector)

@@ -50,7 +50,8 @@ def fans(root: Path, count: int) -> Path:
         name = "AB"[number % 2]
         sector = MDD_GEOMETRIES[name].sector_mask(*MDD_SHAPE)
         clean = np.where(sector, 0.4, 0.0)
-        row, column = int(rng.integers(90, 220)), int(rng.integers(130, 170))
+        row = int(rng.integers(90, 220))
+        column = int(rng.integers(130, 170))
         clean[row : row + 24, column : column + 24] = 0.8
         clean[row + 30 : row + 150, column - 40 : column + 64] *= 0.05
         noisy = clean * rng.gamma(6, 1 / 6, clean.shape)
@@ -99,7 +100,8 @@ def test_the_report_of_a_folder_without_static_groups(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(REGISTRY, "broken", BROKEN)
-    folder, out = fans(tmp_path / "mdd", 2), tmp_path / "out"
+    folder = fans(tmp_path / "mdd", 2)
+    out = tmp_path / "out"
     content = real(out, str(folder), "baselines=[gaussian,median,broken]", "examples=2")
     assert "| noisy |" in capsys.readouterr().out
     rows = {row["label"]: row for row in content["rows"]}
@@ -174,7 +176,8 @@ def test_frames_that_moved_too_far_are_left_out() -> None:
 
 
 def test_what_moves_is_found() -> None:
-    rng, frames = np.random.default_rng(6), []
+    rng = np.random.default_rng(6)
+    frames = []
     for number in range(10):
         image = frame(0, rng, 0.05)
         image[24:37, 8 + 6 * number : 21 + 6 * number] = 1
@@ -202,7 +205,8 @@ def test_a_shuffled_folder_is_judged_by_its_groups(tmp_path: Path) -> None:
     assert [entry["fold"] for entry in content["groups"]] == [0, 1]
     assert len(content["files"]) == 18, "the third scene has too few frames"
     rows = {row["label"]: row for row in content["rows"]}
-    noisy, blurred = rows["noisy"], rows["gaussian tuned on others"]
+    noisy = rows["noisy"]
+    blurred = rows["gaussian tuned on others"]
     # Noise of .08, and an eleventh or seventh of it in the truth; levels take some away.
     assert 20.5 < noisy["means"]["psnr_db"] < 23
     assert blurred["means"]["gain_db"] > 5

@@ -36,7 +36,8 @@ from tests.evaluation.evaluation_settings import polar_folder, sonar_picture, sp
 from tests.project_files import ROOT
 
 SHARED = ROOT.parent / "shared" / "data"
-MDD, ARIS = SHARED / "mdd", SHARED / "aris-sdk" / "sample.aris"
+MDD = SHARED / "mdd"
+ARIS = SHARED / "aris-sdk" / "sample.aris"
 LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
 
 
@@ -117,7 +118,8 @@ def test_geometry_files_and_recordings_are_checked(tmp_path: Path) -> None:
 
 def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
     shutil.copy(LAMPREY, tmp_path / "dive.avi")
-    from_file, from_folder = recorded.open_real(LAMPREY)[0], recorded.open_real(tmp_path)[0]
+    from_file = recorded.open_real(LAMPREY)[0]
+    from_folder = recorded.open_real(tmp_path)[0]
     assert len(from_file) == len(from_folder) == 36
     assert from_folder[7].name == "dive.avi#7"
     first = from_file[0]

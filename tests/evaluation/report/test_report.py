@@ -166,7 +166,8 @@ def test_compare_says_which_is_better(
     said = capsys.readouterr().out
     assert "A = grey_opening (a), B = noisy (b): 24 pairs of 12 frames" in said
     content = compare(a, b, "grey_opening", "noisy")
-    first_results, second_results = read_results(a), read_results(b)
+    first_results = read_results(a)
+    second_results = read_results(b)
     first = first_results["psnr"][first_results["method"] == "grey_opening"].to_numpy()
     second = second_results["psnr"][second_results["method"] == "noisy"].to_numpy()
     psnr = content["metrics"]["psnr"]

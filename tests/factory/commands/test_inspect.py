@@ -46,7 +46,8 @@ def test_the_report_says_it_in_words(dataset) -> None:
     assert "9 train, 3 test, in 3 file(s)" in text
     assert "20 x 16 uint8 (0..255), fan" in text
     assert "CC-BY-4.0" in text
-    tables, psnr = list[np.ndarray](), list[float]()
+    tables = list[np.ndarray]()
+    psnr = list[float]()
     for path in sorted(dataset.glob("*/*.h5")):
         with h5py.File(path) as file:
             tables.append(file["meta"]["range_max_m", "noise.background.density"])

@@ -87,7 +87,8 @@ def test_a_scene_that_trains_here_and_tests_there_is_refused(tmp_path, two) -> N
     for path in leaking.glob("train/*.h5"):
         with h5py.File(path, "r+") as file:
             table = file["meta"][:]
-            table["location"], table["scene"] = b"pier", b"pier-test"
+            table["location"] = b"pier"
+            table["scene"] = b"pier-test"
             table["frame"] = [b"new-%d-%d" % (int(path.stem[-1]), row) for row in range(len(table))]
             file["meta"][:] = table
             reseal(file)

@@ -22,7 +22,8 @@ def given_out(root: Path) -> dict[str, str]:
     with PairDataset(root, "train", layers=LAYERS) as pairs:
         for number, sample in enumerate(pairs):
             actual |= {f"picture {number} {name}": x.tobytes() for name, x in sample.items()}
-        table, both = pairs.meta(), pairs.axes
+        table = pairs.meta()
+        both = pairs.axes
         actual["meta"] = table.tobytes() + repr(table.dtype.names).encode()
         axes = [(axis.name, axis.units, axis.description) for axis in both]
         actual["axes"] = b"".join(axis.values.tobytes() for axis in both)

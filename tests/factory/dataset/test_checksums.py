@@ -71,7 +71,8 @@ def test_a_shard_without_its_checksums_is_refused(folder: Path, names: tuple[str
 def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
     keep_only(folder, SHARD)
     path = folder / SHARD
-    content, right = path.read_bytes(), given_out(folder)
+    content = path.read_bytes()
+    right = given_out(folder)
     rng = np.random.default_rng(5)
     said = []
     process = IsolatedProcess()
@@ -137,7 +138,8 @@ def test_a_table_in_chunks_is_refused(tmp_path: Path) -> None:
     for name in ("meta", "axes/ahead"):
         path = shard(tmp_path, "none")
         with h5py.File(path, "r+") as file:
-            values, attributes = file[name][()], dict(file[name].attrs)
+            values = file[name][()]
+            attributes = dict(file[name].attrs)
             del file[name]
             file.create_dataset(name, data=values, chunks=(1,), compression="gzip")
             file[name].attrs.update(attributes)

@@ -82,7 +82,8 @@ def test_it_is_valid_and_the_index_is_the_same_to_the_byte(
     folder = Path(shutil.copytree(datasets / name, tmp_path / name))
     (error,) = validate(folder, deep=True).errors
     assert error.startswith("error: index.h5: the manifest has no SHA-256")
-    manifest, index = load_manifest(folder), folder / "index.h5"
+    manifest = load_manifest(folder)
+    index = folder / "index.h5"
     assert manifest is not None
     before = index.read_bytes()
     write_index(folder, manifest)

@@ -69,7 +69,8 @@ def test_a_failed_write_leaves_the_old_file(
 
 def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Path) -> None:
     token = 16 * "0"
-    own_place, foreign_place = f"here-{space()}", "here-ffffffff"
+    own_place = f"here-{space()}"
+    foreign_place = "here-ffffffff"
     dead = subprocess.Popen([sys.executable, "-c", ""])  # that nobody has collected
     wait_for(lambda: psutil.Process(dead.pid).status() == psutil.STATUS_ZOMBIE)
     names = {

@@ -44,7 +44,8 @@ def test_pings_come_back_with_ranges_beams_and_times(
     sonar = compose_config((*LAYOUTS[layout], *WORDS)).sonar
     layers = ("noisy", "clean", "range", "azimuth")
     with PairDataset(datasets[layout], "train", layers=layers, trusted=True) as pairs:
-        samples, table = list(pairs), pairs.meta()
+        samples = list(pairs)
+        table = pairs.meta()
     file = tmp_path / "out/train/train.mcap"
     for layer in ("noisy", "clean"):
         bag = RosBag(file, [f"/sonar/{layer}"])
@@ -60,7 +61,8 @@ def test_pings_come_back_with_ranges_beams_and_times(
             np.testing.assert_allclose(
                 frame.beams.azimuths_rad, sonar.beam_centres_rad(), atol=1e-6
             )
-            near, far = frame.beams.range_min_m, frame.beams.range_max_m
+            near = frame.beams.range_min_m
+            far = frame.beams.range_max_m
             np.testing.assert_allclose((near, far), (row["range_min_m"], row["range_max_m"]), 1e-4)
             assert frame.device.frequency_khz == pytest.approx(sonar.frequency_khz)
             if layout == "polar":
@@ -82,7 +84,8 @@ def lies_where_the_pixels_do(polar: Any, sample: Any, layer: str, sonar: Any, ro
         step = float((fraction - near) / (1 - near) * sonar.range_bins - 0.5)
         bearing = shown["azimuth_rad"][y, x]
         beam = float(np.interp(bearing, sonar.beam_centres_rad(), np.arange(sonar.beams)))
-        top, left = max(0, round(step) - 2), max(0, round(beam) - 2)
+        top = max(0, round(step) - 2)
+        left = max(0, round(beam) - 2)
         assert image[y, x] in polar[top : top + 5, left : left + 5]
 
 
@@ -92,8 +95,11 @@ def test_poses_and_images_are_beside_the_pings(datasets: dict[str, Path], tmp_pa
     export(datasets["fan"], "mcap", tmp_path / "out", split="train")
     store = typestore(2)
     with PairDataset(datasets["fan"], "train", trusted=True) as pairs:
-        noisy, table = pairs[:]["noisy"], pairs.meta()
-    poses, images, kinds = [], [], set()
+        noisy = pairs[:]["noisy"]
+        table = pairs.meta()
+    poses = []
+    images = []
+    kinds = set()
     with Reader(tmp_path / "out/train") as reader:
         for connection, _, content in reader.messages():
             message: Any = store.deserialize_cdr(content, connection.msgtype)

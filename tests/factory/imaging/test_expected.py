@@ -98,7 +98,8 @@ def test_restored_has_no_systematic_effect_and_mean_log_has_them() -> None:
     clean_images: dict[tuple[str, int], Any] = {}
     for target in ("mean_log", "restored"):
         for effect in ({}, systematic):
-            noise, dtype = {"speckle": {}, **effect}, {"dtype": "float32"}
+            noise = {"speckle": {}, **effect}
+            dtype = {"dtype": "float32"}
             settings = config(noise=noise, acoustics={"target": target}, dataset=dtype)
             clean_images[target, len(effect)] = make_pair(
                 observe(*ground(), settings), 0, settings

@@ -72,7 +72,8 @@ def test_effects_that_are_off_have_no_layer_and_asking_changes_no_picture() -> N
 
 
 def test_outside_of_the_fan_there_is_nothing_nor_where_the_camera_saw_nothing() -> None:
-    wide, frame = config(sonar={"hfov_deg": 120}, dataset={"layers": TRUTH}), labelled()
+    wide = config(sonar={"hfov_deg": 120}, dataset={"layers": TRUTH})
+    frame = labelled()
     scene = pairs.observe(frame, plain_render(frame), wide)
     inside = fan_table(wide.sonar, scene.window.near_fraction).inside
     pair = pairs.make_pair(scene, 0, wide)
@@ -137,7 +138,8 @@ LAYERS = ["range", "azimuth", "elevation", "elevation_min", "elevation_max", "se
 RECEIVED = ["intensity_db", "field"]
 POINTS_OFF = ("range_spreading", "multipath", "azimuth", "range_arc", "background")
 # A camera that looks along the world's x, 20 degrees down, from 1.5 m above the ground.
-C, S = np.cos(PITCH_RAD), np.sin(PITCH_RAD)
+C = np.cos(PITCH_RAD)
+S = np.sin(PITCH_RAD)
 POSE = np.array([[0, -S, C, 2], [-1, 0, 0, 5], [0, -C, -S, HEIGHT_M], [0, 0, 0, 1]], np.float64)
 PLACE = {"world_from_camera": POSE, "time_s": 12.5, "altitude_m": HEIGHT_M}
 
@@ -190,12 +192,14 @@ def test_layers_are_read_back(written):
 
 def test_field_and_level_are_the_picture(written):
     _, settings, pair = written
-    field, level_db = pair.layers["field"], pair.layers["intensity_db"]
+    field = pair.layers["field"]
+    level_db = pair.layers["intensity_db"]
     heard = np.isfinite(level_db)
     assert heard.mean() > 0.8
     np.testing.assert_allclose(20 * np.log10(abs(field[heard])), level_db[heard], atol=1e-3)
     # The same through the gain, the full scale and the curve is the noisy picture.
-    near, far = pair.record["range_min_m"], pair.record["range_max_m"]
+    near = pair.record["range_min_m"]
+    far = pair.record["range_max_m"]
     range_m = near + (np.arange(160)[:, None] + 0.5) / 160 * (far - near)
     gain_db = pair.record["tvg_db_per_decade"] * np.log10(range_m)
     gain_db = gain_db + pair.record["tvg_db_per_m"] * range_m
@@ -273,7 +277,8 @@ def test_example_of_a_complex_field(written):
 
 
 def test_what_is_not_there_is_refused():
-    points, flsea = {"kind": "seabed"}, {"kind": "flsea", "root": "x"}
+    points = {"kind": "seabed"}
+    flsea = {"kind": "flsea", "root": "x"}
     for scenes, dataset, said in (
         (points, {"layers": ["intensity_db"]}, "dataset: intensity_db is of acoustics=coherent"),
         (points, {"columns": ["calibration"]}, "dataset: calibration is of acoustics=coherent"),

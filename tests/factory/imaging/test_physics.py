@@ -231,7 +231,8 @@ def test_points_twenty_decibels_down_are_not_black_at_forty() -> None:
     radiance[:, : radiance.shape[1] // 2] /= 100
     observed = observe(frame, Rendered(radiance, rendered.surface), settings)
     clean = make_pair(observed, 0, settings).clean.astype(np.float64)
-    weak, strong = clean[8:-8, 8:24].mean(), clean[8:-8, 40:56].mean()
+    weak = clean[8:-8, 8:24].mean()
+    strong = clean[8:-8, 40:56].mean()
     assert strong - weak == pytest.approx(0.5, abs=0.01)
 
 
@@ -241,9 +242,13 @@ def test_points_of_an_offset_mount_have_the_area_that_a_pixel_sees() -> None:
     camera = replace(frame.intrinsics, fx=300.0, fy=300.0, cx=160.0, cy=120.0)
     frame = replace(frame, depth_m=np.full((240, 320), 4, np.float32), intrinsics=camera)
     mount = Mount(translation_m=(0.5, 0.8, -0.3))
-    u, v = (np.arange(320) - 160) / 300, ((np.arange(240) - 120) / 300)[:, None]
-    ahead, left, up = 4 - 0.5, -4 * u - 0.8, -4 * v + 0.3
-    camera_m2, sonar_m2 = 16 * (1 + u**2 + v**2), ahead**2 + left**2 + up**2
+    u = (np.arange(320) - 160) / 300
+    v = ((np.arange(240) - 120) / 300)[:, None]
+    ahead = 4 - 0.5
+    left = -4 * u - 0.8
+    up = -4 * v + 0.3
+    camera_m2 = 16 * (1 + u**2 + v**2)
+    sonar_m2 = ahead**2 + left**2 + up**2
     cosines = (ahead / np.sqrt(sonar_m2)) / (4 / np.sqrt(camera_m2))
     golden = cosines * camera_m2 / sonar_m2
     weight = mount_weight(frame, mount, 2)
@@ -338,10 +343,13 @@ def test_speckle_has_the_power_and_the_grain_that_the_device_gives_it(recipe):
 def test_noise_and_haze_are_those_of_the_closed_forms(device):
     """Both over the echo of a surface of known backscatter, in what pulse and beam hold of each."""
     settings = composed(f"sonar={device}")
-    ping, sonar = listened(settings), settings.sonar
+    ping = listened(settings)
+    sonar = settings.sonar
     rows, beams = lit(ping)
-    device_, water = sonar.array, settings.water
-    across, upright = device_.horizontal.window, device_.vertical.window
+    device_ = sonar.array
+    water = settings.water
+    across = device_.horizontal.window
+    upright = device_.vertical.window
     beam_rad = (INTEGRAL[across] / HALF_POWER[across]) * np.sin(
         np.deg2rad(device_.beamwidth_deg) / 2
     )
@@ -424,8 +432,10 @@ def test_beams_of_a_line_array_are_cones(azimuth_deg, elevation_deg):
     azimuth, elevation = np.deg2rad([azimuth_deg, elevation_deg])
     column = round(400 + 200 * np.tan(azimuth))
     row = round(100 - 200 * np.tan(elevation) / np.cos(azimuth))
-    depth_m, radiance = np.zeros((200, 800), np.float32), np.zeros((200, 800), np.float32)
-    depth_m[row, column], radiance[row, column] = 4.0, 1.0
+    depth_m = np.zeros((200, 800), np.float32)
+    radiance = np.zeros((200, 800), np.float32)
+    depth_m[row, column] = 4.0
+    radiance[row, column] = 1.0
     frame = replace(frame, depth_m=depth_m, intrinsics=camera, rgb=np.zeros((200, 800, 3), "u1"))
     window = Window("slant_range", 1, 20, -1.2, 1.2)
     target = LitSurface(frame, Rendered(radiance, depth_m > 0), window, settings.sonar)

@@ -40,7 +40,8 @@ EDGE = (slice(20, -20), slice(20, -20))
 
 def amplitude(observed_frame: ObservedFrame, variant: int, settings: Any) -> np.ndarray:
     """(range_bins, beams) amplitude over the root of its expectation, without the edges."""
-    ping, effects = ping_of(observed_frame), effects_of(settings, observed_frame, variant)
+    ping = ping_of(observed_frame)
+    effects = effects_of(settings, observed_frame, variant)
     expected = beamform_power(ping.scatterers.power, ping) * ping.gain[:, None]
     return np.asarray((received(ping, effects) / np.sqrt(expected))[EDGE])
 
@@ -148,7 +149,8 @@ def test_a_moving_sonar_loses_it_with_the_way_it_goes() -> None:
 
 def test_speckle_goes_with_the_ground() -> None:
     """A camera that moves by some of its own pixels sees the same speckle, moved."""
-    still, moved = _frame_speckle((0, 0, 0), "0"), _frame_speckle((0.06, 0, 0), "1")
+    still = _frame_speckle((0, 0, 0), "0")
+    moved = _frame_speckle((0.06, 0, 0), "1")
     shifts = [_alike(still[:, 8:-8], np.roll(moved, by, axis=1)[:, 8:-8]) for by in range(-6, 7)]
     # 6 cm are 2.3 to 4.6 beams: the ground goes by to the left.
     assert max(shifts) > 3 * abs(shifts[6])
@@ -156,7 +158,8 @@ def test_speckle_goes_with_the_ground() -> None:
 
 
 def test_a_static_scene_keeps_its_speckle_and_without_a_pose_every_frame_has_its_own() -> None:
-    first, second = _frame_speckle((0, 0, 0), "0"), _frame_speckle((0, 0, 0), "1")
+    first = _frame_speckle((0, 0, 0), "0")
+    second = _frame_speckle((0, 0, 0), "1")
     np.testing.assert_array_equal(first, second)
     first, again, third = (_frame_speckle((0, 0, 0), name, posed=False) for name in "001")
     np.testing.assert_array_equal(first, again)
@@ -283,7 +286,9 @@ def pictures(standing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
     observed_frame = observe(*constant_field(), settings)
     sample = observed_frame.scene.sample(0, effects_of(settings, observed_frame))
-    noisy, clean, bare = sample.noisy({"speckle"}), sample.clean, sample.without({"speckle"})
+    noisy = sample.noisy({"speckle"})
+    clean = sample.clean
+    bare = sample.without({"speckle"})
     return noisy[8:-8, 8:-8], clean[8:-8, 8:-8], bare[8:-8, 8:-8]
 
 

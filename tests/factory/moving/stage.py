@@ -17,7 +17,8 @@ from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.scenes.seabed.camera import pose
 from simnfnd.factory.scenes.seabed.meshes import Mesh, sphere
 
-NEAR_M, FAR_M = 2.0, 8.0
+NEAR_M = 2.0
+FAR_M = 8.0
 OFF = {
     name: {"enabled": False}
     for name in ("range_spreading", "multipath", "azimuth", "range_arc", "background")
@@ -45,7 +46,9 @@ def plane(
     time_s: float = 0.0, height_m: float = 1.5, pitch_deg: float = 0.0
 ) -> tuple[Frame, Rendered]:
     """A level ground under a camera that looks along the world's x and down, and its render."""
-    width, height, focal = 480, 400, 480.0
+    width = 480
+    height = 400
+    focal = 480.0
     camera = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
     below = ((np.arange(height) - camera.cy) / focal)[:, None] + np.zeros(width)
     down = below * np.cos(np.deg2rad(pitch_deg)) + np.sin(np.deg2rad(pitch_deg))
@@ -81,13 +84,15 @@ class Line:
         velocity_m_s: tuple[float, float, float] = (0, 0, 0),
         turn_rad_s: float = 0.0,
     ) -> None:
-        self._start_m, self._velocity_m_s = np.array(start_m), np.array(velocity_m_s)
+        self._start_m = np.array(start_m)
+        self._velocity_m_s = np.array(velocity_m_s)
         self._turn_rad_s = turn_rad_s
 
     def at(self, time_s: float) -> Placement:
         """See `Course`."""
         angle = self._turn_rad_s * time_s
-        cosine, sine = np.cos(angle), np.sin(angle)
+        cosine = np.cos(angle)
+        sine = np.sin(angle)
         turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]])
         return Placement(self._start_m + time_s * self._velocity_m_s, turn)
 

@@ -97,7 +97,8 @@ def test_multipath_comes_when_the_geometry_says(way):
     sonar = {"vfov_deg": 60, "array": {"vertical": {"window": "uniform"}}}
     of = ping(sonar=sonar, water={"depth_m": 1})
     power = np.zeros(of.shape, np.float32)
-    row, beam = 20, 64
+    row = 20
+    beam = 64
     power[row, beam] = 1
     signal = Signal(power, silence(of))
     if way == "surface":

@@ -67,7 +67,8 @@ def test_the_content_of_files_counts_and_not_their_place(tmp_path: Path) -> None
 
 
 def test_damaged_entries_are_removed_when_they_are_met(tmp_path: Path) -> None:
-    cache, view = Cache(CacheSettings(dir=str(tmp_path))), some_view()
+    cache = Cache(CacheSettings(dir=str(tmp_path)))
+    view = some_view()
     for key in ("aa11", "bb22"):
         assert cache.get(key) is None
         cache.put(key, view)
@@ -85,7 +86,8 @@ def test_damaged_entries_are_removed_when_they_are_met(tmp_path: Path) -> None:
 
 
 def test_what_was_unused_longest_goes_first(tmp_path: Path) -> None:
-    cache, view = Cache(CacheSettings(dir=str(tmp_path))), some_view()
+    cache = Cache(CacheSettings(dir=str(tmp_path)))
+    view = some_view()
     sizes = [cache.put(f"{number:04d}", view) for number in range(6)]
     for number, (_, path, _) in enumerate(cache.entries()):
         os.utime(path, (1000 + number, 1000 + number))
@@ -105,7 +107,8 @@ def test_a_cache_that_cannot_be_written_is_said_before_the_run(tmp_path: Path) -
 
 
 def test_a_pack_holds_the_renders_and_knows_its_mount(tmp_path: Path) -> None:
-    view, refs = some_view(), [FrameRef("a", "b", "c"), FrameRef("", "s/t", "f")]
+    view = some_view()
+    refs = [FrameRef("a", "b", "c"), FrameRef("", "s/t", "f")]
     for name in ("one.pack", "two.pack"):
         write_pack(tmp_path / name, refs, lambda ref: view, Mount(), RenderSettings("cycles"))
     assert (tmp_path / "one.pack").read_bytes() == (tmp_path / "two.pack").read_bytes()
@@ -130,10 +133,12 @@ def test_a_pack_holds_the_renders_and_knows_its_mount(tmp_path: Path) -> None:
 
 def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> None:
     refs = [FrameRef("seabed", f"seabed-000{k}", "0000") for k in range(2)]
-    hashes, dataset = set(), tmp_path / "out"
+    hashes = set()
+    dataset = tmp_path / "out"
     for name, albedo in (("first", "flattened"), ("second", "constant")):
         settings = config(tmp_path / "cache", render={"kind": "analytic", "albedo": albedo})
-        maker, pack = ViewMaker(settings), tmp_path / f"{name}.pack"
+        maker = ViewMaker(settings)
+        pack = tmp_path / f"{name}.pack"
         write_pack(pack, refs, maker.render, Mount(), settings.render)
         packed = config(
             tmp_path / "cache",
@@ -159,8 +164,10 @@ def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> 
 
 
 def test_packs_of_0_4_are_read(tmp_path: Path) -> None:
-    view, ref = some_view(), FrameRef("a", "b", "c")
-    pack, old = tmp_path / "new.pack", tmp_path / "old.pack"
+    view = some_view()
+    ref = FrameRef("a", "b", "c")
+    pack = tmp_path / "new.pack"
+    old = tmp_path / "old.pack"
     write_pack(pack, [ref], lambda _: view, Mount(), RenderSettings("embree"))
     with zipfile.ZipFile(pack) as new, zipfile.ZipFile(old, "w") as archive:
         head = json.loads(new.read("pack.json"))
@@ -177,7 +184,8 @@ def test_packs_of_0_4_are_read(tmp_path: Path) -> None:
 def test_a_render_that_cannot_be_read_now_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings, ref = config(tmp_path), FrameRef("seabed", "seabed-0000", "0001")
+    settings = config(tmp_path)
+    ref = FrameRef("seabed", "seabed-0000", "0001")
     key = ViewMaker(settings).prepare(ref).key
     path = CachedViews(settings).cache.path(key)
 
@@ -272,7 +280,8 @@ def test_from_command_line_to_pack_and_back(
 
     # A bit flips in one entry: a run makes the same pairs, and that entry anew.
     path = sorted((tmp_path / "cache").glob("*/*.view"))[1]
-    whole, before = path.read_bytes(), shard_bytes(out)
+    whole = path.read_bytes()
+    before = shard_bytes(out)
     path.write_bytes(whole[:-30] + bytes([whole[-30] ^ 16]) + whole[-29:])
     shutil.rmtree(out)
     assert run(monkeypatch, *words) == 0

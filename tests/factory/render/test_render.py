@@ -23,8 +23,10 @@ from simnfnd.factory.settings import build
 from tests.project_files import ROOT
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard
 
-ABOVE, LEFT = Mount((0.0, 0.0, 1.0)), Mount((0.0, 0.8, 0.5))
-HERE, BESIDE = Mount(), Mount((0.0, 1e-6, 0.0))
+ABOVE = Mount((0.0, 0.0, 1.0))
+LEFT = Mount((0.0, 0.8, 0.5))
+HERE = Mount()
+BESIDE = Mount((0.0, 1e-6, 0.0))
 KINDS = ["analytic", "embree", "cycles", "mesh"]
 
 _open: dict[RenderSettings, Renderer] = {}
@@ -43,7 +45,8 @@ def opened(kind: str, **keys: Any) -> Renderer:
 def render(kind: str, frame: Frame, mount: Mount = HERE, **keys: Any) -> Rendered:
     """`mesh`: by Cycles, beside the camera, where it traces a mesh instead of spheres."""
     if kind == "mesh":
-        kind, mount = "cycles", BESIDE if mount == HERE else mount
+        kind = "cycles"
+        mount = BESIDE if mount == HERE else mount
     return opened(kind, **keys).render(frame, mount)
 
 
@@ -186,7 +189,8 @@ def test_unmeasured_pixels_are_neither_surface_nor_bright(kind: str) -> None:
 def test_pictures_of_a_real_frame_are_those_of_full_resolution() -> None:
     """40 dB is what is asked for; 87 to 92 dB is what six real frames give, at 512x512."""
     frame = flsea_frame()
-    fast, full = render("cycles", frame), render("analytic", frame)
+    fast = render("cycles", frame)
+    full = render("analytic", frame)
     sizes = ("beams", "range_bins", "image.width_px", "image.height_px")
     config = compose_config([f"sonar.{size}=512" for size in sizes])
     first_pair, second_pair = (
@@ -207,7 +211,8 @@ def test_pictures_of_a_real_frame_are_those_of_full_resolution() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_same_bytes_whatever_was_rendered_before(kind: str) -> None:
-    frame, smaller = yard(152, 242), yard(100, 130, seed=3)
+    frame = yard(152, 242)
+    smaller = yard(100, 130, seed=3)
     mounts = (HERE,) if kind == "analytic" else (HERE, LEFT)
     first = [digest(render(kind, frame, mount)) for mount in mounts]
     render(kind, smaller, HERE if kind == "analytic" else ABOVE)
@@ -252,7 +257,8 @@ def test_flattened_albedo_forgets_light_and_keeps_texture() -> None:
     valid[:, 200:] = False
     flat = albedo(picture(texture * haze), valid, "flattened")
     assert not flat[:, 200:].any()
-    flat, texture = flat[:, :200], texture[:, :200]
+    flat = flat[:, :200]
+    texture = texture[:, :200]
     assert flat.mean() == pytest.approx(0.5, abs=0.02)
     assert flat.min() >= 0.1
     assert flat.max() <= 1

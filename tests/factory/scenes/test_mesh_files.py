@@ -228,7 +228,8 @@ def test_far_nodes_of_a_glb_are_brought_near(tmp_path: Path) -> None:
     write_glb(path, {"a": box((1, 1, 1)), "b": box((1, 1, 1), (3, 0, 0))})
     content = path.read_bytes()
     length = int.from_bytes(content[12:16], "little")
-    document, chunk = json.loads(content[20 : 20 + length]), content[28 + length :]
+    document = json.loads(content[20 : 20 + length])
+    chunk = content[28 + length :]
     nodes = document["nodes"]
     for node in nodes:
         node["translation"] = [0, 1.25, 0]
@@ -277,8 +278,10 @@ def test_only_what_the_default_scene_shows_is_read(tmp_path: Path) -> None:
     write_glb(path, {name: box((1, 1, 1), (2 * k, 0, 0)) for k, name in enumerate(names)})
     content = path.read_bytes()
     length = int.from_bytes(content[12:16], "little")
-    document, chunk = json.loads(content[20 : 20 + length]), content[28 + length :]
-    nodes, meshes = document["nodes"], document["meshes"]
+    document = json.loads(content[20 : 20 + length])
+    chunk = content[28 + length :]
+    nodes = document["nodes"]
+    meshes = document["meshes"]
     nodes[2] |= {"extensions": {"KHR_node_visibility": {"visible": False}}, "children": [3]}
     nodes[0]["extensions"] = {"MSFT_lod": {"ids": [4]}}
     meshes[5]["primitives"][0]["mode"] = 1

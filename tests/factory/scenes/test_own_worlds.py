@@ -65,7 +65,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def write_glb(path: Path, parts: dict) -> None:
     """With a buffer of its own, y up, each part as a node that is moved up by one."""
-    content, views, accessors, meshes, nodes = b"", [], [], [], []
+    content = b""
+    views = []
+    accessors = []
+    meshes = []
+    nodes = []
     for number, (name, solid) in enumerate(parts.items()):
         x, y, z = solid.vertices.T
         points = np.stack([x, z - 1, -y], axis=-1).astype("<f4")
@@ -151,7 +155,8 @@ def test_a_world_is_what_rays_meet(folder: Path) -> None:
         open3d.core.Tensor(camera), open3d.core.Tensor(camera_from_world), 242, 152
     )
     hit = scene.cast_rays(rays)
-    depth_m, which = hit["t_hit"].numpy(), hit["geometry_ids"].numpy()
+    depth_m = hit["t_hit"].numpy()
+    which = hit["geometry_ids"].numpy()
     met = np.isfinite(depth_m)
     assert np.mean((first.depth_m > 0) == met) > 0.999
     both = met & (first.depth_m > 0)
@@ -186,12 +191,14 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
         [[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]]
     )
     *centre, length, width, height, yaw = oriented(points)
-    c, s = np.cos(yaw), np.sin(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     local = (points - centre) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     assert np.abs(local).max(axis=0) == pytest.approx([length / 2, width / 2, height / 2], abs=1e-3)
     assert (length, width, height) == pytest.approx((0.6, 0.4, 0.5), abs=1e-3)
     # The nearer one hides the left half of the other's width, seen from the ground's height.
-    optics, viewpoint = centred(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
+    optics = centred(300, 242, 152)
+    viewpoint = pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
     objects = Objects(solids, np.array([21, 22], np.uint8))
     z_buffer = ZBuffer(viewpoint, optics, objects)
     numbers = np.where(z_buffer.which < 0, 0, 1 + (z_buffer.which >= len(solids[0].triangles)))
@@ -234,15 +241,18 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
             assert entry["insonified"] > 0.9
             assert entry["shadowed"] < 0.05
             # The mesh's pixels, projected by hand, and the bins that they fall into.
-            lens, (rows, columns) = frame.intrinsics, np.nonzero(frame.segmentation == 21)
+            lens = frame.intrinsics
+            rows, columns = np.nonzero(frame.segmentation == 21)
             z = frame.depth_m[rows, columns].astype(float)
-            right, down = (columns - lens.cx) / lens.fx * z, (rows - lens.cy) / lens.fy * z
+            right = (columns - lens.cx) / lens.fx * z
+            down = (rows - lens.cy) / lens.fy * z
             range_m = np.sqrt(right**2 + down**2 + z**2)
             bearing = np.arcsin(right / range_m)
             spans = [
                 np.array([coordinate.min(), coordinate.max()]) for coordinate in (range_m, bearing)
             ]
-            near, far = row["range_min_m"], row["range_max_m"]
+            near = row["range_min_m"]
+            far = row["range_max_m"]
             centres = config.sonar.beam_centres_rad()
             beams = np.searchsorted((centres[1:] + centres[:-1]) / 2, spans[1])
             bins = np.floor((spans[0] - near) / (far - near) * config.sonar.range_bins)
@@ -278,13 +288,15 @@ def test_target_strengths_are_those_of_theory(tmp_path: Path, shape: str, expone
     With Lambert's n = 2 and mu = 3 / 8 pi that sphere's is the a^2 / 4 of a large rigid one (Urick
     1983, table 9.1).
     """
-    far_m, radius = 8.0, 0.25
+    far_m = 8.0
+    radius = 0.25
     mu = 3 / (8 * np.pi)
     if shape == "sphere":
         solid = sphere(5).moved(scale=radius, offset=(0, far_m + radius, 0))
         sigma = 2 * np.pi * radius**2 * mu / (exponent + 1)
     else:
-        solid, sigma = box((0.5, 0.02, 0.4), (0, far_m + 0.01, 0)), mu * 0.5 * 0.4
+        solid = box((0.5, 0.02, 0.4), (0, far_m + 0.01, 0))
+        sigma = mu * 0.5 * 0.4
     write_mesh(tmp_path / "target.ply", solid)
     (tmp_path / "poses.txt").write_text(FORWARD.replace("0 0 0 1", "0 0 0 0", 1))
     # Reflectivity is for an albedo of 1; constant albedo is 0.5.
@@ -413,14 +425,16 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
         "usemtl a\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
     )
     (sheet,) = read_parts(folder / "sheet.obj", "key.file", 1, 10)
-    x, red = sheet.mesh.vertices[:, 0], sheet.mesh.colours[:, 0]
+    x = sheet.mesh.vertices[:, 0]
+    red = sheet.mesh.colours[:, 0]
     assert (red[x > 0.55] > 0.9).all()
     assert (red[x < 0.45] < 0.1).all()
 
 
 def test_scripts_of_a_blend_are_never_run(tmp_path: Path) -> None:
     """It is read for its meshes and colours, and photographed by Cycles."""
-    world, marker = tmp_path / "world.blend", tmp_path / "ran"
+    world = tmp_path / "world.blend"
+    marker = tmp_path / "ran"
     script = f"""
 import bpy
 bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -459,7 +473,8 @@ def test_renders_and_packs_keep_boxes_and_classes(folder: Path, tmp_path: Path) 
     config = world(folder, "scenes.boxes=true")
     reader = open_reader(config.scenes)
     ref = reader.discover().frames[0]
-    frame, mount = reader.load(ref), config.sonar.mount
+    frame = reader.load(ref)
+    mount = config.sonar.mount
     view = view_of(frame, open_renderer(config.render).render(frame, mount), mount)
     again = decode(encode(view)).unnamed_frame
     assert again.boxes is not None

@@ -210,7 +210,8 @@ def test_flsea_root_may_be_any_level(tmp_path: Path, start: str) -> None:
     actual = flsea.discover()
     assert [ref.name for ref in actual.frames] == ["canyons/u_canyon/1"]
     # The built-in calibration is for 968x608, the image has 24x16 pixels.
-    camera, known = flsea.load(actual.frames[0]).intrinsics, BUILT_IN["canyons"]
+    camera = flsea.load(actual.frames[0]).intrinsics
+    known = BUILT_IN["canyons"]
     assert (camera.fx, camera.fy) == pytest.approx((known.fx * 24 / 968, known.fy * 16 / 608))
     assert camera.distortion == known.distortion
 
@@ -318,7 +319,8 @@ def test_a_truncated_file_is_refused_and_never_half_read(
     try:
         actual = read_file(path)
     except FrameError as error:
-        actual, fault = None, str(error)
+        actual = None
+        fault = str(error)
     if actual is None:
         assert fault.startswith(str(path))
         assert "\n" not in fault
@@ -378,7 +380,8 @@ def write_tiff(path: Path, array: Array, endian: Any = "<") -> Path:
     data = array.astype(array.dtype.newbyteorder(endian)).tobytes()
     height, width = array.shape[:2]
     channels = array.shape[2] if array.ndim == 3 else 1
-    bits, kind = 8 * array.dtype.itemsize, {"u": 1, "i": 2, "f": 3, "c": 6}[array.dtype.kind]
+    bits = 8 * array.dtype.itemsize
+    kind = {"u": 1, "i": 2, "f": 3, "c": 6}[array.dtype.kind]
     tags = [(256, width), (257, height), (258, bits), (259, 1), (262, 1), (273, 8),
             (277, channels), (278, height), (279, len(data)), (339, kind)]  # fmt: skip
     directory = struct.pack(f"{endian}H", len(tags))

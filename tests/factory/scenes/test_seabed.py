@@ -26,7 +26,8 @@ from simnfnd.factory.scenes.seabed.world import World
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
 
-LOCATIONS, POSES = range(8), (0, 1)
+LOCATIONS = range(8)
+POSES = (0, 1)
 
 
 def small_reader(**keys: Any) -> SeabedReader:
@@ -53,7 +54,8 @@ def world_points(frame: Frame) -> npt.NDArray[np.float64]:
     v, u = np.indices(frame.depth_m.shape)
     camera = frame.intrinsics
     depth = frame.depth_m.astype(np.float64)
-    x, y = (u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth
+    x = (u - camera.cx) / camera.fx * depth
+    y = (v - camera.cy) / camera.fy * depth
     points = np.stack([x, y, depth], axis=-1)
     return np.asarray(points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3])
 
@@ -101,10 +103,13 @@ def test_two_views_show_the_same_surface(frames: dict[tuple[int, int], Frame]) -
         x, y, z = (points @ inverse[:3, :3].T + inverse[:3, 3]).T
         camera = second_view.intrinsics
         with np.errstate(divide="ignore", invalid="ignore"):
-            u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+            u = camera.fx * x / z + camera.cx
+            v = camera.fy * y / z + camera.cy
         inside = (z > 0.3) & (u > 1) & (u < 240) & (v > 1) & (v < 150)
-        column, row = u[inside].round().astype(int), v[inside].round().astype(int)
-        measured, expected = second_view.depth_m[row, column], z[inside]
+        column = u[inside].round().astype(int)
+        row = v[inside].round().astype(int)
+        measured = second_view.depth_m[row, column]
+        expected = z[inside]
         # A pixel away from depth edges, whose neighbours agree, may be compared point to pixel.
         around = np.stack(
             [second_view.depth_m[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
@@ -250,7 +255,8 @@ def test_frames_are_the_lines(tmp_path):
     assert (first.time_s, second.time_s) == (0.0, 0.2)
     assert first.altitude_m is not None
     assert first.altitude_m > 0.5
-    first_pose, second_pose = first.world_from_camera, second.world_from_camera
+    first_pose = first.world_from_camera
+    second_pose = second.world_from_camera
     assert first_pose is not None
     assert second_pose is not None
     assert np.linalg.norm(second_pose[:2, 3] - first_pose[:2, 3]) == pytest.approx(0.5)

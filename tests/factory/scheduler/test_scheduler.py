@@ -251,7 +251,8 @@ def test_frames_that_never_stay_end_the_run_in_one_line(
 
 
 PROVENANCE = Provenance({"seed": 0}, config_hash({"seed": 0}), "simnfnd test")
-SLICES, FOLDERS = 3, 10
+SLICES = 3
+FOLDERS = 10
 
 
 def test_slices_make_every_shard_once_and_the_whole_takes_them_up(tmp_path: Path) -> None:

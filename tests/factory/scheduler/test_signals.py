@@ -30,7 +30,8 @@ from tests.worker_processes import workers_of
 
 def start(*words: object) -> subprocess.Popen[bytes]:
     """A run in a session of its own, as a terminal would give it."""
-    command, pipe = [sys.executable, *map(str, words)], subprocess.PIPE
+    command = [sys.executable, *map(str, words)]
+    pipe = subprocess.PIPE
     return subprocess.Popen(command, cwd=ROOT, start_new_session=True, stdout=pipe, stderr=pipe)
 
 
@@ -193,8 +194,10 @@ def test_a_signal_at_the_end_of_a_run_is_one_line_and_loses_nothing(
     assert everything(folder) == whole_run
 
 
-KILLS, HANGS = "reef/alpha/0004", "reef/alpha/0009"
-WORKER_KILLS, MOST_RUNS = 6, 12
+KILLS = "reef/alpha/0004"
+HANGS = "reef/alpha/0009"
+WORKER_KILLS = 6
+MOST_RUNS = 12
 
 STORM = f"""
 import sys
@@ -209,11 +212,14 @@ staged(Path(sys.argv[1]), config, **how)
 
 @pytest.mark.slow
 def test_killing_workers_and_the_run_costs_the_bad_frames_alone(tmp_path: Path) -> None:
-    calm, directory = tmp_path / "calm" / "dataset", tmp_path / "storm" / "dataset"
+    calm = tmp_path / "calm" / "dataset"
+    directory = tmp_path / "storm" / "dataset"
     staged(calm, FakeConfig(bad=(KILLS, HANGS)), scheduler={"backend": "serial"})
     directory.parent.mkdir()
     chance = random.Random(0)
-    kills, run_killed, missing = 0, False, {"not begun"}
+    kills = 0
+    run_killed = False
+    missing = {"not begun"}
     for _ in range(MOST_RUNS):
         command = [sys.executable, "-c", STORM, str(directory)]
         run = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL, start_new_session=True)

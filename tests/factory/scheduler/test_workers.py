@@ -71,7 +71,8 @@ def test_workers_outlive_their_template_and_not_the_backend(number: int) -> None
     assert not alive
 
 
-HEAVY, LIGHT = Pool(("heavy", "light"), 1), Pool(("light",), 1)
+HEAVY = Pool(("heavy", "light"), 1)
+LIGHT = Pool(("light",), 1)
 
 
 def task(name: str) -> tuple[str, int]:
@@ -97,7 +98,8 @@ def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
         assert not isinstance(outcome, TaskLost)
         assert outcome[0] == name
         assert outcome[1] != os.getpid()
-    died, slept = actual["die"], actual["sleep"]
+    died = actual["die"]
+    slept = actual["sleep"]
     assert isinstance(died, TaskLost)
     assert "SIGKILL" in died.reason
     assert slept == TaskLost("took longer than 1 s")
@@ -148,7 +150,8 @@ def test_a_pool_that_takes_others_tasks_prefers_its_own() -> None:
         assert not workers.free("heavy")
         assert workers.free("light")
         second = submit(workers, task, "b", "light")
-        (_, heavy), (_, light) = first.result(60), second.result(60)
+        _, heavy = first.result(60)
+        _, light = second.result(60)
         assert heavy != light
         assert submit(workers, task, "c", "heavy").result(60) == ("c", heavy)
 

@@ -68,7 +68,8 @@ def test_turned_fans(
     back = turned.turned(*size)
     assert (back.apex_x_px, back.apex_y_px) == pytest.approx((apex_x, apex_y))
     assert replace(back, apex_x_px=apex_x, apex_y_px=apex_y) == upright
-    expected, actual = upright.maps(0, 0, rows, columns), turned.maps(0, 0, *size)
+    expected = upright.maps(0, 0, rows, columns)
+    actual = turned.maps(0, 0, *size)
     away = np.rot90(actual["range_fraction"], turns)
     np.testing.assert_allclose(away, expected["range_fraction"], atol=1e-5)
     # Behind the apex the bearing turns over, and in it there is none.

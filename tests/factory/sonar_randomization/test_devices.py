@@ -17,7 +17,8 @@ from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.factory.sonar.window import Window
 from simnfnd.factory.sonar_randomization import draw as devices
 
-H, W = 96, 152
+H = 96
+W = 152
 PLACE: dict[str, Any] = {"fx": 180.0, "fy": 180.0, "cx": 76.0, "cy": 48.0}
 WORDS = (
     *("devices=any_sonar", "noise=any_sonar", "acoustics=coherent", "render=analytic"),

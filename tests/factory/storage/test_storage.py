@@ -133,7 +133,8 @@ def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_p
 def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path) -> None:
     url = f"{bucket}/wanted"
     make(folder_of(url))
-    path, log = folder_of(url) / "train/shard-00001.h5", tmp_path / "log"
+    path = folder_of(url) / "train/shard-00001.h5"
+    log = tmp_path / "log"
     path.unlink()
     code = (
         "import sys, time; from pathlib import Path\n"
@@ -175,7 +176,8 @@ def test_two_runs_do_not_write_at_once(bucket: str) -> None:
 def test_the_lock_goes_with_its_run_though_a_beat_is_under_way(
     bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    url, begun = f"{bucket}/beat", threading.Event()
+    url = f"{bucket}/beat"
+    begun = threading.Event()
     put = Store.put
 
     def slow(self: Store, name: str, content: bytes) -> None:
@@ -283,7 +285,9 @@ def test_verbs_that_need_files_say_so(verb: str, capsys: pytest.CaptureFixture[s
     assert "works on files of this machine" in capsys.readouterr().err
 
 
-SHARDS, PAIRS, WINDOW = 12, 3, 2
+SHARDS = 12
+PAIRS = 3
+WINDOW = 2
 
 
 @pytest.fixture(scope="module")
@@ -314,7 +318,8 @@ def far(dozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
 @pytest.fixture
 def requests(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often the storage was asked for each shard."""
-    actual, plain = Counter[str](), Store.get
+    actual = Counter[str]()
+    plain = Store.get
 
     def get(self: Store, name: str) -> Any:
         content = plain(self, name)

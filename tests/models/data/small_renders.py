@@ -30,7 +30,8 @@ WORDS = (
 
 def rendered_dataset(folder: Path) -> tuple[Path, Path]:
     """A dataset of the factory, and a pack of its renders."""
-    dataset, pack = folder / "data", folder / "views.pack"
+    dataset = folder / "data"
+    pack = folder / "views.pack"
     config = compose_config([*WORDS, f"dataset.dir='{dataset}'", f"cache.dir='{folder / 'cache'}'"])
     report, _ = run(config, [])
     views = CachedViews(config)

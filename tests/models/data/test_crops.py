@@ -44,7 +44,8 @@ def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None
     whole = PairSource(samples, None).sample(3, None)
     assert whole.shadow is not None
     images = whole.noisy, whole.clean, whole.shadow
-    windows, mirrored = set(), set()
+    windows = set()
+    mirrored = set()
     views = np.lib.stride_tricks.sliding_window_view(np.stack(images), (3, 20, 20))[0]
     for number in range(10):
         batch = crops[Visit(number, 3, 0)]

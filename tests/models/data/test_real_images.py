@@ -96,7 +96,8 @@ def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
 
 def test_old_data_trains(images: Path, tmp_path: Path) -> None:
     words = ("data=olddata", f"data.folder='{images}'", f"data.geometry='{images / 'fans.csv'}'")
-    out, again = tmp_path / "out", tmp_path / "again"
+    out = tmp_path / "out"
+    again = tmp_path / "again"
     best = train(*composed(*words, *SMALL, f"out='{out}'"))
     assert best["step"] in (2, 4, 6)
     assert {"weights.safetensors", "samples.png"} <= {path.name for path in out.iterdir()}
@@ -106,7 +107,8 @@ def test_old_data_trains(images: Path, tmp_path: Path) -> None:
 
 
 def test_unusable_folders_are_one_line(images: Path, tmp_path: Path) -> None:
-    old, table = ("data=olddata", f"data.folder='{images}'"), tmp_path / "fans.csv"
+    old = ("data=olddata", f"data.folder='{images}'")
+    table = tmp_path / "fans.csv"
     lines = (images / "fans.csv").read_text(encoding="utf-8").splitlines()
     geometry = (*old, "data.patch=16", f"data.geometry='{table}'")
     for words, rows, said in (

@@ -19,13 +19,16 @@ from simnfnd.models.training.loop import Loop
 from simnfnd.models.training.train import train
 from tests.models.data.small_renders import SMALL, composed
 
-SIDE, FRAMES, OBJECT_PX = 64, 10, 6
+SIDE = 64
+FRAMES = 10
+OBJECT_PX = 6
 COLUMNS = (
     Column("location", "S24"), Column("scene", "S24"), Column("frame", "S24"),
     Column("variant", "i4"),
 )  # fmt: skip
 AXES = tuple(Axis(name, "px", np.arange(SIDE) + 0.5) for name in ("ahead", "right"))
-BRIGHT, NOISE = 200, 12
+BRIGHT = 200
+NOISE = 12
 
 
 def corner_of(scene: int, frame: int) -> tuple[int, int]:
@@ -103,7 +106,8 @@ def test_a_window_knows_what_moves_and_its_reference_shows_it(swims):
 
 def test_crops_are_drawn_by_index_and_visit_alone(swims):
     words = ("data.crops=4", "data.batch=4", "data.targets=1")
-    source, again = source_of(swims, *words), source_of(swims, *words)
+    source = source_of(swims, *words)
+    again = source_of(swims, *words)
     first = source.crops(1, 3, 32)
     for crop, repeated in zip(first, again.crops(1, 3, 32), strict=True):
         assert crop.noisy.shape == (7, 32, 32)

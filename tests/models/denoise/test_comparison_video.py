@@ -35,7 +35,8 @@ def decoded(path: Path) -> tuple[Any, list[Image], list[float]]:
 @pytest.mark.usefixtures("halving")
 def test_a_recording_becomes_a_video_of_both(tmp_path: Path) -> None:
     write_aris(tmp_path / "a.aris", pings(4, 40, 48))
-    out, talk = tmp_path / "out", tmp_path / "talk.mp4"
+    out = tmp_path / "out"
+    talk = tmp_path / "talk.mp4"
     assert main([str(tmp_path / "a.aris"), "--out", str(out), "--compare", str(talk)]) == 0
     assert [path.name for path in out.iterdir()] == ["a.aris"], "no sheet beside it"
     codec, images, times_s = decoded(talk)

@@ -50,7 +50,8 @@ def test_weights_do_not_see_a_bright_page_around_a_fan(tmp_path: Path) -> None:
     grey = np.where(inside, rng.rayleigh(0.2, inside.shape).clip(0, 1), 0).astype(np.float32)
     page = np.where(inside, grey, np.float32(0.9))
     denoise = Denoiser(untrained_sonarnet(tmp_path), "cpu")
-    on_black, on_page = denoise(grey, geometry), denoise(page, geometry)
+    on_black = denoise(grey, geometry)
+    on_page = denoise(page, geometry)
     np.testing.assert_array_equal(on_page[inside], on_black[inside])
     np.testing.assert_array_equal(on_page[~inside], page[~inside])
 
@@ -161,7 +162,8 @@ def test_no_result_replaces_another_file(tmp_path: Path) -> None:
         path = tmp_path / name
         path.parent.mkdir()
         cv2.imwrite(str(path), np.zeros((9, 9), np.uint8))
-    first, second = tmp_path / "a" / "x.png", tmp_path / "b" / "x.png"
+    first = tmp_path / "a" / "x.png"
+    second = tmp_path / "b" / "x.png"
     with pytest.raises(FactoryError, match=r"both become x\.png"):
         find_items([first, second], tmp_path / "out")
     with pytest.raises(FactoryError, match="would overwrite the input"):

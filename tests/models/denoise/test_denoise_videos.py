@@ -113,7 +113,8 @@ def test_deep_greys_keep_their_bits(
         assert before[0].samples.dtype == after[0].samples.dtype == np.uint16
         assert before.properties.bits == after.properties.bits == bits
         distinct = len(np.unique(before[0].samples))
-        wanted, actual = before[1].samples / 2, after[1].samples
+        wanted = before[1].samples / 2
+        actual = after[1].samples
     assert distinct > 256
     assert len(np.unique(actual)) > 256
     assert np.abs(actual - wanted).max() <= 65535 / ((1 << bits) - 1)

@@ -83,7 +83,8 @@ def figures(name: str) -> dict[str, float]:
     several: list[float] = []
     for members in (range(2, 3), range(5, 6), range(4), range(4, 8)):
         noisy = observed[members.start : members.stop].mean(axis=0)
-        denoised, wished = denoise(noisy, geometry, frames=len(members)), target(members)
+        denoised = denoise(noisy, geometry, frames=len(members))
+        wished = target(members)
         gain = psnr_after_levels(denoised, wished) - psnr_after_levels(noisy, wished)
         (single if len(members) == 1 else several).append(gain)
     actual = {"frame": float(np.mean(single)), "mean of 4": float(np.mean(several))}

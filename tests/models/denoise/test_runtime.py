@@ -60,7 +60,8 @@ def exported(model: dict[str, Any], folder: Path) -> tuple[Path, Path]:
     network = build_network(model)
     for parameter in network.parameters():
         parameter.data.add_(torch.randn_like(parameter), alpha=0.1)
-    weights, graph = folder / "own.safetensors", folder / "own.onnx"
+    weights = folder / "own.safetensors"
+    graph = folder / "own.onnx"
     save_weights(weights, network, model, {}, half=True)
     assert export([str(weights), "--to", "runtime", "--out", str(graph)]) == 0
     return weights, graph
@@ -107,7 +108,8 @@ def test_onnxruntime_gets_what_torch_gets(
     message: float | np.ndarray | None = None if isinstance(frames, str) else frames
     if frames == "map":
         message = np.random.default_rng(0).uniform(1, 7, picture.shape).astype(np.float32)
-    of_torch, of_onnx = in_torch(both), in_onnx(both)
+    of_torch = in_torch(both)
+    of_onnx = in_onnx(both)
     wished = of_torch(picture, known, frames=message)
     assert np.abs(wished - picture).max() > 0.01
     np.testing.assert_allclose(
@@ -120,7 +122,8 @@ def test_onnxruntime_gets_what_torch_gets(
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_weights_that_ship_run_in_onnxruntime_as_in_torch(name: str, tmp_path: Path) -> None:
     """And the graph that ships is the one that the command makes."""
-    denoise, of_torch = Denoiser(name, "cpu"), Denoiser(name, "cpu")
+    denoise = Denoiser(name, "cpu")
+    of_torch = Denoiser(name, "cpu")
     assert isinstance(denoise.runtime, OnnxNetwork)
     again = tmp_path / "again.onnx"
     assert export([name, "--to", "runtime", "--out", str(again)]) == 0

@@ -25,10 +25,13 @@ from tests.models.adapt.scenes import noisy, scene, write
 class Stopping:
     """Halves, and is stopped by a signal at a picture."""
 
-    name, digest = "stopping", "0"
+    name = "stopping"
+    digest = "0"
 
     def __init__(self, at: int | None, number: int) -> None:
-        self.at, self.number, self.count = at, number, 0
+        self.at = at
+        self.number = number
+        self.count = 0
 
     def __call__(self, gray: Gray, geometry: FanGeometry | None = None) -> Gray:
         self.count += 1

@@ -24,7 +24,8 @@ def test_tiles_leave_no_seam() -> None:
         # What a network with a small field of view does: pixels and their neighbours.
         return np.asarray(ndimage.uniform_filter(part, 5, mode="nearest") * maps["scale"])
 
-    whole, parts = local(image, scale), tiled(local, image, scale, 48, 20)
+    whole = local(image, scale)
+    parts = tiled(local, image, scale, 48, 20)
     np.testing.assert_allclose(parts[3:-3, 3:-3], whole[3:-3, 3:-3], atol=0.02)
     middle = np.abs(parts - whole)[3:-3, 3:-3]
     assert np.median(middle) < 1e-6
@@ -34,7 +35,8 @@ def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:
     noisy, _, _ = fan_images(96, np.random.default_rng(2))
     denoise = Denoiser(weights, "cpu")
     whole = denoise(noisy)
-    denoise.tile, denoise.overlap = 64, 24
+    denoise.tile = 64
+    denoise.overlap = 24
     parts = denoise(noisy)
     # NAFNet's attention is a mean over the tile, so a little differs.
     assert np.abs(whole - parts).max() < 0.05
@@ -66,7 +68,8 @@ def test_weights_that_ship_denoise_enlarged_pictures() -> None:
     once = Denoiser("simnfnd", "cpu")
     assert once.runtime.wide_grain == 0.56
     side = 200
-    wide, truth = larger(grain(side), 2), larger(ground(side), 2)
+    wide = larger(grain(side), 2)
+    truth = larger(ground(side), 2)
 
     def error(denoise: Denoiser) -> float:
         actual = denoise(wide)

@@ -51,7 +51,8 @@ def main(words: Sequence[str]) -> int:
 class Halving:
     """A denoiser whose result is easy to foretell, and which keeps what it was told."""
 
-    name, digest = "halving", "0"
+    name = "halving"
+    digest = "0"
 
     def __init__(self) -> None:
         self.told: list[FanGeometry | None] = []

@@ -64,7 +64,8 @@ def test_the_loss_as_printed_trains_exactly_as_l1(
 
 
 def test_the_loss_as_printed_counts_the_pixels_on_the_wrong_side() -> None:
-    prediction, clean = image(0.05, 0.2, 0.2, 0.1), image(0.3, 0.0, 0.5, 0.1)
+    prediction = image(0.05, 0.2, 0.2, 0.1)
+    clean = image(0.3, 0.0, 0.5, 0.1)
     # L1 of the images, and two of four pixels; a grey value of t itself is shadow.
     expected = (0.25 + 0.2 + 0.3) / 4 + 0.5 * 2 / 4
     for shadow in ("literal", "ste"):
@@ -74,7 +75,8 @@ def test_the_loss_as_printed_counts_the_pixels_on_the_wrong_side() -> None:
 
 def test_a_gradient_passes_the_threshold() -> None:
     """Every pixel, whichever side of the threshold it is on."""
-    prediction, clean = image(0.12, 0.5, 0.6), image(0.0, 0.45, 0.6)
+    prediction = image(0.12, 0.5, 0.6)
+    clean = image(0.0, 0.45, 0.6)
     plain = gradient({"kind": "l1"}, prediction, clean)
     passed = gradient({**NEW, "shadow": "ste", "weight": 0.3}, prediction, clean)
     assert passed[..., 0] - plain[..., 0] == pytest.approx(0.3 / 3)
@@ -82,7 +84,9 @@ def test_a_gradient_passes_the_threshold() -> None:
 
 @pytest.mark.parametrize("kind", [{"kind": "l1"}, NEW])
 def test_the_mask_head_learns_the_true_shadow(kind: dict[str, Any]) -> None:
-    prediction, clean, mask = image(0.5, 0.5), image(0.5, 0.0), image(0.0, 1.0)
+    prediction = image(0.5, 0.5)
+    clean = image(0.5, 0.0)
+    mask = image(0.0, 1.0)
     logits = torch.zeros_like(mask).requires_grad_()
     known = {"shadow": mask, "shadow_logits": logits}
     without = build_loss({**kind, "mask": 0})(prediction, clean, known)

@@ -66,7 +66,8 @@ def test_every_network_learns(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_weights_on_disk_are_the_network(kind: str, tmp_path: Path) -> None:
-    network, image = stirred(tiny(kind)), torch.rand(1, 1, 16, 16)
+    network = stirred(tiny(kind))
+    image = torch.rand(1, 1, 16, 16)
     config = {"kind": kind, **TINY[kind]}
     save_weights(tmp_path / "w.safetensors", network, config, {})
     loaded = load_weights(tmp_path / "w.safetensors").network.eval()
@@ -74,7 +75,8 @@ def test_weights_on_disk_are_the_network(kind: str, tmp_path: Path) -> None:
 
 
 def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
-    network, path = tiny("nafnet"), tmp_path / "w.safetensors"
+    network = tiny("nafnet")
+    path = tmp_path / "w.safetensors"
     last = list(network.parameters())[-1]
     for tensors in ([last], network.parameters()):
         with torch.no_grad():
@@ -92,7 +94,8 @@ def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
      {"kind": "nafnet", "width": [4]}, {"kind": "nafnet", "encoder": {"a": 1}}],
 )  # fmt: skip
 def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any) -> None:
-    path, header = tmp_path / "w.safetensors", {"format": FORMAT, "model": model, "training": {}}
+    path = tmp_path / "w.safetensors"
+    header = {"format": FORMAT, "model": model, "training": {}}
     path.write_bytes(save({"a": torch.zeros(1)}, {"simnfnd": json.dumps(header)}))
     with pytest.raises(FactoryError, match=r"^weights=.*: do not fit their network") as caught:
         load_weights(path)

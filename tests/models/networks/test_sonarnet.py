@@ -21,8 +21,10 @@ def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
     """A random picture of a fan of 60 degrees that fills it, and what goes with it."""
     image = torch.rand(1, 1, size, size, generator=torch.Generator().manual_seed(0))
     step = (torch.arange(size) + 0.5) / size
-    ahead, right = 1 - 0.9 * step[:, None], (step - 0.5)[None]
-    radius, azimuth = torch.hypot(ahead, right), torch.atan2(right, ahead)
+    ahead = 1 - 0.9 * step[:, None]
+    right = (step - 0.5)[None]
+    radius = torch.hypot(ahead, right)
+    azimuth = torch.atan2(right, ahead)
     sector = ((azimuth.abs() <= torch.pi / 6) & (radius <= 1)).float()
     maps = {"range_fraction": radius, "azimuth_rad": azimuth, "sector": sector}
     extras = {name: x[None, None] for name, x in maps.items() if name in network.extras}
@@ -73,7 +75,8 @@ def test_what_to_remove_changes_the_picture() -> None:
 def test_geometry_is_forgotten_in_training_alone() -> None:
     network = stirred(tiny("sonarnet", forget=0.999999))
     image, extras = told(network, 32)
-    blind, seeing = network(image), network(image, **extras)
+    blind = network(image)
+    seeing = network(image, **extras)
     assert torch.equal(network.train()(image, **extras), blind)
     assert not torch.allclose(blind, seeing)
 
@@ -83,7 +86,9 @@ def test_geometry_is_forgotten_in_training_alone() -> None:
 
 def fan_and_polar() -> tuple[Tensor, Tensor, dict[str, Tensor]]:
     """A smooth polar picture, the factory's fan picture of it, and the maps of the fan."""
-    rows, columns, near = 80, 96, 0.3
+    rows = 80
+    columns = 96
+    near = 0.3
     sonar = SonarSettings(
         name="test", frequency_khz=900, hfov_deg=60, vfov_deg=20, beams=columns, range_bins=rows,
         image=ImageSettings(width_px=columns, height_px=rows),

@@ -50,7 +50,8 @@ def weights(folder: Path, kind: str) -> Path:
 def test_onnxruntime_gets_what_torch_gets_at_any_size(
     kind: str, layout: Layout, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    weights_file, out = weights(tmp_path, kind), tmp_path / "network.onnx"
+    weights_file = weights(tmp_path, kind)
+    out = tmp_path / "network.onnx"
     assert main([str(weights_file), "--to", "onnx", "--geometry", layout, "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert f"ONNX, opset {OPSET}" in said
@@ -68,7 +69,8 @@ def test_onnxruntime_gets_what_torch_gets_at_any_size(
 
 
 def test_the_file_says_what_it_is(tmp_path: Path) -> None:
-    weights_file, out = weights(tmp_path, "sonarnet"), tmp_path / "network.onnx"
+    weights_file = weights(tmp_path, "sonarnet")
+    out = tmp_path / "network.onnx"
     words = [str(weights_file), "--to", "onnx", "--geometry", "fan", "--out", str(out)]
     assert main(words) == 0
     model = onnx.load(out)

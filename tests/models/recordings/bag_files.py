@@ -83,13 +83,15 @@ def write_bag(
     writer: Any
     single = path.suffix in (".mcap", ".db3")
     if path.suffix == ".bag":
-        version, writer = 1, Writer1(path)
+        version = 1
+        writer = Writer1(path)
         if compression:
             writer.set_compression(Writer1.CompressionFormat[compression.upper()])
     else:
         plugin = StoragePlugin.MCAP if "mcap" in (storage, path.suffix[1:]) else 1
         folder = path.with_suffix(".folder") / path.stem if single else path
-        version, writer = 2, Writer2(folder, version=8, storage_plugin=StoragePlugin(plugin))
+        version = 2
+        writer = Writer2(folder, version=8, storage_plugin=StoragePlugin(plugin))
         if compression:
             mode = CompressionMode[compression.upper()]
             writer.set_compression(mode, CompressionFormat.ZSTD)

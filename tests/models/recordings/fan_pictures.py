@@ -42,7 +42,8 @@ def fan(sonar: SonarSettings, near: float, holes: bool, seed: int = 0) -> tuple[
     return grey, FanGeometry.from_sonar(sonar, near * 10, 10.0)
 
 
-LEFT, TOP = 140, 30
+LEFT = 140
+TOP = 30
 Picture = npt.NDArray[Any]
 
 

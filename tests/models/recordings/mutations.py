@@ -49,6 +49,7 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
             at = int(rng.integers(most))
             data[at : at + 8] = rng.bytes(8)
         case _:
-            at, size = int(rng.integers(most)), int(rng.integers(1, 300))
+            at = int(rng.integers(most))
+            size = int(rng.integers(1, 300))
             data[at:at] = data[at : at + size]
     return bytes(data)

@@ -28,7 +28,8 @@ def saved(path: Path, array: Any) -> Path:
 def test_a_picture_and_several(tmp_path: Path, dtype: str, order: Any) -> None:
     values = pings(3, 30, 40) / (255 if dtype[0] == "f" else 1)
     array = np.asarray(values.astype(dtype), order=order)
-    single, several = saved(tmp_path / "one.npy", array[1]), saved(tmp_path / "more.npy", array)
+    single = saved(tmp_path / "one.npy", array[1])
+    several = saved(tmp_path / "more.npy", array)
     assert (kind_of(single), is_recording(single)) == ("pictures", False)
     assert (kind_of(several), is_recording(several)) == ("array", True)
     remaining = np.dtype("f4") if dtype[0] == "f" else np.dtype(dtype).newbyteorder("=")

@@ -96,7 +96,8 @@ def test_a_wrong_duration_is_said_and_a_missing_one_is_not(tmp_path: Path) -> No
     path = encode(tmp_path / "a.mkv", pings(8, 48, 64))
     content = bytearray(path.read_bytes())
     place = content.index(b"\x44\x89\x88")
-    longer, missing = bytearray(content), bytearray(content)
+    longer = bytearray(content)
+    missing = bytearray(content)
     longer[place + 3 : place + 11] = np.array(9000.0, ">f8").tobytes()
     missing[place : place + 11] = b"\xec\x89" + bytes(9)
     for changed, words in ((longer, "says that it lasts 9.00 s"), (missing, "")):

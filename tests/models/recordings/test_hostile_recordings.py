@@ -164,7 +164,8 @@ def test_a_stack_that_unpacks_to_too_much_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(base, "ALWAYS_BYTES", 1 << 16)
-    pages, path = [np.zeros((1024, 1024), np.uint16)] * 5, tmp_path / "a.tif"
+    pages = [np.zeros((1024, 1024), np.uint16)] * 5
+    path = tmp_path / "a.tif"
     assert cv2.imwritemulti(str(path), pages, (cv2.IMWRITE_TIFF_COMPRESSION, 8))
     with pytest.raises(FactoryError, match=r"a\.tif: unpacks to 10,485,760 bytes or more"):
         open_recording(path)

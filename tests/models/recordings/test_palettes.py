@@ -20,7 +20,8 @@ Bytes = npt.NDArray[Any]
 
 def ramp_of(*corners: tuple[float, float, float]) -> Bytes:
     """(256, 1, 3) colours, straight from corner to corner, which lie at 0, 0.8 and 1."""
-    at, steps = [0, 0.8, 1], np.linspace(0, 1, 256)
+    at = [0, 0.8, 1]
+    steps = np.linspace(0, 1, 256)
     channels = [np.interp(steps, at, [corner[k] for corner in corners]) for k in range(3)]
     ramp = np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
     return np.asarray(ramp[:, None], np.uint8)

@@ -82,7 +82,8 @@ def test_aris_with_other_samples(tmp_path: Path) -> None:
     ] * 3
     assert again[1].beams == source[1].beams
     assert again[1].time_s == source[1].time_s
-    before, after = (tmp_path / "a.aris").read_bytes(), (tmp_path / "b.aris").read_bytes()
+    before = (tmp_path / "a.aris").read_bytes()
+    after = (tmp_path / "b.aris").read_bytes()
     assert before[:2048] == after[:2048]
     assert len(before) == len(after)
     source.rewrite(samples, tmp_path / "c.aris")
@@ -188,7 +189,8 @@ def test_an_animated_gif(tmp_path: Path) -> None:
         np.testing.assert_array_equal([frame.samples for frame in recording], grey)
         np.testing.assert_array_equal(recording[1].samples, grey[1])
     colours = np.zeros((2, 30, 40, 3), np.uint8)
-    colours[0, 5:], colours[1, :9] = (200, 0, 0), (0, 90, 0)
+    colours[0, 5:] = (200, 0, 0)
+    colours[1, :9] = (0, 90, 0)
     with open_recording(write_gif(tmp_path / "b.gif", colours)) as recording:
         np.testing.assert_array_equal(recording[0].samples, colours[0, ..., ::-1])
 

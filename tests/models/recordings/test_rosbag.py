@@ -67,7 +67,8 @@ def test_a_bag_goes_in_and_out(tmp_path: Path, name: str, bag_options: dict[str,
         bag.rewrite((frame.samples // 2 for frame in bag), out)
     assert kind_of(out) == "rosbag"
     assert [path.name for path in out.parent.iterdir()] == [name]
-    before, after = list(content(path)), list(content(out))
+    before = list(content(path))
+    after = list(content(out))
     assert [message[:3] for message in before] == [message[:3] for message in after]
     assert {message[2] for message in after} == {
         START_NS + k * STEP_NS + s for k in range(4) for s in (0, 1)
@@ -175,7 +176,8 @@ def test_which_topics_are_frames(tmp_path: Path) -> None:
 def test_types_that_nobody_knows_are_copied_and_never_run(tmp_path: Path) -> None:
     from rosbags.rosbag1 import Reader, Writer
 
-    store, odd = typestore(1), "int32 a\n__import__('os').abort()\n"
+    store = typestore(1)
+    odd = "int32 a\n__import__('os').abort()\n"
     with Writer(tmp_path / "a.bag") as writer:
         odd_connection = writer.add_connection(
             "/odd", "my_msgs/msg/Odd", msgdef=odd, md5sum="0" * 32
@@ -205,12 +207,14 @@ def test_another_type_of_the_same_name_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_a_message_says_must_fit(tmp_path: Path) -> None:
-    store, samples = typestore(1), pings(1, 12, 8)[0]
+    store = typestore(1)
+    samples = pings(1, 12, 8)[0]
     odd, uneven, few = (sonar(store, 0, samples) for _ in range(3))
     odd.image.dtype = 4
     uneven.ranges = uneven.ranges**2
     few.beam_directions = few.beam_directions[::2]
-    bayer, cut = image(store, 0, samples, "bayer_rggb8"), compressed(store, 0, samples)
+    bayer = image(store, 0, samples, "bayer_rggb8")
+    cut = compressed(store, 0, samples)
     cut.data = cut.data[8:]
     for number, (kind, message, words) in enumerate((
         (SONAR, odd, "message 0 of /p has samples of type 4"),
