@@ -210,21 +210,21 @@ def temporary_folder(path: Path) -> Iterator[Path]:
 
 
 # Of this process.
-_outlets: list[tuple[Path, Callable[[str, bytes | None], None]]] = []
+_forwarders: list[tuple[Path, Callable[[str, bytes | None], None]]] = []
 
 
 @contextmanager
-def outlet(folder: Path, pass_on: Callable[[str, bytes | None], None]) -> Iterator[None]:
-    """Within the block, `pass_on` gets what this process writes into the folder, or removes.
+def forward_writes(folder: Path, forward: Callable[[str, bytes | None], None]) -> Iterator[None]:
+    """Within the block, `forward` gets what this process writes into the folder, or removes.
 
-    folder: absolute.  pass_on: called with the name below it and the content, None when the file
+    folder: absolute.  forward: called with the name below it and the content, None when the file
     was removed or found absent; raises FactoryError when it cannot pass that on.
     """
-    _outlets.append((folder, pass_on))
+    _forwarders.append((folder, forward))
     try:
         yield
     finally:
-        _outlets.remove((folder, pass_on))
+        _forwarders.remove((folder, forward))
 
 
 def remove_file(path: Path) -> None:
@@ -235,6 +235,6 @@ def remove_file(path: Path) -> None:
 
 def _pass_on(path: Path, content: bytes | None) -> None:
     place = Path(os.path.abspath(path))
-    for folder, pass_on in dict(_outlets).items():
+    for folder, forward in dict(_forwarders).items():
         if place.is_relative_to(folder):
-            pass_on(place.relative_to(folder).as_posix(), content)
+            forward(place.relative_to(folder).as_posix(), content)

@@ -35,7 +35,7 @@ _MEMORY_BYTES = 800 << 20
 _MOST_ANSWER_BYTES = 1 << 28
 
 
-def look_at(
+def call_isolated(
     path: Path, function: Callable[..., Any], *arguments: Any, limit_s: float = LIMIT_S
 ) -> Any:
     """Run a function that reads a possibly untrusted file in a process that is kept.
@@ -70,7 +70,7 @@ class IsolatedProcess:
         self._child: subprocess.Popen[bytes] | None = None
 
     def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float = LIMIT_S) -> Any:
-        """`function(*arguments)`; see `look_at`.  Its FactoryError names no file.
+        """`function(*arguments)`; see `call_isolated`.  Its FactoryError names no file.
 
         Raises RuntimeError with the traceback for any other error of the function.
         """
@@ -115,7 +115,7 @@ class IsolatedProcess:
 
 
 LASTING = IsolatedProcess()
-"""That of `look_at`."""
+"""That of `call_isolated`."""
 
 
 def _encode(value: Any) -> bytes:

@@ -151,10 +151,10 @@ class PairMaker:
                 self._observed.popitem(last=False)
         return observed
 
-    def expect(self, keys: Mapping[str, str]) -> None:
+    def set_cache_keys(self, keys: Mapping[str, str]) -> None:
         """Take the cache keys of finished renders; see `dataset.schema.PairSource`."""
         if isinstance(self.views, CachedViews):
-            self.views.expect(keys)
+            self.views.set_cache_keys(keys)
 
 
 def frames_worth_keeping(frames: int) -> int:

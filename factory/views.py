@@ -249,7 +249,7 @@ class CachedViews(Views):
         text = json.dumps([self._common, ref.location, ref.scene, ref.frame, contents])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
-    def expect(self, keys: Mapping[str, str]) -> None:
+    def set_cache_keys(self, keys: Mapping[str, str]) -> None:
         """Look for these frames, by their names, under these keys and ask their files no more."""
         self._expected = dict(keys)
 

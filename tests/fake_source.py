@@ -87,7 +87,7 @@ class FakeSource:
         """Whether its file is there."""
         return not self.config.prepared or prepared_file(self.config, ref).exists()
 
-    def expect(self, keys: Mapping[str, str]) -> None:
+    def set_cache_keys(self, keys: Mapping[str, str]) -> None:
         """Its frames are found by their names alone."""
 
     def _pair(self, ref: FrameRef, variant: int) -> Pair:

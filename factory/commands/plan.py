@@ -61,7 +61,7 @@ def main(words: list[str]) -> int:
     views = open_views(job.config)
     renders = 0 if packed else sum(not views.holds(ref) for ref in used)
     print(f"renders: {len(used) - renders} of {len(used)} are in the cache, shared by all points")
-    crew = config.scheduler.crew(len(job.own_tasks), 0 if packed else len(used))
+    crew = config.scheduler.worker_counts(len(job.own_tasks), 0 if packed else len(used))
     print(f"workers: {crew.render} that render and {crew.noise} that only add noise")
     render_s, pair_s, render_bytes, pair_bytes = _probe(config, used)
     print(

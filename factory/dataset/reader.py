@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import FactoryError
-from ..isolated import look_at
+from ..isolated import call_isolated
 from ..storage.copies import fetched, url_of
 from .layout import DEFLATE, check_shard, check_texts, crc32, inside
 from .manifest import Manifest, ShardInfo
@@ -83,7 +83,7 @@ def check_in_isolation(paths: Iterable[Path]) -> None:
     """
     for path in paths:
         if path.exists() or not url_of(path.parent.parent):
-            look_at(path, check_readable, path, limit_s=_LIMIT_S)
+            call_isolated(path, check_readable, path, limit_s=_LIMIT_S)
 
 
 def check_readable(path: Path) -> None:
@@ -96,15 +96,15 @@ def check_readable(path: Path) -> None:
 def bring(path: Path) -> None:
     """Fetch a shard of a copy that is not here, and have another process look at it first."""
 
-    def look(aside: Path) -> None:
+    def check(aside: Path) -> None:
         try:
-            look_at(aside, check_readable, aside, limit_s=_LIMIT_S)
+            call_isolated(aside, check_readable, aside, limit_s=_LIMIT_S)
         except FactoryError as error:
             raise FactoryError(str(error).replace(str(aside), str(path))) from error
         # It keeps its state when it gets its name, and no other process writes it.
         _sound[path] = _state_of(aside)
 
-    fetched(path, look)
+    fetched(path, check)
 
 
 def open_shard(path: Path) -> h5py.File:

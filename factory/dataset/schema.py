@@ -257,7 +257,7 @@ class PairSource(Protocol):
         Raises FrameError when the frame is bad, NotRendered when a `Preparer` must see it first.
         """
 
-    def expect(self, keys: Mapping[str, str]) -> None:
+    def set_cache_keys(self, keys: Mapping[str, str]) -> None:
         """Take the keys of prepared frames, by their names; those before are forgotten."""
 
 

@@ -219,7 +219,7 @@ def _row(
     " Tuple((float32[::1], int32[::1], boolean[::1])),"
     " Tuple((int32[::1], float32[::1], int32[::1], float32[::1])), int32[::1])"
 )
-def place(
+def place_scatterers(
     camera: Any, radiance: Floats, labels: npt.NDArray[np.uint8], factor: Floats,
     reflectivity: Floats, sonar: Any, grid: Any, pattern: Floats, widest_sine: float,
     bins: Any, scatterers: Any, row_end: Integers,

@@ -145,7 +145,7 @@ def scatterers(
     labels = np.empty((0, 0), np.uint8) if frame.segmentation is None else frame.segmentation
     echo, exponents = np.array(acoustics.of_classes()).T
     echo = echo / (frame.intrinsics.fx * frame.intrinsics.fy)  # the middle pixel's solid angle
-    count = kernels.place(
+    count = kernels.place_scatterers(
         camera_of(frame), surface.rendered.radiance, labels, _factor(surface, exponents),
         echo.astype(np.float32), sonar.mount.axes(), grid_of(window, sonar),
         vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),

@@ -179,7 +179,7 @@ def _draw(
     body: PosedBody, frame: Frame, mount: Mount, echo: Echo, frequency_khz: float
 ) -> _Drawn | None:
     """The pixels that an object alone covers; None where the camera sees nothing of it."""
-    from ..scenes.seabed.kernels import paint  # loads numba
+    from ..scenes.seabed.kernels import rasterise_mesh  # loads numba
 
     solid = body.actor.mesh
     vertices_m = body.camera_m(solid.vertices)
@@ -202,7 +202,7 @@ def _draw(
     camera = np.array([lens.fx, lens.fy, lens.cx - left, lens.cy - top])
     whole = np.array([[0, 0, len(vertices_m), len(solid.triangles)]], np.int64)
     points = np.ascontiguousarray(vertices_m, np.float32)
-    paint(points, solid.triangles, whole, 0, (_HERE, _WHOLE, camera), (inverse, which))
+    rasterise_mesh(points, solid.triangles, whole, 0, (_HERE, _WHOLE, camera), (inverse, which))
     crop_rows, crop_columns = np.nonzero(which >= 0)
     if not len(crop_rows):
         return None

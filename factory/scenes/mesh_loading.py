@@ -21,7 +21,7 @@ from ..small_files import one_line
 from .blend_files import export_blend, linked_by_blend
 from .gltf_files import linked_by_gltf, material_number, with_own_materials
 from .obj_files import RawPart, linked_by_obj, read_obj
-from .painted import linear_albedo, paint
+from .painted import linear_albedo, paint_surface
 from .seabed.meshes import GREY, Mesh, join, mesh
 
 MOST_FACES = 2_000_000
@@ -215,6 +215,6 @@ def _of_model(piece: Any, model: Any) -> Mesh:
         # The material's colour is a factor of its texture.
         albedo = linear_albedo(image[..., :3]) * colour
         corners = vertices[triangles].astype(np.float32)
-        points, painted, cut = paint(corners, places, albedo)
+        points, painted, cut = paint_surface(corners, places, albedo)
         return Mesh(points.astype(np.float32), painted, cut)
     return mesh(vertices, triangles, solid.vertex_colors if solid.has_vertex_colors() else colour)

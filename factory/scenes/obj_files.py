@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import FactoryError
-from .painted import linear_albedo, paint
+from .painted import linear_albedo, paint_surface
 from .seabed.terrain import Colour
 
 Floats = npt.NDArray[np.float64]
@@ -333,7 +333,7 @@ def _pieces(
         if texture.is_clamped:
             coordinates = np.clip(coordinates, 0, 1)
         from_top = coordinates * (1, -1) + (0, 1)
-        points, painted, triangles = paint(
+        points, painted, triangles = paint_surface(
             vertices[corners[is_painted]], from_top, linear_albedo(_image(texture.path))
         )
         pieces.append(RawPart("", points, painted, triangles))

@@ -24,7 +24,7 @@ class PaintedSurface(NamedTuple):
     triangles: npt.NDArray[np.int32]
 
 
-def paint(
+def paint_surface(
     corners: npt.NDArray[Any], places: npt.NDArray[Any], albedo: npt.NDArray[np.float32]
 ) -> PaintedSurface:
     """Cut a textured surface into small triangles and give their vertices the texture's colours.

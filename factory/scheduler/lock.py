@@ -24,7 +24,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from ..errors import FactoryError
-from ..files import explain_os_errors, is_dead, outlet, space
+from ..files import explain_os_errors, forward_writes, is_dead, space
 from ..small_files import parse_json, read_regular
 from ..storage.copies import SHARD_NAME, Store, make_room, take_copy, url_of
 
@@ -86,17 +86,17 @@ class Publication:
     """Passes on what is written into the copy of a dataset; goes to workers with each task.
 
     folder: the copy, absolute.  lock, token: the object that must hold this token.
-    apart: workers see nothing of the folder, they run elsewhere.
+    is_remote: workers see nothing of the folder, they run elsewhere.
     """
 
     folder: Path
     store: Store
     lock: str
     token: str
-    apart: bool
+    is_remote: bool
 
-    def pass_on(self, name: str, content: bytes | None) -> None:
-        """As `files.outlet` says; shards stay in the copy as long as there is room."""
+    def forward(self, name: str, content: bytes | None) -> None:
+        """As `files.forward_writes` says; shards stay in the copy as long as there is room."""
         if not self.holds():
             raise FactoryError(
                 f"{self.store.url}: was taken by another run while this one stood still; nothing "
@@ -106,7 +106,7 @@ class Publication:
             self.store.remove(name)
         else:
             self.store.put(name, content)
-            if SHARD_NAME.fullmatch(name) and not self.apart:
+            if SHARD_NAME.fullmatch(name) and not self.is_remote:
                 make_room(spare=self.folder / name)
 
     def text(self) -> bytes:
@@ -120,7 +120,7 @@ class Publication:
 
 @contextmanager
 def publishing(
-    folder: Path, part: str = "", *, apart: bool = False
+    folder: Path, part: str = "", *, is_remote: bool = False
 ) -> Iterator[Publication | None]:
     """Within the block, what is written into the copy of a URL goes there; None for any other.
 
@@ -135,7 +135,7 @@ def publishing(
     store = Store(url)
     ended = threading.Event()
     token = secrets.token_hex(16)
-    publication = Publication(Path(os.path.abspath(folder)), store, _name(part), token, apart)
+    publication = Publication(Path(os.path.abspath(folder)), store, _name(part), token, is_remote)
 
     def beat() -> None:
         while not ended.wait(_BEAT_S):
@@ -169,7 +169,7 @@ def publishing(
                 "give an empty or new place with dataset.dir="
             )
         take_copy(folder, sizes, fresh=True)
-        with outlet(publication.folder, publication.pass_on):
+        with forward_writes(publication.folder, publication.forward):
             yield publication
     finally:
         ended.set()

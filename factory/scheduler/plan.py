@@ -74,7 +74,7 @@ class Recipe:
     @property
     def prepares(self) -> bool:
         """Whether frames are prepared for all; workers that share no folder share no renders."""
-        return self.preparer is not None and not (self.publication and self.publication.apart)
+        return self.preparer is not None and not (self.publication and self.publication.is_remote)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -90,7 +90,7 @@ class Results:
         hash_ = self._manifest.config_hash
         save_outcome(self._job.directory, task.path, hash_, info, lines)
 
-    def put_together(self) -> None:
+    def write_manifest(self) -> None:
         """Write manifest.json and failed.jsonl of all that is settled; the results beside go.
 
         At the start, with what is whole of earlier runs, and at the end; a run that was stopped

@@ -19,7 +19,7 @@ from .loop import Loop
 from .plan import Job, work_folder
 from .progress import ProgressBar
 from .results import Results, RunReport
-from .settings import NOISE, RENDER, Crew
+from .settings import NOISE, RENDER, WorkerCounts
 from .workers import Backend, Pool
 from .workers.local import LocalBackend
 from .workers.signals import Interrupted, stop_signals
@@ -35,11 +35,11 @@ def make_dataset(job: Job) -> RunReport:
     """
     if not job.tasks:
         raise FactoryError("nothing to make: no frame was chosen, or max_train and max_test are 0")
-    apart = job.scheduler.address is not None
+    is_remote = job.scheduler.address is not None
     with (
         stop_signals(),
         locked(job.directory, job.shard.part),
-        publishing(job.directory, job.shard.part, apart=apart) as publication,
+        publishing(job.directory, job.shard.part, is_remote=is_remote) as publication,
     ):
         manifest = open_folder(job.directory, job.config_values, job.provenance)
         report = _make_shards(replace(job, publication=publication), manifest)
@@ -55,24 +55,28 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
     results = Results(job, manifest)
     todo = results.todo
     frames = len({ref.name for task in todo for ref, _ in task.items}) if job.prepares else 0
-    crew = job.scheduler.crew(len(todo), frames)
+    worker_counts = job.scheduler.worker_counts(len(todo), frames)
     total, left = (sum(task.samples for task in tasks) for tasks in (job.own_tasks, todo))
     progress = ProgressBar(job, total, total - left)
-    results.put_together()
+    results.write_manifest()
     state = "broken"
     try:
         # Also when nothing is left to do: a run may have been killed after its last shard.
         _tidy(job)
         if todo:
-            count = f"{crew.total} worker{'s' if crew.total > 1 else ''}"
-            renders = f" ({crew.render} of them for renders)" if crew.render else ""
+            count = f"{worker_counts.total} worker{'s' if worker_counts.total > 1 else ''}"
+            renders = (
+                f" ({worker_counts.render} of them for renders)" if worker_counts.render else ""
+            )
             job.reporter.stage(f"starting {count}{renders} for {left} pairs")
             try:
-                with closing(_backend(job, crew, max(len(task.items) for task in todo))) as backend:
+                with closing(
+                    _backend(job, worker_counts, max(len(task.items) for task in todo))
+                ) as backend:
                     Loop(job, results, progress, backend).run()
             finally:
                 _tidy(job)
-        results.put_together()
+        results.write_manifest()
         state = "finished"
     except Interrupted:
         state = "stopped"
@@ -82,7 +86,7 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
     return results.report()
 
 
-def _backend(job: Job, crew: Crew, frames_per_shard: int) -> Backend:
+def _backend(job: Job, worker_counts: WorkerCounts, frames_per_shard: int) -> Backend:
     """What runs the tasks.  Raises FactoryError when it cannot be had."""
     if job.scheduler.backend == "serial":
         return Backend()
@@ -90,10 +94,10 @@ def _backend(job: Job, crew: Crew, frames_per_shard: int) -> Backend:
         # Half a second of imports, and an optional dependency.
         from .workers.dask_cluster import DaskBackend
 
-        return DaskBackend(crew.total, job.scheduler.address)
+        return DaskBackend(worker_counts.total, job.scheduler.address)
     frames = job.scheduler.recycle_frames
-    heavy = Pool((RENDER, NOISE), crew.render, frames)
-    light = Pool((NOISE,), crew.noise, max(1, frames // frames_per_shard))
+    heavy = Pool((RENDER, NOISE), worker_counts.render, frames)
+    light = Pool((NOISE,), worker_counts.noise, max(1, frames // frames_per_shard))
     return LocalBackend((heavy, light), job.preload)
 
 

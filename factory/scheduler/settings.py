@@ -21,7 +21,7 @@ RENDER = "render"
 NOISE = "noise"
 
 
-class Crew(NamedTuple):
+class WorkerCounts(NamedTuple):
     """Workers that may load Blender, which add noise when nothing is left to render; light ones."""
 
     render: int
@@ -77,7 +77,7 @@ class SchedulerSettings:
         if self.address is not None and self.backend != "dask":
             raise ValueError("address is for scheduler.backend=dask only")
 
-    def crew(self, shards: int, frames: int) -> Crew:
+    def worker_counts(self, shards: int, frames: int) -> WorkerCounts:
         """How many workers of either kind for that many shards, and frames to prepare.
 
         Raises FactoryError when the limits of this process allow none.
@@ -91,4 +91,4 @@ class SchedulerSettings:
         room = int((memory_gb - total * WORKER_GB) / (RENDERER_GB - WORKER_GB))
         render = max(1, min(cores, room)) if self.render_workers == "auto" else self.render_workers
         render = min(render, total, frames)
-        return Crew(render, total - render)
+        return WorkerCounts(render, total - render)

@@ -14,7 +14,7 @@ from ..dataset.manifest import Failure, ShardInfo
 from ..dataset.schema import Pair, PairSource, Prepared, Preparer, check_pair
 from ..dataset.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered
-from ..files import outlet
+from ..files import forward_writes
 from ..frame import FrameRef
 from .plan import FrameVariants, Recipe, ShardTask
 from .workers import tell
@@ -76,11 +76,11 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
     recipe = attempt.recipe
     with ExitStack() as resources:
         if (publication := recipe.publication) is not None:
-            if publication.apart:  # who shares no folder has one of its own
+            if publication.is_remote:  # who shares no folder has one of its own
                 folder = resources.enter_context(TemporaryDirectory(prefix="simnfnd-shard-"))
                 publication = replace(publication, folder=Path(folder).resolve())
             recipe = replace(recipe, directory=publication.folder)
-            resources.enter_context(outlet(publication.folder, publication.pass_on))
+            resources.enter_context(forward_writes(publication.folder, publication.forward))
         return _Shard(attempt, recipe).result()
 
 
@@ -102,7 +102,7 @@ class _Shard:
         self._task = attempt.task
         self._recipe = recipe
         self._source: PairSource = _build(recipe.source, recipe)
-        self._source.expect(attempt.keys)
+        self._source.set_cache_keys(attempt.keys)
         self._keys = dict(attempt.keys)
         self._axes = self._source.axes()
         self._columns = self._source.columns()
@@ -153,7 +153,7 @@ class _Shard:
                     raise
                 preparer: Preparer = _build(self._recipe.preparer, self._recipe)
                 self._keys[ref.name] = preparer.prepare(ref).key
-                self._source.expect(self._keys)
+                self._source.set_cache_keys(self._keys)
                 pairs = self._source.pairs(ref, variants)
             for pair in pairs:
                 check_pair(pair, self._axes, self._columns, ref.name)

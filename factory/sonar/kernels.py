@@ -89,7 +89,7 @@ def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -
 
 
 @compiled(f"UniTuple(float64, 3)({_PIXELS}, float32, float32, boolean, float32, float32, {_OUT})")
-def survey(
+def list_lit_distances(
     pixels: Any, half_hfov_rad: Any, half_vfov_rad: Any, top_view: Any, near_m: Any, far_m: Any,
     lit_m: Any,
 ) -> Any:  # fmt: skip

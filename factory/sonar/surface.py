@@ -78,7 +78,9 @@ def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
     )
     pixels = _pixels(frame, rendered, sonar)
     top_view = sonar.projection == "top_view"
-    lit, *edges_rad = kernels.survey(pixels, half_hfov, half_vfov, top_view, near_m, far_m, lit_m)
+    lit, *edges_rad = kernels.list_lit_distances(
+        pixels, half_hfov, half_vfov, top_view, near_m, far_m, lit_m
+    )
     return Extent(lit_m[: int(lit)], *edges_rad)
 
 

@@ -188,10 +188,10 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
                 write_atomically(folder / name, content, durable=False, key=_FOLDER)
 
 
-def fetched(path: Path, look: Callable[[Path], None] = lambda aside: None) -> None:
+def fetched(path: Path, check: Callable[[Path], None] = lambda aside: None) -> None:
     """Fetch the shard of a copy that is not here; who else wants it now waits for that.
 
-    look: called with the file before it gets its name; what it raises leaves nothing behind.
+    check: called with the file before it gets its name; what it raises leaves nothing behind.
     Nothing is done about any other file, or where the storage does not have it.
     """
     url = url_of(path.parent.parent)
@@ -208,7 +208,7 @@ def fetched(path: Path, look: Callable[[Path], None] = lambda aside: None) -> No
                 return
             try:
                 aside.write_bytes(content)
-                look(aside)
+                check(aside)
                 os.replace(aside, path)
             finally:
                 aside.unlink(missing_ok=True)

@@ -19,7 +19,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from ...factory.errors import FactoryError, FrameError
-from ...factory.isolated import look_at
+from ...factory.isolated import call_isolated
 from .base import (
     ARRAY_SUFFIX,
     ARRAY_SUFFIXES,
@@ -150,7 +150,7 @@ def is_shard_file(path: Path) -> bool:
 @lru_cache(maxsize=4096)
 def _is_shard_file(path: Path, changed_ns: int) -> bool:
     try:
-        return bool(look_at(path, is_shard, str(path)))
+        return bool(call_isolated(path, is_shard, str(path)))
     except FactoryError:
         return True
 
@@ -178,7 +178,7 @@ def _listed(path: Path, changed_ns: int) -> list[Listed]:
     """The arrays in a file; its kind is asked for several times before it is opened."""
     suffix = path.suffix.lower()
     if suffix in HDF5_SUFFIXES:
-        return _named(look_at(path, list_hdf5, str(path), False))
+        return _named(call_isolated(path, list_hdf5, str(path), False))
     if suffix == ".mat":
         return _listed_matlab(path)
     if suffix == ".npz":
@@ -297,7 +297,7 @@ def _listed_matlab(path: Path) -> list[Listed]:
     with path.open("rb") as file:
         head = file.read(_HDF5_BLOCK + len(_HDF5_SIGNATURE))
     if head.startswith(_HDF5_SIGNATURE) or head[_HDF5_BLOCK:] == _HDF5_SIGNATURE:
-        return _named(look_at(path, list_hdf5, str(path), True))
+        return _named(call_isolated(path, list_hdf5, str(path), True))
     if (
         head
         and not head.startswith(_MATLAB_5)
@@ -307,13 +307,13 @@ def _listed_matlab(path: Path) -> list[Listed]:
             f"{path}: not a readable array: it is a text file (save -ascii); save it with -v7, or "
             "as .npy"
         )
-    return _named(look_at(path, list_matlab, str(path)))
+    return _named(call_isolated(path, list_matlab, str(path)))
 
 
 def list_matlab(path: str) -> list[list[Any]]:
     """[name, shape, dtype] of the numbers in a file, the number of the image first.
 
-    Those in structures and cells have names such as `dive.frames`.  May crash, see `look_at`.
+    Those in structures and cells have names such as `dive.frames`.  May crash, see `call_isolated`.
     """
     import scipy.io
 
@@ -371,7 +371,7 @@ def _joined(value: Any) -> Samples | None:
 def list_hdf5(path: str, is_matlab: bool) -> list[list[Any]]:
     """[name, shape, dtype] of the numbers in an HDF5 file, the number of the image first.
 
-    is_matlab: axes are the other way round.  May crash, see `look_at`.
+    is_matlab: axes are the other way round.  May crash, see `call_isolated`.
     """
     import h5py
 
@@ -399,7 +399,7 @@ def list_hdf5(path: str, is_matlab: bool) -> list[list[Any]]:
 
 
 def is_shard(path: str) -> bool:
-    """Whether an HDF5 file says that it is a shard of a dataset.  May crash, see `look_at`."""
+    """Whether an HDF5 file claims to be a shard of a dataset.  May crash, see `call_isolated`."""
     import h5py
 
     try:

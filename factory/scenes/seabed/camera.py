@@ -168,7 +168,7 @@ class ZBuffer:
         wanted: npt.NDArray[np.bool_] | None = None,
         reach_m: float = 1e6,
     ) -> None:
-        from .kernels import paint
+        from .kernels import rasterise_mesh
 
         self.viewpoint = viewpoint
         self.optics = optics
@@ -185,11 +185,13 @@ class ZBuffer:
             points = ground.reshape(-1, 3)
             self._first_object = len(triangles)
             whole = np.array([[0, 0, len(points), len(triangles)]], np.int64)
-            paint(points, triangles, whole, 0, self.sight, planes)
+            rasterise_mesh(points, triangles, whole, 0, self.sight, planes)
         near = self._in_sight(reach_m)
         parts = np.ascontiguousarray(objects.parts[near if wanted is None else wanted & near])
         solid = objects.mesh
-        paint(solid.vertices, solid.triangles, parts, self._first_object, self.sight, planes)
+        rasterise_mesh(
+            solid.vertices, solid.triangles, parts, self._first_object, self.sight, planes
+        )
 
     def _in_sight(self, reach_m: float) -> npt.NDArray[np.bool_]:
         """(N,) whether the balls around objects touch what the camera sees."""

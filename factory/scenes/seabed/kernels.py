@@ -116,7 +116,7 @@ def normals_of_grid(points: Any) -> Any:
     f"void({_VECTORS}, {_VECTORS}, UniTuple({_PLANE}, 3), UniTuple({_ROWS}, 2), float32[::1], "
     f"float32[::1], {_VECTORS})"
 )
-def relieve(
+def add_relief(
     points: Any, normals: Any, shares: Any, tiles: Any, offset: Any, heights: Any, attributes: Any
 ) -> None:
     """Move points (R, C, 3) of the ground along their normals by its fine relief.
@@ -199,7 +199,9 @@ def _placed(point: Any, eye: Any, axes: Any) -> Any:
 
 
 @compiled(f"void({_ROWS}, {_WHOLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
-def paint(points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, planes: Any) -> None:
+def rasterise_mesh(
+    points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, planes: Any
+) -> None:
     """Paint parts of a mesh into the image of a camera; triangle numbers begin at `offset`.
 
     parts: (N, 4) first point, first triangle and the ends of both.  camera: eye (3,), axes (3, 3)
@@ -417,16 +419,16 @@ def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
     f"{_VECTORS}({_MESH}, {_MESH}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, float32, "
     f"float32[::1], {_WHOLES}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
 )
-def look(
+def shade_pixels(
     ground: Any, things: Any, owners: Any, finishes: Any, sight: Any, planes: Any, palette: Any,
     turf: Any, offset: Any, texture: Any, water: Any, sun: Any, sun_sight: Any, sun_inverse: Any,
 ) -> Any:  # fmt: skip
     """(h, w, 3) linear colour of every second pixel and row, from what a z-buffer met.
 
     ground, things: points, normals, attributes or colours, and triangles.  sight: eye, axes, lens.
-    planes: see `paint`.  finishes: (N, 3) fouling, silt and bump of each object.  palette, turf,
-    water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a camera in the
-    sun and its (S, S) image of the objects.
+    planes: see `rasterise_mesh`.  finishes: (N, 3) fouling, silt and bump of each object.
+    palette, turf, water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a
+    camera in the sun and its (S, S) image of the objects.
     """
     eye, axes, lens = sight
     inverse, which = planes

@@ -11,7 +11,7 @@ import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -92,14 +92,25 @@ def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:
     return t * t * (3 - 2 * t)
 
 
+class NoiseTiles(NamedTuple):
+    """Noise for images and reliefs.
+
+    texture: (TILE / 2, TILE / 2) of four channels of 8 bits, the first the lowest: broad clouds,
+        fine grain, cells (dark seams between lumps), speckle, in steps of 1 / STEPS.  An image
+        looks up a million places in it, so the channels lie side by side.
+    rock_relief, sand_relief: (TILE, TILE).
+    """
+
+    texture: npt.NDArray[np.int32]
+    rock_relief: Floats
+    sand_relief: Floats
+
+
 @functools.cache
-def tiles() -> tuple[npt.NDArray[np.int32], Floats, Floats]:
+def tiles() -> NoiseTiles:
     """Noise images that repeat without a seam, each with mean 0 and standard deviation 1.
 
-    Every location uses them at its own offset.  Returns a texture (TILE / 2, TILE / 2) of four
-    channels of 8 bits, the first the lowest: broad clouds, fine grain, cells (dark seams between
-    lumps), speckle, in steps of 1 / STEPS; and relief of rock and of sand, (TILE, TILE).  An image
-    looks up a million places all over the texture, which must be near, and all channels at once.
+    Every location uses them at its own offset.
     """
     from .kernels import STEPS
 
@@ -113,7 +124,7 @@ def tiles() -> tuple[npt.NDArray[np.int32], Floats, Floats]:
     sand = _unit(_fractal(rng, 6, 120, 0.9))
     channels = np.stack([broad, grain, cells, speckle], axis=-1)[::2, ::2]
     steps = np.clip(np.rint(channels * STEPS), -127, 127).astype(np.int8)
-    return steps.view("<i4")[..., 0], rock, sand
+    return NoiseTiles(steps.view("<i4")[..., 0], rock, sand)
 
 
 def _fractal(rng: Draws, fewest_cycles: float, most_cycles: float, roughness: float) -> Floats:
@@ -230,6 +241,18 @@ def _level(cover: float) -> float:
     return 1.6 * (0.5 - cover) * 2
 
 
+class Ground(NamedTuple):
+    """A grid of ground, (R, C, 3) float32 each.
+
+    points: positions with all relief.  attributes: rockiness, gravel share, and relief in units of
+    its standard deviation, negative in crevices.
+    """
+
+    points: Floats
+    normals: Floats
+    attributes: Floats
+
+
 class Terrain:
     """A ground of one location, of a kind of place; `heading_rad` is the direction of its walls.
 
@@ -274,13 +297,11 @@ class Terrain:
 
     def seen_from(
         self, eye: Points, azimuths_rad: Range, elevations_rad: Range, shape: tuple[int, int]
-    ) -> tuple[Floats, Floats, Floats]:
+    ) -> Ground:
         """A fan of ground under a camera at `eye`, as fine in each direction as the camera sees it.
 
-        azimuths_rad, elevations_rad: what the camera sees, world directions.  shape: rows (outward)
-        and columns (across) of the grid.  Returns (R, C, 3) float32 each: positions with all
-        relief, normals, and attributes: rockiness, gravel share, relief (in units of its standard
-        deviation, negative in crevices).
+        azimuths_rad, elevations_rad: field of view in world directions.  shape: rows (outward) and
+        columns (across) of the grid.
         """
         rows, columns = shape
         coarse = max(columns // 4, 8)
@@ -308,9 +329,9 @@ class Terrain:
         y = eye[1] + radius * np.sin(heading)
         return self._surface(x.astype(np.float32), y.astype(np.float32))
 
-    def _surface(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """What `seen_from` returns, at (R, C) places."""
-        from .kernels import normals_of_grid, relieve
+    def _surface(self, x: Floats, y: Floats) -> Ground:
+        """The ground at (R, C) places."""
+        from .kernels import add_relief, normals_of_grid
 
         height, rock = self._shape(x, y)
         gravel = smoothstep(self._stony - 0.3, self._stony + 0.3, self._gravel(x, y)) * (1 - rock)
@@ -324,9 +345,10 @@ class Terrain:
         heights = np.array([*self._relief_m, crest_m], dtype=np.float32)
         attributes = np.empty_like(points)
         normals = normals_of_grid(points)
-        relief = tiles()[1:]
-        relieve(points, normals, shares, relief, self.offset_m, heights, attributes)
-        return points, normals_of_grid(points), attributes
+        noise = tiles()
+        relief = (noise.rock_relief, noise.sand_relief)
+        add_relief(points, normals, shares, relief, self.offset_m, heights, attributes)
+        return Ground(points, normals_of_grid(points), attributes)
 
 
 def _mean_down(values: Points, width: int) -> Points:

@@ -12,7 +12,7 @@ from ...frame import Frame, FrameRef, Intrinsics, Surroundings
 from ...seeds import stream
 from .camera import Optics, Pose, Stance, ZBuffer, camera, centred, moved, pose
 from .meshes import grid_triangles
-from .terrain import FAR_M, TILE, WORLD_SEED, Draws, Floats, tiles
+from .terrain import FAR_M, TILE, WORLD_SEED, Draws, Floats, Ground, tiles
 from .world import World
 
 Movement = Mapping[str, float]
@@ -44,7 +44,7 @@ def take(
     fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
     shape = (int(370 * fine), int(280 * fine * optics.across))
     ground = world.terrain.seen_from(viewpoint.eye, azimuths, elevations, shape)
-    z_buffer = ZBuffer(viewpoint, optics, world.objects, ground[0])
+    z_buffer = ZBuffer(viewpoint, optics, world.objects, ground.points)
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
     rgb = photograph(world, ground, z_buffer, rng.uniform(0.68, 0.92))
     depth_m = z_buffer.depth_m
@@ -100,7 +100,7 @@ def field_of_view(
 
 
 def photograph(
-    world: World, ground: tuple[Floats, Floats, Floats], z_buffer: ZBuffer, exposure: float
+    world: World, ground: Ground, z_buffer: ZBuffer, exposure: float
 ) -> npt.NDArray[np.uint8]:
     """The (H, W, 3) image of what a z-buffer met.
 
@@ -112,12 +112,12 @@ def photograph(
     objects = world.objects
     sun = sunlit(world, z_buffer.viewpoint)
     sights = [tuple(part.astype(np.float32) for part in buffer.sight) for buffer in (z_buffer, sun)]
-    colour = kernels.look(
-        (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground[0].shape[:2])),
+    colour = kernels.shade_pixels(
+        (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground.points.shape[:2])),
         (objects.mesh.vertices, objects.normals, objects.mesh.colours, objects.mesh.triangles),
         objects.owner, world.finishes, sights[0], (z_buffer.inverse, z_buffer.which),
         look.palette, np.float32(look.turf), world.terrain.offset_m,
-        tiles()[0], look.water, look.sun_direction.astype(np.float32),
+        tiles().texture, look.water, look.sun_direction.astype(np.float32),
         sights[1], sun.inverse,
     )  # fmt: skip
     # The camera sets its black level on the haze, as far as that has one colour, and lets the
@@ -159,7 +159,7 @@ def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> np
         (rng.integers(TILE) + np.arange(size) / scale).astype(np.int64) % (TILE // 2)
         for size in near_m.shape
     )
-    words = tiles()[0][rows[:, None], columns]
+    words = tiles().texture[rows[:, None], columns]
     step = np.float32(1 / STEPS)
     broad, grain = ((words << bits >> 24) * step for bits in (24, 16))  # its first two channels
     # Cracks along depth edges, on the far side, of a width that varies.

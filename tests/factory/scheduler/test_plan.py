@@ -1,4 +1,4 @@
-"""The plan of shards, the crew, and `ulimit`: as many workers as fit, and a line that says so."""
+"""The plan of shards, the numbers of workers, and `ulimit`: as many workers as fit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from simnfnd.factory.cli import guard
 from simnfnd.factory.scheduler.plan import plan_shards
-from simnfnd.factory.scheduler.settings import MAX_AUTO_WORKERS, Crew, SchedulerSettings
+from simnfnd.factory.scheduler.settings import MAX_AUTO_WORKERS, SchedulerSettings, WorkerCounts
 from tests.fake_source import refs
 from tests.project_files import ROOT
 
@@ -71,22 +71,24 @@ def test_crew_follows_cores_memory_and_work(monkeypatch: pytest.MonkeyPatch) -> 
 
     auto = SchedulerSettings()
     machine(64, 100)
-    assert auto.crew(1000, 0) == Crew(0, MAX_AUTO_WORKERS)
+    assert auto.worker_counts(1000, 0) == WorkerCounts(0, MAX_AUTO_WORKERS)
     assert MAX_AUTO_WORKERS == 48
-    assert auto.crew(5, 0) == Crew(0, 5)
-    assert auto.crew(1000, 9000) == Crew(48, 0), "room for 48 that render"
+    assert auto.worker_counts(5, 0) == WorkerCounts(0, 5)
+    assert auto.worker_counts(1000, 9000) == WorkerCounts(48, 0), "room for 48 that render"
     machine(64, 30)
-    crew = auto.crew(1000, 9000)
-    assert crew.total == 48
-    assert 0.3 * crew.noise + 1.0 * crew.render < 30 * 0.8
+    worker_counts = auto.worker_counts(1000, 9000)
+    assert worker_counts.total == 48
+    assert 0.3 * worker_counts.noise + 1.0 * worker_counts.render < 30 * 0.8
     machine(2, 24)
-    assert auto.crew(1000, 9000) == Crew(2, 0)
-    assert SchedulerSettings(workers=48).crew(4, 16) == Crew(2, 14)
-    assert SchedulerSettings(workers=48, render_workers=5).crew(100, 99) == Crew(5, 43)
+    assert auto.worker_counts(1000, 9000) == WorkerCounts(2, 0)
+    assert SchedulerSettings(workers=48).worker_counts(4, 16) == WorkerCounts(2, 14)
+    assert SchedulerSettings(workers=48, render_workers=5).worker_counts(100, 99) == WorkerCounts(
+        5, 43
+    )
     machine(8, 0)
-    assert auto.crew(1000, 9000) == Crew(1, 0)
-    assert auto.crew(1000, 0) == Crew(0, 1)
-    assert SchedulerSettings(workers=7).crew(1000, 0) == Crew(0, 7)
+    assert auto.worker_counts(1000, 9000) == WorkerCounts(1, 0)
+    assert auto.worker_counts(1000, 0) == WorkerCounts(0, 1)
+    assert SchedulerSettings(workers=7).worker_counts(1000, 0) == WorkerCounts(0, 7)
 
 
 CODE = """
@@ -133,7 +135,7 @@ def test_the_papers_48_processes_in_a_narrow_shell(
     )
     values = yaml.safe_load((ROOT / "conf/scheduler/paper48.yaml").read_text())
     del values["defaults"]
-    actual = SchedulerSettings(**values).crew(480, 480)
+    actual = SchedulerSettings(**values).worker_counts(480, 480)
     assert 4 < actual.total < 40
     shown = most if which == "n" else most // 1024
     assert capsys.readouterr().err.startswith(

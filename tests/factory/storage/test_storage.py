@@ -1,4 +1,4 @@
-"""Datasets on storage that is no disk: made, resumed, read; two runs kept apart."""
+"""Datasets on storage that is no disk: made, resumed, read; two runs kept is_remote."""
 
 from __future__ import annotations
 
@@ -268,9 +268,9 @@ def test_workers_that_share_no_folder_prepare_and_put(
     options = {"source": GentleSource, "preparer": FakePreparer, "config": config}
     make(tmp_path / "dataset", **options)
     shutil.rmtree(tmp_path / "prepared")
-    url = f"{bucket}/apart"
+    url = f"{bucket}/is_remote"
     monkeypatch.setattr(
-        run, "publishing", lambda folder, part, apart: publishing(folder, part, apart=True)
+        run, "publishing", lambda folder, part, is_remote: publishing(folder, part, is_remote=True)
     )
     report = make(folder_of(url), **options)
     assert [failure.ref.name for failure in report.failures] == ["reef/alpha/0003"]
