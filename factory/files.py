@@ -1,6 +1,6 @@
 """Files that are wholly there or not at all: temp file, fsync, rename, fsync of the folder.
 
-What is written into a folder that has an outlet goes there, too (`simnfnd.factory.storage`).
+Writes into a folder of `forward_writes` are forwarded, too (`simnfnd.factory.storage`).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def write_atomically(
         if durable:
             sync_folder(path.parent)
     if durable:
-        _pass_on(path, content)
+        _forward_write(path, content)
 
 
 def sync_folder(folder: Path) -> None:
@@ -230,10 +230,10 @@ def forward_writes(folder: Path, forward: Callable[[str, bytes | None], None]) -
 def remove_file(path: Path) -> None:
     """Remove a file, which may be absent, here and wherever it went."""
     path.unlink(missing_ok=True)
-    _pass_on(path, None)
+    _forward_write(path, None)
 
 
-def _pass_on(path: Path, content: bytes | None) -> None:
+def _forward_write(path: Path, content: bytes | None) -> None:
     place = Path(os.path.abspath(path))
     for folder, forward in dict(_forwarders).items():
         if place.is_relative_to(folder):
