@@ -43,9 +43,9 @@ def view(words: list[str]) -> None:
     )
     parser.add_argument("after", type=Path, nargs="?", help="the same recording, denoised")
     add_page_options(parser)
-    given = parser.parse_args(words)
-    with Viewer(open_shown(given.path, given.after), given.port) as viewer:
-        viewer.serve_until_interrupted(opens_browser=not given.no_browser)
+    arguments = parser.parse_args(words)
+    with Viewer(open_shown(arguments.path, arguments.after), arguments.port) as viewer:
+        viewer.serve_until_interrupted(opens_browser=not arguments.no_browser)
 
 
 def sheet(words: list[str]) -> None:
@@ -56,11 +56,11 @@ def sheet(words: list[str]) -> None:
         "--out", type=Path, help="picture to write (default: DIR/preview.png; a recording needs it)"
     )
     parser.add_argument("--pairs", type=int, default=8, help="pairs or frames to show")
-    given = parser.parse_args(words)
-    if is_recording(given.dir):
-        path = _of_recording(given.dir, given.out, given.pairs)
+    arguments = parser.parse_args(words)
+    if is_recording(arguments.dir):
+        path = _of_recording(arguments.dir, arguments.out, arguments.pairs)
     else:
-        path = preview(given.dir, out=given.out, pairs=given.pairs)
+        path = preview(arguments.dir, out=arguments.out, pairs=arguments.pairs)
     print(f"preview: {path}")
 
 
@@ -105,8 +105,8 @@ class Viewer(PageServer):
         if path == "/about.json":
             about = {"title": shown.title, "layers": shown.layers, "count": len(shown)}
             return json_answer({**about, "rate_hz": shown.rate_hz})
-        found = _ASKED.fullmatch(path)
-        number, layer = (int(one or 0) for one in found.groups()) if found else (len(shown), 0)
+        match = _ASKED.fullmatch(path)
+        number, layer = (int(text or 0) for text in match.groups()) if match else (len(shown), 0)
         if number >= len(shown) or layer >= len(shown.layers):
             raise LookupError
         if path.startswith("/facts"):
@@ -169,14 +169,14 @@ class ShownDataset:
     def facts(self, number: int) -> Facts:
         """Names and values of the row of /meta.  Raises FactoryError when it is damaged."""
         row = self._table[self._samples[number]]
-        found = Facts()
+        facts = Facts()
         for name in self._table.dtype.names or ():
             value = row[name]
             if isinstance(value, bytes):
-                found[name] = value.decode(errors="replace")
+                facts[name] = value.decode(errors="replace")
             else:
-                found[name] = value.item() if np.isfinite(value) else None
-        return found
+                facts[name] = value.item() if np.isfinite(value) else None
+        return facts
 
 
 class ShownRecording:
@@ -186,7 +186,7 @@ class ShownRecording:
         """Raises FactoryError when one cannot be read."""
         self.title = path.resolve().name
         self.layers: tuple[str, ...] = ("before", "after") if after else ("recorded",)
-        self._recordings = [_opened(one) for one in (path, after) if one is not None]
+        self._recordings = [_opened(source) for source in (path, after) if source is not None]
 
     def __len__(self) -> int:
         return min(map(len, self._recordings))
@@ -232,13 +232,13 @@ class ShownRecording:
     def facts(self, number: int) -> Facts:
         """What the file says of the frame."""
         frame = self._recordings[0][number]
-        found: Facts = {"time_s": frame.time_s, "samples": "x".join(map(str, frame.samples.shape))}
+        facts: Facts = {"time_s": frame.time_s, "samples": "x".join(map(str, frame.samples.shape))}
         if frame.beams is not None:
-            found["range_min_m"] = frame.beams.range_min_m
-            found["range_max_m"] = frame.beams.range_max_m
+            facts["range_min_m"] = frame.beams.range_min_m
+            facts["range_max_m"] = frame.beams.range_max_m
         for part in (frame.device, frame.pose):
-            found |= {name: value for name, value in vars(part).items() if value is not None}
-        return found
+            facts |= {name: value for name, value in vars(part).items() if value is not None}
+        return facts
 
 
 def _rate_hz(times_s: Sequence[float | None]) -> float:

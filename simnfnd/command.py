@@ -124,10 +124,10 @@ def head(name: str, verb: Verb) -> str:
     """What `simnfnd VERB --help` begins with; the options or configuration groups follow."""
     lines = [f"simnfnd {name}: {verb.line}", "", "Examples:"]
     lines += [f"  {example}" for example in verb.examples]
-    sub_verbs = {key: other for key, other in VERBS.items() if key.startswith(f"{name} ")}
+    sub_verbs = {key: sub_verb for key, sub_verb in VERBS.items() if key.startswith(f"{name} ")}
     if sub_verbs:
         lines += ["", "Verbs of its own:"]
-        lines += [f"  {key:<17} {other.line}" for key, other in sub_verbs.items()]
+        lines += [f"  {key:<17} {sub_verb.line}" for key, sub_verb in sub_verbs.items()]
     if verb.hydra and (of_extensions := extensions.listed()):
         lines += ["", *of_extensions]
     if verb.needs:

@@ -75,14 +75,14 @@ class Parameter:
 
 def parameters_of(config: FactoryConfig) -> list[Parameter]:
     """The parameters of the noise, the device and its image formation, group by group."""
-    found: list[Parameter] = []
+    parameters: list[Parameter] = []
     for name, block in blocks(config.noise).items():
-        found += _of_settings(f"noise.{name}", block)
-    found += _of_settings("sonar", config.sonar)
-    found += _of_settings("acoustics", config.acoustics)
+        parameters += _of_settings(f"noise.{name}", block)
+    parameters += _of_settings("sonar", config.sonar)
+    parameters += _of_settings("acoustics", config.acoustics)
     if config.acoustics.formation == "pointwise":
-        found += _of_settings("resample", config.resample)
-    return found
+        parameters += _of_settings("resample", config.resample)
+    return parameters
 
 
 def _of_settings(group: str, settings: Any) -> Iterator[Parameter]:
@@ -245,8 +245,8 @@ def sentences_of(settings: type) -> dict[str, str]:
     names = "|".join(item.name for item in fields(settings))
     text = " ".join(inspect.cleandoc(settings.__doc__ or "").split())
     parts = re.split(rf"(?:^|(?<=\s))((?:{names})(?:, (?:{names}))*): ", text)
-    found: dict[str, str] = {}
-    for keys, told in zip(parts[1::2], parts[2::2], strict=True):
-        sentence = re.split(r"(?<=\.)\s", told.strip(), maxsplit=1)[0]
-        found |= dict.fromkeys(keys.split(", "), sentence)
-    return found
+    help_texts: dict[str, str] = {}
+    for keys, text in zip(parts[1::2], parts[2::2], strict=True):
+        sentence = re.split(r"(?<=\.)\s", text.strip(), maxsplit=1)[0]
+        help_texts |= dict.fromkeys(keys.split(", "), sentence)
+    return help_texts

@@ -117,7 +117,7 @@ class LabServer(PageServer):
         begun = time.perf_counter()
         session = self.session
         (pair,) = session.pairs(request.changes, request.frame, (request.variant,))
-        made = time.perf_counter()
+        ended = time.perf_counter()
         config = session.configured(request.changes)
         is_polar = config.sonar.image.layout == "polar"
         return {
@@ -127,7 +127,7 @@ class LabServer(PageServer):
             "drawn": _drawn(pair),
             "inert": self._inert(config, request),
             "exports": session.exports(request.changes, request.sweep)._asdict(),
-            "milliseconds": round(1000 * (made - begun)),
+            "milliseconds": round(1000 * (ended - begun)),
         }
 
     def _inert(self, config: FactoryConfig, request: Request) -> dict[str, str]:

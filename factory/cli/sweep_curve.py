@@ -28,11 +28,11 @@ def draw_curve(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
     names: the swept keys.  rows: of the table, with their values as words.
     "" where no key has two numbers, or no dataset was made.
     """
-    made = [row for row in rows if isinstance(row.get(_FIGURE), int | float)]
-    axis = _axis(names, made)
+    measured = [row for row in rows if isinstance(row.get(_FIGURE), int | float)]
+    axis = _axis(names, measured)
     if not axis:
         return ""
-    lines = list(_lines(axis, [name for name in names if name != axis], made))
+    lines = list(_lines(axis, [name for name in names if name != axis], measured))
     return _svg(axis, lines) if any(len(line.points) > 1 for line in lines) else ""
 
 

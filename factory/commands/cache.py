@@ -28,18 +28,18 @@ def main(words: list[str]) -> None:
     )
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, help="pack: file to write, for example views.pack")
-    given = parser.parse_intermixed_args(words)
-    if given.action == "pack":
-        _pack(given.overrides, given.out)
+    arguments = parser.parse_intermixed_args(words)
+    if arguments.action == "pack":
+        _pack(arguments.overrides, arguments.out)
         return
-    cache = Cache(compose_config(given.overrides).cache)
+    cache = Cache(compose_config(arguments.overrides).cache)
     entries = cache.entries()
     size_mb = sum(size for _, _, size in entries) / 1e6
-    if given.action == "clear":
+    if arguments.action == "clear":
         with explain_os_errors(cache.folder, "cache.dir"):
             for _, path, _ in entries:
                 path.unlink(missing_ok=True)
-    removed = " removed" if given.action == "clear" else ""
+    removed = " removed" if arguments.action == "clear" else ""
     print(f"cache: {cache.folder}: {len(entries)} renders{removed}, {size_mb:.1f} MB")
 
 
@@ -53,13 +53,13 @@ def _pack(overrides: list[str], out: Path | None) -> None:
     config = compose_config(overrides)
     refs = choose_frames(open_reader(config.scenes).discover().frames, config)
     views = CachedViews(config)
-    there = [ref for ref in refs if views.holds(ref)]
-    if not there:
+    held = [ref for ref in refs if views.holds(ref)]
+    if not held:
         raise FactoryError(
             f"cache pack: none of the {len(refs)} frames is rendered in {config.cache.folder}; "
             f"run `simnfnd make {shell_line(overrides)}` first"
         )
     classes = config.scenes.own_classes()
     renderer = renderer_of(config).settings
-    size = write_pack(out, there, views.view, config.sonar.mount, renderer, classes)
-    print(f"pack: {out}: {len(there)} of {len(refs)} frames, {size / len(there) / 1e3:.0f} kB each")
+    size = write_pack(out, held, views.view, config.sonar.mount, renderer, classes)
+    print(f"pack: {out}: {len(held)} of {len(refs)} frames, {size / len(held) / 1e3:.0f} kB each")

@@ -17,8 +17,9 @@ def main(words: list[str]) -> None:
     parser.add_argument("--to", required=True, choices=FORMATS, help="format")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")
-    given = parser.parse_args(words)
-    print(f"export: {export(local_folder(given.dir), given.to, given.out, given.split)}")
-    print(f"folder: {given.out}")
-    if given.to == "huggingface":
-        print(f"upload: hf upload OWNER/NAME {given.out} --repo-type dataset")
+    arguments = parser.parse_args(words)
+    folder = local_folder(arguments.dir)
+    print(f"export: {export(folder, arguments.to, arguments.out, arguments.split)}")
+    print(f"folder: {arguments.out}")
+    if arguments.to == "huggingface":
+        print(f"upload: hf upload OWNER/NAME {arguments.out} --repo-type dataset")

@@ -25,25 +25,25 @@ def main(words: list[str]) -> None:
     parser = Parser(prog="simnfnd inspect")
     parser.add_argument("path", help="folder or URL of a dataset")
     parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
-    given = parser.parse_args(words)
-    print("\n".join(report(local_folder(given.path), str(given.path), given.pairs)))
+    arguments = parser.parse_args(words)
+    print("\n".join(report(local_folder(arguments.path), str(arguments.path), arguments.pairs)))
 
 
 def check(words: list[str]) -> int:
     """Print what is wrong with the dataset; 0 when nothing is, else 1."""
     parser = Parser(prog="simnfnd validate")
     parser.add_argument("dir", help="folder or URL of a dataset")
-    parser.add_argument("--deep", action="store_true", help="read every picture, too")
-    given = parser.parse_args(words)
-    report = validate(local_folder(given.dir, fresh=True), given.deep)
+    parser.add_argument("--deep", action="store_true", help="read every image, too")
+    arguments = parser.parse_args(words)
+    report = validate(local_folder(arguments.dir, fresh=True), arguments.deep)
     for finding in report.findings:
         print(finding)
-    what = f"{report.samples} samples in {report.shards} shards"
+    contents = f"{report.samples} samples in {report.shards} shards"
     if report.errors:
-        print(f"invalid: {given.dir}: {len(report.errors)} error(s) in {what}")
+        print(f"invalid: {arguments.dir}: {len(report.errors)} error(s) in {contents}")
         return 1
-    depth = "every picture was read" if given.deep else "--deep reads every picture, too"
-    print(f"valid: {given.dir}: {what}; {depth}")
+    depth = "every image was read" if arguments.deep else "--deep reads every image, too"
+    print(f"valid: {arguments.dir}: {contents}; {depth}")
     return 0
 
 
@@ -58,7 +58,7 @@ def report(path: Path, name: str, most: int = 200) -> Iterator[str]:
     with reading(pairs.paths[0]) as file:
         generator = str(file.attrs["generator"])
     names = list(pairs.names())
-    measured = [load(one).images for one in spread(names, most)]
+    measured = [load(name).images for name in spread(names, most)]
     counts = ", ".join(f"{count} {split}" for split, count in pairs.splits.items())
     rows, columns = pairs.shape
     scale = "0..255" if pairs.dtype == np.uint8 else "0..1"
@@ -66,7 +66,7 @@ def report(path: Path, name: str, most: int = 200) -> Iterator[str]:
     licence = dataset_settings(pairs.folder).get("licence") or "not stated"
     yield f"{name}: {SCHEMA}, made by {generator}, config hash {pairs.config_hash}"
     yield f"samples      {counts}, in {len(pairs.paths)} file(s)"
-    yield f"pictures     {rows} x {columns} {pairs.dtype} ({scale}), {pairs.layout}"
+    yield f"images       {rows} x {columns} {pairs.dtype} ({scale}), {pairs.layout}"
     yield f"axes         rows {across}, columns {down}"
     yield f"layers       {', '.join(name.replace('/', '_') for name in pairs.form.layers)}"
     if camera := [name for name in pairs.form.layers if name in CAMERA_LAYERS]:
@@ -74,20 +74,20 @@ def report(path: Path, name: str, most: int = 200) -> Iterator[str]:
         yield f"camera       {high} x {wide} pixels ({', '.join(camera)})"
     yield f"licence      {licence}"
     yield ""
-    scenes = Counter((one.split, one.location or "-", one.scene) for one in names)
-    told = [[*key, str(count)] for key, count in scenes.items()]
-    yield markdown(["split", "location", "scene", "pairs"], told)
+    scenes = Counter((name.split, name.location or "-", name.scene) for name in names)
+    table = [[*key, str(count)] for key, count in scenes.items()]
+    yield markdown(["split", "location", "scene", "pairs"], table)
     head = ["column", "lowest", "mean", "highest", "units", "samples"]
     yield markdown(head, list(_columns(pairs)))
-    yield f"noisy against clean, whole picture, {len(measured)} of {len(names)} pairs"
+    yield f"noisy against clean, whole image, {len(measured)} of {len(names)} pairs"
     for figure, function in (("PSNR, dB", psnr_db), ("SSIM", ssim)):
-        values = np.array([function(one["clean"], one["noisy"]) for one in measured])
+        values = np.array([function(images["clean"], images["noisy"]) for images in measured])
         known = values[np.isfinite(values)]
         if known.size:
             limits = f"{known.min():.3f} to {known.max():.3f}"
             yield f"{figure}: mean {known.mean():.3f}, std {known.std():.3f}, {limits}"
         else:
-            yield f"{figure}: pictures are too small for it"
+            yield f"{figure}: images are too small for it"
 
 
 def _columns(pairs: PairDataset) -> Iterator[list[str]]:
@@ -100,11 +100,13 @@ def _columns(pairs: PairDataset) -> Iterator[list[str]]:
         if values.dtype.kind == "S":
             texts = [text.decode() for text in values if text]
             named = sorted(set(texts))
-            figures, count = [", ".join(named[:4]) + ", ..." * (len(named) > 4), "", ""], len(texts)
+            figures = [", ".join(named[:4]) + ", ..." * (len(named) > 4), "", ""]
+            count = len(texts)
         else:
             values = values[np.isfinite(values)].astype(np.float64)
             limits = (values.min(), values.mean(), values.max()) if values.size else ()
-            figures, count = [f"{value:.6g}" for value in limits], values.size
+            figures = [f"{value:.6g}" for value in limits]
+            count = values.size
         units = "" if column.units == "1" else column.units
         shown = figures if count else ["not drawn", "", ""]
         yield [column.name, *shown, units, str(count)]

@@ -47,8 +47,8 @@ def demo(words: Sequence[str]) -> int:
     code = main(["experiment=demo", *words])
     if code or not all(word.startswith(_OF_BOTH) for word in words):
         return code
-    given = [word.removeprefix(_FOLDER) for word in words if word.startswith(_FOLDER)]
-    points = given[-1] if given else "outputs/demo"
+    folders = [word.removeprefix(_FOLDER) for word in words if word.startswith(_FOLDER)]
+    points = folders[-1] if folders else "outputs/demo"
     physical = f"{points.rstrip('/')}-physical"
     shared = [word for word in words if not word.startswith(_FOLDER)]
     # Hydra composes once a process.

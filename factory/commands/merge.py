@@ -38,11 +38,13 @@ def main(words: list[str]) -> None:
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--name", help="of the merged dataset (default: merged)")
     parser.add_argument("--licence", help="of the merged dataset (default: theirs, if all agree)")
-    given = parser.parse_args(words)
-    manifest = merge(given.dirs, given.out, name=given.name or "merged", licence=given.licence)
+    arguments = parser.parse_args(words)
+    manifest = merge(
+        arguments.dirs, arguments.out, name=arguments.name or "merged", licence=arguments.licence
+    )
     splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
     print(f"merge: {splits} pairs in {len(manifest.shards)} shards")
-    print(f"dataset: {given.out}")
+    print(f"dataset: {arguments.out}")
 
 
 def merge(
@@ -61,10 +63,10 @@ def merge(
     sources = {directory: PairDataset(directory, "all") for directory in manifests}
     _check_alike(manifests, sources)
     _check_samples(sources)
-    stated = {str(dataset_settings(one).get("licence") or "") or None for one in manifests}
+    stated = {str(dataset_settings(folder).get("licence") or "") or None for folder in manifests}
     if len(stated) > 1 and not licence:
-        told = ", ".join(sorted(str(one) for one in stated))
-        raise FactoryError(f"merge: licences differ ({told}); say which holds with --licence")
+        licences = ", ".join(sorted(str(text) for text in stated))
+        raise FactoryError(f"merge: licences differ ({licences}); say which holds with --licence")
     settings = DatasetSettings(name=name, licence=licence or next(iter(stated)))
     with whole_folder(out) as partial:
         return _fill(partial, manifests, _provenance(list(manifests.values())), settings)
@@ -85,17 +87,21 @@ def _whole(directory: Path) -> Manifest:
 
 def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, PairDataset]) -> None:
     first, *others = manifests
-    for other in others:
-        one, two = manifests[first], manifests[other]
-        # Layers of the camera are as large as the pictures of the scenes, which may differ.
-        sizes = [str(sources[folder].form.sizes) for folder in (first, other)]
-        there = {"generator": one.generator, "sizes": sizes[0], **one.config}
-        here = {"generator": two.generator, "sizes": sizes[1], **two.config}
-        if changes := differences(there, here, _FREE):
+    expected = _settings_of(manifests[first], sources[first])
+    for directory in others:
+        settings = _settings_of(manifests[directory], sources[directory])
+        if changes := differences(expected, settings, _FREE):
             raise FactoryError(
-                f"merge: {first} and {other} were made with different settings "
+                f"merge: {first} and {directory} were made with different settings "
                 f"({changes}); merge only what differs in frames and seed"
             )
+
+
+def _settings_of(manifest: Manifest, source: PairDataset) -> dict[str, Any]:
+    """What decides the samples of a dataset."""
+    # Layers of the camera are as large as the images of the scenes, which may differ.
+    sizes = str(source.form.sizes)
+    return {"generator": manifest.generator, "sizes": sizes, **manifest.config}
 
 
 def _check_samples(sources: Mapping[Path, PairDataset]) -> None:
@@ -103,21 +109,21 @@ def _check_samples(sources: Mapping[Path, PairDataset]) -> None:
     owner: dict[tuple[Any, ...], Path] = {}
     place: dict[tuple[str, str], tuple[str, Path]] = {}
     for directory, source in sources.items():
-        for one in source.names():
-            scene = one.location, one.scene
-            before = owner.setdefault((*scene, one.frame, one.variant), directory)
+        for name in source.names():
+            scene = name.location, name.scene
+            before = owner.setdefault((*scene, name.frame, name.variant), directory)
             if before != directory:
                 raise FactoryError(
-                    f"merge: sample {'/'.join((*scene, one.frame))} variant {one.variant} is in "
+                    f"merge: sample {'/'.join((*scene, name.frame))} variant {name.variant} is in "
                     f"{before} and in {directory}; make one of them without it "
                     "(scenes, frames.only)"
                 )
-            split, elsewhere = place.setdefault(scene, (one.split, directory))
-            if split != one.split:
+            split, elsewhere = place.setdefault(scene, (name.split, directory))
+            if split != name.split:
                 raise FactoryError(
                     f"merge: scene {'/'.join(scene)} is in {split} of {elsewhere} and in "
-                    f"{one.split} of {directory}; a denoiser would be tested on what it trained on "
-                    "(set split.test alike)"
+                    f"{name.split} of {directory}; a denoiser would be tested on what it trained "
+                    "on (set split.test alike)"
                 )
 
 
@@ -148,11 +154,15 @@ def _fill(
     settings: DatasetSettings,
 ) -> Manifest:
     shown = {"name": settings.name, "licence": settings.licence}
-    told = {**provenance.config, "dataset": {**provenance.config.get("dataset", {}), **shown}}
-    merged = open_folder(folder, told, provenance)
+    config = {**provenance.config, "dataset": {**provenance.config.get("dataset", {}), **shown}}
+    merged = open_folder(folder, config, provenance)
     for split in SPLITS:
         (folder / split).mkdir()
-        parts = [(one, info) for one, its in manifests.items() for info in its.of_split(split)]
+        parts = [
+            (directory, info)
+            for directory, manifest in manifests.items()
+            for info in manifest.of_split(split)
+        ]
         for number, (directory, info) in enumerate(parts):
             target = f"{split}/shard-{number:05d}.h5"
             shutil.copyfile(directory / info.path, folder / target)

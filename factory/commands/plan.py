@@ -42,8 +42,8 @@ def main(words: list[str]) -> int:
     parser = Parser(prog="simnfnd plan")
     parser.add_argument("-m", "--multirun", action="store_true", help="plan a sweep")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for `simnfnd make`")
-    given = parser.parse_intermixed_args(words)
-    points = compose_points([*(["-m"] if given.multirun else []), *given.settings])
+    arguments = parser.parse_intermixed_args(words)
+    points = compose_points([*(["-m"] if arguments.multirun else []), *arguments.settings])
     config = points[0]
     require(needs_of(config))
     if len(points) > 1:
@@ -61,30 +61,32 @@ def main(words: list[str]) -> int:
     views = open_views(job.config)
     renders = 0 if packed else sum(not views.holds(ref) for ref in used)
     print(f"renders: {len(used) - renders} of {len(used)} are in the cache, shared by all points")
-    crew = config.scheduler.worker_counts(len(job.own_tasks), 0 if packed else len(used))
-    print(f"workers: {crew.render} that render and {crew.noise} that only add noise")
+    worker_counts = config.scheduler.worker_counts(len(job.own_tasks), 0 if packed else len(used))
+    print(
+        f"workers: {worker_counts.render} that render and {worker_counts.noise} that only add noise"
+    )
     render_s, pair_s, render_bytes, pair_bytes = _probe(config, used)
     print(
         f"probe: {render_s:.2f} s to render a frame, {pair_s:.2f} s a pair; "
         f"{render_bytes / 1e3:.0f} kB a render, {pair_bytes / 1e3:.0f} kB a pair"
     )
-    seconds = renders * render_s / min(max(crew.render, 1), usable_cores())
-    seconds += pairs * pair_s / min(crew.total, usable_cores())
+    seconds = renders * render_s / min(max(worker_counts.render, 1), usable_cores())
+    seconds += pairs * pair_s / min(worker_counts.total, usable_cores())
     disk_gb = (pairs * pair_bytes + renders * render_bytes) / 1e9
     folder = job.directory.absolute()
     while not folder.exists():
         folder = folder.parent
     free_gb = shutil.disk_usage(folder).free / 1e9
-    memory_gb = crew.render * RENDERER_GB + crew.noise * WORKER_GB
+    memory_gb = worker_counts.render * RENDERER_GB + worker_counts.noise * WORKER_GB
     available_gb = available_memory_bytes() / 1e9
     print(
         f"expected: {disk_gb:.2f} of {free_gb:.0f} GB of disk, {memory_gb:.1f} of "
         f"{available_gb:.1f} GB of memory, {clock(seconds)}"
     )
     lacking = [("disk", disk_gb, free_gb), ("memory", memory_gb, available_gb)]
-    short = [what for what, needed, there in lacking if needed > there]
-    for what in short:
-        print(f"TOO LITTLE {what}; set frames.total or scheduler.workers lower")
+    short = [resource for resource, needed, available in lacking if needed > available]
+    for resource in short:
+        print(f"TOO LITTLE {resource}; set frames.total or scheduler.workers lower")
     return 1 if short else 0
 
 
@@ -101,7 +103,10 @@ def _probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> tuple[float, fl
 
     keep_freed_memory()  # as the workers do, whose time is estimated
     chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]
-    times, made, sizes, problem = [], [], [], ""
+    times = []
+    pairs = []
+    sizes = []
+    problem = ""
     with tempfile.TemporaryDirectory() as folder:
         config = replace(config, cache=replace(config.cache, dir=folder))
         maker = None if config.scenes.kind == "pack" else ViewMaker(config)
@@ -111,15 +116,17 @@ def _probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> tuple[float, fl
                 begun = time.perf_counter()
                 sizes.append(maker.prepare(ref).bytes if maker else 0)
                 rendered = time.perf_counter()
-                made += source.pairs(ref, (0,))
+                pairs += source.pairs(ref, (0,))
             except FrameError as error:
                 problem = str(error)
                 continue
             times.append((rendered - begun, time.perf_counter() - rendered))
-        if not made:
+        if not pairs:
             raise FactoryError(f"plan: none of {len(chosen)} frames could be made: {problem}")
-        how = source.axes(), source.columns(), Provenance({}, "0" * 16, "plan"), config.dataset
-        info = write_shard(Path(folder), "train/probe.h5", made, *how)
+        info = write_shard(
+            Path(folder), "train/probe.h5", pairs, source.axes(), source.columns(),
+            Provenance({}, "0" * 16, "plan"), config.dataset,
+        )  # fmt: skip
     assert info is not None
     render_s, pair_s = map(fmean, zip(*(times[1:] or times), strict=True))
-    return render_s, pair_s, fmean(sizes), info.bytes / len(made)
+    return render_s, pair_s, fmean(sizes), info.bytes / len(pairs)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..cli import Parser
 from ..dataset.folder import STATUS_NAME
@@ -17,17 +17,14 @@ from ..errors import FactoryError
 from ..scheduler.lock import owner_of
 from ..small_files import parse_json, read_regular
 
-if TYPE_CHECKING:
-    pass
-
 
 def main(words: list[str]) -> int:
     """Do what `words` ask for; 1 when, with --failed or --rerun, a frame failed."""
     parser = Parser(prog="simnfnd status")
     parser.add_argument("dir", type=Path, help="folder of a dataset")
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--failed", action="store_true", help="list the frames that failed, and why")
-    what.add_argument(
+    modes = parser.add_mutually_exclusive_group()
+    modes.add_argument("--failed", action="store_true", help="list the frames that failed, and why")
+    modes.add_argument(
         "--rerun",
         action="store_true",
         help="try them again, with the dataset's configuration; renders go to the cache",
@@ -36,27 +33,29 @@ def main(words: list[str]) -> int:
         "settings", nargs="*", metavar="KEY=VALUE",
         help="with --rerun: words of `simnfnd make` for scheduler and cache",
     )  # fmt: skip
-    given = parser.parse_intermixed_args(words)
-    failures = load_failures(given.dir)
-    if given.rerun and failures:
-        return _rerun(given.dir, [item["frame"] for item in failures], given.settings)
-    manifest = load_manifest(given.dir)
+    arguments = parser.parse_intermixed_args(words)
+    failures = load_failures(arguments.dir)
+    if arguments.rerun and failures:
+        return _rerun(arguments.dir, [item["frame"] for item in failures], arguments.settings)
+    manifest = load_manifest(arguments.dir)
     if manifest is None:
-        raise FactoryError(f"{given.dir}: no dataset here (no manifest.json)")
-    if given.failed or given.rerun:
+        raise FactoryError(f"{arguments.dir}: no dataset here (no manifest.json)")
+    if arguments.failed or arguments.rerun:
         for item in failures:
             print(_printable(f"{item['kind']}: {item['reason']}"))
             print(_printable(f"  {item['command']}"))
         print(f"{len(failures)} frames failed", end="")
         print("; running the dataset's command again tries them, too" if failures else "")
         return 1 if failures else 0
-    _state(given.dir, manifest, len(failures))
+    _state(arguments.dir, manifest, len(failures))
     return 0
 
 
 def _state(directory: Path, manifest: Manifest, failed: int) -> None:
     owner = owner_of(directory)
-    running = f"process {owner['pid']} on {owner['host']} is at work" if owner else "nobody works"
+    running = "no worker is running"
+    if owner:
+        running = f"process {owner['pid']} on {owner['host']} is running"
     print(f"{directory}: {running}")
     for path in sorted(directory.glob(STATUS_NAME.replace(".", "*."))):
         with suppress(OSError, ValueError, KeyError, TypeError):
@@ -70,16 +69,18 @@ def _state(directory: Path, manifest: Manifest, failed: int) -> None:
         print(f"  {failed} frames failed (`simnfnd status {quoted} --failed` lists them)")
 
 
-def _last_run(told: dict[str, Any], at_work: bool) -> str:
-    state, pairs, frames = told["state"], told["pairs"], told["frames"]
+def _last_run(status: dict[str, Any], at_work: bool) -> str:
+    state = status["state"]
+    pairs = status["pairs"]
+    frames = status["frames"]
     if state == "running" and not at_work:
         state = "killed; run the same command again to go on"
     line = f"  last run: {state}; {pairs['done']} of {pairs['total']} pairs, "
-    line += f"{told['pairs_per_second']:.2f} a second"
+    line += f"{status['pairs_per_second']:.2f} a second"
     if frames["total"]:
         line += f"; frames: {frames['rendered']} rendered, {frames['from_cache']} from the cache"
-    if at_work and told["seconds_left"] is not None:
-        line += f"; {told['seconds_left']} s left"
+    if at_work and status["seconds_left"] is not None:
+        line += f"; {status['seconds_left']} s left"
     return line
 
 

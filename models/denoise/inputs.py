@@ -99,7 +99,8 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
         if folder is None:
             runs += [[item] for item in in_folder if item.dataset is None]
             datasets = dict.fromkeys(item.dataset for item in in_folder if item.dataset)
-            runs += [[item for item in in_folder if item.dataset == one] for one in datasets]
+            for dataset in datasets:
+                runs.append([item for item in in_folder if item.dataset == dataset])
             continue
         names = [item.source.name for item in in_folder]
         runs += [[in_folder[index] for index in sequence] for sequence in sequences_of(names)]

@@ -106,10 +106,10 @@ class Denoising:
 
     def of_simulated(self, network: Network) -> Denoising:
         """The same run with the network for simulated images, which have noise around their fan."""
-        other = copy(self)
-        other._network = network
-        other._in_time = partial(self._in_time, keeps_outside=False)
-        return other
+        variant = copy(self)
+        variant._network = network
+        variant._in_time = partial(self._in_time, keeps_outside=False)
+        return variant
 
     def shot(
         self,

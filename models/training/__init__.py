@@ -28,7 +28,8 @@ def _help() -> str:
     """Hydra's help with the groups of this configuration alone."""
     lines = ["== Configuration groups (GROUP=NAME) =="]
     for group in ("data", "model", "loss"):
-        names = (Path(one.name).stem for one in files("simnfnd.conf").joinpath(group).iterdir())
+        choices = files("simnfnd.conf").joinpath(group).iterdir()
+        names = (Path(choice.name).stem for choice in choices)
         lines.append(f"{group}: {', '.join(sorted(names))}")
     return "\n".join([*lines, "", "== Keys (KEY=VALUE) ==", "$CONFIG"])
 

@@ -37,9 +37,9 @@ class Lesson:
     nothing is chosen by; where a single frame is held out, the same.
     """
 
-    def __init__(self, found: Lessons, seed: int, extras: Sequence[str]) -> None:
+    def __init__(self, lessons: Lessons, seed: int, extras: Sequence[str]) -> None:
         """extras: optional inputs of the network."""
-        self.stills = found.learning
+        self.stills = lessons.learning
         self.seed = seed
         self.extras = extras
         # All recordings alike, however long, and in each all frames alike.
@@ -49,10 +49,10 @@ class Lesson:
             frames[recordings == number] /= frames[recordings == number].sum()
         self._odds = frames / frames.sum()
 
-        held = tuple(_single(still, i) for still in found.held for i in range(len(still.frames)))
+        held = tuple(_single(still, i) for still in lessons.held for i in range(len(still.frames)))
         samples = spread(held, 2 * _MOST_MEASURED)
         if "frames" in extras:
-            several = (still for still in found.held if _most(still) > 1)
+            several = (still for still in lessons.held if _most(still) > 1)
             means = tuple(_mean(still, 0, _most(still)) for still in several)
             samples += spread(means, 2 * _MOST_MEASURED)
         self.choosing = samples[::2]
@@ -134,8 +134,8 @@ def squared_differences(network: Network, batch: Batch) -> Tensor:
     What many noisy targets average to is learned (Lehtinen et al., Noise2Noise, ICML 2018).
     """
     known = torch.isfinite(batch["clean"])
-    made = network(batch["noisy"], **known_extras(network, batch))
-    difference = made - torch.nan_to_num(batch["clean"])
+    output = network(batch["noisy"], **known_extras(network, batch))
+    difference = output - torch.nan_to_num(batch["clean"])
     loss: Tensor = (difference.square() * known).sum() / known.sum().clamp_min(1)
     return loss
 
@@ -146,8 +146,9 @@ def psnr_after_levels(picture: Image, reference: Image) -> float:
     picture, reference: (H, W) float32 in 0..1; the reference is NaN where it is unknown.  The gain
     and offset are those of least squares, so brightness and contrast do not count.
     """
-    where = np.isfinite(reference)
-    x, y = picture[where].astype(np.float64), reference[where].astype(np.float64)
+    is_known = np.isfinite(reference)
+    x = picture[is_known].astype(np.float64)
+    y = reference[is_known].astype(np.float64)
     power = float(x.var())
     gain = float(((x - x.mean()) * (y - y.mean())).mean()) / power if power > 1e-12 else 0.0
     fitted = np.clip(gain * (x - x.mean()) + y.mean(), 0, 1)

@@ -43,12 +43,13 @@ Check = Callable[[int, float], Row]
 class Stopped(KeyboardInterrupt):
     """Ctrl-C or SIGTERM, after the step in progress.
 
-    said: the line to print.  exit_code: what a shell expects.
+    message: the line to print.  exit_code: what a shell expects.
     """
 
-    def __init__(self, said: str, number: int) -> None:
-        super().__init__(said)
-        self.said, self.exit_code = said, 128 + number
+    def __init__(self, message: str, number: int) -> None:
+        super().__init__(message)
+        self.message = message
+        self.exit_code = 128 + number
 
 
 class Loop:
@@ -71,9 +72,13 @@ class Loop:
         label: str = "training",
         save: Callable[[], None] | None = None,
     ) -> None:
-        self.network, self.objective = channels_last(network).to(device), objective
-        self.settings, self.seed, self.device = settings, seed, device
-        self.label, self.save = label, save
+        self.network = channels_last(network).to(device)
+        self.objective = objective
+        self.settings = settings
+        self.seed = seed
+        self.device = device
+        self.label = label
+        self.save = save
         self._is_mixed = settings.precision == "bf16-mixed"
         self._averaged = AveragedModel(network, multi_avg_fn=running_average(settings.ema))
         self.average = cast(Network, self._averaged.requires_grad_(False).eval().module)
@@ -82,7 +87,7 @@ class Loop:
         self._losses: list[Tensor] = []  # since the last check
         self._drawn: Tensor | None = None  # state of torch's random numbers
         self.bar: Any = None
-        self._asked = 0  # the signal that asked to stop
+        self._stop_signal = 0  # the signal that asked to stop
         # The same steps give the same weights, as far as the device has such kernels.
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
@@ -105,7 +110,8 @@ class Loop:
                 self._steps(batches, len(self.rows))
                 loss = float(torch.stack(self._losses).mean())
                 self.rows.append(check(self.step, loss))
-                self._losses, self._drawn = [], None
+                self._losses = []
+                self._drawn = None
                 if self.save is not None:
                     self.save()
 
@@ -123,7 +129,9 @@ class Loop:
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on where `state` was taken."""
-        self.step, self.rows, self._drawn = state["step"], list(state["rows"]), state["drawn"]
+        self.step = state["step"]
+        self.rows = list(state["rows"])
+        self._drawn = state["drawn"]
         self._losses = list(state["losses"].to(self.device))
         self.network.load_state_dict(state["network"])
         self._averaged.load_state_dict(state["average"])
@@ -135,7 +143,9 @@ class Loop:
 
     def learning_rate(self) -> float:
         """Of the next step: a linear warm-up and a cosine decay to zero."""
-        steps, warmup, step = self.settings.steps, self.settings.warmup, self.step
+        steps = self.settings.steps
+        warmup = self.settings.warmup
+        step = self.step
         done = min(1.0, (step - warmup) / max(1, steps - warmup))
         cosine = 0.5 * (1 + math.cos(math.pi * done))
         return self.settings.learning_rate * (
@@ -163,24 +173,24 @@ class Loop:
 
     def stop_if_asked(self) -> None:
         """Raise Stopped after Ctrl-C or SIGTERM, with what was done kept; also for long checks."""
-        if not self._asked:
+        if not self._stop_signal:
             return
         said = "interrupted; nothing was written"
         if self.save is not None:
             self.save()
             said = f"interrupted after step {self.step} of {self.settings.steps}, which is kept"
             said += "; run again to go on"
-        raise Stopped(said, self._asked)
+        raise Stopped(said, self._stop_signal)
 
     @contextmanager
     def _noting_signals(self) -> Iterator[None]:
         """Notes Ctrl-C and SIGTERM, which must not cut a step; a second one ends the program."""
 
         def note(number: int, _: FrameType | None) -> None:
-            if self._asked:
+            if self._stop_signal:
                 said = "interrupted at once; the last checkpoint is kept, if there is one"
                 raise Stopped(said, number)
-            self._asked = number
+            self._stop_signal = number
 
         is_main = threading.current_thread() is threading.main_thread()
         wished = (signal.SIGINT, signal.SIGTERM) if is_main else ()
@@ -210,7 +220,9 @@ class Loop:
                 # A reading process may have been stopped by the same Ctrl-C.
                 self.stop_if_asked()
                 raise
-            batch = {name: one.to(self.device, non_blocking=True) for name, one in batch.items()}
+            batch = {
+                name: tensor.to(self.device, non_blocking=True) for name, tensor in batch.items()
+            }
             self._losses.append(self.update(batch))
             self.step += 1
             self.bar.update()
@@ -234,24 +246,24 @@ def running_average(decay: float) -> Callable[..., None]:
 def denoised(network: Network, batch: Batch) -> npt.NDArray[np.float32]:
     """(H, W) float32 in 0..1: the image of a batch of one, denoised and clipped."""
     device = next(network.parameters()).device
-    known = {name: one.to(device) for name, one in known_extras(network, batch).items()}
+    known = {name: tensor.to(device) for name, tensor in known_extras(network, batch).items()}
     with torch.inference_mode():
         image = network(batch["noisy"].to(device), **known)
     return np.asarray(image[0, 0].float().clamp(0, 1).cpu().numpy(), np.float32)
 
 
-def device_of(asked: str, key: str = "device=") -> torch.device:
+def device_of(wanted: str, key: str = "device=") -> torch.device:
     """The device that `auto`, `cpu` or `gpu` means here.  Raises FactoryError without a GPU."""
     has_gpu = torch.cuda.is_available()
-    if asked == "gpu" and not has_gpu:
+    if wanted == "gpu" and not has_gpu:
         raise FactoryError(f"{key}gpu: no usable GPU here; use {key}cpu")
-    return torch.device("cuda" if has_gpu and asked != "cpu" else "cpu")
+    return torch.device("cuda" if has_gpu and wanted != "cpu" else "cpu")
 
 
-def precision_of(asked: str, device: torch.device) -> str:
+def precision_of(wanted: str, device: torch.device) -> str:
     """`32-true` or `bf16-mixed`; says what `auto` became."""
-    if asked != "auto":
-        return asked
+    if wanted != "auto":
+        return wanted
     chosen = "bf16-mixed" if has_bf16(device) else "32-true"
     print(f"train.precision=auto: {chosen}", file=sys.stderr, flush=True)
     return chosen

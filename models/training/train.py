@@ -44,7 +44,8 @@ from .loop import Loop, Row, denoised, device_of, precision_of
 CHECKPOINT_NAME = "checkpoint.ckpt"
 _FORMAT = "simnfnd-checkpoint/5"
 _FIGURES = ("psnr_noisy", "psnr", "ssim_noisy", "ssim")
-_GAP, _SHOWN = 4, 4  # pixels between the images of samples.png, and its rows
+_GAP = 4  # pixels between the images of samples.png
+_SHOWN = 4  # its rows
 
 
 def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
@@ -77,7 +78,8 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     numbers = spread(tuple(range(len(data.validation))), _SHOWN)
     shown = [data.validation.sample(number, None) for number in numbers]
     images = [
-        [one.noisy, denoised(network, whole_image(one, network.extras)), one.clean] for one in shown
+        [sample.noisy, denoised(network, whole_image(sample, network.extras)), sample.clean]
+        for sample in shown
     ]
     sheet = cv2.imencode(".png", contact_sheet(images))[1].tobytes()
     write_atomically(out / "samples.png", sheet, durable=False, key="out")
@@ -153,7 +155,8 @@ def completed(batch: Batch, prediction: Tensor, teacher: Network | None) -> Batc
 
     Where nothing is known (NaN) the target is the prediction, which then costs nothing.
     """
-    clean, batch = batch["clean"], dict(batch)
+    clean = batch["clean"]
+    batch = dict(batch)
     if teacher is not None:
         with torch.no_grad():
             image = _predicted(teacher.to(clean.device), batch)[0].to(clean.dtype)
@@ -161,8 +164,9 @@ def completed(batch: Batch, prediction: Tensor, teacher: Network | None) -> Batc
         clean = torch.where(batch["taught"] > 0, mixed, clean)
     batch["clean"] = torch.where(clean.isnan(), prediction.detach(), clean)
     if "shadow_logits" in batch:
-        shadow, seen = batch["shadow"], torch.sigmoid(batch["shadow_logits"].detach())
-        batch["shadow"] = torch.where(shadow.isnan(), seen, shadow)
+        shadow = batch["shadow"]
+        predicted = torch.sigmoid(batch["shadow_logits"].detach())
+        batch["shadow"] = torch.where(shadow.isnan(), predicted, shadow)
     return batch
 
 
@@ -183,8 +187,10 @@ def _fit(
     data: Data,
 ) -> list[Row]:
     """The rows of all checks."""
-    out, network = output_folder(settings), begun(settings)
-    teacher, extras = None, network.extras
+    out = output_folder(settings)
+    network = begun(settings)
+    teacher = None
+    extras = network.extras
     if settings.train.teacher is not None:
         if isinstance(network, AdversarialNetwork):
             raise FactoryError(
@@ -211,8 +217,8 @@ def _fit(
         return iter(learning)
 
     def check(step: int, loss: float) -> Row:
-        rate, figures = loop.learning_rate(), _measured(loop, data)
-        row = {"step": step, "loss": loss, "learning_rate": rate, **figures}
+        row: Row = {"step": step, "loss": loss, "learning_rate": loop.learning_rate()}
+        row |= _measured(loop, data)
         if best_row([*loop.rows, row]) is row:
             facts = {**recipe, LEARNED_FROM: learned, "validation": row}
             save_weights(out / WEIGHTS_NAME, loop.average, settings.model, facts)
@@ -282,15 +288,17 @@ def _measured(loop: Loop, data: Data) -> dict[str, float]:
 
     Raises FactoryError where one of these is not a number.
     """
-    found = []
+    figures = []
     for index in range(len(data.validation)):
         sample = data.validation.sample(index, None)
         with loop.autocast():
-            made = denoised(loop.average, whole_image(sample, loop.average.extras))
-        images = (sample.noisy, made)
-        found.append([measure(sample.clean, one) for measure in (psnr_db, ssim) for one in images])
+            denoised_image = denoised(loop.average, whole_image(sample, loop.average.extras))
+        images = (sample.noisy, denoised_image)
+        psnrs = [psnr_db(sample.clean, image) for image in images]
+        ssims = [ssim(sample.clean, image) for image in images]
+        figures.append(psnrs + ssims)
         loop.stop_if_asked()
-    means = dict(zip(_FIGURES, np.mean(found, axis=0).tolist(), strict=True))
+    means = dict(zip(_FIGURES, np.mean(figures, axis=0).tolist(), strict=True))
     if not all(math.isfinite(value) for value in means.values()):
         raise FactoryError(
             f"the network returns NaN at step {loop.step}; lower train.learning_rate"
@@ -351,8 +359,8 @@ def _checkpoint(
                 "name=, or replace them with resume=false"
             )
         return None
-    found = read_checkpoint(path)
-    stored = found["recipe"]
+    checkpoint = read_checkpoint(path)
+    stored = checkpoint["recipe"]
     odd = [key for key in {**stored, **recipe} if stored.get(key) != recipe.get(key)]
     if odd:
         changes = ", ".join(f"{key} {stored.get(key)} -> {recipe.get(key)}" for key in odd)
@@ -360,7 +368,7 @@ def _checkpoint(
             f"out={out}: holds a training with other settings ({changes}); choose another name=, "
             "or replace it with resume=false"
         )
-    return found
+    return checkpoint
 
 
 def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
@@ -393,11 +401,11 @@ def recipe_of(settings: ModelsSettings) -> dict[str, Any]:
 
 def _learned_files(settings: ModelsSettings, data: Data) -> list[dict[str, Any]]:
     """The recordings that the weights learn from, and those that they began from or a teacher."""
-    found = described(data.recordings)
+    entries = described(data.recordings)
     for weights in (settings.start, settings.train.teacher):
         if weights is not None:
-            found += learned_files(find_weights(weights))
-    return [entry._asdict() for entry in dict.fromkeys(found)]
+            entries += learned_files(find_weights(weights))
+    return [entry._asdict() for entry in dict.fromkeys(entries)]
 
 
 def _innermost(error: FactoryError) -> str:
@@ -409,7 +417,7 @@ def _innermost(error: FactoryError) -> str:
 def contact_sheet(rows: Sequence[Sequence[Image]]) -> npt.NDArray[np.uint8]:
     """(H, W) uint8 of rows of images (h, w) float32 in 0..1, those of a row of one height."""
     framed = [
-        np.hstack([np.pad(one, (0, _GAP), constant_values=0.5) for one in row]) for row in rows
+        np.hstack([np.pad(image, (0, _GAP), constant_values=0.5) for image in row]) for row in rows
     ]
     width = max(line.shape[1] for line in framed)
     sheet = np.vstack([np.pad(line, ((0, 0), (0, width - line.shape[1]))) for line in framed])

@@ -24,14 +24,17 @@ from .motion import Grey, blurred, factors, grey_of, reduced
 from .noise_level import NoiseByLevel, RunningSpread
 from .tracking import MAX_OFFSET, Tracks, find_tracks, mean_along
 
-_LEARNING_FRAMES, _LEARNING_INTERVAL = 30, 8
+_LEARNING_FRAMES = 30
+_LEARNING_INTERVAL = 8
 """Noise is measured on each of the first frames, later on every so many."""
-_SMALL_SIGMA_PX, _WIDE_SIDE_PX = 0.8, 7
+_SMALL_SIGMA_PX = 0.8
+_WIDE_SIDE_PX = 7
 """Of the small window and of the wide one, reduced pixels."""
 _MAX_DEVIATION = 3.0  # in the wide window: an object nearby must not fill it
 _AGREEMENT_LIMIT = 3.0
 """Standard deviations up to which a frame agrees with the median, and a neighbour with a frame."""
-_GATE_START, _GATE_END = 2.2, 4.2
+_GATE_START = 2.2
+_GATE_END = 4.2
 """Significance of a path from which on it counts, and from which on it counts in full."""
 _EXPLAINED_LIMIT = 2.5  # standard deviations between a frame and the mean along its path
 _OBVIOUS = 8.0
@@ -133,7 +136,8 @@ class Fusion:
         ]
         fused, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, frame_weights)
         static_share = _enlarge(static, grey.shape)
-        if sum(abs(one.offset) <= MAX_OFFSET for one in neighbours) + 1 >= _MIN_TRACKED_FRAMES:
+        tracked = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
+        if len(tracked) + 1 >= _MIN_TRACKED_FRAMES:
             targets = self._find_targets(small, from_median, neighbours)
             if targets.gate.any():
                 scene, scene_count = _weighted_mean(frame, static_share, neighbours, scene_weights)
@@ -145,14 +149,14 @@ class Fusion:
                 static_share = static_share * (1 - gate)
         return Fused(fused, frame_count, static_share)
 
-    def shows_same(self, fused: Fused, other: Grey, visible: Grey) -> npt.NDArray[np.bool_]:
+    def shows_same(self, fused: Fused, later: Grey, visible: Grey) -> npt.NDArray[np.bool_]:
         """Where another frame, (H, W), shows the static scene that was fused.
 
         Pixels where something moves, in either, are left out: a later frame does not show what
         moved, and would teach that it is noise.
         """
         small = blurred(reduced(fused.image), _SMALL_SIGMA_PX)
-        difference = np.abs(blurred(reduced(other), _SMALL_SIGMA_PX) - small)
+        difference = np.abs(blurred(reduced(later), _SMALL_SIGMA_PX) - small)
         agrees = difference / self._to_frame.noise.at(small) < _AGREEMENT_LIMIT
         lit = small > _DARK
         height, width = fused.image.shape
@@ -174,7 +178,7 @@ class Fusion:
         """What moves along paths through the window."""
         lit = small.median > _DARK
         sigma = self._to_median.noise.at(small.median)
-        offsets = [*(one.offset for one in neighbours), 0]
+        offsets = [*(neighbour.offset for neighbour in neighbours), 0]
         deviations = {
             offset: difference / sigma * lit
             for offset, difference in zip(offsets, from_median, strict=True)
@@ -199,7 +203,8 @@ class _Agreement:
 
     def __init__(self, limit: float) -> None:
         self._limit = np.float32(limit)
-        self.noise, self._wide_noise = NoiseByLevel(), NoiseByLevel()
+        self.noise = NoiseByLevel()
+        self._wide_noise = NoiseByLevel()
 
     def __call__(
         self, differences: Sequence[Grey], grey: Grey, measured: int | None, level: Grey
@@ -247,7 +252,8 @@ def median(planes: Sequence[Grey]) -> Grey:
 def _reduce(grey: Grey, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list[Grey]]:
     """The frames reduced and blurred, and where each neighbour is visible there, 0 or 1."""
     frame = blurred(reduced(grey), _SMALL_SIGMA_PX)
-    visible, planes = [], []
+    visible = []
+    planes = []
     for neighbour in neighbours:
         fully_visible = (reduced(neighbour.visible) > 0.99).astype(np.uint8)
         mask = cv2.erode(fully_visible, np.ones((5, 5), np.uint8))

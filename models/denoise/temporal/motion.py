@@ -24,17 +24,19 @@ Grey = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 ALIKE = 0.33
-"""Frames whose band-passed pictures correlate less show something else."""
+"""Frames whose band-passed images correlate less show something else."""
 _BY_CHANCE = 4.0  # standard deviations of the correlation of unlike frames, the best of all shifts
 _FURTHEST = 48  # reduced pixels that the peak of a phase correlation may lie away
 _BETTER = 0.08  # part of what no motion leaves that a motion must explain
-_STEPS, _SETTLED = 4, 0.02
+_STEPS = 4  # of Gauss and Newton, at most
+_SETTLED = 0.02  # largest change of a step that ends them
 _STILL = 0.06  # reduced pixels: less is no motion
 _WHITENED = 0.6  # exponent of the magnitudes in the phase correlation
 _LIT = 0.012  # grey value: darker surroundings hold no scene
 _CELL = 16  # reduced pixels: side of a block
 _BLOCK_SURE = 30.0  # squared standard deviations: only then a block moves by itself
-_BLOCK_USUAL, _AFFINE_USUAL = 0.35, 0.7  # reduced pixels
+_BLOCK_USUAL = 0.35  # reduced pixels: standard deviation expected of a block
+_AFFINE_USUAL = 0.7  # and of the edges of a frame against its middle
 _GRAIN = 8.0  # neighbouring pixels that noise shares
 _LEAST_HALVED = 192
 
@@ -52,7 +54,7 @@ class Motion:
     flow: Grey | None
 
     def inverse(self, shape: tuple[int, int]) -> Motion:
-        """Where the pixels of the other lie in this one.  shape: of the reduced pictures."""
+        """Where the pixels of the other lie in this one.  shape: of the reduced images."""
         back = -self.affine
         if self.affine[2:].any():
             back = _affine(np.linalg.inv(_matrix(self.affine, shape)), shape)
@@ -66,7 +68,8 @@ class View:
     """
 
     def __init__(self, grey: Grey, shift_px: tuple[float, float] | None) -> None:
-        self.full, self.shift_px = grey.shape, shift_px
+        self.full_shape = grey.shape
+        self.shift_px = shift_px
         small = np.sqrt(np.maximum(reduced(grey), 0))  # noise grows with the level
         lit = (cv2.blur(small, (7, 7)) > np.sqrt(_LIT)).astype(np.float32)
         self.lit: Grey = cv2.erode(
@@ -91,7 +94,8 @@ class View:
         height, width = self.shape
         y, x = (axis.astype(np.float32) for axis in np.ogrid[:height, :width])
         half = np.float32(width / 2)
-        x, y = (x - (width - 1) / 2) / half, (y - (height - 1) / 2) / half
+        x = (x - (width - 1) / 2) / half
+        y = (y - (height - 1) / 2) / half
         planes = [along, down, along * x, along * y, down * x, down * y]
         change = np.stack(planes).reshape(6, -1)
         # Not by BLAS, whose threads wait actively after such small products.
@@ -110,11 +114,11 @@ class View:
 class Aligner:
     """Motions between the last frames of a recording, each found when it is first asked for.
 
-    kept: how many frames are remembered.
+    capacity: how many frames are remembered.
     """
 
-    def __init__(self, kept: int) -> None:
-        self._kept = kept
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
         self._views: dict[int, View] = {}
         self._motions: dict[tuple[int, int], Motion | None] = {}
         self._last = np.zeros(6)
@@ -126,46 +130,50 @@ class Aligner:
         it; a start, nothing more.
         """
         self._views[number] = View(grey, shift_px)
-        oldest = number - self._kept
+        oldest = number - self._capacity
         self._views.pop(oldest, None)
-        self._motions = {pair: found for pair, found in self._motions.items() if pair[1] > oldest}
+        self._motions = {pair: motion for pair, motion in self._motions.items() if pair[1] > oldest}
 
-    def motion(self, number: int, other: int) -> Motion | None:
-        """Where the pixels of a frame lie in another; None where that shows something else.
+    def motion(self, number: int, neighbour: int) -> Motion | None:
+        """Where the pixels of a frame lie in a neighbour; None where that shows something else.
 
         Quickest when frames nearer in time have been asked for before.
         """
-        if other > number:
-            found = self.motion(other, number)
-            return None if found is None else found.inverse(self._views[number].shape)
-        if (number, other) not in self._motions:
-            self._motions[number, other] = self._between(number, other)
-        return self._motions[number, other]
+        if neighbour > number:
+            motion = self.motion(neighbour, number)
+            return None if motion is None else motion.inverse(self._views[number].shape)
+        if (number, neighbour) not in self._motions:
+            self._motions[number, neighbour] = self._estimate(number, neighbour)
+        return self._motions[number, neighbour]
 
-    def _between(self, number: int, other: int) -> Motion | None:
-        view, seen = self._views.get(number), self._views.get(other)
-        if view is None or seen is None or view.full != seen.full:
+    def _estimate(self, number: int, neighbour: int) -> Motion | None:
+        view = self._views.get(number)
+        neighbour_view = self._views.get(neighbour)
+        if view is None or neighbour_view is None or view.full_shape != neighbour_view.full_shape:
             return None
-        affine, alike = _whole(view, seen, self._starts(number, other))
+        affine, correlation = _affine_motion(view, neighbour_view, self._starts(number, neighbour))
         pixels = max(float(view.lit.sum()), 1.0)
-        if alike < ALIKE + _BY_CHANCE / np.sqrt(pixels / _GRAIN):
+        if correlation < ALIKE + _BY_CHANCE / np.sqrt(pixels / _GRAIN):
             return None
-        if number - other == 1:
+        if number - neighbour == 1:
             self._last = affine
-        return Motion(affine, _blocks(view, seen, affine))
+        return Motion(affine, _block_flow(view, neighbour_view, affine))
 
-    def _starts(self, number: int, other: int) -> list[Floats]:
+    def _starts(self, number: int, neighbour: int) -> list[Floats]:
         """By way of a frame between both, else by all that can be known."""
-        view, seen = self._views[number], self._views[other]
-        for between in range(number - 1, other, -1):
+        view = self._views[number]
+        neighbour_view = self._views[neighbour]
+        for between in range(number - 1, neighbour, -1):
             first = self._motions.get((number, between))
-            second = self._motions.get((between, other))
+            second = self._motions.get((between, neighbour))
             if first and second:
-                matrices = [_matrix(one.affine, view.shape) for one in (second, first)]
-                return [_affine(matrices[0] @ matrices[1], view.shape)]
-        starts = [self._last, _phase_shift(view, seen)]
+                first_matrix = _matrix(first.affine, view.shape)
+                second_matrix = _matrix(second.affine, view.shape)
+                return [_affine(second_matrix @ first_matrix, view.shape)]
+        starts = [self._last, _phase_shift(view, neighbour_view)]
         if view.shift_px is not None:
-            (right_px, down_px), (down, right) = view.shift_px, factors(view.full)
+            right_px, down_px = view.shift_px
+            down, right = factors(view.full_shape)
             starts.append(np.array([-right_px / right, -down_px / down, 0, 0, 0, 0]))
         return starts
 
@@ -180,15 +188,17 @@ def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey]:
     if motion.flow is None and not motion.affine.any():
         return grey, np.ones((height, width), np.float32)
     matrix = _matrix(motion.affine, (height // down, width // right))
-    # Between reduced pictures; enlarged to whole ones.
+    # From reduced images to those of full size.
     up = np.diag([right, down, 1.0])
     up[:2, 2] = (right - 1) / 2, (down - 1) / 2
     matrix = (up @ matrix @ np.linalg.inv(up))[:2]
     whole = not motion.affine[2:].any() and np.allclose(matrix, np.round(matrix))
-    size, how = (width, height), cv2.INTER_NEAREST if whole else cv2.INTER_CUBIC
+    size = (width, height)
     outside: dict[str, Any] = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": -1.0}
     if motion.flow is None:
-        laid = cv2.warpAffine(grey, matrix, size, flags=how | cv2.WARP_INVERSE_MAP, **outside)
+        interpolation = cv2.INTER_NEAREST if whole else cv2.INTER_CUBIC
+        flags = interpolation | cv2.WARP_INVERSE_MAP
+        laid = cv2.warpAffine(grey, matrix, size, flags=flags, **outside)
     else:
         y, x = (axis.astype(np.float32) for axis in np.ogrid[:height, :width])
         m = matrix.astype(np.float32)
@@ -214,7 +224,8 @@ def reduced(grey: Grey) -> Grey:
     down, right = factors(grey.shape)
     if down == right == 1:
         return grey
-    height, width = grey.shape[0] // down, grey.shape[1] // right
+    height = grey.shape[0] // down
+    width = grey.shape[1] // right
     even = grey[: height * down, : width * right]
     return cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA)
 
@@ -235,38 +246,45 @@ def factors(shape: tuple[int, ...]) -> tuple[int, int]:
     return down, right
 
 
-def _whole(view: View, seen: View, starts: Sequence[Floats]) -> tuple[Floats, float]:
+def _affine_motion(
+    view: View, neighbour_view: View, starts: Sequence[Floats]
+) -> tuple[Floats, float]:
     """The simplest affine motion that explains the frame, and the correlation that it leaves."""
     none = np.zeros(6)
-    still = _correlation(view.band, seen.band)
-    start, best = none, still
+    still = _correlation(view.band, neighbour_view.band)
+    start = none
+    best = still
     for candidate in starts:
         if candidate.any():
-            found = _correlation(view.band, _moved(seen.band, candidate))
-            if found > best + 0.01:
-                start, best = candidate, found
-    fine = _refined(view, seen, start)
+            correlation = _correlation(view.band, _warp(neighbour_view.band, candidate))
+            if correlation > best + 0.01:
+                start = candidate
+                best = correlation
+    fine = _refined(view, neighbour_view, start)
     if not start.any() and np.abs(fine).max() < _STILL:
         return none, still
-    down, right = factors(view.full)
+    down, right = factors(view.full_shape)
     whole = np.r_[np.round(fine[:2] * [right, down]) / [right, down], none[2:]]
-    chosen, alike = none, still
+    chosen = none
+    best = still
     for candidate in (whole, np.r_[fine[:2], none[2:]], fine, start):
         if candidate.any():
-            found = _correlation(view.band, _moved(seen.band, candidate, cv2.INTER_CUBIC))
-            if found > alike + _BETTER * (1 - alike):
-                chosen, alike = candidate, found
-    return chosen, alike
+            warped = _warp(neighbour_view.band, candidate, cv2.INTER_CUBIC)
+            correlation = _correlation(view.band, warped)
+            if correlation > best + _BETTER * (1 - best):
+                chosen = candidate
+                best = correlation
+    return chosen, best
 
 
-def _refined(view: View, seen: View, affine: Floats) -> Floats:
+def _refined(view: View, neighbour_view: View, affine: Floats) -> Floats:
     change, hessian = view.steepest
     for _ in range(_STEPS):
-        left, noise = _left(view, seen, affine)
+        residual, noise = _residual(view, neighbour_view, affine)
         # Frames without any slope have no Hessian.
         least = (1e-6 * np.trace(hessian) + 1e-9) * np.eye(6)
         usual = np.diag([0, 0, *[noise / _AFFINE_USUAL**2] * 4]) + least
-        slope = np.einsum("ik,k->i", change, left.ravel()) + usual @ affine
+        slope = np.einsum("ik,k->i", change, residual.ravel()) + usual @ affine
         step = np.linalg.solve(hessian + usual, slope)
         affine = affine - step
         if np.abs(step).max() < _SETTLED:
@@ -274,12 +292,13 @@ def _refined(view: View, seen: View, affine: Floats) -> Floats:
     return affine
 
 
-def _blocks(view: View, seen: View, affine: Floats) -> Grey | None:
+def _block_flow(view: View, neighbour_view: View, affine: Floats) -> Grey | None:
     """What blocks move besides, where that is beyond doubt; (rows, columns, 2)."""
     along, down = view.slopes
-    left, noise = _left(view, seen, affine)
+    residual, noise = _residual(view, neighbour_view, affine)
     height, width = view.shape
-    columns, rows = max(width // _CELL, 1), max(height // _CELL, 1)
+    columns = max(width // _CELL, 1)
+    rows = max(height // _CELL, 1)
     area = height * width / (rows * columns)
 
     def sums(plane: Grey) -> Grey:
@@ -288,8 +307,11 @@ def _blocks(view: View, seen: View, affine: Floats) -> Grey | None:
         return cv2.blur(cells, (3, 3), borderType=cv2.BORDER_REFLECT) * np.float32(9 * area)
 
     usual = np.float32(noise / _BLOCK_USUAL**2)
-    xx, yy, xy = sums(along * along) + usual, sums(down * down) + usual, sums(along * down)
-    x, y = sums(along * left), sums(down * left)
+    xx = sums(along * along) + usual
+    yy = sums(down * down) + usual
+    xy = sums(along * down)
+    x = sums(along * residual)
+    y = sums(down * residual)
     determinant: Grey = xx * yy - xy * xy
     right = -(yy * x - xy * y) / determinant
     lower = -(xx * y - xy * x) / determinant
@@ -300,32 +322,33 @@ def _blocks(view: View, seen: View, affine: Floats) -> Grey | None:
     return flow if np.hypot(flow[..., 0], flow[..., 1]).max() > 0.15 else None
 
 
-def _left(view: View, seen: View, affine: Floats) -> tuple[Grey, float]:
-    """What a motion leaves of the difference, cut where things move, and its noise's power."""
-    left = (_moved(seen.band, affine) - view.band) * view.lit
+def _residual(view: View, neighbour_view: View, affine: Floats) -> tuple[Grey, float]:
+    """The difference that a motion leaves, clipped where objects move, and its noise power."""
+    residual = (_warp(neighbour_view.band, affine) - view.band) * view.lit
     lit = view.lit.ravel()[::7] > 0
-    usual = np.median(np.abs(left.ravel()[::7][lit])) if lit.any() else 0.0
+    usual = np.median(np.abs(residual.ravel()[::7][lit])) if lit.any() else 0.0
     sigma = max(1.4826 * float(usual), 1e-4)
-    return np.clip(left, -2.5 * sigma, 2.5 * sigma), _GRAIN * sigma * sigma
+    return np.clip(residual, -2.5 * sigma, 2.5 * sigma), _GRAIN * sigma * sigma
 
 
-def _correlation(band: Grey, other: Grey) -> float:
+def _correlation(band: Grey, neighbour_band: Grey) -> float:
     """Where both show something; -1 where that is too little."""
-    both = ((band != 0) & (other != 0)).astype(np.float32)
+    both = ((band != 0) & (neighbour_band != 0)).astype(np.float32)
     if float(both.sum()) < 0.25 * max(np.count_nonzero(band), 1):
         return -1.0
-    one, two = band * both, other * both
-    power = _dot(one, one) * _dot(two, two)
-    return _dot(one, two) / max(math.sqrt(power), 1e-12)
+    first = band * both
+    second = neighbour_band * both
+    power = _dot(first, first) * _dot(second, second)
+    return _dot(first, second) / max(math.sqrt(power), 1e-12)
 
 
-def _dot(one: Grey, two: Grey) -> float:
-    return float(np.einsum("ij,ij->", one, two))
+def _dot(first: Grey, second: Grey) -> float:
+    return float(np.einsum("ij,ij->", first, second))
 
 
-def _phase_shift(view: View, seen: View) -> Floats:
+def _phase_shift(view: View, neighbour_view: View) -> Floats:
     """The shift with the highest phase correlation (Kuglin and Hines 1975), in whole pixels."""
-    cross = cv2.mulSpectrums(seen.spectrum, view.spectrum, 0, conjB=True)
+    cross = cv2.mulSpectrums(neighbour_view.spectrum, view.spectrum, 0, conjB=True)
     magnitude = np.maximum(length_of(cross[..., 0], cross[..., 1]), 1e-12)
     cross = cross / cv2.pow(magnitude, _WHITENED)[..., None]
     peaks = cv2.dft(cross, flags=cv2.DFT_INVERSE | cv2.DFT_REAL_OUTPUT)
@@ -335,27 +358,30 @@ def _phase_shift(view: View, seen: View) -> Floats:
     return np.array([column - right, row - down, 0, 0, 0, 0], np.float64)
 
 
-def _moved(band: Grey, affine: Floats, how: int = cv2.INTER_LINEAR) -> Grey:
+def _warp(band: Grey, affine: Floats, interpolation: int = cv2.INTER_LINEAR) -> Grey:
     if not affine.any():
         return band
-    matrix, size = _matrix(affine, band.shape)[:2], (band.shape[1], band.shape[0])
-    return cv2.warpAffine(band, matrix, size, flags=how | cv2.WARP_INVERSE_MAP)
+    matrix = _matrix(affine, band.shape)[:2]
+    size = (band.shape[1], band.shape[0])
+    return cv2.warpAffine(band, matrix, size, flags=interpolation | cv2.WARP_INVERSE_MAP)
 
 
 def _matrix(affine: Floats, shape: tuple[int, ...]) -> Floats:
     """(3, 3) pixel -> where it lies in the other frame."""
-    middle, found = _middle(shape), np.eye(3)
+    middle = _middle(shape)
     turn = np.eye(2) + affine[2:].reshape(2, 2) / (shape[1] / 2)
-    found[:2] = np.c_[turn, affine[:2] + middle - turn @ middle]
-    return found
+    matrix = np.eye(3)
+    matrix[:2] = np.c_[turn, affine[:2] + middle - turn @ middle]
+    return matrix
 
 
 def _affine(matrix: Floats, shape: tuple[int, ...]) -> Floats:
     """The reverse of `_matrix`."""
-    middle, turn = _middle(shape), matrix[:2, :2]
+    middle = _middle(shape)
+    turn = matrix[:2, :2]
     shift = matrix[:2, 2] - middle + turn @ middle
-    found: Floats = np.r_[shift, ((turn - np.eye(2)) * (shape[1] / 2)).ravel()]
-    return found
+    affine: Floats = np.r_[shift, ((turn - np.eye(2)) * (shape[1] / 2)).ravel()]
+    return affine
 
 
 def _middle(shape: tuple[int, ...]) -> Floats:

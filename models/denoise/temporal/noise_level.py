@@ -22,7 +22,8 @@ class NoiseByLevel:
     """Standard deviation of some deviation by grey level: robust, the mean over frames."""
 
     def __init__(self) -> None:
-        self._weighted_sigma, self._pixels = np.zeros(_LEVELS), np.zeros(_LEVELS)
+        self._weighted_sigma = np.zeros(_LEVELS)
+        self._pixels = np.zeros(_LEVELS)
 
     def add(self, deviation: Grey, grey: Grey) -> None:
         """Measure deviations, (h, w), at pixels of grey values in 0..1, (h, w)."""
@@ -63,7 +64,9 @@ class RunningSpread:
     """Median of a value and its robust standard deviation, averaged over frames."""
 
     def __init__(self) -> None:
-        self._median, self._sigma, self._frames = 0.0, 0.0, 0
+        self._median = 0.0
+        self._sigma = 0.0
+        self._frames = 0
 
     def standardise(self, values: Grey, measured: Grey) -> Grey:
         """(h, w): values in standard deviations above their median.

@@ -39,7 +39,8 @@ class Unrepeated:
     """
 
     def __init__(self, stream: InTime, tally: dict[str, float]) -> None:
-        self._stream, self._tally = stream, tally
+        self._stream = stream
+        self._tally = tally
         self._finder = RepeatFinder()
         self._runs: deque[_Run] = deque()  # whose results are to come
 

@@ -21,10 +21,12 @@ from .fusion import Fused, Fusion, Neighbour
 from .motion import Aligner, Grey, grey_of, laid_over
 from .strength import Predictors, Strength, Weights
 
-FRAMES, MOST_FRAMES = 7, 31
+FRAMES = 7
+MOST_FRAMES = 31
 
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
-_CALIBRATION_INTERVAL, _MAX_INTERVALS = 8, 4
+_CALIBRATION_INTERVAL = 8
+_MAX_INTERVALS = 4
 """Frames between the first two calibrations; later ones are up to so many times as far apart."""
 _FULL_WINDOW = 0.8  # of the highest frame count from which on a pixel shows a whole window
 
@@ -185,25 +187,27 @@ class InTime:
         """A frame with the frames of its window that show the same."""
         first = max(0, number - self._before)
         last = min(self._newest, number + self._after)
-        nearest_first = sorted(range(first, last + 1), key=lambda other: abs(other - number))
+        nearest_first = sorted(
+            range(first, last + 1), key=lambda neighbour: abs(neighbour - number)
+        )
         neighbours = []
-        for other in nearest_first:
-            aligned = self._aligned(number, other) if other != number else None
+        for neighbour in nearest_first:
+            aligned = self._aligned(number, neighbour) if neighbour != number else None
             if aligned is not None:
-                neighbours.append(Neighbour(other - number, *aligned))
+                neighbours.append(Neighbour(neighbour - number, *aligned))
         fused = self._fusion(self._shots[number].levels, neighbours)
         geometry = self._geometry(number) if self._network is not None else None
         return _FusedFrame(fused, self._sigma(fused.image, fused.frame_count), geometry)
 
-    def _aligned(self, number: int, other: int) -> tuple[Grey, Grey] | None:
+    def _aligned(self, number: int, neighbour: int) -> tuple[Grey, Grey] | None:
         """Levels of another frame as seen from this one, and (H, W) where they are visible.
 
         None where the other frame shows something else.
         """
-        shot = self._shots.get(other)
+        shot = self._shots.get(neighbour)
         if shot is None or shot.levels.shape != self._shots[number].levels.shape:
             return None
-        motion = self._aligner.motion(number, other)
+        motion = self._aligner.motion(number, neighbour)
         return None if motion is None else laid_over(shot.levels, motion)
 
     def _geometry(self, number: int) -> FanGeometry | None:
@@ -213,7 +217,7 @@ class InTime:
             return shot.place()
         # To find a fan anew in each frame costs more than the network.
         self._geometries.pop(number - self._window, None)
-        nearest = min(self._geometries, key=lambda other: abs(other - number), default=None)
+        nearest = min(self._geometries, key=lambda neighbour: abs(neighbour - number), default=None)
         if nearest is None or self._aligner.motion(number, nearest) is None:
             self._geometries[number] = shot.place()
         else:

@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from .motion import Floats, Grey, blurred, length_of
 
-_TV_WEIGHT, _TV_STEPS = 0.9, 5
+_TV_WEIGHT = 0.9
+_TV_STEPS = 5
 """Weight of the total variation, standard deviations of the noise that is left; its iterations."""
 _BLUR_SIGMAS_PX = (0.7, 1.2, 2.5)
 _PREDICTORS = 2 + len(_BLUR_SIGMAS_PX)  # total variation, network, blurred
@@ -29,7 +30,8 @@ _VARIATION_CLASSES = (0.45, 0.75, 1.1, 1.55, 2.2, 3.3, 5.0)
 """Middles of the classes of local variation, standard deviations of the image's noise."""
 _VARIATION_SIGMA_PX = 2.2  # of the window in which it is measured
 _VARIATION_LEVELS = 64  # of its table
-_PRIOR_PIXELS, _PRIOR_SHARE = 300.0, 1e-3
+_PRIOR_PIXELS = 300.0
+_PRIOR_SHARE = 1e-3
 """Pixels that count for the default coefficients, and their part whatever is measured."""
 _SINGLE_FRAME_CHOICES = np.array([(tv, net) for tv in range(21) for net in range(6, 21 - tv)]) / 20
 """Parts of total variation and network that are tried for a single frame.  The network has its part

@@ -62,8 +62,8 @@ def find_tracks(deviations: Mapping[int, Grey]) -> Tracks:
         np.add(own, np.int16(index), out=total)
         for offset, plane in packed.items():
             right, down = np.rint(velocity * offset).astype(int)
-            here, there = _overlap(own.shape, int(right), int(down))
-            np.add(total[here], plane[there], out=total[here])
+            inside, shifted = _overlap(own.shape, int(right), int(down))
+            np.add(total[inside], plane[shifted], out=total[inside])
         np.maximum(largest, total, out=largest)
         np.minimum(smallest, total, out=smallest)
     is_bright = largest >= -smallest.astype(np.int32)
@@ -116,12 +116,12 @@ def _pack(deviation: Grey) -> npt.NDArray[np.int16]:
 def _overlap(shape: tuple[int, ...], right: int, down: int) -> tuple[Any, Any]:
     """Slices of the pixels whose shifted position lies inside too, and of these positions."""
     height, width = shape
-    here = np.s_[
+    inside = np.s_[
         max(0, -down) : height - max(0, down),
         max(0, -right) : width - max(0, right),
     ]
-    there = np.s_[
+    shifted = np.s_[
         max(0, down) : height - max(0, -down),
         max(0, right) : width - max(0, -right),
     ]
-    return here, there
+    return inside, shifted

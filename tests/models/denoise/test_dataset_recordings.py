@@ -37,12 +37,12 @@ def denoised(source: Path, out: Path, weights: Path, *words: str) -> dict[str, b
 
 
 def images_below(out: Path) -> dict[str, bytes]:
-    found = {}
+    contents = {}
     for path in sorted(out.rglob("*.h5")):
         with h5py.File(path) as file:
             for row, image in zip(file["meta"][()], file["denoised"][()], strict=True):
-                found[f"{row['scene'].decode()}/{row['frame'].decode()}"] = image.tobytes()
-    return found
+                contents[f"{row['scene'].decode()}/{row['frame'].decode()}"] = image.tobytes()
+    return contents
 
 
 def test_a_recording_is_denoised_in_time_across_its_shards(

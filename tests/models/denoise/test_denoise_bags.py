@@ -34,10 +34,14 @@ def test_bags_become_bags(tmp_path: Path, halving: Halving) -> None:
         with open_recording(out / name) as bag:
             for old, new in zip(samples, bag, strict=True):
                 assert np.abs(new.samples - old / 2).max() <= 0.5
-    assert len(halving.told) == 9
-    told = halving.told[0]
-    assert told is not None
-    assert (told.layout, told.range_bins, len(told.beam_azimuths_rad)) == ("polar", 20, 16)
+    assert len(halving.geometries) == 9
+    geometry = halving.geometries[0]
+    assert geometry is not None
+    assert (geometry.layout, geometry.range_bins, len(geometry.beam_azimuths_rad)) == (
+        "polar",
+        20,
+        16,
+    )
     assert (out / "compare" / "deep" / "b.png").is_file()
 
 

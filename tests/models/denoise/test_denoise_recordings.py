@@ -33,10 +33,14 @@ def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None
         for old, new in zip(before, after, strict=True):
             assert np.abs(new.samples - old.samples / 2).max() <= 0.5
             assert (new.beams, new.time_s, new.pose) == (old.beams, old.time_s, old.pose)
-    message = halving.told[0]
-    assert message is not None
-    assert (message.layout, message.range_bins, len(message.beam_azimuths_rad)) == ("polar", 40, 48)
-    assert message.range_min_m == pytest.approx(2.0, abs=0.01)
+    geometry = halving.geometries[0]
+    assert geometry is not None
+    assert (geometry.layout, geometry.range_bins, len(geometry.beam_azimuths_rad)) == (
+        "polar",
+        40,
+        48,
+    )
+    assert geometry.range_min_m == pytest.approx(2.0, abs=0.01)
     assert (out / "compare" / "a.aris.png").is_file()
     assert sorted(path.name for path in out.iterdir()) == ["a.aris", "compare"]
 
@@ -109,7 +113,7 @@ def test_pings_become_fans_and_samples(tmp_path: Path, halving: Halving, dtype: 
     assert shown.dtype == dtype
     assert shown.shape[0] >= 60
     assert not shown[0, 0]
-    assert len(halving.told) == 4
+    assert len(halving.geometries) == 4
 
 
 def test_fans_are_found_unless_told_not_to(
@@ -126,15 +130,15 @@ def test_fans_are_found_unless_told_not_to(
     said = capsys.readouterr().out
     assert f"geometry: fan found in 2 of 3 pictures searched ({folder})" in said
     assert f"geometry: fan found in 1 of 1 pictures searched ({folder / 'deep'})" in said
-    actual = [message for message in halving.told if message is not None]
+    actual = [message for message in halving.geometries if message is not None]
     assert len(actual) == 3
     assert actual[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)
-    halving.told.clear()
+    halving.geometries.clear()
     assert main([*arguments, "--geometry", "none"]) == 0
-    assert halving.told == [None] * 4
+    assert halving.geometries == [None] * 4
     assert "geometry" not in capsys.readouterr().out
     assert main([*arguments, "--geometry", "polar"]) == 0
-    assert {message.layout for message in halving.told if message is not None} == {"polar"}
+    assert {geometry.layout for geometry in halving.geometries if geometry is not None} == {"polar"}
 
 
 def test_damaged_recordings_are_skipped(

@@ -46,8 +46,8 @@ def view(wide: Grey, right: float = 0, down: float = 0, turn_deg: float = 0) -> 
 
 def noisy(picture: Grey, seed: int) -> Grey:
     noise = np.random.default_rng(seed).normal(0, NOISE, picture.shape)
-    seen: Grey = np.clip(picture + noise, 0, 1).astype(np.float32)
-    return seen
+    noisy_frame: Grey = np.clip(picture + noise, 0, 1).astype(np.float32)
+    return noisy_frame
 
 
 def error(picture: Grey, truth: Grey, edge: int = 12) -> float:
@@ -75,9 +75,9 @@ def through(
 ) -> tuple[list[Grey], dict[str, float]]:
     tally = defaultdict[str, float](float)
     stream = InTime(as_it_is, frames=window, causal=causal, calibrated=calibrated, tally=tally)
-    found = list(stream(shots(frames)))
-    assert [key for key, _ in found] == list(range(len(frames)))
-    return [picture for _, picture in found], tally
+    denoised = list(stream(shots(frames)))
+    assert [key for key, _ in denoised] == list(range(len(frames)))
+    return [picture for _, picture in denoised], tally
 
 
 @pytest.mark.parametrize(
@@ -88,14 +88,14 @@ def test_frames_are_laid_over_each_other_below_a_pixel(
     right: float, down: float, turn_deg: float
 ) -> None:
     wide = scene()
-    here, there = view(wide), view(wide, right, down, turn_deg)
-    found = motion_between(noisy(there, 1), noisy(here, 2))
-    assert found is not None
-    laid, shown = laid_over(there, found)
+    first_view, second_view = view(wide), view(wide, right, down, turn_deg)
+    motion = motion_between(noisy(second_view, 1), noisy(first_view, 2))
+    assert motion is not None
+    laid, shown = laid_over(second_view, motion)
     inside = shown > 0
     inside[:30], inside[-30:], inside[:, :30], inside[:, -30:] = False, False, False, False
-    difference = np.abs(laid - here)[inside]
-    slope = np.hypot(*np.gradient(here))[inside]
+    difference = np.abs(laid - first_view)[inside]
+    slope = np.hypot(*np.gradient(first_view))[inside]
     assert difference.mean() < 0.2 * slope.mean()  # a fifth of a pixel
 
 
@@ -115,12 +115,12 @@ def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
 def test_where_nothing_moves_all_frames_count() -> None:
     truth = view(scene())
     frames = [noisy(truth, number) for number in range(14)]
-    found, tally = through(frames, calibrated=False)
+    denoised, tally = through(frames, calibrated=False)
     plain = np.mean(frames[3:10], axis=0)
     assert tally["frames"] / tally["pictures"] > 5.8  # the first and last have fewer neighbours
     assert tally["alone"] == 0
     # The usual strength takes a little total variation: no worse than the mean.
-    assert error(found[6], truth) < 1.03 * error(plain, truth)
+    assert error(denoised[6], truth) < 1.03 * error(plain, truth)
 
 
 def fused_by_the_window(frames: list[Grey], learning: int = 12) -> dict[int, Grey]:
@@ -212,29 +212,31 @@ def test_what_moves_leaves_no_trail_and_does_not_fade() -> None:
 def test_a_moving_sonar_keeps_what_it_gains() -> None:
     wide = scene()
     truth = [view(wide, 2 * n - 12, 1.3 * n - 8) for n in range(12)]
-    found, tally = through([noisy(one, n) for n, one in enumerate(truth)], calibrated=False)
+    denoised, tally = through([noisy(frame, n) for n, frame in enumerate(truth)], calibrated=False)
     assert tally["alone"] == 0
-    assert error(found[6], truth[6]) < 0.6 * NOISE
+    assert error(denoised[6], truth[6]) < 0.6 * NOISE
 
 
 def test_colours_of_no_map_are_fused_too() -> None:
     wide = scene()
     truth = [view(wide, 2 * n) for n in range(9)]
     tints = np.array([0.9, 0.5, 0.7], np.float32)
-    coloured = [one[..., None] * tints for one in truth]
-    found, tally = through([noisy(one, n) for n, one in enumerate(coloured)], calibrated=False)
+    coloured = [frame[..., None] * tints for frame in truth]
+    denoised, tally = through(
+        [noisy(frame, n) for n, frame in enumerate(coloured)], calibrated=False
+    )
     assert tally["alone"] == 0
-    assert error(found[4], coloured[4]) < 0.7 * NOISE
+    assert error(denoised[4], coloured[4]) < 0.7 * NOISE
 
 
 @pytest.mark.parametrize("causal", [False, True])
 def test_order_and_window(causal: bool) -> None:
     """No frame further away than the window changes a result; causal: none that comes later."""
     frames = [noisy(view(scene()), number) for number in range(12)]
-    found, _ = through(frames, window=3, causal=causal, calibrated=False)
-    other = [*frames[:9], *(noisy(view(scene(seed=5)), 20 + n) for n in range(3))]
-    changed, _ = through(other, window=3, causal=causal, calibrated=False)
-    same = [bool(np.allclose(a, b, atol=1e-5)) for a, b in zip(found, changed, strict=True)]
+    denoised, _ = through(frames, window=3, causal=causal, calibrated=False)
+    replaced = [*frames[:9], *(noisy(view(scene(seed=5)), 20 + n) for n in range(3))]
+    changed, _ = through(replaced, window=3, causal=causal, calibrated=False)
+    same = [bool(np.allclose(a, b, atol=1e-5)) for a, b in zip(denoised, changed, strict=True)]
     first = same.index(False)
     assert first >= (9 if causal else 8)
 
@@ -293,8 +295,8 @@ def test_sequences_are_pictures_that_differ_in_their_last_number(tmp_path: Path)
     names = ["a2.png", "a10.png", "a1.png", "b1.png", "x.png", "a1.jpg"]
     for name in names:
         assert cv2.imwrite(str(tmp_path / name), np.zeros((20, 20), np.uint8))
-    found = sequences(find_items([tmp_path], tmp_path / "out"))
-    assert sorted([item.source.name for item in some] for some in found) == [
+    runs = sequences(find_items([tmp_path], tmp_path / "out"))
+    assert sorted([item.source.name for item in some] for some in runs) == [
         ["a1.jpg"],
         ["a1.png", "a2.png", "a10.png"],
         ["b1.png"],
@@ -309,12 +311,12 @@ def test_lamprey_gains_in_time() -> None:
     stack = stack if stack.ndim == 3 else stack[..., 0]
     levels = stack.astype(np.float32) / 255
 
-    def decibels(found: Grey, number: int) -> float:
+    def decibels(denoised: Grey, number: int) -> float:
         # Frames beside it only: the recording has too few for a window of seven and a reference.
         others = [n for n in range(len(levels)) if abs(n - number) > 1]
         truth = levels[others].mean(axis=0)
         lit = truth > 0.03
-        return float(-10 * np.log10(((found - truth)[lit] ** 2).mean()))
+        return float(-10 * np.log10(((denoised - truth)[lit] ** 2).mean()))
 
     fused = denoise(levels, frames=3)
     alone = denoise(levels[3])

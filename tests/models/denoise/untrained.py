@@ -55,9 +55,9 @@ class Halving:
     digest = "0"
 
     def __init__(self) -> None:
-        self.told: list[FanGeometry | None] = []
+        self.geometries: list[FanGeometry | None] = []
 
     def __call__(self, gray: Gray, geometry: FanGeometry | None = None) -> Gray:
         assert gray.ndim == 2
-        self.told.append(geometry)
+        self.geometries.append(geometry)
         return gray / 2

@@ -17,7 +17,7 @@ from simnfnd.models.networks.sonarnet import SonarNet, polar_grid, sampled
 from tests.models.networks.tiny_networks import stirred, tiny
 
 
-def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
+def random_inputs(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
     """A random picture of a fan of 60 degrees that fills it, and what goes with it."""
     image = torch.rand(1, 1, size, size, generator=torch.Generator().manual_seed(0))
     step = (torch.arange(size) + 0.5) / size
@@ -33,7 +33,7 @@ def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
 
 def test_the_mask_gates_the_picture_inside_the_sector() -> None:
     network = stirred(tiny("sonarnet"))
-    image, extras = told(network, 32)
+    image, extras = random_inputs(network, 32)
     image = image + 0.1
     restored, logits, _ = network.with_heads(image, **extras)
     outside = extras["sector"] == 0
@@ -48,7 +48,7 @@ def test_the_mask_gates_the_picture_inside_the_sector() -> None:
 def test_the_weight_is_the_part_of_the_change_that_a_picture_gets() -> None:
     network = stirred(tiny("sonarnet", forget=0.0))
     assert isinstance(network, SonarNet)
-    image, extras = told(network, 32)
+    image, extras = random_inputs(network, 32)
     for known in ({}, extras):
         for logit, part in ((-50.0, 0.0), (0.0, 0.5), (50.0, 1.0)):
             with torch.no_grad():
@@ -64,7 +64,7 @@ def test_the_weight_is_the_part_of_the_change_that_a_picture_gets() -> None:
 
 def test_what_to_remove_changes_the_picture() -> None:
     network = stirred(tiny("sonarnet"))
-    image, extras = told(network, 32)
+    image, extras = random_inputs(network, 32)
     usual = network(image, **extras)
     default = torch.from_numpy(vector(DEFAULT))[None]
     assert torch.equal(network(image, **extras, remove=default), usual)
@@ -74,7 +74,7 @@ def test_what_to_remove_changes_the_picture() -> None:
 
 def test_geometry_is_forgotten_in_training_alone() -> None:
     network = stirred(tiny("sonarnet", forget=0.999999))
-    image, extras = told(network, 32)
+    image, extras = random_inputs(network, 32)
     blind = network(image)
     seeing = network(image, **extras)
     assert torch.equal(network.train()(image, **extras), blind)

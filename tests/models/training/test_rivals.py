@@ -69,15 +69,15 @@ def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
     update = Loop.update
     created = Opponent.__init__
 
-    def noted(self: Opponent, *given: Any) -> None:
-        created(self, *given)
+    def noted(self: Opponent, *arguments: Any) -> None:
+        created(self, *arguments)
         critics.append(self)
         starts.append({n: x.clone() for n, x in self.state_dict()["critic"].items()})
 
-    def stopped(self: Loop, *given: Any) -> Tensor:
+    def stopped(self: Loop, *arguments: Any) -> Tensor:
         if self.step == 3:
             raise OSError("pulled the plug")
-        return update(self, *given)
+        return update(self, *arguments)
 
     starts: list[dict[str, Tensor]] = []
     with monkeypatch.context() as patch:
@@ -109,10 +109,10 @@ def test_every_stage_is_taught() -> None:
     assert torch.equal(stages[-1], network(noisy))
     loss: Loss = build(Loss, {"kind": "l1"}, "loss")
     batch = {"noisy": noisy, "clean": clean}
-    found = taught_loss(network, batch, loss)
+    computed = taught_loss(network, batch, loss)
     expected = torch.stack([(stage - clean).abs().mean() for stage in stages]).mean()
-    torch.testing.assert_close(found, expected)
-    found.backward()
+    torch.testing.assert_close(computed, expected)
+    computed.backward()
     assert all(weights.grad is not None for weights in network.parameters())
 
 

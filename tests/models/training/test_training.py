@@ -100,11 +100,11 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
         drawn.append(visit.number)
         return crop(self, visit)
 
-    def breaks_down(self: Loop, *given: Any) -> Any:
+    def breaks_down(self: Loop, *arguments: Any) -> Any:
         calls.append(self.step)
         if len(calls) == 22:
             raise OSError("the power went")
-        return step(self, *given)
+        return step(self, *arguments)
 
     with monkeypatch.context() as patch:
         patch.setattr(Loop, "update", breaks_down)
@@ -151,10 +151,10 @@ def test_a_stopped_training_goes_on_from_its_last_step(
     """Long before the first check, and what it says is true."""
     step = Loop.update
 
-    def stopped(self: Loop, *given: Any) -> Any:
+    def stopped(self: Loop, *arguments: Any) -> Any:
         if self.step == 11:
             os.kill(os.getpid(), signal.SIGTERM)
-        return step(self, *given)
+        return step(self, *arguments)
 
     with monkeypatch.context() as patch:
         patch.setattr(Loop, "update", stopped)
@@ -174,10 +174,10 @@ def test_checkpoints_are_kept_by_time(
     """Not only at checks: a training whose machine goes away loses two minutes at most."""
     step = Loop.update
 
-    def breaks_down(self: Loop, *given: Any) -> Any:
+    def breaks_down(self: Loop, *arguments: Any) -> Any:
         if self.step == 4:
             raise OSError("the power went")
-        return step(self, *given)
+        return step(self, *arguments)
 
     monkeypatch.setattr("simnfnd.models.training.loop.SAVE_EVERY_S", 0.0)
     monkeypatch.setattr(Loop, "update", breaks_down)
@@ -219,10 +219,10 @@ def test_a_resumed_training_forgets_geometry_at_the_same_steps(
 def test_geometry_stays_exact_in_mixed_precision(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen: list[dict[str, torch.Tensor]] = []
+    batches: list[dict[str, torch.Tensor]] = []
 
     def noted(network: torch.nn.Module, batch: dict[str, torch.Tensor]) -> torch.Tensor:
-        seen.append(batch)
+        batches.append(batch)
         return next(network.parameters()).sum() * 0
 
     settings, _ = config_for(dataset, tmp_path, *SMALL)
@@ -231,7 +231,7 @@ def test_geometry_stays_exact_in_mixed_precision(
     loop = Loop(network, noted, mixed, 0, torch.device("cpu"))
     third = torch.full((1, 1, 8, 8), 1 / 3)
     loop.update({"noisy": third, "clean": third, "azimuth_rad": third, "range_fraction": third})
-    assert all(torch.equal(values, third) for values in seen[0].values())
+    assert all(torch.equal(values, third) for values in batches[0].values())
 
 
 def test_a_training_ends_with_a_check_between_intervals(dataset: Path, tmp_path: Path) -> None:
@@ -328,8 +328,8 @@ def test_the_best_weights_are_kept_not_the_last(
     loaded = load_weights(tmp_path / "weights.safetensors")
     assert loaded.training["validation"]["step"] == 2
     state = torch.load(tmp_path / "checkpoint.ckpt", weights_only=True)["average"]
-    kept = loaded.network.state_dict()
-    assert any(not torch.equal(value, state[f"module.{name}"]) for name, value in kept.items())
+    weights = loaded.network.state_dict()
+    assert any(not torch.equal(value, state[f"module.{name}"]) for name, value in weights.items())
 
 
 @pytest.mark.parametrize(("has", "expected"), [(True, "bf16-mixed"), (False, "32-true")])

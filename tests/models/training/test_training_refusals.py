@@ -72,11 +72,11 @@ def test_unusable_datasets_are_refused(tmp_path: Path) -> None:
     only_test = write_dataset(tmp_path / "test only", train=0, test=2)
     with pytest.raises(FactoryError, match="train split is empty"):
         train_small(only_test, tmp_path / "out")
-    other = write_dataset(tmp_path / "other", train=4, test=0)
-    with h5py.File(other / "train" / "shard-00000.h5", "r+") as file:
+    other_dataset = write_dataset(tmp_path / "other", train=4, test=0)
+    with h5py.File(other_dataset / "train" / "shard-00000.h5", "r+") as file:
         file.attrs["schema"] = "simnfnd/2"
     with pytest.raises(FactoryError, match=r"schema 'simnfnd/2'"):
-        train_small(other, tmp_path / "out")
+        train_small(other_dataset, tmp_path / "out")
 
 
 def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:

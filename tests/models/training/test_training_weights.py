@@ -134,20 +134,22 @@ def test_weights_that_ship_are_found_by_name(
 def test_weights_of_the_hub_are_named_by_their_repository(
     weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[tuple[str, str]] = []
+    requests: list[tuple[str, str]] = []
 
     def fetched(repository: str, name: str) -> str:
-        asked.append((repository, name))
+        requests.append((repository, name))
         if repository == "nobody/nothing":
             raise OSError("401 Client Error\n\nRepository Not Found")
         return str(weights)
 
     monkeypatch.setattr("huggingface_hub.hf_hub_download", fetched)
     assert pretrained.find_weights("somebody/own-sonar") == weights
-    assert asked == [("somebody/own-sonar", "weights.safetensors")]
-    with pytest.raises(FactoryError, match=r"weights=nobody/nothing: .*Hub gives none: 401") as one:
+    assert requests == [("somebody/own-sonar", "weights.safetensors")]
+    with pytest.raises(
+        FactoryError, match=r"weights=nobody/nothing: .*Hub gives none: 401"
+    ) as refusal:
         pretrained.find_weights("nobody/nothing")
-    assert "\n" not in str(one.value)
+    assert "\n" not in str(refusal.value)
     with pytest.raises(FactoryError, match="no such file; train one"):
         pretrained.find_weights("outputs/weights.safetensors")
 
