@@ -6,7 +6,11 @@ read in turns and the best round counts: other work on the machine can only slow
 
 from __future__ import annotations
 
+import os
 import shutil
+import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -19,6 +23,7 @@ import numpy as np
 from benchmarks.bench_command import PICTURES
 from benchmarks.shared import Cell, Options, Section, Table, run_command
 from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.isolated import LASTING
 
 ROUNDS = 7
 # Pairs a second that the project asks for on two cores.
@@ -39,6 +44,7 @@ def measure(options: Options) -> Section:
                 f"cache.dir={folder}/cache", "dataset.preview_pairs=0",
             )  # fmt: skip
             rows.append(_compare(root, compression, options.amount(ROUNDS)))
+        opening = _opening(Path(folder) / "gzip", options.amount(ROUNDS))
         one_worker, two_workers = (
             _loader(Path(folder) / "gzip", n, options.amount(5, 2)) for n in (1, 2)
         )
@@ -47,10 +53,32 @@ def measure(options: Options) -> Section:
         ("DataLoader, gzip, batches of 8", "times one worker", "pairs/s"),
         (("1 worker", 1.0, one_worker), ("2 workers", two_workers / one_worker, two_workers)),
     )
-    return Section((Table(columns, rows), loaders))
+    return Section((Table(columns, rows), loaders, opening))
 
 
 Row = tuple[Cell, ...]
+
+
+def _opening(root: Path, rounds: int) -> Table:
+    """CPU seconds of the separate process in which an untrusted dataset is opened first."""
+    opened, imported = [], []
+    for _ in range(rounds):
+        LASTING.close()
+        began = _cpu_seconds_of_children()
+        PairDataset(root, "train").close()
+        LASTING.close()
+        opened.append(_cpu_seconds_of_children() - began)
+        began = _cpu_seconds_of_children()
+        subprocess.run([sys.executable, "-c", "import h5py"], check=True)
+        imported.append(_cpu_seconds_of_children() - began)
+    row = (statistics.median(opened), statistics.median(imported))
+    columns = ("opening an untrusted dataset, CPU s", "of it Python, numpy and h5py")
+    return Table(columns, (row,))
+
+
+def _cpu_seconds_of_children() -> float:
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def _compare(root: Path, compression: str, rounds: int) -> Row:

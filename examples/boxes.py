@@ -16,6 +16,8 @@ import numpy as np
 
 LEAST_PX = 8
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 folder = Path(sys.argv[1])
 shards = sorted(folder.glob("*/shard-*.h5"))
 if not shards:

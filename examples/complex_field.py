@@ -14,6 +14,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 folder = Path(sys.argv[1])
 shards = sorted(folder.glob("*/shard-*.h5"))
 if not shards:

@@ -14,6 +14,8 @@ import cv2
 import h5py
 import numpy as np
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 folder, out, *wanted = sys.argv[1:]
 samples = []
 shards = sorted(Path(folder).glob("*/shard-*.h5"))

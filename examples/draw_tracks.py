@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from simnfnd import PairDataset
+from simnfnd import FactoryError, PairDataset
 
 COLOURS = [(255, 200, 90), (120, 255, 120), (120, 200, 255), (255, 140, 200), (255, 255, 130)]
 FRAME_MS = 100
@@ -45,10 +45,15 @@ def drawn(sequence, number):
     return Image.fromarray(np.hstack([frame, static]))
 
 
+if len(sys.argv) < 3:
+    sys.exit(__doc__)
 folder, out, *wanted = sys.argv[1:]
-with PairDataset(folder, "all", layers=("noisy", "clean", "static")) as pairs:
-    names = wanted or pairs.recordings.names
-    sequence = max((pairs.sequence(name) for name in names), key=echo_count)
+try:
+    with PairDataset(folder, "all", layers=("noisy", "clean", "static")) as pairs:
+        names = wanted or pairs.recordings.names
+        sequence = max((pairs.sequence(name) for name in names), key=echo_count)
+except FactoryError as error:
+    sys.exit(str(error))
 middle = len(sequence) // 2
 if out.endswith(".png"):
     drawn(sequence, middle).save(out)

@@ -7,7 +7,7 @@ import sys
 
 from torch.utils.data import DataLoader
 
-from simnfnd import PairDataset
+from simnfnd import FactoryError, PairDataset
 
 
 def main() -> None:
@@ -26,4 +26,9 @@ def main() -> None:
 
 # Workers that are spawned import this file again.
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    try:
+        main()
+    except FactoryError as error:
+        sys.exit(str(error))

@@ -10,6 +10,9 @@ import sys
 import numpy as np
 import open3d
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
+
 BODY = (0.25, 0.28, 0.30)
 WHEEL = (0.55, 0.08, 0.05)
 TURNS = {"x": (0, np.pi / 2, 0), "y": (np.pi / 2, 0, 0), "z": (0, 0, 0)}
@@ -34,5 +37,6 @@ add(make.create_torus(0.15, 0.018, 48, 12), (0, 0.56, 0), "y", WHEEL)
 for axis in "xz":  # its spokes
     add(make.create_cylinder(0.012, 0.30, 40), (0, 0.56, 0), axis, WHEEL)
 valve.compute_vertex_normals()
-open3d.io.write_triangle_mesh(sys.argv[1], valve)
+if not open3d.io.write_triangle_mesh(sys.argv[1], valve):
+    sys.exit(f"{sys.argv[1]}: not written; give a name that ends in .glb, .ply or .obj")
 print(f"{sys.argv[1]}: {len(valve.triangles)} faces, {valve.get_max_bound()[1]:.2f} m high")

@@ -35,6 +35,8 @@ def maps(row, height, width):
     return {"range_fraction": range_fraction, "azimuth_rad": azimuth_rad, "sector": sector}
 
 
+if len(sys.argv) < 4:
+    sys.exit(__doc__)
 model, source, target, *table = sys.argv[1:]
 picture = np.asarray(Image.open(source).convert("L"))
 inputs = {"noisy": picture / 255}

@@ -24,6 +24,7 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.dataset.quality import psnr_db
 from simnfnd.factory.distribution import Distribution, number
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.noise.registry import BUILT_IN, NoiseSettings
 from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
@@ -253,4 +254,7 @@ def save(path: Path, rows: Sequence[Sequence[Panel]]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except FactoryError as error:
+        raise SystemExit(str(error)) from error

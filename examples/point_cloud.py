@@ -51,6 +51,8 @@ def write_ply(path: Path, points: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
     folder, target = Path(sys.argv[1]), Path(sys.argv[2])
     shards = sorted(folder.glob("*/shard-*.h5"))
     if not shards:

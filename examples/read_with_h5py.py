@@ -10,13 +10,16 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 folder = Path(sys.argv[1])
 count = int(sys.argv[2]) if len(sys.argv) > 2 else 1000
 rng = np.random.default_rng(0)
 
 # One file shows all shards.  HDF5 fills a missing shard with zeros and says nothing: look first.
-if not (folder / "manifest.json").is_file():
-    sys.exit(f"{folder}: no manifest.json in it; give the folder of a dataset")
+for name in ("manifest.json", "index.h5"):
+    if not (folder / name).is_file():
+        sys.exit(f"{folder}: no {name} in it; give the folder of a dataset")
 listed = json.loads((folder / "manifest.json").read_text())["shards"]
 missing = [shard["path"] for shard in listed if not (folder / shard["path"]).is_file()]
 if missing:

@@ -55,8 +55,11 @@ def main():
     options, ros = parser.parse_known_args()
 
     # Only here: the rest of this file needs no ROS.
-    import rclpy
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    try:
+        import rclpy
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+    except ModuleNotFoundError as error:
+        parser.error(f"{error}; source ROS 2 first (source /opt/ros/DISTRO/setup.bash)")
 
     if options.sonar:
         from marine_acoustic_msgs.msg import ProjectedSonarImage as Message

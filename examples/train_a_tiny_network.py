@@ -9,7 +9,14 @@ import numpy as np
 import torch
 from torch import nn
 
-from simnfnd import PairDataset
+from simnfnd import FactoryError, PairDataset
+
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
+try:
+    pairs = PairDataset(sys.argv[1], "train", scaled=True)
+except FactoryError as error:
+    sys.exit(str(error))
 
 steps = int(sys.argv[2]) if len(sys.argv) > 2 else 200
 torch.manual_seed(0)
@@ -24,7 +31,7 @@ network = nn.Sequential(
 optimizer = torch.optim.Adam(network.parameters(), 2e-3)
 losses = []
 
-with PairDataset(sys.argv[1], "train", scaled=True) as pairs:
+with pairs:
     for _ in range(steps):
         batch = pairs[rng.integers(len(pairs), size=4)]  # a dict of (4, H, W) arrays in 0..1
         noisy, clean = (torch.from_numpy(batch[name])[:, None] for name in ("noisy", "clean"))

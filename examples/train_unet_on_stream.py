@@ -12,7 +12,7 @@ from torch import nn
 from torch.nn import functional
 from torch.utils.data import DataLoader
 
-from simnfnd import PairDataset, PairStream
+from simnfnd import FactoryError, PairDataset, PairStream
 
 
 def convolutions(inputs: int, outputs: int) -> nn.Sequential:
@@ -66,6 +66,9 @@ def main() -> None:
     optimizer = torch.optim.Adam(network.parameters(), 2e-3)
     with PairDataset(dataset, "test", scaled=True) as pairs:
         held = {name: torch.from_numpy(images)[:, None] for name, images in pairs[:8].items()}
+    height, width = held["noisy"].shape[2:]
+    if height % 4 or width % 4:
+        sys.exit(f"{dataset}: images of {height} x {width}; this network takes multiples of 4")
     print(f"noisy: {psnr_db(held['noisy'], held['clean']):.2f} dB")
 
     stream = PairStream(dataset=dataset, batch_size=4)
@@ -83,4 +86,9 @@ def main() -> None:
 
 # Workers that are spawned import this file again.
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    try:
+        main()
+    except FactoryError as error:
+        sys.exit(str(error))

@@ -91,8 +91,8 @@ class PairDataset:
     fetched when they are needed (`factory.storage.copies`).
     layers: as `factory.dataset.schema` names them; None: all that the first shard has.
     manifest.json decides which shards count, at the moment of opening.
-    trusted: False has another process open every shard first (a third of a second, and some
-    milliseconds a shard), because a damaged file can make HDF5 crash or hang.
+    trusted: False has another process open every shard first (a quarter of a second, and
+    some milliseconds a shard), because a damaged file can make HDF5 crash or hang.
 
     Raises FactoryError: no dataset, an empty split, a shard that is absent or damaged.
     """

@@ -78,8 +78,8 @@ def listed_shards(
 def check_in_isolation(paths: Iterable[Path]) -> None:
     """Have another process open every shard first: a damaged file can make HDF5 crash or hang.
 
-    Everything that opens possibly untrusted files goes through here: a third of a second, and some
-    milliseconds a shard.  Raises FactoryError for the first shard that cannot be read.
+    Everything that opens possibly untrusted files goes through here: a quarter of a second, and
+    some milliseconds a shard.  Raises FactoryError for the first shard that cannot be read.
     """
     for path in paths:
         if path.exists() or not url_of(path.parent.parent):

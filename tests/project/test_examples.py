@@ -61,8 +61,12 @@ def test_examples_read_a_dataset_and_learn_from_it(dataset: Path, tmp_path: Path
         ("boxes.py", ()),
         ("complex_field.py", ()),
         ("draw_boxes.py", ("out.png",)),
+        ("draw_tracks.py", ("out.png",)),
+        ("load_with_workers.py", ()),
         ("point_cloud.py", ("out.ply",)),
         ("rgbd_to_csv.py", ()),
+        ("train_a_tiny_network.py", ()),
+        ("train_unet_on_stream.py", ()),
     ],
 )
 def test_an_empty_folder_is_named(
@@ -73,6 +77,10 @@ def test_an_empty_folder_is_named(
         runpy.run_path(str(EXAMPLES / script), run_name="__main__")
     assert str(tmp_path) in f"{caught.value.code}{capsys.readouterr().err}"
     assert caught.value.code != 0
+    monkeypatch.setattr(sys, "argv", [script])
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_path(str(EXAMPLES / script), run_name="__main__")
+    assert script in f"{caught.value.code}{capsys.readouterr().err}"
 
 
 def test_a_u_net_trains_on_the_stream(tmp_path: Path) -> None:
