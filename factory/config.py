@@ -130,7 +130,7 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
         yield from _conflicts_of_pointwise(config)
     else:
         yield from _conflicts_of_coherent(config)
-    moves = config.scenes.kind == "seabed" and bool(config.scenes.moving)
+    moves = config.scenes.has_moving_objects
     if "tracks" in config.dataset.columns and not moves:
         yield (
             "dataset.columns: tracks are of moving objects; give scenes.moving_objects, or leave "

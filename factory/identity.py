@@ -125,19 +125,10 @@ def _scenes_identity(config: FactoryConfig, values: Mapping[str, Any]) -> dict[s
         # Datasets of the time when there was one view keep their hash.
         scenes.pop("hfov_deg", None)
         scenes.pop("vfov_deg", None)
-    if isinstance(settings, SeabedSettings):
-        if scenes.pop("path") is not None:
-            scenes["path"] = _file_digest(str(settings.path), "scenes.path")
-        for own_object in scenes["own_objects"]:
-            own_object["file"] = _mesh_digest(own_object["file"], "scenes.own_objects")
-            if own_object["up"] == "auto":
-                own_object.pop("up")
-            if own_object["moving"] is None:
-                own_object.pop("moving")
-        for item in (*scenes["moving_objects"], *scenes["own_objects"]):
-            moving = item.get("moving") or {}
-            if moving.get("path") is not None:
-                moving["path"] = _file_digest(moving["path"], "moving.path")
+    if isinstance(settings, SeabedSettings) and scenes.pop("path") is not None:
+        scenes["path"] = _file_digest(str(settings.path), "scenes.path")
+    if isinstance(settings, SeabedSettings | MeshSettings):
+        _digest_objects(scenes)
     if isinstance(settings, MeshSettings):
         scenes["file"] = _mesh_digest(settings.file, "scenes.file")
         poses = settings.poses
@@ -159,6 +150,20 @@ def _drop_keys_without_bytes(values: dict[str, Any]) -> None:
     for group, keys in _NO_BYTES.items():
         for key in keys:
             values[group].pop(key, None)
+
+
+def _digest_objects(scenes: Mapping[str, Any]) -> None:
+    """The files of own and moving objects by their content; keys at their first values left out."""
+    for own_object in scenes["own_objects"]:
+        own_object["file"] = _mesh_digest(own_object["file"], "scenes.own_objects")
+        if own_object["up"] == "auto":
+            own_object.pop("up")
+        if own_object["moving"] is None:
+            own_object.pop("moving")
+    for item in (*scenes["moving_objects"], *scenes["own_objects"]):
+        moving = item.get("moving") or {}
+        if moving.get("path") is not None:
+            moving["path"] = _file_digest(moving["path"], "moving.path")
 
 
 def _drop_later_keys_at_their_defaults(values: dict[str, Any]) -> None:

@@ -65,7 +65,14 @@ def is_of_recordings(config: Mapping[str, Any]) -> bool:
     config: as shards and manifest state it.
     """
     scenes = config.get("scenes")
-    return isinstance(scenes, Mapping) and scenes.get("frame_rate_hz") is not None
+    if not isinstance(scenes, Mapping):
+        return False
+    if scenes.get("frame_rate_hz") is not None or scenes.get("moving_objects"):
+        return True
+    own_objects = scenes.get("own_objects")
+    if not isinstance(own_objects, list):
+        return False
+    return any(isinstance(item, Mapping) and item.get("moving") for item in own_objects)
 
 
 class Recordings:

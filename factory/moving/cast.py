@@ -14,6 +14,7 @@ from .. import seeds
 from ..errors import FactoryError
 from ..frame import FrameRef, Surroundings
 from ..labels import class_names
+from ..scenes.mesh import MeshSettings
 from ..scenes.moving import Moving, MovingObject, waypoints
 from ..scenes.seabed import OwnObject, SeabedSettings
 from ..scenes.seabed.meshes import Mesh
@@ -22,6 +23,8 @@ from .course import Course, Origin, RecordedPath, Swim
 from .fish import SwimmingWave, fish_mesh, love_target_strength_db
 
 Points = npt.NDArray[np.float64]
+RecordingSettings = SeabedSettings | MeshSettings
+"""Of the readers whose recordings can have moving objects."""
 
 # Of a school: how members differ in length and heading, and how they drift about their places.
 _LENGTH_SPREAD = 0.12
@@ -83,7 +86,7 @@ class _Entry:
 
 
 def draw_cast(
-    settings: SeabedSettings, seed: int, ref: FrameRef, surroundings: Surroundings
+    settings: RecordingSettings, seed: int, ref: FrameRef, surroundings: Surroundings
 ) -> tuple[Actor, ...]:
     """The moving objects of the recording that a frame belongs to.
 
@@ -105,7 +108,7 @@ def draw_cast(
     return tuple(sorted(actors, key=lambda actor: actor.number))
 
 
-def _entries(settings: SeabedSettings) -> Iterator[_Entry]:
+def _entries(settings: RecordingSettings) -> Iterator[_Entry]:
     for number, item in enumerate(settings.moving_objects):
         is_fish = item.object == "Fish"
         yield _Entry(

@@ -10,8 +10,7 @@ from ..errors import FrameError
 from ..frame import Frame
 from ..render.base import Rendered
 from ..scenes import SceneSettings
-from ..scenes.seabed import SeabedSettings
-from .cast import Actor, draw_cast
+from .cast import Actor, RecordingSettings, draw_cast
 from .compose import PosedBody, bodies_at
 
 SceneType = TypeVar("SceneType")
@@ -71,17 +70,17 @@ class Recordings:
             return Moment(frame, rendered)
         time_s = settings.time_s(frame.ref)
         frame = replace(frame, time_s=time_s)
-        if not isinstance(settings, SeabedSettings) or not settings.moving:
+        if not isinstance(settings, RecordingSettings) or not settings.has_moving_objects:
             return Moment(frame, rendered, is_continuous=True)
         if time_s is None or frame.surroundings is None or frame.world_from_camera is None:
             raise FrameError(f"{frame.ref.name}: moving objects need its time and its pose")
-        bodies = bodies_at(self._cast_of(frame, settings), frame, time_s)
+        bodies = bodies_at(self._cast_of(frame, settings), frame, time_s - settings.start_s)
         name = settings.rendered_ref(frame.ref).name
         if self._static.name != name:
             self._static = StaticScene(name)
         return Moment(frame, rendered, bodies, is_continuous=True, static=self._static)
 
-    def _cast_of(self, frame: Frame, settings: SeabedSettings) -> tuple[Actor, ...]:
+    def _cast_of(self, frame: Frame, settings: RecordingSettings) -> tuple[Actor, ...]:
         name = frame.ref.location, frame.ref.scene
         if self._cast[0] != name:
             assert frame.surroundings is not None

@@ -67,6 +67,16 @@ class SceneSettings:
         """Whether the frames of a scene are pings of one device, one after another."""
         return False
 
+    @property
+    def start_s(self) -> float:
+        """The time of the first frames, from which objects move."""
+        return 0.0
+
+    @property
+    def has_moving_objects(self) -> bool:
+        """Whether objects move through its recordings."""
+        return False
+
     def own_classes(self) -> tuple[str, ...]:
         """Their classes, beside `labels.CLASSES` or among them."""
         return tuple(own_class.label for own_class in self.own())

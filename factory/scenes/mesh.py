@@ -1,5 +1,7 @@
 """The `mesh` reader: a whole world of the user's, along recorded poses or a drawn path.
 
+With `frame_rate_hz` (or poses) it gives recordings, through which objects may move.
+
 What a pixel meets is what a ray through its centre meets first, found by the z-buffer of the
 procedural scenes: exact, and a tenth of the time of tracing as many rays.
 """
@@ -10,6 +12,7 @@ import io
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass as plain_dataclass
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import cache, cached_property
 from pathlib import Path
@@ -21,20 +24,25 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError
-from ..frame import Frame, FrameRef, Intrinsics, checked
+from ..frame import Frame, FrameRef, Intrinsics, Surroundings, checked
 from ..labels import class_names
 from ..seeds import stream
 from ..settings import STRICT
 from .base import Discovery, OwnClass, Root, SceneSettings
 from .blend_files import photograph
 from .mesh_parts import READING, Part, Up, files_of, read_model, stands_like_a_wall
+from .moving import Moving, MovingObject, check_moving, check_paths
 from .poses import trajectory
+from .seabed import OwnObject, moving_by_key
 from .seabed.camera import Objects, Optics, Pose, ZBuffer, camera, centred, pose
 
 _LARGEST_M = 3000.0
 _KEY = "scenes.file"
 _GROUND_PX = 9  # side of the picture that looks for the ground below
 _CLEAR_M = 0.3
+_AROUND = 24  # heights of the ground around a recording's beginning, to each side
+_AROUND_STEP_M = 1.0
+_HIGH_M = 5000.0  # from so far above, all rays go down
 Span = tuple[float, float]
 Points = npt.NDArray[np.float64]
 
@@ -59,8 +67,11 @@ class MeshSettings(SceneSettings):
         camera to world in metres, z up, camera axes x right, y down, z forward; null: drawn paths.
     route: orbit (around a named part, or all) or transect (straight over the world).
     paths, views_per_path: how many paths, each a scene, and views of each, a second apart.
+    frame_rate_hz: makes a recording of each drawn path: its views are pings, so many a second.
+    moving_objects, own_objects: what moves through the recordings; see `moving.MovingObject` and
+        `seabed.OwnObject`, of which each needs `moving`.  They need frame_rate_hz, or poses.
     height_m: least and most above the ground right under the camera.  distance_m: of an orbit.
-    tilt_deg: how far a transect looks down.  speed_m_s: of the camera.
+    tilt_deg: how far a transect looks down.  speed_m_s: of the camera; 0 in a recording: at rest.
     width, height, hfov_deg, vfov_deg: of the camera; these, boxes, camera_altitude_m and
         camera_tilt_deg as of `scenes=seabed`; the latter are of drawn paths.
     """
@@ -77,7 +88,7 @@ class MeshSettings(SceneSettings):
     height_m: Span = (1.0, 2.0)
     distance_m: Span = (2.0, 4.0)
     tilt_deg: Span = (20.0, 35.0)
-    speed_m_s: Annotated[float, Field(gt=0)] = 0.5
+    speed_m_s: Annotated[float, Field(ge=0)] = 0.5
     width: Annotated[int, Field(ge=64, le=4096)] = 968
     height: Annotated[int, Field(ge=48, le=4096)] = 608
     hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
@@ -85,15 +96,67 @@ class MeshSettings(SceneSettings):
     boxes: bool = False
     camera_altitude_m: Annotated[float, Field(gt=0)] | None = None
     camera_tilt_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
+    moving_objects: tuple[MovingObject, ...] = ()
+    own_objects: tuple[OwnObject, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse half a sector."""
+        """Refuse half a sector, views that are all alike, and objects that cannot move."""
+        check_moving(self.moving)
         if (self.hfov_deg is None) != (self.vfov_deg is None):
             raise ValueError("give hfov_deg and vfov_deg, or neither")
+        if self.speed_m_s == 0 and self.frame_rate_hz is None:
+            raise ValueError("speed_m_s: 0 is of recordings; set frame_rate_hz, such as 10")
+        if self.poses is not None and self.frame_rate_hz is not None:
+            raise ValueError("frame_rate_hz: recorded poses have times of their own; leave it out")
+        if not all(own_object.moving for own_object in self.own_objects):
+            raise ValueError("own_objects need moving; put what lies still into scenes.file")
+        if self.moving and not self.is_recording:
+            raise ValueError("moving objects need recordings; set frame_rate_hz, such as 10")
 
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
-        return self.classes
+        return (*self.classes, *self.own_objects, *self.moving_objects)
+
+    @property
+    def moving(self) -> dict[str, Moving]:
+        """How each of the moving objects moves, by its configuration key."""
+        return moving_by_key(self.moving_objects, self.own_objects)
+
+    @property
+    def has_moving_objects(self) -> bool:
+        """See `SceneSettings`."""
+        return bool(self.moving)
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether the frames of a path are one recording."""
+        return self.frame_rate_hz is not None or self.poses is not None
+
+    @property
+    def is_continuous(self) -> bool:
+        """See `SceneSettings`."""
+        return self.frame_rate_hz is not None or self.has_moving_objects
+
+    def rendered_ref(self, ref: FrameRef) -> FrameRef:
+        """See `SceneSettings`: a sonar at rest sees the same static scene in all frames."""
+        return replace(ref, frame="0000") if self.speed_m_s == 0 else ref
+
+    def time_s(self, ref: FrameRef) -> float:
+        """See `SceneSettings`."""
+        view = int(ref.frame)
+        if self.poses is not None:
+            return float(self._pose_times_s()[view])
+        return view / (self.frame_rate_hz or 1.0)
+
+    @property
+    def start_s(self) -> float:
+        """See `SceneSettings`."""
+        return 0.0 if self.poses is None else float(self._pose_times_s()[0])
+
+    def _pose_times_s(self) -> Points:
+        assert self.poses is not None
+        return trajectory(Path(self.poses).expanduser())[0]
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -118,6 +181,7 @@ class MeshReader:
         self._settings = settings
         self._path = Path(settings.file).expanduser()
         self._course = cache(self._drawn)
+        self._around = cache(self._surroundings)
 
     def discover(self) -> Discovery:
         """List the frames: scene `orbit-0003` is the path number 3, frame `0007` its view 7."""
@@ -131,6 +195,12 @@ class MeshReader:
             scenes = ["poses"]
             views = len(trajectory(recorded)[0])
             paths += (str(recorded),)
+        # What is wrong with a mesh or a path shows before a worker starts.
+        paths += check_paths(settings.moving)
+        for number, own_object in enumerate(settings.own_objects):
+            own_mesh = own_object.read(f"scenes.own_objects.{number}")
+            paths += own_mesh.files
+            notes += own_mesh.notes
         places = itertools.product(scenes, range(views))
         refs = (FrameRef(self._path.stem, scene, f"{view:04d}", paths) for scene, view in places)
         return Discovery(tuple(refs), notes=notes)
@@ -140,15 +210,7 @@ class MeshReader:
         settings = self._settings
         world = self._world
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
-        view = int(ref.frame)
-        if settings.poses is not None:
-            times, poses = trajectory(Path(settings.poses).expanduser())
-            time_s = float(times[view])
-            eye = poses[view][:3, 3] - world.origin_m
-            viewpoint = Pose(eye, np.ascontiguousarray(poses[view][:3, :3]))
-        else:
-            time_s = float(view)
-            viewpoint = self._course(int(ref.scene[-4:]))(settings.speed_m_s * view)
+        viewpoint = self._viewpoint(ref.scene, ref.frame)
         z_buffer = ZBuffer(viewpoint, optics, world.objects)
         segmentation, instance = z_buffer.shown
         frame = Frame(
@@ -159,11 +221,40 @@ class MeshReader:
             world_from_camera=viewpoint.matrix,
             segmentation=segmentation,
             instance=instance,
-            time_s=time_s,
+            time_s=settings.time_s(ref),
             altitude_m=self._below(viewpoint.eye),
             boxes=z_buffer.boxes(instance) if settings.boxes else None,
+            surroundings=self._around(ref.scene) if settings.is_recording else None,
         )
         return checked(frame)
+
+    def _viewpoint(self, scene: str, frame: str) -> Pose:
+        settings = self._settings
+        view = int(frame)
+        if settings.poses is not None:
+            matrix = trajectory(Path(settings.poses).expanduser())[1][view]
+            eye = matrix[:3, 3] - self._world.origin_m
+            return Pose(eye, np.ascontiguousarray(matrix[:3, :3]))
+        time_s = view / (settings.frame_rate_hz or 1.0)
+        return self._course(int(scene[-4:]))(settings.speed_m_s * time_s)
+
+    def _surroundings(self, scene: str) -> Surroundings:
+        """Where a recording begins, and the height of the highest things around.
+
+        Where there is nothing, the world's lowest point is the ground.
+        """
+        start = self._viewpoint(scene, "0000")
+        objects = self._world.objects
+        heights_m = objects.mesh.vertices[:, 2]
+        eye = np.array([*start.eye[:2], float(heights_m.max()) + _HIGH_M])
+        size = 2 * _AROUND + 1
+        down = pose(eye, 0, 90, 0)
+        inverse = ZBuffer(down, centred(_HIGH_M / _AROUND_STEP_M, size, size), objects).inverse
+        with np.errstate(divide="ignore"):
+            ground_m = np.where(inverse > 0, eye[2] - 1 / inverse, heights_m.min())
+        # Rows of the image go against the world's x, columns against its y.
+        along = np.ascontiguousarray(ground_m[::-1, ::-1].T, np.float32)
+        return Surroundings(start.matrix, along, _AROUND_STEP_M)
 
     @cached_property
     def _world(self) -> World:

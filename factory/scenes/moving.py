@@ -179,6 +179,16 @@ def _check_waypoints(route: Waypoints, path: Path, line_numbers: list[int]) -> N
         )
 
 
+def check_paths(moving: Mapping[str, Moving]) -> tuple[str, ...]:
+    """The path files of the moving objects.  Raises FactoryError for one that is damaged."""
+    files = []
+    for key, item in moving.items():
+        if item.path is not None:
+            waypoints(Path(item.path).expanduser(), f"{key}.moving.path")
+            files.append(item.path)
+    return tuple(files)
+
+
 def check_moving(moving: Mapping[str, Moving]) -> None:
     """Raise ValueError where a number of a track is given twice."""
     taken: dict[int, str] = {}

@@ -19,7 +19,7 @@ from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
 from ..base import Discovery, OwnClass, Root, SceneSettings
-from ..moving import Moving, MovingObject, check_moving, waypoints
+from ..moving import Moving, MovingObject, check_moving, check_paths
 from .camera import Stance, movements
 from .camera import camera as optics_of
 from .terrain import PLACE_NAMES, PlaceName
@@ -81,6 +81,19 @@ class OwnObject(OwnClass):
         return OwnMesh(whole, files_of(path, f"{key}.file"), model.notes)
 
 
+def moving_by_key(
+    moving_objects: tuple[MovingObject, ...], own_objects: tuple[OwnObject, ...]
+) -> dict[str, Moving]:
+    """How each of the moving objects moves, by its configuration key."""
+    by_key = {
+        f"scenes.moving_objects.{number}": item.moving for number, item in enumerate(moving_objects)
+    }
+    for number, own in enumerate(own_objects):
+        if own.moving is not None:
+            by_key[f"scenes.own_objects.{number}"] = own.moving
+    return by_key
+
+
 class OwnMesh(NamedTuple):
     """The mesh of an own object, centred on the origin.
 
@@ -139,14 +152,12 @@ class SeabedSettings(SceneSettings):
     @property
     def moving(self) -> dict[str, Moving]:
         """How each of the moving objects moves, by its configuration key."""
-        moving_by_key = {
-            f"scenes.moving_objects.{number}": item.moving
-            for number, item in enumerate(self.moving_objects)
-        }
-        for number, own in enumerate(self.own_objects):
-            if own.moving is not None:
-                moving_by_key[f"scenes.own_objects.{number}"] = own.moving
-        return moving_by_key
+        return moving_by_key(self.moving_objects, self.own_objects)
+
+    @property
+    def has_moving_objects(self) -> bool:
+        """See `SceneSettings`."""
+        return bool(self.moving)
 
     @property
     def is_recording(self) -> bool:
@@ -212,9 +223,7 @@ class SeabedReader:
 
     def _check_moving(self, lines: tuple[dict[str, float], ...] | None) -> None:
         settings = self._settings
-        for key, moving in settings.moving.items():
-            if moving.path is not None:
-                waypoints(Path(moving.path).expanduser(), f"{key}.moving.path")
+        check_paths(settings.moving)
         is_timed = settings.frame_rate_hz is not None
         is_timed = is_timed or all("time_s" in line for line in lines or ())
         if settings.moving and not is_timed:
