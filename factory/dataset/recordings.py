@@ -142,6 +142,11 @@ class Recordings:
 
     def _read(self, name: str, rows: list[_Row]) -> FrameSequence:
         images = self._pairs[[row.sample for row in rows]]
+        if missing := set(CORE[:2]).difference(images):
+            raise FactoryError(
+                f"layers: recordings need {' and '.join(sorted(missing))}, too; open the dataset "
+                "with layers=('noisy', 'clean')"
+            )
         others = {key: stack for key, stack in images.items() if key not in (*CORE[:2], STATIC)}
         return FrameSequence(
             recording=name,

@@ -155,6 +155,8 @@ _MOST_PARTS = 32
 _SMALL_STEP = np.float32(0.02)
 _LARGE_STEP = np.float32(0.1)
 _SLOPE_CHANGE = np.float32(3)
+# Of the power density from one row to the next.
+_MOST_CHANGE = np.float32(3)
 
 
 @compiled()
@@ -162,6 +164,22 @@ def _bounded(value: Any, most: Any) -> Any:
     """A whole number from 0 to `most`; NaN is 0."""
     value = value if value > _ZERO else _ZERO
     return np.int32(value if value < most else most)
+
+
+@compiled()
+def _ground_step_m(step_m: Any, neighbour_m: Any) -> Any:
+    """The size of a neighbouring step in depth, where it continues the step; else of the step."""
+    continues = step_m * neighbour_m > _ZERO
+    size_m = abs(step_m)
+    neighbour_size_m = abs(neighbour_m)
+    alike = neighbour_size_m < _SLOPE_CHANGE * size_m and size_m < _SLOPE_CHANGE * neighbour_size_m
+    return neighbour_size_m if continues and alike else size_m
+
+
+@compiled()
+def _share_before(part: Any, tilt: Any) -> Any:
+    """Share of a pixel's power in its first part, 0 to 1; its density is 1 + tilt (2 part - 1)."""
+    return part * (_ONE + tilt * (part - _ONE))
 
 
 @compiled()
@@ -228,7 +246,8 @@ def place_scatterers(
 
     A pixel covers the ranges from its own to that of the pixel below it, where both are one
     surface.  `power` gets its echo in exact parts.  A scatterer lies anywhere in between, one for
-    each range bin that it covers: at grazing incidence there are fewer pixels than bins.
+    each range bin that it covers: at grazing incidence there are fewer pixels than bins.  There
+    its power density changes evenly from row to row, or the rows would show as stripes.
     Beams of a line of elements are cones: sin(bearing) = sin(azimuth) cos(elevation).
 
     camera, grid: see above.  radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0;
@@ -272,6 +291,7 @@ def place_scatterers(
             continue
         bearings, sines, starts, values = row_columns[row & 1]
         below = row_columns[(row + 1) & 1, 2]
+        value_below = row_columns[(row + 1) & 1, 3]
         for column in range(width):
             value = values[column]
             bearing = bearings[column]
@@ -330,10 +350,19 @@ def place_scatterers(
                 part_of[count] = chance if end != start else _ZERO
                 count += 1
                 continue
-            share = value / max(span, _TINY)
+            # At the next row the density is that one's power over its own step.
+            ratio = value_below[column] / values[column]
+            ratio *= (_ground_step_m(step_m, first_m) + size_m) / max(
+                _ground_step_m(step_m, next_m) + size_m, _TINY
+            )
+            ratio = min(max(ratio, _ONE / _MOST_CHANGE), _MOST_CHANGE)
+            tilt = (ratio - _ONE) / (ratio + _ONE) if value_below[column] > _ZERO else _ZERO
+            per_row = _ONE / (end - start) if end != start else _ZERO
             for bin_row in range(int(max(near, _ZERO)), min(int(far), rows - 1) + 1):
-                inside = min(far, np.float32(bin_row + 1)) - max(near, np.float32(bin_row))
-                power[bin_row * beams + beam] += share * inside
+                first_part = (max(near, np.float32(bin_row)) - start) * per_row
+                last_part = (min(far, np.float32(bin_row + 1)) - start) * per_row
+                inside = _share_before(last_part, tilt) - _share_before(first_part, tilt)
+                power[bin_row * beams + beam] += value * abs(inside)
                 owner[bin_row * beams + beam] = pixel
                 in_beam[bin_row * beams + beam] |= central
             many = max(min(int(np.ceil(span)), _MOST_PARTS), 1)
@@ -344,7 +373,10 @@ def place_scatterers(
                 bin_row = int(np.floor(start + part * (end - start)))
                 if 0 <= bin_row < rows:
                     bin_of[count] = bin_row * beams + beam
-                    power_of[count] = value / np.float32(many)
+                    first_part = np.float32(number) / np.float32(many)
+                    last_part = np.float32(number + 1) / np.float32(many)
+                    share = _share_before(last_part, tilt) - _share_before(first_part, tilt)
+                    power_of[count] = value * share
                     pixel_of[count] = pixel
                     part_of[count] = part if end != start else _ZERO
                     count += 1

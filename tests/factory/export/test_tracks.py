@@ -79,6 +79,11 @@ def test_a_sequence_has_its_frames_in_order(swims):
         assert set(sequence.truth) == {"shadow"}
         with pytest.raises(FactoryError, match="sea/four"):
             pairs.sequence("sea/four")
+    with (
+        PairDataset(swims, "all", layers=("noisy",)) as pairs,
+        pytest.raises(FactoryError, match="clean"),
+    ):
+        pairs.sequence("sea/one")
 
 
 def test_windows_stay_in_a_recording_and_cross_no_gap(swims):

@@ -31,6 +31,7 @@ from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.surface import LitSurface, mount_weight
 from simnfnd.factory.sonar.window import Window
 from tests.constant_field import coherent, config, constant_field, observed, ping_of
+from tests.factory.moving import stage
 from tests.project_files import ROOT
 
 SEA = {100: 0.0336, 375: 0.0898, 720: 0.2086, 750: 0.2223, 900: 0.2994, 1200: 0.4953,
@@ -457,3 +458,13 @@ def test_beam_tables_are_those_of_recordings() -> None:
     assert spacing.min() < 0.25 < 0.34 < spacing.max()  # the lens spreads them in the middle
     oculus = composed("sonar=oculus_m1200d_hf").sonar.beam_centres_rad()
     np.testing.assert_allclose(np.diff(np.sin(oculus)), 1 / 511, atol=2.5e-4)
+
+
+def test_rows_of_the_camera_leave_no_stripes_on_far_ground() -> None:
+    # From 6.4 to 7.8 m a row of the camera covers three range bins or more.
+    levels_db = [
+        decibels(ping_of(observe(*stage.plane(pitch_deg=6, rows=rows), stage.settings())).expected)
+        for rows in (400, 1600)
+    ]
+    residual_db = (levels_db[0] - levels_db[1])[220:290, 20:76]
+    assert abs(np.diff(residual_db, axis=0)).mean() < 0.02

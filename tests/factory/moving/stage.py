@@ -43,14 +43,17 @@ def settings(**keys: Any) -> FactoryConfig:
 
 
 def plane(
-    time_s: float = 0.0, height_m: float = 1.5, pitch_deg: float = 0.0
+    time_s: float = 0.0, height_m: float = 1.5, pitch_deg: float = 0.0, rows: int = 400
 ) -> tuple[Frame, Rendered]:
-    """A level ground under a camera that looks along the world's x and down, and its render."""
+    """A level ground under a camera that looks along the world's x and down, and its render.
+
+    rows: of the camera, which sees as much with more of them.
+    """
     width = 480
-    height = 400
+    height = rows
     focal = 480.0
-    camera = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
-    below = ((np.arange(height) - camera.cy) / focal)[:, None] + np.zeros(width)
+    camera = Intrinsics(focal, focal * rows / 400, (width - 1) / 2, (height - 1) / 2)
+    below = ((np.arange(height) - camera.cy) / camera.fy)[:, None] + np.zeros(width)
     down = below * np.cos(np.deg2rad(pitch_deg)) + np.sin(np.deg2rad(pitch_deg))
     across = ((np.arange(width) - camera.cx) / focal)[None]
     with np.errstate(divide="ignore"):
