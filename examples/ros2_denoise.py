@@ -59,7 +59,7 @@ def main():
         import rclpy
         from rclpy.qos import QoSProfile, ReliabilityPolicy
     except ModuleNotFoundError as error:
-        parser.error(f"{error}; source ROS 2 first (source /opt/ros/DISTRO/setup.bash)")
+        parser.error(f"{error}; source the setup.bash of ROS 2 first")
 
     if options.sonar:
         from marine_acoustic_msgs.msg import ProjectedSonarImage as Message

@@ -50,6 +50,7 @@ _LATER: dict[str, Any] = {
     "sonar.transfer.full_scale_db": None,
     "dataset.columns": [],
     "acoustics.standing": 0.0,
+    "sonar.array.beam_groups": 1,
     "acoustics.lambert_exponents": {},
 }
 # Keys that went, each with the value that all datasets have now.

@@ -308,6 +308,11 @@ _RULES = (
         "set noise.speckle.enabled=true",
     ),
     Rule(
+        ("sonar.array.beam_groups",),
+        lambda config: config.scenes.has_moving_objects,
+        "nothing moves within a ping: give scenes.moving_objects, or leave it out",
+    ),
+    Rule(
         ("noise.drifting_volume.correlation_s", "noise.drifting_volume.drift_m_s"),
         _is_timed,
         "frames have no time: set scenes.frame_rate_hz",

@@ -10,9 +10,9 @@ pointwise as in the paper, or coherent) and the same transfer curve.  Only the n
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from .render.base import Rendered
 
 Scene = PointwiseScene | CoherentScene
+ImageType = TypeVar("ImageType", bound=np.generic)
 
 _DRAWS = 40
 """Maximum attempts to draw a device that sees part of the frame."""
@@ -69,6 +70,7 @@ class ObservedFrame:
     shadow: (H, W) bool image.  layers: (H, W) images of the surface behind each pixel, by the names
     of `dataset.layers`.  columns: the columns that `dataset.columns` requests.
     continuous: whether the frames of its recording share the parameters of the noise.
+    later_groups: what the second and further groups of beams observe; see `ArraySettings`.
     """
 
     ref: FrameRef
@@ -79,6 +81,7 @@ class ObservedFrame:
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float | str]
     continuous: bool = False
+    later_groups: tuple[Scene, ...] = ()
 
 
 class PairMaker:
@@ -195,10 +198,14 @@ def observe_moment(
         window = conical(window, sonar)
     lit = _lit_surface(moment.frame, moment.rendered, window, config)
     scene = _scene_of(lit, config)
+    later_groups: tuple[Scene, ...] = ()
+    if moment.bodies or moment.cast:
+        static = _held_static_scene(moment, scene, window, config)
+        scene = static
+        later_groups = _observe_later_groups(moment, static, window, config)
     if moment.bodies:
-        scene = _held_static_scene(moment, scene, window, config)
         lit = _with_bodies(moment, window, config)
-        scene = _scene_of(lit, config, scene)
+        scene = _scene_of(lit, config, static)
 
     share = insonified_share(scene.filled, window, sonar)
     check_share(moment.frame.ref, share, config.frames.min_insonified)
@@ -216,7 +223,36 @@ def observe_moment(
         layers=layers,
         columns=requested_row(lit, config),
         continuous=moment.is_continuous,
+        later_groups=later_groups,
     )
+
+
+def _observe_later_groups(
+    moment: Moment, static: Scene, window: Window, config: FactoryConfig
+) -> tuple[Scene, ...]:
+    """The scene of each group of beams after the first; none where all beams ping at once."""
+    groups = config.sonar.array.beam_groups
+    if groups == 1 or not _has_conical_beams(config):
+        return ()
+    wait_s = 2 * window.range_max_m / config.water.sound_speed_m_s()
+    scenes: list[Scene] = []
+    for number in range(1, groups):
+        later = moment.later(number * wait_s)
+        if later.bodies:
+            scenes.append(_scene_of(_with_bodies(later, window, config), config, static))
+        else:
+            scenes.append(static)
+    return tuple(scenes)
+
+
+def _by_beam_group(images: Sequence[npt.NDArray[ImageType]]) -> npt.NDArray[ImageType]:
+    """(range_bins, beams) the beams of each group, taken from its own image."""
+    if len(images) == 1:
+        return images[0]
+    merged = images[0].copy()
+    for number, image in enumerate(images):
+        merged[:, number :: len(images)] = image[:, number :: len(images)]
+    return merged
 
 
 def _has_conical_beams(config: FactoryConfig) -> bool:
@@ -338,15 +374,18 @@ def make_pair(
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names, continuous=observed.continuous)
     sample = observed.scene.sample(variant, draws.effects)
+    samples = [sample, *(scene.sample(variant, draws.effects) for scene in observed.later_groups)]
     lay = _Layout(observed.window, config, is_drawn=device is not None)
 
     layers = dict(observed.layers)
-    measured = sample.measured(draws.names, config.dataset.layers)
-    for name, values in measured.items():
+    measured = [beam_sample.measured(draws.names, config.dataset.layers) for beam_sample in samples]
+    for name in measured[0]:
+        values = _by_beam_group([levels[name] for levels in measured])
         layers[name] = lay_out_nearest(values, observed.window, config.sonar)
     if "effects" in config.dataset.layers:
         for name in draws.names:
-            layers[f"layers/{name}"] = lay.image(sample.noisy({name}), is_noisy=True)
+            shown = _by_beam_group([beam_sample.noisy({name}) for beam_sample in samples])
+            layers[f"layers/{name}"] = lay.image(shown, is_noisy=True)
 
     if "static" in config.dataset.layers:
         static = observed.scene.static or observed.scene
@@ -359,9 +398,11 @@ def make_pair(
     if device is not None:
         row |= device.row()
     row |= observed.columns
+    noisy = _by_beam_group([beam_sample.noisy(draws.names) for beam_sample in samples])
+    clean = _by_beam_group([beam_sample.clean for beam_sample in samples])
     return Pair(
-        noisy=lay.image(sample.noisy(draws.names), is_noisy=True),
-        clean=lay.image(sample.clean, is_noisy=False),
+        noisy=lay.image(noisy, is_noisy=True),
+        clean=lay.image(clean, is_noisy=False),
         shadow=observed.shadow,
         record=row,
         layers=layers,

@@ -21,8 +21,8 @@ class Moment:
     """A frame of a scene, rendered without its moving objects.
 
     bodies: those that are there.  is_continuous: whether the frames of its scene are pings of one
-    device, one after another.  static: what knows the static scene of an earlier
-    frame.
+    device, one after another.  static: what knows the static scene of an earlier frame.
+    cast: all moving objects of the recording.  course_s: the time on their courses.
     """
 
     frame: Frame
@@ -30,6 +30,13 @@ class Moment:
     bodies: Sequence[PosedBody] = ()
     is_continuous: bool = False
     static: StaticScene | None = None
+    cast: Sequence[Actor] = ()
+    course_s: float = 0.0
+
+    def later(self, delay_s: float) -> Moment:
+        """The same within one ping: objects have moved on, the sonar has not."""
+        course_s = self.course_s + delay_s
+        return replace(self, bodies=bodies_at(self.cast, self.frame, course_s), course_s=course_s)
 
 
 class StaticScene:
@@ -74,11 +81,21 @@ class Recordings:
             return Moment(frame, rendered, is_continuous=True)
         if time_s is None or frame.surroundings is None or frame.world_from_camera is None:
             raise FrameError(f"{frame.ref.name}: moving objects need its time and its pose")
-        bodies = bodies_at(self._cast_of(frame, settings), frame, time_s - settings.start_s)
+        cast = self._cast_of(frame, settings)
+        course_s = time_s - settings.start_s
+        bodies = bodies_at(cast, frame, course_s)
         name = settings.rendered_ref(frame.ref).name
         if self._static.name != name:
             self._static = StaticScene(name)
-        return Moment(frame, rendered, bodies, is_continuous=True, static=self._static)
+        return Moment(
+            frame,
+            rendered,
+            bodies,
+            is_continuous=True,
+            static=self._static,
+            cast=cast,
+            course_s=course_s,
+        )
 
     def _cast_of(self, frame: Frame, settings: RecordingSettings) -> tuple[Actor, ...]:
         name = frame.ref.location, frame.ref.scene

@@ -53,6 +53,9 @@ class ArraySettings:
         sonar.vfov_deg.
     source_level_db: dB re 1 uPa at 1 m; decides how far echoes stand above the receiver's noise.
     horizontal, vertical: shading of the array.  pulse: shading of the spectrum.
+    beam_groups: how many groups of beams take turns within a ping, so that neighbours do not hear
+        each other: beam b belongs to group b modulo their number.  Each waits for the farthest echo
+        of the one before.  Moving objects alone are seen at these times.
     """
 
     bandwidth_khz: Annotated[float, Field(gt=0)] = 60.0
@@ -61,6 +64,7 @@ class ArraySettings:
     horizontal: Taper = field(default_factory=Taper)
     vertical: Taper = field(default_factory=lambda: Taper(window="uniform"))
     pulse: Taper = field(default_factory=Taper)
+    beam_groups: Annotated[int, Field(ge=1, le=32)] = 1
 
 
 @lru_cache(maxsize=32)

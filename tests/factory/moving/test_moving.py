@@ -278,3 +278,33 @@ def test_a_path_is_followed_from_the_sonars_first_place(tmp_path: Path):
     ahead = placement.world_from_own[:, 0]
     np.testing.assert_allclose(ahead, [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-9)
     assert actor.course.at(2.1) is None
+
+
+def test_groups_of_beams_see_an_object_one_after_another():
+    fast = ball(Line((4.0, 0.0, 0.0), (20.0, 0.0, 0.0)), 0.1)
+    actors = [fast]
+    array = {"beam_groups": 2, "beamwidth_deg": 0.3}
+    together, in_turns = (
+        settings(acoustics=SILENT_GROUND, sonar={"array": beams})
+        for beams in ({"beamwidth_deg": 0.3}, array)
+    )
+    now = replace(moment(actors), cast=actors)
+    # 8 m and back: the second group hears the ball 0.2 m farther away.
+    wait_s = 16 / in_turns.water.sound_speed_m_s()
+    first, second, turns = (
+        make_pair(observe_moment(at, config), 0, config).clean
+        for at, config in (
+            (now, together), (now.later(wait_s), together), (now, in_turns),
+        )
+    )  # fmt: skip
+    np.testing.assert_array_equal(turns[:, ::2], first[:, ::2])
+    np.testing.assert_array_equal(turns[:, 1::2], second[:, 1::2])
+    rows = []
+    for at in (now, now.later(wait_s)):
+        ping = observe_moment(at, together).scene
+        assert isinstance(ping, CoherentScene)
+        rows.append(int(np.argmax(ping.expected[:, 46:50].max(axis=1))))
+    row_now, row_then = rows
+    assert row_then - row_now == pytest.approx(20 * wait_s * 50, abs=1.5)
+    plain = make_pair(observe_moment(replace(now, cast=()), together), 0, together)
+    np.testing.assert_array_equal(plain.clean, first)
