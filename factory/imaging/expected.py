@@ -122,7 +122,7 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     # What texture does to the level goes by the variance that it brings.
     part = np.minimum(state.textured / total, unit)
     shifts_db = _texture_shifts_db(state.shape, power)
-    level_db += between(shifts_db, part * part * np.float32(_SHIFTS - 1))
+    level_db += interpolate_table(shifts_db, part * part * np.float32(_SHIFTS - 1))
     low_db, table = _table(settings)
     level = (level_db - np.float32(low_db)) * np.float32(_STEPS_PER_DB)
     fixed = np.minimum(state.steady / total, unit)
@@ -132,11 +132,15 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     row = np.minimum(variance.astype(np.intp), _VARIANCES - 2)
     levels = table.shape[1]
     place = np.clip(level, np.float32(0), np.float32(levels - 1.001))
-    calm, lively = (between(table.ravel(), place, (row + more) * levels) for more in (0, 1))
+    calm, lively = (
+        interpolate_table(table.ravel(), place, (row + more) * levels) for more in (0, 1)
+    )
     return np.asarray(calm + (variance - row.astype(np.float32)) * (lively - calm), np.float32)
 
 
-def between(table: Floats, place: Floats, first: npt.NDArray[np.intp] | int = 0) -> Floats:
+def interpolate_table(
+    table: Floats, place: Floats, first: npt.NDArray[np.intp] | int = 0
+) -> Floats:
     """Values of a table at fractional places, linear in between; first: where it begins."""
     step = np.minimum(place.astype(np.intp), len(table) - 2)
     low = np.take(table, first + step)

@@ -96,7 +96,7 @@ def multipath(
     points = round(density * len(scene)) if clusters else 0
     cells = np.zeros(_CELLS)
     if points:
-        counts = polar.density(scene, window, *_CELLS).astype(np.float64)
+        counts = polar.count_echoes(scene, window, *_CELLS).astype(np.float64)
         cells = counts / max(counts.max(), 1.0)
     if not cells.any():
         return in_plane(*np.empty((3, 0), np.float32))

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 from ..distribution import AnyNumber, NonNegative, Positive
 from ..errors import FrameError
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
-from ..imaging.expected import Expected, between
+from ..imaging.expected import Expected, interpolate_table
 from ..imaging.moving import static_index
 from ..imaging.scatterers import beam_table, camera_of
 from ..imaging.signal import (
@@ -67,22 +67,32 @@ def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: 
     Rayleigh, intensity exponential (Goodman, Speckle Phenomena in Optics, ch. 3); the average of L
     looks is gamma-distributed, L its shape.  Without poses every frame has a field of its own.
     """
+    return _scatter_cells(ping, rng, looks, scatterer_m)
+
+
+def _scatter_cells(ping: Ping, rng: Rng, looks: float, scatterer_m: float) -> Signal:
+    """Return the field of all scatterers, those of one cell with the cell's coefficient."""
     scene = ping.scatterers
-    resolution_m = min(ping.bin_m, ping.resolution_m)
-    cells, shares = scene.world_cells(scatterer_m or _CELL_OF_RESOLUTION * resolution_m)
+    # A cell that reaches over several bins or resolution lengths would lose power.
+    finest_m = min(ping.bin_m, ping.resolution_m)
+    cells, amplitude_factors = scene.world_cells(scatterer_m or _CELL_OF_RESOLUTION * finest_m)
     no_phases = np.empty(0, np.uint16)
-    echoes = PointEchoes(scene.bins, np.sqrt(scene.powers), cells, shares, no_phases)
+    amplitudes = np.sqrt(scene.powers)
+    echoes = PointEchoes(scene.bins, amplitudes, cells, amplitude_factors, no_phases)
     return scattered(ping, rng, looks, echoes)
 
 
 def expect_speckle(
     state: Expected, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float
 ) -> None:
-    """Speckle varies from ping to ping, except for its static part.
+    """Split the expected power into speckle that averages out and speckle that does not.
 
-    A field that keeps the part p of its power from ping to ping is sqrt(p) f + sqrt(1 - p) g, f the
-    same in all pings and g new in each.  This ping shows that sum, so f is, with another g,
-    sqrt(p) (the sum) + sqrt(1 - p) g.
+    The part p of the power (`standing`) is the same speckle in every ping: it stays in `steady` and
+    keeps its grain.  The rest moves to `echo`, whose speckle is new in each ping and averages out.
+
+    The field of a ping is sqrt(p) f + sqrt(1 - p) g, f the same in all pings and g new in each.
+    This image shows such a sum, so f given the image is sqrt(p) (the sum) + sqrt(1 - p) g with
+    another g.
     """
     static_part = state.standing
     state.echo += (1 - static_part) * state.steady
@@ -91,17 +101,23 @@ def expect_speckle(
     if static_part == 0:
         return
 
-    no_signal = Signal(state.steady, state.steady)
-    # The first field has the stream of the effect, and so it is the one that the image shows.
-    shown = speckle(no_signal, ping, rng, looks=looks, scatterer_m=scatterer_m).field
-    renewed = speckle(no_signal, ping, rng, looks=looks, scatterer_m=scatterer_m).field
+    # The first draw from the effect's random stream is the field that the image shows.
+    shown = _scatter_cells(ping, rng, looks, scatterer_m).field
+    renewed = _scatter_cells(ping, rng, looks, scatterer_m).field
     static_field = np.float32(np.sqrt(static_part)) * shown
     static_field += np.float32(np.sqrt(1 - static_part)) * renewed
     intensity = (beamform(static_field, ping) ** 2).sum(axis=1).mean(axis=0)
     state.steady[:] = static_part * intensity
 
 
-SPECKLE = Effect(SpeckleSettings, speckle, "echo", "speckle", "world", expected=expect_speckle)
+SPECKLE = Effect(
+    SpeckleSettings,
+    speckle,
+    stage="echo",
+    artefact="speckle",
+    scope="world",
+    expected=expect_speckle,
+)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -140,7 +156,7 @@ def path_speckle(
     (Goodman, ch. 5).  Needs frames with poses, and a range window that stays the same
     (sonar.range.auto=false).  Raises FrameError when there are too many cells.
     """
-    cell_m = scatterer_m or edge_m(ping)
+    cell_m = scatterer_m or default_cell_m(ping)
     static_points = _place_static_points(ping, cell_m)
     points = _join([static_points, *_place_moving_points(ping, cell_m)])
 
@@ -190,13 +206,16 @@ def _join(parts: list[CellPoints]) -> CellPoints:
 
 
 def _place_moving_points(ping: Ping, cell_m: float) -> list[CellPoints]:
-    """Return the cells of each moving object as one point each."""
-    parts = []
-    for scatterers in ping.scatterers.moving:
-        moving = scatterers.points(ping.scatterers.powers[scatterers.index], cell_m)
-        sonar_m = _in_sonar_axes(ping, moving.camera_m)
-        parts.append(CellPoints(moving.names, moving.powers, sonar_m))
-    return parts
+    """Return for each moving object the cells of its own axes as one point each.
+
+    The points move, turn and bend with the object; see `MovingScatterers`.
+    """
+    points_by_object = []
+    for moving in ping.scatterers.moving:
+        points = moving.points(ping.scatterers.powers[moving.index], cell_m)
+        sonar_m = _in_sonar_axes(ping, points.camera_m)
+        points_by_object.append(CellPoints(points.names, points.powers, sonar_m))
+    return points_by_object
 
 
 def _place_static_points(ping: Ping, cell_m: float) -> CellPoints:
@@ -209,15 +228,15 @@ def _place_static_points(ping: Ping, cell_m: float) -> CellPoints:
     scene = ping.scatterers
     world_from_camera = np.ascontiguousarray(scene.world_from_camera[:3])
     static = static_index(scene.moving, len(scene.pixels))
-    scatterers = (
+    gather_arguments = (
         (scene.pixels[static], scene.parts[static]),
         scene.powers[static],
         camera_of(scene.frame),
         world_from_camera,
         cell_m,
     )
-    # Without a table the loop only counts.
-    point_count = kernels.gather(*scatterers, _cell_table(0))
+    # With a table of no slots the loop only counts.
+    point_count = kernels.gather(*gather_arguments, _cell_table(0))
     if point_count > _MOST_POINTS:
         raise FrameError(
             f"{scene.frame.ref.name}: {point_count} points for cells of {1000 * cell_m:.2g} mm; "
@@ -225,7 +244,7 @@ def _place_static_points(ping: Ping, cell_m: float) -> CellPoints:
         )
     slots = 1 << int(point_count).bit_length()
     table = _cell_table(slots)
-    kernels.gather(*scatterers, table)
+    kernels.gather(*gather_arguments, table)
 
     names, all_powers, corners = table
     has_echo = np.flatnonzero(all_powers > 0)
@@ -265,15 +284,21 @@ def _in_sonar_axes(ping: Ping, camera_m: Doubles) -> Doubles:
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in sonar_from_camera])
 
 
-def edge_m(ping: Ping) -> float:
+def default_cell_m(ping: Ping) -> float:
     """Return the edge of a cell that suits the device's resolution, a power of two, metres."""
+    # A cell is one point in one bin here and loses no power: the coarser of both lengths will do.
     length_m = max(ping.bin_m, ping.resolution_m)
     width_m = _CELL_WIDE_FROM * ping.window.range_max_m * array.beam_width_sine(ping.sonar.array)
     return float(2.0 ** np.floor(np.log2(min(length_m, width_m))))
 
 
 PATH_SPECKLE = Effect(
-    PathSpeckleSettings, path_speckle, "echo", "speckle", "world", expected=expect_speckle
+    PathSpeckleSettings,
+    path_speckle,
+    stage="echo",
+    artefact="speckle",
+    scope="world",
+    expected=expect_speckle,
 )
 
 
@@ -317,7 +342,7 @@ def expect_volume(state: Expected, ping: Ping, rng: Rng, *, strength_db: float) 
     state.echo += along[:, None] * across
 
 
-VOLUME = Effect(VolumeSettings, volume, "echo", "haze", systematic=expect_volume)
+VOLUME = Effect(VolumeSettings, volume, stage="echo", artefact="haze", systematic=expect_volume)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -358,7 +383,7 @@ def gamma_of_normal(normal: Floats, shape: float) -> Floats:
     steps_per_sigma = np.float32((_QUANTILE_COUNT - 1) / (2 * _QUANTILE_REACH))
     reach = np.float32(_QUANTILE_REACH)
     position = (np.clip(normal, -reach, reach) + reach) * steps_per_sigma
-    return between(_quantiles(shape), position)
+    return interpolate_table(_quantiles(shape), position)
 
 
 @lru_cache(maxsize=64)
@@ -371,7 +396,10 @@ def _quantiles(shape: float) -> Floats:
 
 
 def expect_texture(state: Expected, ping: Ping, rng: Rng, *, shape: float, patch_m: float) -> None:
-    """Mark the expected intensity of bins that a surface fills as textured."""
+    """Record the texture's shape and the expected intensity that it varies.
+
+    Its patches average out, so they change no expected intensity here.
+    """
     state.shape = shape
     total = (state.echo + state.steady).reshape(-1)
     filled, _ = ping.scatterers.surface
@@ -379,7 +407,10 @@ def expect_texture(state: Expected, ping: Ping, rng: Rng, *, shape: float, patch
 
 
 def realise_texture(state: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
-    """Apply this sample's patches: a property of the ground, which stays when speckle goes."""
+    """Multiply the expected intensities by the patches of this sample.
+
+    Texture is a property of the ground: an image without speckle still shows it.
+    """
     patches = texture(np.ones(ping.shape, np.float32), ping, rng, **parameters) ** 2
     state.echo *= patches
     state.steady *= patches
@@ -388,9 +419,9 @@ def realise_texture(state: Expected, ping: Ping, rng: Rng, **parameters: float) 
 TEXTURE = Effect(
     TextureSettings,
     texture,
-    "beam",
-    None,
-    "world",
+    stage="beam",
+    artefact=None,
+    scope="world",
     expected=expect_texture,
     realised=realise_texture,
 )
@@ -427,5 +458,9 @@ def expect_scintillation(state: Expected, ping: Ping, rng: Rng, *, sigma_db: flo
 
 
 SCINTILLATION = Effect(
-    ScintillationSettings, scintillation, "picture", "speckle", expected=expect_scintillation
+    ScintillationSettings,
+    scintillation,
+    stage="picture",
+    artefact="speckle",
+    expected=expect_scintillation,
 )

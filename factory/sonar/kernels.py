@@ -222,7 +222,7 @@ def thin(echoes: Any, chance: Any, rate: Any, subset: Any) -> Any:
 def bin_of_each(coordinates: Any, grid: Any, edges_rad: Any, bins: Any) -> None:
     """Put the flat cell of each echo into `bins`; rows * columns outside the grid.
 
-    coordinates: range, azimuth and elevation, (N,) each.  grid: see `polar.EvenCells`.
+    coordinates: range, azimuth and elevation, (N,) each.  grid: see `polar.EvenGrid`.
     edges_rad: azimuths between tabled beams, which replace the grid's even columns; (0,): none.
     """
     range_m, azimuth_rad, elevation_rad = coordinates

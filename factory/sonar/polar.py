@@ -20,11 +20,11 @@ _PINHOLE_ROWS = 2
 _PINHOLE_BEAMS = 1
 
 
-class EvenCells(NamedTuple):
+class EvenGrid(NamedTuple):
     """Cells that divide ranges and azimuths evenly, in the order of `kernels._GRID`.
 
-    Compiled loops get it as a plain tuple: their machine code is kept on disk by the types of its
-    members, and would not notice a new order.
+    Compiled loops take it as a plain tuple.  Their cached machine code is looked up by the types of
+    the members alone, so after a change of order it would read the wrong ones.
 
     top_view: whether distances are along the ground, and not slant ranges.
     near_m, span_m: nearest distance and extent of the rows, metres.
@@ -41,13 +41,15 @@ class EvenCells(NamedTuple):
     columns: int
 
 
-class Grid(NamedTuple):
-    """Cells of echoes; `edges_rad` replaces the columns of `cells` where beams are tabled.
+class PolarGrid(NamedTuple):
+    """The polar cells that echoes fall into.
 
-    edges_rad: (beams - 1,) float32 azimuths between neighbouring beams; (0,) for uniform beams.
+    even: rows, and the columns of uniform beams.
+    edges_rad: (beams - 1,) float32 azimuths between neighbouring tabled beams, which replace the
+        even columns; (0,) for uniform beams.
     """
 
-    cells: EvenCells
+    even: EvenGrid
     edges_rad: Polar
 
 
@@ -102,7 +104,7 @@ def in_plane(
     azimuth_rad: npt.NDArray[np.floating],
     strength: npt.NDArray[np.floating],
 ) -> Echoes:
-    """Return echoes at elevation 0, for noise that is placed in the image, which has none."""
+    """Return echoes at elevation 0, for noise that is drawn at ranges and azimuths alone."""
     return Echoes(
         range_m=np.asarray(range_m, np.float32),
         azimuth_rad=np.asarray(azimuth_rad, np.float32),
@@ -118,13 +120,13 @@ def bin_index(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArr
     projection.  Uniform beams: floor((azimuth + hfov/2) * beams / hfov).  Tabled beams: the nearest
     direction.  range_bins * beams for an echo outside the window or sector.
     """
-    return _cell_of_each(echoes, grid(window, sonar))
+    return _cell_of_each(echoes, polar_grid(window, sonar))
 
 
-def grid(window: Window, sonar: SonarSettings) -> Grid:
+def polar_grid(window: Window, sonar: SonarSettings) -> PolarGrid:
     """Return the polar bins of an image, with the edges of tabled beams."""
     half_hfov_rad = np.float32(np.deg2rad(sonar.hfov_deg) / 2)
-    cells = EvenCells(
+    even = EvenGrid(
         top_view=window.projection == "top_view",
         near_m=np.float32(window.range_min_m),
         span_m=np.float32(window.range_span_m),
@@ -134,17 +136,17 @@ def grid(window: Window, sonar: SonarSettings) -> Grid:
         columns=sonar.beams,
     )
     if sonar.beam_azimuths_deg is None:
-        return Grid(cells, np.empty(0, np.float32))
+        return PolarGrid(even, np.empty(0, np.float32))
     centres_rad = sonar.beam_centres_rad()
-    return Grid(cells, ((centres_rad[1:] + centres_rad[:-1]) / 2).astype(np.float32))
+    return PolarGrid(even, ((centres_rad[1:] + centres_rad[:-1]) / 2).astype(np.float32))
 
 
-def density(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDArray[np.int32]:
+def count_echoes(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDArray[np.int32]:
     """Return the (rows, columns) int32 number of insonified echoes in each cell of the window.
 
     The cells divide the range window and the sector that the camera saw evenly.
     """
-    cells = EvenCells(
+    even = EvenGrid(
         top_view=window.projection == "top_view",
         near_m=np.float32(window.range_min_m),
         span_m=np.float32(window.range_span_m),
@@ -153,14 +155,14 @@ def density(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDAr
         columns_per_rad=np.float32(columns / max(window.azimuth_span_rad, 1e-9)),
         columns=columns,
     )
-    cell_of_each = _cell_of_each(echoes, Grid(cells, np.empty(0, np.float32)))
+    cell_of_each = _cell_of_each(echoes, PolarGrid(even, np.empty(0, np.float32)))
     is_insonified = echoes.strength > 0
     echo_count = np.bincount(cell_of_each[is_insonified], minlength=rows * columns + 1)
     # The last cell holds the echoes outside the window.
     return echo_count[:-1].astype(np.int32).reshape(rows, columns)
 
 
-def _cell_of_each(echoes: Echoes, grid: Grid) -> npt.NDArray[np.int32]:
+def _cell_of_each(echoes: Echoes, grid: PolarGrid) -> npt.NDArray[np.int32]:
     """Return the (N,) int32 flat cell of each echo, rows * columns outside the grid."""
     from . import kernels  # loads numba
 
@@ -170,7 +172,7 @@ def _cell_of_each(echoes: Echoes, grid: Grid) -> npt.NDArray[np.int32]:
         np.ascontiguousarray(echoes.azimuth_rad),
         np.ascontiguousarray(echoes.elevation_rad),
     )
-    kernels.bin_of_each(coordinates, tuple(grid.cells), grid.edges_rad, cell_of_each)
+    kernels.bin_of_each(coordinates, tuple(grid.even), grid.edges_rad, cell_of_each)
     return cell_of_each
 
 
@@ -185,11 +187,12 @@ def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echo
     level = np.zeros(sonar.range_bins * sonar.beams + 1, np.float32)
     echo_count = np.zeros(level.size, np.intp)
     is_mean = sonar.accumulate == "mean"
-    is_max = sonar.accumulate == "max"
+    keeps_loudest = sonar.accumulate == "max"
     for part in (echoes, *more):
         bins = bin_index(part, window, sonar)
         strength = np.ascontiguousarray(part.strength)
-        kernels.gather(bins, strength, is_max, level)
+        # Sums the echoes of each bin unless only the loudest counts.
+        kernels.gather(bins, strength, keeps_loudest, level)
         if is_mean:
             echo_count += np.bincount(bins[strength > 0], minlength=level.size)
     if is_mean:

@@ -95,11 +95,11 @@ def insonified(
     pixel = np.empty(size, np.int32)
     hit = np.zeros(sonar.range_bins * sonar.beams + 1, np.bool_)
     half_vfov_rad = np.float32(np.deg2rad(sonar.vfov_deg) / 2)
-    grid = polar.grid(window, sonar)
+    grid = polar.polar_grid(window, sonar)
     count = kernels.insonified(
         _pixels(frame, rendered, sonar),
         half_vfov_rad,
-        tuple(grid.cells),
+        tuple(grid.even),
         grid.edges_rad,
         sonar.tvg_db_per_decade / 10,
         echo_values,

@@ -22,7 +22,7 @@ from simnfnd.factory.imaging.signal import (
     mixing,
     white_noise,
 )
-from simnfnd.factory.noise.speckle import PATH_SPECKLE, edge_m, gamma_of_normal
+from simnfnd.factory.noise.speckle import PATH_SPECKLE, default_cell_m, gamma_of_normal
 from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
 from tests.constant_field import (
     config,
@@ -268,7 +268,8 @@ def test_a_sonar_at_rest_sees_the_same_to_the_byte():
 def test_cells_too_small_are_refused():
     frame, rendered = slope((0.0, 0.0, 0.0))
     ping = ping_of(observe(frame, rendered, SETTINGS))
-    assert edge_m(ping) == 2.0 ** round(np.log2(edge_m(ping)))
+    cell_m = default_cell_m(ping)
+    assert cell_m == 2.0 ** round(np.log2(cell_m))
     with pytest.raises(FrameError, match="scatterer_m"):
         PATH_SPECKLE.function(None, ping, None, looks=1, scatterer_m=1e-4)
 
