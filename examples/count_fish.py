@@ -12,8 +12,9 @@ didson/lamprey1-fish.csv.  The rival is background subtraction: the brightest pe
 the background of its recording.  Both find their threshold on simulated recordings held out from
 training; no real frame and no label is read before the last step.
 
-lamprey1 is no fresh test, though: `noise=recording` was set beside it, the scale of its frames was
-chosen by looking at it, and `ZOOM` after a first training had been tried on it.
+lamprey1 is no fresh test, though: `noise=recording` and the sidelobes of `experiment=fish` were set
+beside it, the scale of its frames was chosen by looking at it, and `ZOOM` after a first training
+had been tried on it.
 """
 
 import csv
