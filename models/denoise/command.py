@@ -88,6 +88,9 @@ def main(arguments: Sequence[str]) -> int:
     if options.strength > 0:
         for line in job.unchanged.summary():
             print(line)
+    if not options.invert:
+        for line in job.inverted.summary():
+            print(line)
     names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
     print(f"weights: {names or denoise.name}")
     print(f"denoised: {job.used.total()} file(s) in {out}")

@@ -68,6 +68,7 @@ def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
         item, picture = denoised.key
         job.removed.add(str(item.relative), denoised.removed)
         job.unchanged.add(str(item.relative), picture, denoised.image)
+        job.inverted.add(str(item.relative), picture, denoised.removed.noisy)
         path = job.out / item.relative
         try:
             if item.source.suffix.lower() == ARRAY_SUFFIX:
@@ -186,6 +187,7 @@ def _frames(
         frame = denoised.key
         job.removed.add(f"{item.relative}, frame {frame.number}", denoised.removed)
         job.unchanged.add(str(item.relative), frame.samples, denoised.image)
+        job.inverted.add(str(item.relative), frame.samples, denoised.removed.noisy)
         if job.compare and frame.number < COMPARED:
             panels = frame.samples, denoised.image, denoised.removed.shown()
             shown.append(Compared(*(_view(frame, panel) for panel in panels)))

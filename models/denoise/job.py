@@ -12,6 +12,7 @@ from ..pretrained import DEFAULT, POINTS
 from .comparison_video import ComparisonVideo
 from .denoiser import Denoiser
 from .inputs import Geometries, Item
+from .inverted import InvertedReport
 from .journal import Journal
 from .pictures import Denoising
 from .removed import RemovedReport
@@ -25,7 +26,7 @@ class Job:
     points: gives what denoises shards of the paper's points.  topics: of bags, whose pictures;
     none: as `RosBag` says.  bar: of progress, in pictures.
     used: names of weights, with how many files they denoised.  removed: from all of their images.
-    unchanged: images that stayed as they were.
+    unchanged: images that stayed as they were.  inverted: those with dark echoes.
     video: of all images side by side; None: none is asked for.
     """
 
@@ -41,6 +42,7 @@ class Job:
     used: Counter[str] = field(default_factory=Counter)
     removed: RemovedReport = field(default_factory=RemovedReport)
     unchanged: UnchangedReport = field(default_factory=UnchangedReport)
+    inverted: InvertedReport = field(default_factory=InvertedReport)
     video: ComparisonVideo | None = None
     failures: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -106,20 +105,3 @@ def test_a_wrong_duration_is_said_and_a_missing_one_is_not(tmp_path: Path) -> No
             assert len(list(recording)) == 8
             assert words in recording.warning
             assert bool(words) == bool(recording.warning)
-
-
-def test_an_inverted_image_is_denoised_by_its_inverse(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from simnfnd.models.denoise.command import main
-
-    grey = cv2.VideoCapture("examples/didson/lamprey.avi").read()[1][:400, :, 1]
-    assert cv2.imwrite(str(tmp_path / "white.png"), 255 - grey)
-    assert cv2.imwrite(str(tmp_path / "black.png"), grey)
-    out = tmp_path / "out"
-    assert main([str(tmp_path / "white.png"), "--out", str(out)]) == 0
-    assert main([str(tmp_path / "white.png"), "--out", str(out), "--invert"]) == 0
-    assert main([str(tmp_path / "black.png"), "--out", str(out)]) == 0
-    assert "unchanged" not in capsys.readouterr().out.partition("black.png")[2]
-    white, black = (cv2.imread(str(out / f"{name}.png"), -1) for name in ("white", "black"))
-    np.testing.assert_array_equal(white, 255 - black)
