@@ -43,8 +43,9 @@ def write_card(
 ) -> Path:
     """Write README.md, with front matter for the Hugging Face hub, and return its path.
 
-    skipped: reason -> images that were left out before the run.  config: the settings to list, as
-    today's version names them; None: those of `provenance`.  facts: more lines of how it was made.
+    skipped: reason -> number of images that were left out before the run.
+    config: settings to list, under the key names of this version; None: those of `provenance`.
+    facts: more lines on how it was made.
     Needs at least one finished shard.
     """
     pairs = PairDataset(directory, "all", trusted=True)
@@ -158,6 +159,7 @@ writes other formats."""
 
 def _meanings(pairs: PairDataset, config: Mapping[str, Any]) -> str:
     grey = grey_meaning(config, str(pairs.dtype))
+    # Its formulas use range_min_m, range_max_m and metres_per_pixel, columns of `meta`.
     pixels = pixel_meaning(pairs.layout, pairs.shape[1])
     return (
         f"- **Grey values.** Of `noisy` and `clean`: {grey}\n"
@@ -168,16 +170,19 @@ def _meanings(pairs: PairDataset, config: Mapping[str, Any]) -> str:
 def stated_licence(licence: str | None, config: Mapping[str, Any]) -> str | None:
     """The user's licence; without one that of the procedural scenes, else None.
 
-    config: as shards state it.
+    config: the dataset's settings, as its shards record them.
     """
-    if licence is None and _is_procedural(config):
+    if licence is None and _has_only_own_scenes(config):
         return "apache-2.0"
     return licence
 
 
 def source_terms(config: Mapping[str, Any]) -> str:
-    """One sentence on the terms of what the images were made of.  config: as shards state it."""
-    if _is_procedural(config):
+    """One sentence on the terms of what the images were made of.
+
+    config: the dataset's settings, as its shards record them.
+    """
+    if _has_only_own_scenes(config):
         return (
             "Its scenes are procedural, made by SimNFND itself (Apache-2.0): no terms of others "
             "apply."
@@ -185,7 +190,8 @@ def source_terms(config: Mapping[str, Any]) -> str:
     return "The terms of the source images hold for what is derived from them."
 
 
-def _is_procedural(config: Mapping[str, Any]) -> bool:
+def _has_only_own_scenes(config: Mapping[str, Any]) -> bool:
+    """Whether SimNFND made all scenes, without meshes or platform movements of the user's."""
     scenes = config.get("scenes")
     return (
         isinstance(scenes, Mapping)

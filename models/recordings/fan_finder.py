@@ -33,11 +33,15 @@ _LEAST_PART = 0.05  # of all pixels: the smallest fan on a screen
 _MOST_PART = 0.9  # the largest
 _LEAST_TURNED = 0.15  # part of the image that a turned fan fills, unlike the mask of some object
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
-_SURE_SQUEEZE = 1.95
-_MOST_SQUEEZE = 2.0
-# Of 255: the ground of a screen; a video's is not quite flat, and the wider it may spread, the
-# farther it reaches into a fan's grain.
+# Largest squeeze, or its inverse, that a fit may reach, and that an accepted fan may have: a fit
+# that runs into its limit has found no fan.
+_MOST_FITTED_SQUEEZE = 2.0
+_MOST_ACCEPTED_SQUEEZE = 1.95
+# Grey levels, of 255, by which the ground of a screen may vary.  Videos need the larger one; it is
+# tried last, as it also takes the dark grain of a fan for ground.
 _GROUND_SPREADS = 2, 6
+_LEAST_INNER = 0.1  # share of lit pixels just inside the outline
+_OUTER_OF_INNER = 0.35  # share of lit pixels just outside, as a part of that
 _LEAST_HALF_DEG = 2.0
 _MOST_HALF_DEG = 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
@@ -70,7 +74,7 @@ def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
     if min(grey.shape) < 32:
         return None
     for spread in (None, *_GROUND_SPREADS):
-        shown = grey if spread is None else _largest_part(grey, spread)
+        shown = grey if spread is None else _isolate_largest_area(grey, spread)
         if shown is None:
             continue
         for turns in (0, 2, 1, 3):
@@ -85,7 +89,7 @@ def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
 
 def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
     """The fan with far range on top."""
-    # The border: the lesser of both upper corners, which no fan reaches; text may be in the other.
+    # The black level of the darker upper corner: no fan reaches the corners, but text may.
     size = max(2, min(grey.shape) // 40)
     corners = grey[:size, :size], grey[:size, -size:]
     black = min(int(np.quantile(corner, 0.99)) for corner in corners)
@@ -96,7 +100,7 @@ def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
     if sector is None:
         return None
     # JPEG and MPEG ring on both sides of an edge: there the border is not quite black.
-    inside = _inside(sector, *grey.shape)
+    inside = _sector_mask(sector, *grey.shape)
     near, wide = (cv2.dilate(inside, np.ones((side, side), np.uint8)) for side in (5, 17))
     beside = grey[(wide > 0) & (near == 0)]
     ringing = min(int(np.quantile(beside, 0.97)), _MOST_BLACK) if beside.size else 0
@@ -106,7 +110,7 @@ def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
     lit = grey > black
     if not _is_plausible(sector):
         return None
-    if (lit & (_inside(sector, *grey.shape) == 0)).mean() > _MOST_OUTSIDE:
+    if (lit & (_sector_mask(sector, *grey.shape) == 0)).mean() > _MOST_OUTSIDE:
         return None
 
     first_rad = math.atan(sector.left_tangent)
@@ -133,7 +137,7 @@ def _is_plausible(sector: Sector) -> bool:
     )
     if min(halves_deg) < _LEAST_HALF_DEG or max(halves_deg) > _MOST_HALF_DEG:
         return False
-    return abs(math.log(sector.squeeze)) <= math.log(_SURE_SQUEEZE)
+    return abs(math.log(sector.squeeze)) <= math.log(_MOST_ACCEPTED_SQUEEZE)
 
 
 def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
@@ -159,27 +163,29 @@ def grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
     # Samples of 10 or 12 bits in files of 16 leave most of the scale empty.
     brightest = float(np.nan_to_num(picture, posinf=0).max(initial=0))
     full = brightest if 0 < brightest < full / 4 else full
-    # A level that is not zero stays one.
+    # Rounded up, so that only zero becomes zero.
     return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
 
 
-def _inside(sector: Sector, height: int, width: int) -> Bytes:
-    (top,), (bottom,) = limits(np.array([sector]), np.arange(width, dtype=np.float64))
+def _sector_mask(sector: Sector, height: int, width: int) -> Bytes:
+    """(H, W), 1 in the sector and 0 elsewhere."""
+    (top,), (bottom,) = row_limits(np.array([sector]), np.arange(width, dtype=np.float64))
     row = np.arange(height)[:, None]
     return np.asarray((row >= top) & (row <= bottom), np.uint8)
 
 
 def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
-    """0..1, the share of the outline at which all is lit just inside and black just outside.
+    """0..1, the share of the outline at which the lit area visibly ends.
 
-    Both edges and the far arc, in equal parts: a fan whose outline is half in the dark has 0.5.
+    There more than `_LEAST_INNER` of the pixels just inside are lit, and just outside less than
+    `_OUTER_OF_INNER` of that.  Both edges and the far arc count alike: a fan whose outline is half
+    in the dark has 0.5.
     """
     ends_here = []
     for just_inside, just_outside in _outline_sides(fan):
-        # Outside the image all is black, and inside there must be something.
         inner = _lit_share(lit, *fan.pixels(*just_inside))
         outer = _lit_share(lit, *fan.pixels(*just_outside))
-        ends_here.append((inner > 0.1) & (outer < 0.35 * inner))
+        ends_here.append((inner > _LEAST_INNER) & (outer < _OUTER_OF_INNER * inner))
     return float(np.mean(ends_here))
 
 
@@ -210,10 +216,10 @@ def _outline_sides(fan: FanGeometry) -> tuple[tuple[_Places, _Places], ...]:
 def outline_pixels(
     fan: FanGeometry, height: int, width: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Pixels just inside and just outside the outline of a fan.
+    """Return the pixels just inside and those just outside the outline of a fan.
 
-    (3, pieces, samples) each, indices of the flattened image, for both edges and the far arc; -1
-    outside the image.
+    Both are (3, pieces, samples) indices of the flattened image, -1 outside the image.  The first
+    axis is the left edge, the right edge and the far arc, each cut into pieces of some samples.
     """
     sides = _outline_sides(fan)
     inner = [_indices(fan, inside, height, width) for inside, _ in sides]
@@ -245,14 +251,19 @@ def _at(
     return is_inside * values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], is_inside
 
 
-def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
-    """What is largest on a flat ground, alone on black: a fan amid text and panels."""
+def _isolate_largest_area(grey: Bytes, spread: int) -> Bytes | None:
+    """Blacken all but the largest area on the flat ground of a screen, which may hold a fan.
+
+    spread: levels by which the ground may vary.  None where the area is too small or too large, or
+    nothing else is there.
+    """
     rim = np.ones(grey.shape, bool)
     rim[1:-1, 1:-1] = False
     ground = int(np.median(grey[rim]))
+    has_bright_ground = ground > spread
     shown = grey
-    if ground > spread:
-        # What reaches in from the image's border.
+    if has_bright_ground:
+        # The ground is all of its level that is connected to the image's border.
         alike = (np.abs(grey.astype(np.int16) - ground) <= spread).astype(np.uint8)
         _, parts = cv2.connectedComponents(alike, connectivity=4)
         shown = np.where(np.isin(parts, np.setdiff1d(parts[rim], 0)), 0, grey).astype(np.uint8)
@@ -260,23 +271,27 @@ def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
         (shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8)
     )
     count, parts, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=4)
-    if count < (2 if ground > spread else 3):
-        return None  # a single one on black is no other image than before
+    area_count = count - 1  # label 0 is the ground
+    # A single area on black would be the image that was searched already.
+    if area_count < (1 if has_bright_ground else 2):
+        return None
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     share = stats[largest, cv2.CC_STAT_AREA] / grey.size
     alone = np.where(parts == largest, shown, 0).astype(np.uint8)
     return alone if _LEAST_PART <= share <= _MOST_PART else None
 
 
-_SIDE = 160  # the image is made about this large for the first guess
-_NONE = 1e15  # cost of an outline that is no sector
-_LEAST_SPREAD = 1.0  # of the costs of a simplex that has converged
-_LEAST_DISTANCE = 0.05  # of its corners
+_THUMBNAIL_PX = 160  # longest side of the thumbnail for the first guess
+_INVALID_COST = 1e15  # of an outline that is no sector
+# Largest differences from the best corner in a simplex that has converged: of costs, and of
+# coordinates (pixels, or the logarithm of the squeeze).
+_CONVERGED_COST = 1.0
+_CONVERGED_DISTANCE = 0.05
 
 
 def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
     """The sector that best separates lit from black pixels, (H, W); None where there is none."""
-    guess = _first_guess(lit)
+    guess = _guess_outline(lit)
     if guess is None:
         return None
     outline = guess.outline
@@ -308,12 +323,21 @@ class _FirstGuess(NamedTuple):
     cell_px: float
 
 
-def _first_guess(lit: npt.NDArray[np.bool_]) -> _FirstGuess | None:
+class _EdgeLine(NamedTuple):
+    """An edge of the part in the thumbnail: column = columns_per_row * row + first_column."""
+
+    columns_per_row: float
+    first_column: float
+
+
+def _guess_outline(lit: npt.NDArray[np.bool_]) -> _FirstGuess | None:
     """Guess the outline from a thumbnail of the lit pixels; None where they form no sector."""
     height, width = lit.shape
-    scale = max(1, math.ceil(max(height, width) / _SIDE))
+    scale = max(1, math.ceil(max(height, width) / _THUMBNAIL_PX))
     columns = math.ceil(width / scale)
-    rows = math.ceil(height / max(1, math.ceil(height / _SIDE)))
+    # A wide image is reduced less in its rows, by which the edges are fitted.
+    row_scale = max(1, math.ceil(height / _THUMBNAIL_PX))
+    rows = math.ceil(height / row_scale)
     thumbnail = cv2.resize(lit.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
     part = _largest_dense_part(thumbnail)
     if part is None:
@@ -321,14 +345,17 @@ def _first_guess(lit: npt.NDArray[np.bool_]) -> _FirstGuess | None:
 
     part_rows = np.flatnonzero(part.any(axis=1))
     last_column = part.shape[1] - 1
-    left = _edge(part_rows, part[part_rows].argmax(axis=1))
-    mirrored = _edge(part_rows, part[part_rows, ::-1].argmax(axis=1))
-    if left is None or mirrored is None or left[0] + mirrored[0] <= 1e-3:
+    left = _fit_left_edge(part_rows, part[part_rows].argmax(axis=1))
+    mirrored = _fit_left_edge(part_rows, part[part_rows, ::-1].argmax(axis=1))
+    if left is None or mirrored is None:
         return None
-    right = np.array([-mirrored[0], last_column - mirrored[1]])
+    if left.columns_per_row + mirrored.columns_per_row <= 1e-3:
+        return None
+    right = _EdgeLine(-mirrored.columns_per_row, last_column - mirrored.first_column)
 
     # The edges meet at the sonar; the part begins and ends in its column at the arcs.
-    apex_row = (right[1] - left[1]) / (left[0] - right[0])
+    convergence = left.columns_per_row - right.columns_per_row
+    apex_row = (right.first_column - left.first_column) / convergence
     apex_column = int(np.clip(np.polyval(left, apex_row), 1, last_column - 1))
     ahead = np.flatnonzero(part[:, apex_column - 1 : apex_column + 2].any(axis=1))
     if not len(ahead):
@@ -366,8 +393,11 @@ def _largest_dense_part(share: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None
     return np.asarray(part)
 
 
-def _edge(rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> Numbers | None:
-    """(columns a row, column in row 0) of the line from the outermost column down."""
+def _fit_left_edge(rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> _EdgeLine | None:
+    """Fit a line to the left border of a part, from its leftmost row down; robust to outliers.
+
+    rows: of the part.  columns: its first column in each.  None where fewer than 6 rows are left.
+    """
     corner = int(np.flatnonzero(columns <= columns.min()).max())
     y = rows[corner + 1 : -1].astype(float)
     x = columns[corner + 1 : -1].astype(float)
@@ -378,11 +408,13 @@ def _edge(rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> Numbers 
         line = np.polyfit(y, x, 1, w=weights)
         off = np.abs(np.polyval(line, y) - x)
         weights = 1 / (1 + (off / max(0.7, 1.5 * float(np.median(off)))) ** 2)
-    return np.asarray(line)
+    return _EdgeLine(*line)
 
 
 def _sector(outline: Sequence[float], rows: tuple[float, float]) -> Sector | None:
-    """The sector of an outline; None where its edges do not meet below.
+    """The sector of an outline.
+
+    None where the edges do not meet below, the arcs are not in order, or the squeeze is too large.
 
     Takes plain numbers, as the other loops here do: scalars of NumPy cost ten times as much.
     """
@@ -396,7 +428,7 @@ def _sector(outline: Sequence[float], rows: tuple[float, float]) -> Sector | Non
     squeeze = math.exp(outline[6])
     far = apex_y - outline[4]
     near = max(apex_y - outline[5], 0.0)
-    if not (far > near and 1 / _MOST_SQUEEZE < squeeze < _MOST_SQUEEZE):
+    if not (far > near and 1 / _MOST_FITTED_SQUEEZE < squeeze < _MOST_FITTED_SQUEEZE):
         return None
     return Sector(apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze)
 
@@ -409,7 +441,7 @@ class _Likelihood:
     """
 
     def __init__(self, lit: npt.NDArray[np.bool_], rows: tuple[float, float]) -> None:
-        """rows: see `_first_guess`."""
+        """rows: see `_FirstGuess`."""
         height, self._width = lit.shape
         # Number of lit pixels above the upper border of each row; the last row is there twice.
         above = np.zeros((height + 2, self._width), np.int32)
@@ -426,51 +458,55 @@ class _Likelihood:
         sector = _sector(outline.tolist(), self._rows)
         if sector is None:
             return False
-        area, lit = self.inside([sector], 1, False)[:, 0].tolist()
+        area, lit = self.count_pixels([sector], 1, False)[:, 0].tolist()
         area_outside = max(self._pixels - area, 1.0)
         share_inside = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
         share_outside = float(np.clip((self._lit - lit) / area_outside, 1e-3, 0.05))
         if share_inside <= share_outside:
             return False
-        self._gain = math.log(share_inside / share_outside)
-        self._price = math.log((1 - share_outside) / (1 - share_inside))
+        # Logarithms of the likelihood ratio, inside against outside: by which a lit pixel in the
+        # sector lowers the cost, and a black one raises it.
+        self._lit_gain = math.log(share_inside / share_outside)
+        self._black_cost = math.log((1 - share_outside) / (1 - share_inside))
         return True
 
-    def inside(self, sectors: Sequence[Sector], step: int, whole: bool) -> Numbers:
+    def count_pixels(self, sectors: Sequence[Sector], step: int, whole: bool) -> Numbers:
         """(2, N) pixels and lit pixels in each of N sectors, of every `step`-th column.
 
         whole: whether a pixel counts as a whole if its centre is in the sector.  Otherwise parts of
         pixels count, which is smoother and draws the outline outward.
         """
         columns = np.arange(step // 2, self._width, step)
-        borders = np.empty((2, 2, len(sectors), len(columns)))
-        rows, lit = borders
+        # Pixels, and lit pixels, above the first and above the last border of each column.
+        counts = np.empty((2, 2, len(sectors), len(columns)))
+        rows = counts[0]
+        lit = counts[1]
         # Borders instead of centres: pixel r reaches from r - 0.5 to r + 0.5.
-        np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
+        np.add(row_limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
         if whole:
             rows[0] = np.ceil(rows[0] - 0.5)
             rows[1] = np.floor(rows[1] + 0.5)
         np.minimum(np.maximum(rows, 0.0, out=rows), self._height, out=rows)
         np.minimum(rows[0], rows[1], out=rows[0])  # a column outside the sector counts nothing
-        at = rows.astype(np.int64)
-        part = rows - at
-        at = at * self._width + columns
-        above = self._above.take(at)
-        lit[:] = part * (self._above.take(at + self._width) - above) + above
+        whole_rows = rows.astype(np.int64)
+        row_part = rows - whole_rows
+        pixel = whole_rows * self._width + columns
+        above = self._above.take(pixel)
+        lit[:] = row_part * (self._above.take(pixel + self._width) - above) + above
         # Added in order, so that the sums do not depend on how NumPy splits them.
-        sums: Numbers = (borders[:, 1] - borders[:, 0]).cumsum(axis=-1)[..., -1]
+        sums: Numbers = (counts[:, 1] - counts[:, 0]).cumsum(axis=-1)[..., -1]
         return sums
 
     def costs(self, outlines: Sequence[Sequence[float]], whole: bool = False) -> Numbers:
-        """(N,) negative log-likelihoods, up to a constant; `_NONE` for an outline of no sector."""
+        """(N,) negative log-likelihoods, up to a constant; `_INVALID_COST` without a sector."""
         sectors = [_sector(outline, self._rows) for outline in outlines]
         is_valid = [sector is not None for sector in sectors]
-        costs = np.full(len(sectors), _NONE)
+        costs = np.full(len(sectors), _INVALID_COST)
         valid = [sector for sector in sectors if sector is not None]
         if valid:
             step = max(1, self._width // 400)
-            area, lit = self.inside(valid, step, whole)
-            costs[is_valid] = (self._price * (area - lit) - self._gain * lit) * step
+            area, lit = self.count_pixels(valid, step, whole)
+            costs[is_valid] = (self._black_cost * (area - lit) - self._lit_gain * lit) * step
         return costs
 
     def improve(self, outline: Numbers, size_px: float, squeezed: bool) -> Numbers:
@@ -536,10 +572,10 @@ class _Simplex:
 
     @property
     def has_converged(self) -> bool:
-        """Whether no corner is more than .05 away from the best, and none costs 1 more."""
+        """Whether all corners are close to the best one and cost about as much."""
         spread = self.costs[-1] - self.costs[0]
         distance = np.abs(self.corners[1:] - self.corners[0]).max()
-        return bool(spread <= _LEAST_SPREAD and distance <= _LEAST_DISTANCE)
+        return bool(spread <= _CONVERGED_COST and distance <= _CONVERGED_DISTANCE)
 
     def step(self, most: int) -> bool:
         """Move the worst corner, or all but the best; False where no evaluations are left."""
@@ -571,7 +607,11 @@ class _Simplex:
         return True
 
     def _opposite(self, share: float) -> Numbers:
-        """The worst corner, moved through the middle of the others and beyond by such a share."""
+        """The worst corner, moved along the line through the middle of the others.
+
+        share: how far beyond the middle, as a part of its distance from there; negative: short of
+        the middle.
+        """
         middle = np.add.reduce(self.corners[:-1]) / self._size
         return np.asarray((1 + share) * middle - share * self.corners[-1])
 
@@ -597,7 +637,7 @@ class _Simplex:
         self.costs = self.costs[by_cost]
 
 
-def limits(sectors: Numbers, x: Numbers) -> Numbers:
+def row_limits(sectors: Numbers, x: Numbers) -> Numbers:
     """Return the first and last row of sectors in columns of the image, last < first outside.
 
     sectors: (N, 7), see `Sector`.  x: (W,) columns.  Returns (2, N, W) fractions of a row.
@@ -608,10 +648,12 @@ def limits(sectors: Numbers, x: Numbers) -> Numbers:
     radii = fields[2:4]
     tangents = fields[4:6]
     across = (x - apex_x) / fields[6]
-    ahead: Numbers = np.sqrt(np.maximum(np.square(radii) - across * across, 0.0))
-    # An edge limits the sector on its own side alone.
-    ahead[1] = np.maximum(ahead[1], (across / tangents).max(axis=0))
-    return np.asarray(apex_y - ahead)
+    # Far and near limit, as distances ahead of the apex: first of the arcs.
+    limits_ahead: Numbers = np.sqrt(np.maximum(np.square(radii) - across * across, 0.0))
+    # An edge crosses columns of its own side ahead of the apex, the others behind it, below zero.
+    edges_ahead = across / tangents
+    limits_ahead[1] = np.maximum(limits_ahead[1], edges_ahead.max(axis=0))
+    return np.asarray(apex_y - limits_ahead)
 
 
 _WHITE = 200  # of 255
@@ -634,8 +676,9 @@ class _Line(NamedTuple):
 def _find_drawn(grey: Bytes) -> FanGeometry | None:
     """The fan bounded by two white side lines and the outermost arc."""
     mask = (grey >= _WHITE).astype(np.uint8)
-    # The opening keeps wide echoes and panels; thin lines vanish.
-    lines = mask - cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
+    # Opening removes thin lines alone, so they are the difference.
+    wide_areas = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((9, 9), np.uint8))
+    lines = mask - wide_areas
     height, width = lines.shape
     if lines.mean() > 0.05:  # so many thin bright pixels are speckle
         return None
