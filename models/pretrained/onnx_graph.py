@@ -33,11 +33,12 @@ Inputs = dict[str, Tensor]
 Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
 
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
-# Images of the trace and of the comparison: (height, width, how many).  The first divides by
-# nothing, so that padding is part of the trace.
-_TRACED = (75, 91, 2)
-_COMPARED = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
-_WORDS = {
+# Sizes of images, (height, width, count).  The traced one is no multiple of a network's stride, so
+# that padding becomes part of the trace.
+_TRACED_SIZE = (75, 91, 2)
+_COMPARED_SIZES = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
+# Stored in the files, so they stay as they are.
+_DESCRIPTIONS = {
     "noisy": "(N, 1, H, W) gray picture, 0 to 1",
     "range_fraction": "(N, 1, H, W) slant range of each pixel over the largest range",
     "azimuth_rad": "(N, 1, H, W) bearing of each pixel in radians, positive to the right",
@@ -52,11 +53,12 @@ class Graph(nn.Module):
 
     Inputs, in this order: `noisy` (N, 1, H, W) float32 in 0..1; the maps of range, bearing and
     sector, each (N, 1, H, W), where layout is not `none`.  Outputs: `denoised` (N, 1, H, W), 0..1;
-    and `weight` (N,), the part of its change that an image was given, of networks that weigh it.
+    and, of networks that weigh their change, `weight` (N,) in 0..1, the factor on the network's
+    change of each image.
     """
 
     tolerance: ClassVar[float] = 1e-4
-    """Largest difference from torch that is let through, in images of 0 to 1."""
+    """Largest accepted difference from torch, in grey values of 0 to 1."""
 
     def __init__(self, network: Network, layout: Layout) -> None:
         """Raises FactoryError for a layout that the network has no use for."""
@@ -97,45 +99,58 @@ class Graph(nn.Module):
 class RuntimeGraph(Graph):
     """What `sonarnet` computes of one image, given the inputs of `denoise.runtime.inputs_of`.
 
-    Beams and arcs of the cells are inputs, so one graph serves fans, polar images and images of
-    unknown geometry.  Outputs: `change` and `shadow_logits` (1, 1, H, W); `weight` (1,), the part
-    of it to apply.
+    `sonarnet` shares features among the cells (pixels at half resolution) of one beam and of one
+    arc, cells of equal range.  The numbers of each cell's beam and arc are inputs, so one graph
+    serves fans, polar images and images of unknown geometry.
+    Outputs: `change` and `shadow_logits` (1, 1, H, W); `weight` (1,), the factor on the change.
     """
 
     tolerance: ClassVar[float] = 1e-5
     network: SonarNet
 
     def __init__(self, network: Network) -> None:
-        """Raises FactoryError for a network that the runtime has no inputs for."""
+        """Set the names and the open sizes of inputs and outputs.
+
+        Raises FactoryError for a network that the runtime has no inputs for.
+        """
         super().__init__(network, "none")
         if not isinstance(network, SonarNet):
             raise FactoryError(
                 "--to runtime: is for model=sonarnet; use --to onnx for other networks"
             )
-        told_inputs = [name for name in ("frames", "remove") if name in network.extras]
-        self.inputs = ("noisy", "maps", "beams", "arcs", *told_inputs)
+        conditions = [name for name in ("frames", "remove") if name in network.extras]
+        self.inputs = ("noisy", "maps", "beams", "arcs", *conditions)
         self.outputs = ("change", "shadow_logits", "weight")
-        sized = sorted({*self.inputs, *self.outputs} - {"beams", "arcs", "remove", "weight"})
-        self.axes = {name: {2: "height", 3: "width"} for name in sized}
+        images = sorted({*self.inputs, *self.outputs} - {"beams", "arcs", "remove", "weight"})
+        self.axes = {name: {2: "height", 3: "width"} for name in images}
         self.axes |= {name: {1: "cells"} for name in ("beams", "arcs")}
 
     def forward(self, noisy: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """See the class."""
+        """Compute the outputs from the inputs in the order of `self.inputs`."""
         named = dict(zip(self.inputs[1:], inputs, strict=True))
         maps = named["maps"]
+        # The third map is 1 outside the sector and 0 in it, or -1 where no geometry is known.
+        outside = maps[:, 2:]
+        inside = padded(1 - outside, self.network.core_stride)
         # Every second pixel: the cells of the features at half resolution.
-        inside = padded(1 - maps[:, 2:], self.network.core_stride)[..., ::2, ::2] > 0
-        shape = inside.shape[-2], inside.shape[-1]
-        lines = MapLines(named["beams"], named["arcs"], inside.to(noisy.dtype).flatten(2), shape)
+        is_cell_inside = inside[..., ::2, ::2] > 0
+        shape = is_cell_inside.shape[-2], is_cell_inside.shape[-1]
+        cell_weights = is_cell_inside.to(noisy.dtype).flatten(2)
+        lines = MapLines(named["beams"], named["arcs"], cell_weights, shape)
         remove = named.get("remove", torch.from_numpy(vector(DEFAULT))[None])
         planes = torch.split(maps, 1, dim=1)
         return self.network.core(remove, named.get("frames"), lines, noisy, *planes)
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
-        """Speckle in a fan, a polar image or one of unknown geometry, in turn by `seed`."""
+        """Speckle in one image, and the other inputs for it; `count` has no effect.
+
+        The image is a fan, polar or of unknown geometry for seeds 0, 1, 2, and so on.
+        """
         rng = np.random.default_rng(seed)
         noisy = np.clip(rng.exponential(0.2, (height, width)), 0, 1).astype(np.float32)
-        maps = _maps("polar" if seed % 3 else "fan", height, width) if seed % 3 < 2 else {}
+        layouts: tuple[Layout, ...] = ("fan", "polar", "none")
+        layout = layouts[seed % len(layouts)]
+        maps = {} if layout == "none" else _maps(layout, height, width)
         noisy *= maps.get("sector", np.float32(1))
         if "frames" in self.inputs:
             maps["frames"] = rng.uniform(0, 3, (height, width)).astype(np.float32)
@@ -207,7 +222,7 @@ def compared(graph: Graph, run: Run) -> float:
     Raises FactoryError when it is above the graph's tolerance.
     """
     worst = 0.0
-    for seed, size in enumerate(_COMPARED):
+    for seed, size in enumerate(_COMPARED_SIZES):
         inputs = graph.example(*size, seed=seed)
         expected = [values.numpy() for values in graph(*inputs.values())]
         for name, values, torch_values in zip(graph.outputs, run(inputs), expected, strict=True):
@@ -237,9 +252,9 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
     """
     import onnx
 
-    model = onnx.load_model_from_string(_traced(graph, fold=not bare))
+    model = onnx.load_model_from_string(_export_trace(graph, fold=not bare))
     for value in (*model.graph.input, *model.graph.output):
-        value.doc_string = _WORDS.get(value.name, "")
+        value.doc_string = _DESCRIPTIONS.get(value.name, "")
     _rename_values(model.graph)
     model.doc_string = "A denoiser for forward-looking sonar pictures, made by SimNFND."
     facts = {"geometry": graph.layout, "opset": OPSET, **about}
@@ -251,10 +266,10 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
     return written
 
 
-def _traced(graph: Graph, fold: bool) -> bytes:
+def _export_trace(graph: Graph, fold: bool) -> bytes:
     """Trace the graph on an example and export it.  fold: whether constants are folded."""
     content = io.BytesIO()
-    inputs = tuple(graph.example(*_TRACED).values())
+    inputs = tuple(graph.example(*_TRACED_SIZE).values())
     with warnings.catch_warnings(), torch.no_grad():
         # It warns of every branch that it fixes; `compared` shows whether one was wrong.
         warnings.simplefilter("ignore")

@@ -28,12 +28,13 @@ _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
 _CALIBRATION_INTERVAL = 8
 _MAX_INTERVALS = 4
 """Frames between the first two calibrations; later ones are up to so many times as far apart."""
-_FULL_WINDOW = 0.8  # of the highest frame count from which on a pixel shows a whole window
+_FULL_WINDOW = 0.8  # of the highest frame count: a pixel of so many frames has a whole window
 
 Network = Callable[..., Grey]
 """Denoises an image, (H, W) float32 in 0..1, with its `FanGeometry` or None; see `Denoiser`.
 
-One with a true attribute `knows_frames` also gets `frames`, how many count in each pixel.
+One with a true attribute `knows_frames` also gets `frames`, (H, W): how many frames were
+averaged at each pixel.
 """
 
 
@@ -42,10 +43,11 @@ class Shot:
     """A frame of a sequence.
 
     key: comes back with the result.  levels: (H, W) or (H, W, C) float32 in 0..1.
-    place: says where range and bearing are; asked where they may differ from the frame before.
+    place: finds the geometry of the image; called where the scene is not that of a frame before.
     shift_px: how far right and down the scene moved since the frame before, where that is known.
-    wanted: whether its result is asked for; others only teach the stream what it learns from them.
-    is_tracked: whether `place` itself keeps to the frame before, so that it is asked each time.
+    wanted: whether its result is returned; the other frames serve as neighbours, and the noise and
+        the strength are measured on them, too.
+    is_tracked: whether `place` tracks the geometry from frame to frame, so it is called for each.
     """
 
     key: Any
@@ -67,7 +69,8 @@ class _FusedFrame:
     """A frame fused with its neighbours, ready for the network.
 
     sigma: (H, W) or (H, W, C) standard deviation of the noise that is left.
-    predictors: where the calibration has computed them already.
+    predictors: the estimates that the strength combines (see `strength`), if calibration has
+        computed them already.
     """
 
     fused: Fused
@@ -79,12 +82,17 @@ class _FusedFrame:
 class InTime:
     """Denoises the frames of one sequence.
 
-    network: None: frames are fused, no more.  frames: of a window, odd.  causal: a window ends with
-    its frame.  calibrated: whether the recording chooses the strength; else the default is taken.
+    network: denoises the fused frames; with None they are only fused.
+    frames: length of the window, odd.
+    causal: whether the window ends with the frame that is denoised, and is not centred on it.
+    calibrated: whether the strength is fitted to the recording; otherwise it is the default.
     keeps_outside: whether pixels around a fan stay as they are.
-    tally: what was done: `pictures`, of which `alone` matched no neighbour, and sums over these:
-    `frames` in a pixel, share of pixels that `moved`.  at_once: networks that run at the same time;
-    with 1 a frame comes out as soon as its window is complete.  strength: chosen so far.
+    tally: counts that the stream adds to: `pictures`, the frames that were fused; `alone`, those
+        that matched no neighbour; `frames` and `moved`, sums over the fused frames of the mean
+        number of frames averaged at a pixel and of the share of pixels that moved.
+    at_once: frames that the network denoises at the same time; with 1 a frame comes out as soon as
+        its window is complete.
+    strength: fitted so far.
     """
 
     def __init__(
@@ -149,12 +157,12 @@ class InTime:
         return self._window if is_starting else self._after + 1
 
     def _denoise_next(self) -> Iterator[tuple[Any, Grey]]:
-        """Begin the next frame; yields those that are denoised by then."""
+        """Fuse the next frame and start its denoising; yield the frames that are finished."""
         number = self._next
         if self._calibrated:
             self._calibrate_if_due(number)
         shot = self._shots[number]
-        # A frame by itself teaches the stream nothing.
+        # Nothing is measured on frames that are denoised alone.
         if shot.wanted or self._window > 1:
             frame = self._fused_early.pop(number, None) or self._fuse(number)
             if self._window > 1:
@@ -168,7 +176,7 @@ class InTime:
         yield from self._finished(self._max_pending)
 
     def _finished(self, max_pending: int) -> Iterator[tuple[Any, Grey]]:
-        """Denoised frames, in order, until at most so many are under way."""
+        """Yield denoised frames, in order, until at most `max_pending` are being denoised."""
         while len(self._pending) > max_pending:
             key, denoised = self._pending.popleft()
             yield key, denoised.result()
@@ -184,7 +192,7 @@ class InTime:
         self._tally["alone"] += bool(fused.frame_count.max() <= 1)
 
     def _fuse(self, number: int) -> _FusedFrame:
-        """A frame with the frames of its window that show the same."""
+        """Fuse a frame with those frames of its window that show the same scene."""
         first = max(0, number - self._before)
         last = min(self._newest, number + self._after)
         nearest_first = sorted(
@@ -211,7 +219,7 @@ class InTime:
         return None if motion is None else laid_over(shot.levels, motion)
 
     def _geometry(self, number: int) -> FanGeometry | None:
-        """Where range and bearing are: as in the nearest frame if that shows the same scene."""
+        """The geometry of a frame: that of the nearest frame before if it shows the same scene."""
         shot = self._shots[number]
         if shot.is_tracked:
             return shot.place()
@@ -225,15 +233,15 @@ class InTime:
         return self._geometries[number]
 
     def _sigma(self, image: Grey, frame_count: Grey) -> Grey:
-        """Standard deviation of the noise in each pixel; single frames need none."""
+        """Standard deviation of the noise in each pixel; zeros where it is not measured."""
         if self._window == 1:
-            return image
+            return np.zeros_like(image)
         root: Grey = np.sqrt(frame_count)
         return self._fusion.noise.at(image) / (root if image.ndim == 2 else root[..., None])
 
-    def _restore(self, frame: _FusedFrame, weights: Weights, levels: Grey) -> Grey:
+    def _restore(self, frame: _FusedFrame, predictor_weights: Weights, levels: Grey) -> Grey:
         """The denoised frame; around a fan it keeps its own levels."""
-        denoised = self._denoise(frame, weights)
+        denoised = self._denoise(frame, predictor_weights)
         geometry = frame.geometry
         if not self._keeps_outside or geometry is None or geometry.layout == "polar":
             return denoised
@@ -242,20 +250,28 @@ class InTime:
         restored[outside] = levels[outside]
         return restored
 
-    def _denoise(self, frame: _FusedFrame, weights: Weights) -> Grey:
+    def _denoise(self, frame: _FusedFrame, predictor_weights: Weights) -> Grey:
+        """Denoise a fused frame, channel by channel.
+
+        A single frame is what the network makes of it.  In a window the network's output is one of
+        several predictors of the static scene, and the result is their weighted sum.
+        """
         fused = frame.fused
         if self._network is None:
             return fused.image
         if fused.image.ndim == 3:
             channels = range(fused.image.shape[2])
-            planes = [self._denoise(_channel(frame, index), weights) for index in channels]
+            planes = [
+                self._denoise(_channel(frame, channel), predictor_weights) for channel in channels
+            ]
             return np.stack(planes, axis=-1)
         if self._window == 1:
             return self._network(fused.image, frame.geometry)
-        predictors = frame.predictors or self._predictors(frame)
-        return weights.apply(predictors, fused.frame_count)
+        predictors = frame.predictors or self._compute_predictors(frame)
+        return predictor_weights.apply(predictors, fused.frame_count)
 
-    def _predictors(self, frame: _FusedFrame) -> Predictors:
+    def _compute_predictors(self, frame: _FusedFrame) -> Predictors:
+        """Run the network and the simpler denoisers beside it on a grey frame; see `Predictors`."""
         assert self._network is not None
         fused = frame.fused
         condition = {"frames": fused.frame_count} if self._is_frame_aware else {}
@@ -263,6 +279,10 @@ class InTime:
         return Predictors.of(fused.image, frame.sigma, output)
 
     def _calibrate_if_due(self, number: int) -> None:
+        """Calibrate before frame `number` is denoised, if enough frames came since the last time.
+
+        The first time the first frame with a whole window is taken, unless the stream is causal.
+        """
         if self._last_calibrated is None and not self._causal:
             self._calibrate(self._before)
             return
@@ -271,7 +291,11 @@ class InTime:
             self._calibrate(number)
 
     def _calibrate(self, number: int) -> None:
-        """Fit the strength to how well a frame predicts one outside its window."""
+        """Fit the strength so that frame `number` best predicts a frame just outside its window.
+
+        That frame has noise of its own, so only the static scene can be predicted.  The fit is made
+        for the frame alone and for the frame fused with its window.
+        """
         outside = number - self._before - 1 if self._causal else number + self._after + 1
         if number < self._before or outside not in self._shots:
             return
@@ -283,17 +307,18 @@ class InTime:
         if target is None or levels.ndim != 2:
             return
         target_levels, visible = target
-        same = self._fusion.shows_same(frame.fused, target_levels, visible)
+        is_same_scene = self._fusion.shows_same(frame.fused, target_levels, visible)
 
         ones = np.ones_like(frame.fused.frame_count)
         single = _FusedFrame(Fused(levels, ones, ones), self._sigma(levels, ones), frame.geometry)
-        self.strength.add_single(self._predictors(single), target_levels, same)
+        single_predictors = self._compute_predictors(single)
+        self.strength.add_single(single_predictors, target_levels, is_same_scene)
 
-        predictors = self._predictors(frame)
+        predictors = self._compute_predictors(frame)
         self._fused_early[number] = replace(frame, predictors=predictors)
         frame_count = frame.fused.frame_count
-        is_full = frame_count > _FULL_WINDOW * frame_count.max()
-        self.strength.add_window(predictors, target_levels, same & is_full)
+        has_full_window = frame_count > _FULL_WINDOW * frame_count.max()
+        self.strength.add_window(predictors, target_levels, is_same_scene & has_full_window)
         self.strength.fit()
 
 
