@@ -5,7 +5,7 @@ What noise explains is measured in the recording itself, by grey level (`NoiseBy
 - Static scene: a neighbour counts at a pixel where it agrees with the median of all frames, in a
   small window and in a wide one.
 - Moving object that a single frame shows: where the frame itself disagrees with the median, only
-  neighbours that agree with the frame count, mostly none.
+  neighbours that agree with the frame and not with the median count, mostly none.
 - Moving target that only several frames show: where the deviations along a path are significant
   (`tracking`) and explain the frame, the mean along the path is added to the scene.  The target
   keeps its contrast, and its noise falls as that of the scene does.
@@ -31,7 +31,7 @@ _SMALL_SIGMA_PX = 0.8
 _WIDE_SIDE_PX = 7
 """Of the small window and of the wide one, reduced pixels."""
 _MAX_DEVIATION = 3.0  # in the wide window: an object nearby must not fill it
-_AGREEMENT_LIMIT = 3.0
+_AGREEMENT_LIMIT = 3.3
 """Standard deviations up to which a frame agrees with the median, and a neighbour with a frame."""
 _GATE_START = 2.2
 _GATE_END = 4.2
@@ -130,8 +130,10 @@ class Fusion:
         likeness = self._to_frame(from_frame, small.frame, measured, level)
 
         scene_weights = [_smooth(weight) for weight in agreement]
+        # Where the frame shows an object, a neighbour that agrees with the median shows the scene,
+        # even if noise alone could explain its difference from the frame.
         frame_weights = [
-            _smooth(alike * static + like_frame * (1 - static))
+            _smooth(alike * static + like_frame * (1 - alike) * (1 - static))
             for alike, like_frame in zip(agreement, likeness, strict=True)
         ]
         fused, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, frame_weights)
