@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 
@@ -13,6 +14,11 @@ from hypothesis import settings
 # anything imports numpy or torch; processes that tests start take it over.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+# Tests start Python more than a hundred times; where the environment forbids bytecode, each of
+# these processes compiles all modules again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # Shared machines are slow now and then, so no deadline.  In CI the same examples every time: a
 # change must not fail on an example that it did not cause; at home the search goes on.

@@ -7,6 +7,7 @@ import runpy
 import shlex
 import sys
 from array import array
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -35,23 +36,41 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def printed(script: str, *words: str, cwd: Path) -> str:
-    """What an example prints."""
-    done = run(script, *words, cwd=cwd)
+@pytest.fixture
+def printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., str]:
+    """Runs an example in `tmp_path` and in this process, which has imported torch already.
+
+    Returns what it prints.
+    """
+    monkeypatch.chdir(tmp_path)
+
+    def run_script(script: str, *words: str) -> str:
+        monkeypatch.setattr(sys, "argv", [script, *words])
+        capfd.readouterr()
+        runpy.run_path(str(EXAMPLES / script), run_name="__main__")
+        return capfd.readouterr().out
+
+    return run_script
+
+
+def test_an_example_runs_in_a_process_of_its_own(dataset: Path, tmp_path: Path) -> None:
+    done = run("read_with_h5py.py", str(dataset), "100", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    assert "index.h5: 100 of 24 pairs, 48 x 48" in done.stdout
+    assert "shards: 100 pairs out of 3 files" in done.stdout
+    assert 5 < float(done.stdout.split("mean PSNR ")[1].split()[0]) < 25
 
 
-def test_examples_read_a_dataset_and_learn_from_it(dataset: Path, tmp_path: Path) -> None:
-    said = printed("read_with_h5py.py", str(dataset), "100", cwd=tmp_path)
-    assert "index.h5: 100 of 24 pairs, 48 x 48" in said
-    assert "shards: 100 pairs out of 3 files" in said
-    assert 5 < float(said.split("mean PSNR ")[1].split()[0]) < 25
-    said = printed("train_a_tiny_network.py", str(dataset), "60", cwd=tmp_path)
-    before, after = said.removeprefix("mean squared error ").split(" -> ")
+def test_a_tiny_network_learns_from_a_dataset(dataset: Path, printed: Callable[..., str]) -> None:
+    line = printed("train_a_tiny_network.py", str(dataset), "60")
+    before, after = line.removeprefix("mean squared error ").split(" -> ")
     assert float(after) < 0.5 * float(before)
-    said = printed("load_with_workers.py", str(dataset), cwd=tmp_path)
-    assert said.startswith("24 of 24 pairs, ")
+
+
+def test_workers_of_a_loader_share_a_dataset(dataset: Path, printed: Callable[..., str]) -> None:
+    assert printed("load_with_workers.py", str(dataset)).startswith("24 of 24 pairs, ")
 
 
 @pytest.mark.parametrize(
@@ -83,16 +102,16 @@ def test_an_empty_folder_is_named(
     assert script in f"{caught.value.code}{capsys.readouterr().err}"
 
 
-def test_a_u_net_trains_on_the_stream(tmp_path: Path) -> None:
+def test_a_u_net_trains_on_the_stream(tmp_path: Path, printed: Callable[..., str]) -> None:
     make_dataset(
         "experiment=demo", "render=analytic", "scenes.locations=2", "scenes.frames_per_location=1",
         "scenes.width=160", "scenes.height=100", "dataset.preview_pairs=0", "scheduler=serial",
-        out=tmp_path / "data",
+        "sonar.image.width_px=96", "sonar.image.height_px=96", out=tmp_path / "data",
     )  # fmt: skip
-    said = printed("train_unet_on_stream.py", "data", "2", cwd=tmp_path).splitlines()
-    assert said[0].startswith("noisy: ")
-    assert said[1].startswith("step 2: loss 0.")
-    assert said[1].endswith(" dB")
+    lines = printed("train_unet_on_stream.py", "data", "2").splitlines()
+    assert lines[0].startswith("noisy: ")
+    assert lines[1].startswith("step 2: loss 0.")
+    assert lines[1].endswith(" dB")
 
 
 class Message(SimpleNamespace):
@@ -190,17 +209,16 @@ def test_a_node_of_ros_denoises_what_comes(tmp_path: Path, monkeypatch: pytest.M
             np.testing.assert_array_equal(actual, expected)
 
 
-def test_the_papers_figures(tmp_path: Path) -> None:
+def test_the_papers_figures(tmp_path: Path, printed: Callable[..., str]) -> None:
     small = ("render=analytic", "scenes.width=242", "scenes.height=152", "scenes.locations=1")
-    words = ("--out", str(tmp_path), "--only", "paper", *small)
-    printed("paper_figures.py", *words, cwd=tmp_path)
+    printed("paper_figures.py", "--out", str(tmp_path), "--only", "paper", *small)
     names = {path.stem for path in tmp_path.glob("*.png")}
     assert names == {f"figure-{number:02d}" for number in (3, 4, 5, 6, 7, 8, 12)}
     for path in tmp_path.glob("*.png"):
         assert np.asarray(Picture.open(path).convert("L")).std() > 20
 
 
-def test_a_listed_recording_becomes_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_listed_recording_becomes_pairs(tmp_path: Path, printed: Callable[..., str]) -> None:
     """Both 10.00 and 10.02 are near 10.008: the nearer gets it."""
     folder = tmp_path / "rgbd_dataset_freiburg1_desk"
     depth_m = np.broadcast_to(np.linspace(4, 1, 480)[:, None], (480, 640))
@@ -214,14 +232,13 @@ def test_a_listed_recording_becomes_pairs(tmp_path: Path, monkeypatch: pytest.Mo
             Picture.fromarray(stored).save(folder / kind / f"{time}.png")
         lines = [f"{time} {kind}/{time}.png" for time in times]
         (folder / f"{kind}.txt").write_text("# timestamp filename\n" + "\n".join(lines) + "\n")
-    said = printed("rgbd_to_csv.py", folder.name, cwd=tmp_path)
+    command = printed("rgbd_to_csv.py", folder.name).splitlines()[1]
     assert (folder / "frames.csv").read_text().splitlines() == [
         "rgb/10.00.png,depth/10.008.png,rgbd_dataset_freiburg1_desk",
         "rgb/10.06.png,depth/10.065.png,rgbd_dataset_freiburg1_desk",
     ]
-    words = shlex.split(said.splitlines()[1])[1:]
+    words = shlex.split(command)[1:]
     assert "scenes.intrinsics=[517.3,516.5,318.6,255.3]" in words
-    monkeypatch.chdir(tmp_path)
     assert main([*words, "render=analytic", "scheduler=serial", "dataset.preview_pairs=0"]) == 0
     assert len(list(tmp_path.glob(f"outputs/{folder.name}/*/*.h5"))) == 1
 

@@ -11,14 +11,19 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
+from hydra.core.config_store import ConfigStore
 
 import simnfnd
+from simnfnd.command import main
+from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.extensions import register_effect, register_method, register_reader
 from simnfnd.factory import extensions
 from simnfnd.factory.noise.registry import EFFECTS
@@ -70,132 +75,162 @@ def run_python(site: Path, cwd: Path, code: str, *words: str) -> str:
     return done.stdout
 
 
+@contextmanager
+def installed(site: Path) -> Iterator[None]:
+    """Within the block this process has the package; nothing of it stays."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(site))
+        extensions._entry_points.cache_clear()
+        try:
+            yield
+        finally:
+            for kind, name in list(extensions._registered):
+                extensions._registered.pop((kind, name))
+            EFFECTS.pop("drifting_snow", None)
+            ConfigStore.instance().repo.get("scenes", {}).pop("npz_folder.yaml", None)
+            for module in [name for name in sys.modules if name.split(".")[0] == "mine"]:
+                sys.modules.pop(module)
+    extensions._entry_points.cache_clear()
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd) -> Callable[..., str]:
+    """Runs `simnfnd WORDS` in `tmp_path` and in this process; returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_command(site: Path, *words: str, code: int = 0) -> str:
+        monkeypatch.setattr(sys, "argv", ["simnfnd"])
+        with installed(site):
+            try:
+                actual_code = main(words)
+            except SystemExit as stopped:
+                actual_code = int(stopped.code or 0)
+        printed = "".join(capfd.readouterr())
+        assert actual_code == code, printed[-3000:]
+        return printed
+
+    return run_command
+
+
+SNOWY = ("make", "experiment=demo", *FAST, "dataset.dir=data", "noise.drifting_snow.density=0.1")
+DIVES = (
+    "make", "scenes=npz_folder", "scenes.root=dives", "scenes.intrinsics=[120,120,76,48]",
+    "sonar=mine_hf", "render=analytic", "scheduler.workers=2", "dataset.preview_pairs=0",
+    "dataset.dir=dived", "split.test=[two]",
+)  # fmt: skip
 # Each command ends with a line of its exit code.
-_COMMANDS = """
+MAKE_BOTH = """
 import json, sys
 from simnfnd.command import main
 
 for words in json.loads(sys.argv.pop()):
     sys.argv = ["simnfnd"]
-    try:
-        code = main(words)
-    except SystemExit as stopped:
-        code = stopped.code
+    code = main(words)
     sys.stderr.flush()
-    print(f"\\n{MARK}{int(code or 0)}", flush=True)
+    print(f"exit code {int(code or 0)}", flush=True)
 """
-_MARK = "exit code of this command: "
 
 
-class Command(NamedTuple):
-    """words: after `simnfnd`.  code: the exit code that is expected."""
+@pytest.fixture(scope="module")
+def made(site: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder with two datasets, made by worker processes, and what their commands printed.
 
-    words: Sequence[str]
-    code: int = 0
-
-
-def run(site: Path, cwd: Path, *commands: Command) -> list[str]:
-    """What each command prints where the package is installed.
-
-    One process runs them all: most of the time of a small command is that of its imports.
+    `data` has the package's effect; `dived` comes from its reader and preset.
     """
-    code = _COMMANDS.replace("{MARK}", _MARK)
-    output = run_python(site, cwd, code, json.dumps([command.words for command in commands]))
-    *printed, rest = re.split(rf"\n{_MARK}(\d+)\n", output)
-    assert rest == ""
-    texts = printed[::2]
-    codes = [int(number) for number in printed[1::2]]
-    assert codes == [command.code for command in commands], output[-3000:]
-    return texts
+    folder = tmp_path_factory.mktemp("made")
+    rgb, depth_m = frame()
+    for scene in ("one", "two"):
+        (folder / "dives" / scene).mkdir(parents=True)
+        for number in range(2):
+            scaled_m = np.nan_to_num(depth_m) * (1 + 0.1 * number)
+            np.savez(folder / f"dives/{scene}/{number}.npz", rgb=rgb, depth_m=scaled_m)
+    (folder / "dives/two/bad.npz").write_bytes(b"x")
+    return folder, run_python(site, folder, MAKE_BOTH, json.dumps([SNOWY, DIVES]))
 
 
-def test_an_effect_of_a_package_goes_all_the_way(site: Path, tmp_path: Path) -> None:
-    words = ("make", "experiment=demo", *FAST, "dataset.dir=data")
-    snowy = (*words, "noise.drifting_snow.density=0.1")
-    run(site, tmp_path, Command(snowy))
-    manifest = json.loads((tmp_path / "data/manifest.json").read_text())
+def test_the_manifest_names_the_package_of_an_effect(made: tuple[Path, str]) -> None:
+    folder, printed = made
+    assert "exit code 0" in printed.splitlines()
+    manifest = json.loads((folder / "data/manifest.json").read_text())
     (stated,) = manifest["config"]["extensions"]
     assert (stated["kind"], stated["name"]) == ("effect", "drifting_snow")
     assert (stated["package"], stated["version"]) == ("mine-extensions", "1.5")
     assert manifest["config"]["noise"]["drifting_snow"]["enabled"] is True
-    with simnfnd.PairDataset(tmp_path / "data", "all") as pairs:
+    with simnfnd.PairDataset(folder / "data", "all") as pairs:
         table = pairs.meta()
-        assert set(table["noise.drifting_snow.density"]) == {0.1}
-        assert (table["points.drifting_snow"] > 0).all()
-    shards = {path: path.stat().st_mtime_ns for path in (tmp_path / "data").glob("*/*.h5")}
-    again, status, plain = run(
-        site, tmp_path, Command(snowy), Command(("status", "data")), Command(words, code=2)
-    )
-    assert "data" in again
+    assert set(table["noise.drifting_snow.density"]) == {0.1}
+    assert (table["points.drifting_snow"] > 0).all()
+
+
+def test_resuming_knows_the_effect_and_the_version_of_its_source(
+    site: Path, made: tuple[Path, str], run: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, _ = made
+    monkeypatch.chdir(folder)
+    shards = {path: path.stat().st_mtime_ns for path in folder.glob("data/*/*.h5")}
+    assert "data" in run(site, *SNOWY)
     assert {path: path.stat().st_mtime_ns for path in shards} == shards, "made again"
-    assert "4 of 4 pairs" in status
-    assert "noise.drifting_snow" in plain
+    assert "4 of 4 pairs" in run(site, "status", "data")
+    assert "noise.drifting_snow" in run(site, *SNOWY[:-1], code=2)
     source = site / "mine/snow.py"
-    before = source.read_text()
-    source.write_text(before + "\n# another version\n")
-    (message,) = run(site, tmp_path, Command(snowy, code=2))
-    source.write_text(before)
+    text = source.read_text()
+    source.write_text(text + "\n# another version\n")
+    try:
+        message = run(site, *SNOWY, code=2)
+    finally:
+        source.write_text(text)
     assert "another configuration" in message
     assert "extensions" in message
 
 
-def test_typing_errors_and_help_know_the_package(site: Path, tmp_path: Path) -> None:
-    words = ("make", "experiment=demo", *FAST)
-    effect, key, preset, help_text, method = run(
-        site,
-        tmp_path,
-        Command((*words, "noise.drifting_snw.density=1"), code=2),
-        Command((*words, "noise.drifting_snow.densty=1"), code=2),
-        Command(("make", "scenes=npz_foldr"), code=2),
-        Command(("make", "--help")),
-        Command(("evaluate", "dataset=x", "baselines=[row_medan]"), code=2),
-    )
-    assert "did you mean noise.drifting_snow.density?" in effect
-    assert "noise.drifting_snow.densty: unknown key" in key
-    assert "did you mean scenes=npz_folder" in preset
-    assert "drifting_snow (mine-extensions 1.5)" in help_text
-    assert "x: no such folder" in method or "did you mean row_median?" in method
+@pytest.mark.parametrize(
+    ("words", "code", "answer"),
+    [
+        (("make", *FAST, "noise.drifting_snw.density=1"), 2, "mean noise.drifting_snow.density?"),
+        (("make", *FAST, "noise.drifting_snow.densty=1"), 2, "drifting_snow.densty: unknown key"),
+        (("make", "scenes=npz_foldr"), 2, "did you mean scenes=npz_folder"),
+        (("make", "--help"), 0, "drifting_snow (mine-extensions 1.5)"),
+        (("evaluate", "dataset=data", "baselines=[row_medan]"), 2, "did you mean row_median?"),
+    ],
+)
+def test_typing_errors_and_help_know_the_package(
+    words: tuple[str, ...], code: int, answer: str, site: Path, made: tuple[Path, str],
+    run: Callable[..., str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(made[0])
+    assert answer in run(site, *words, code=code)
 
 
-def test_a_reader_and_a_preset_make_pairs_that_a_method_judges(site: Path, tmp_path: Path) -> None:
-    rgb, depth_m = frame()
-    for scene in ("one", "two"):
-        (tmp_path / "dives" / scene).mkdir(parents=True)
-        for number in range(2):
-            far = np.nan_to_num(depth_m) * (1 + 0.1 * number)
-            np.savez(tmp_path / f"dives/{scene}/{number}.npz", rgb=rgb, depth_m=far)
-    (tmp_path / "dives/two/bad.npz").write_bytes(b"x")
-    words = (
-        "make", "scenes=npz_folder", "scenes.root=dives", "scenes.intrinsics=[120,120,76,48]",
-        "sonar=mine_hf", "render=analytic", "scheduler.workers=2", "dataset.preview_pairs=0",
-        "dataset.dir=data", "split.test=[two]",
-    )  # fmt: skip
-    evaluate = ("evaluate", "dataset=data", "baselines=[row_median]", "models=[]", "out=report")
-    output, failed, rerun, _ = run(
-        site,
-        tmp_path,
-        Command(words, code=1),
-        Command(("status", "data", "--failed"), code=1),
-        Command(("status", "data", "--rerun", "scheduler=serial"), code=1),
-        Command(evaluate),
-    )
-    assert "1 of 5 frames" in output
-    with simnfnd.PairDataset(tmp_path / "data", "all", trusted=True) as pairs:
+def test_a_reader_and_a_preset_make_pairs(
+    site: Path, made: tuple[Path, str], run: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, printed = made
+    assert "exit code 1" in printed.splitlines()
+    assert "1 of 5 frames" in printed
+    with simnfnd.PairDataset(folder / "dived", "all", trusted=True) as pairs:
         assert len(pairs) == 4
         assert pairs.form.config["sonar"]["beams"] == 256
         (stated,) = pairs.form.config["extensions"]
-        assert (stated["kind"], stated["name"]) == ("reader", "npz_folder")
-    assert "bad: cannot be read" in failed
+    assert (stated["kind"], stated["name"]) == ("reader", "npz_folder")
+    monkeypatch.chdir(folder)
+    assert "bad: cannot be read" in run(site, "status", "dived", "--failed", code=1)
+    rerun = run(site, "status", "dived", "--rerun", "scheduler=serial", code=1)
     assert "0 of 1 frames work now" in rerun
+
+
+def test_a_method_of_a_package_is_judged(
+    site: Path, made: tuple[Path, str], run: Callable[..., str], tmp_path: Path
+) -> None:
+    settings = ("baselines=[row_median]", "models=[]", "bootstrap=100", "workers=1", "out=report")
+    run(site, "evaluate", f"dataset={made[0] / 'dived'}", *settings)
     assert any("row_median" in path.read_text() for path in tmp_path.rglob("*.csv"))
 
 
-def test_effects_and_readers_from_a_script(site: Path, monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.syspath_prepend(str(site))
-    from mine.snow import DRIFTING_SNOW  # type: ignore[import-not-found]
-
+def test_an_effect_is_used_from_a_script(site: Path) -> None:
     rgb, depth_m = frame()
-    try:
+    with installed(site):
+        from mine.snow import DRIFTING_SNOW  # type: ignore[import-not-found]
+
         pair = simnfnd.make_pair(rgb, depth_m, **PLACE, effects=[DRIFTING_SNOW])
         without = simnfnd.make_pair(rgb, depth_m, **PLACE)
         assert float(pair.record["noise.drifting_snow.density"]) > 0
@@ -205,10 +240,6 @@ def test_effects_and_readers_from_a_script(site: Path, monkeypatch, tmp_path: Pa
         word = "noise.drifting_snow.density=0.2"
         more = simnfnd.make_pair(rgb, depth_m, **PLACE, config=("render=analytic", word))
         assert more.record["noise.drifting_snow.density"] == 0.2
-    finally:
-        extensions._registered.pop(("effect", "drifting_snow"))
-        extensions._entry_points.cache_clear()
-        EFFECTS.pop("drifting_snow")
 
 
 def test_what_a_script_defines_itself_is_refused_by_workers(site: Path, tmp_path: Path) -> None:
@@ -226,11 +257,7 @@ def test_what_a_script_defines_itself_is_refused_by_workers(site: Path, tmp_path
     assert "4" in message.splitlines()
 
 
-def test_names_that_are_taken_or_broken_are_told(site: Path, tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    from simnfnd.evaluation.filters import REGISTRY
-
+def test_names_that_are_taken_or_unusable_are_refused() -> None:
     for name in ("speckle", "Bad Name", ""):
         with pytest.raises(ValueError, match=re.escape(repr(name))):
             register_effect(replace(EFFECTS["background"], name=name))
@@ -239,14 +266,15 @@ def test_names_that_are_taken_or_broken_are_told(site: Path, tmp_path: Path) -> 
     entry: Any = type("Entry", (), {"kind": "seabed"})
     with pytest.raises(ValueError, match="seabed"):
         register_reader(entry)
+
+
+def test_a_broken_package_is_named_and_disturbs_nothing_else(
+    run: Callable[..., str], tmp_path: Path
+) -> None:
     broken = tmp_path / "broken"
     write_package(broken)
     (broken / "mine/snow.py").write_text("import nothing_of_that_name\n")
-    words = ("make", "experiment=demo", *FAST)
-    message, _ = run(
-        broken,
-        tmp_path,
-        Command((*words, "noise.drifting_snow.density=0.1"), code=2),
-        Command((*words, "dataset.dir=data")),
-    )
+    message = run(broken, *SNOWY, code=2)
     assert re.search(r"effect drifting_snow: mine-extensions 1\.5 cannot be loaded", message)
+    run(broken, *SNOWY[:-1], "scheduler=serial")
+    assert (tmp_path / "data/manifest.json").is_file()

@@ -236,7 +236,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
 
 RECIPE = (
     "noise=none", "noise.background.enabled=true", "noise.background.density=0.02",
-    "noise.background.strength=0.3", "scenes.locations=1", "scenes.frames_per_location=10",
+    "noise.background.strength=0.3", "scenes.locations=1", "scenes.frames_per_location=8",
     "scenes.width=96", "scenes.height=64", "sonar.image.layout=polar", "sonar.beams=64",
     "sonar.range_bins=96", "render=analytic", "scheduler=serial",
 )  # fmt: skip
@@ -252,7 +252,7 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "real").mkdir()
     config = compose_config([*RECIPE, f"noise.background.density={TRUE_DENSITY}", "seed=5"])
     maker = pair_maker(config)
-    for number, ref in enumerate(Simulation(RECIPE, 10, Grid(**GRID)).refs):
+    for number, ref in enumerate(Simulation(RECIPE, 8, Grid(**GRID)).refs):
         (pair,) = maker.pairs(ref, (0,))
         Image.fromarray(pair.noisy).save(folder / "real" / f"{number}.png")
     (folder / "real" / "geometry.csv").write_text("file,layout,hfov_deg\n*,polar,45\n")
@@ -261,8 +261,8 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def settings_for(real: Path, out: Path, **changes: object) -> FitSettings:
     parameters = {"noise.background.density": {"low": 0.005, "high": 5, "log": True}}
-    values = {"real": str(real), "recipe": RECIPE, "name": "found", "frames": 10, "grid": GRID,
-              "trials": 16, "startup": 8, "parameters": parameters, "out": str(out)}  # fmt: skip
+    values = {"real": str(real), "recipe": RECIPE, "name": "found", "frames": 8, "grid": GRID,
+              "trials": 12, "startup": 6, "parameters": parameters, "out": str(out)}  # fmt: skip
     return build(FitSettings, {**values, **changes})
 
 
@@ -277,12 +277,12 @@ def test_the_density_that_made_the_pictures_is_found_again(
     assert after < 1.1 < before
     # The file is a configuration that the factory takes as it stands.
     text = (tmp_path / "fit" / "experiment" / "found.yaml").read_text()
-    assert "16 trials" in text.splitlines()[3]
+    assert "12 trials" in text.splitlines()[3]
     content = yaml.safe_load(text)
     assert content["noise"]["background"]["density"] == density
     assert "scenes" not in content
     assert search.usage(settings) == (
-        "scenes.locations=1 scenes.frames_per_location=10 scenes.width=96 scenes.height=64 "
+        "scenes.locations=1 scenes.frames_per_location=8 scenes.width=96 scenes.height=64 "
         "render=analytic scheduler=serial experiment=found"
     )
     search_words = ["--config-dir", str(settings.folder), *search.usage(settings).split()]
@@ -296,13 +296,13 @@ def test_an_interrupted_search_goes_on_as_if_nothing_had_happened(
     real: Path, tmp_path: Path
 ) -> None:
     short: Any = {"startup": 2}
-    whole = search.fit(settings_for(real, tmp_path / "whole", trials=4, **short))
+    whole = search.fit(settings_for(real, tmp_path / "whole", trials=3, **short))
     search.fit(settings_for(real, tmp_path / "parts", trials=2, **short))
     # A trial that was asked for and never told is what a kill leaves behind.
     search._study(settings_for(real, tmp_path / "parts", **short)).ask()
-    assert search.fit(settings_for(real, tmp_path / "parts", trials=4, **short)) == whole
+    assert search.fit(settings_for(real, tmp_path / "parts", trials=3, **short)) == whole
     with pytest.raises(FactoryError, match="holds a search with other settings"):
-        search.fit(settings_for(real, tmp_path / "parts", frames=8))
+        search.fit(settings_for(real, tmp_path / "parts", frames=10))
 
 
 def test_what_cannot_be_searched_is_refused(real: Path, tmp_path: Path) -> None:
@@ -314,7 +314,7 @@ def test_what_cannot_be_searched_is_refused(real: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(FactoryError, match=said):
             search.fit(settings_for(real, tmp_path / "bad", parameters=parameters))
-    with pytest.raises(FactoryError, match="0 of its 10 frames are rendered"):
+    with pytest.raises(FactoryError, match="0 of its 8 frames are rendered"):
         search.fit(settings_for(real, tmp_path / "bad", recipe=(*RECIPE, "scenes.width=80")))
 
 

@@ -192,7 +192,7 @@ def test_a_resumed_training_forgets_geometry_at_the_same_steps(
     """Stopped right after a check: the loader's own random number must not shift the network's."""
     words = ["model=sonarnet", "model.widths=[8,8]", "model.blocks=[1,1]", "model.forget=0.5"]
     words += [word for word in SMALL if not word.startswith("model")]
-    words += ["train.steps=6", "train.check_every=2", "data.workers=1"]
+    words += ["train.steps=6", "train.check_every=2"]
     drawn: dict[str, list[float]] = {"whole": [], "resumed": []}
     update = Loop.update
 
