@@ -57,7 +57,9 @@ def _parsed(arguments: Sequence[str]) -> Any:
     parser.add_argument(
         "--weights", help="weights to begin with: a file, or the name of weights that ship"
     )
-    parser.add_argument("--steps", type=int, default=500, help="of two crops each (500, about 3 CPU minutes)")
+    parser.add_argument(
+        "--steps", type=int, default=500, help="of two crops each (500, about 3 CPU minutes)"
+    )
     parser.add_argument(
         "--geometry",
         default=FIND,
