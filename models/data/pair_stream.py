@@ -144,9 +144,10 @@ def rendered_frames(config: FactoryConfig, split: str) -> tuple[FrameRef, ...]:
     ready = tuple(ref for ref in of_split if views.holds(ref))
     if not ready:
         raise FactoryError(
-            f"none of the {len(of_split)} {split} frames is rendered in {config.cache.folder}; run "
-            "`simnfnd make` with the same words first, which leaves its renders there, or take a "
-            "pack with scenes=pack scenes.root=FILE"
+            f"none of the {len(of_split)} {split} frames is rendered by this version in "
+            f"{config.cache.folder}; run `simnfnd make` with the same words and a fresh "
+            "dataset.dir first, which leaves its renders there, or take a pack with scenes=pack "
+            "scenes.root=FILE"
         )
     return ready
 
