@@ -61,7 +61,8 @@ Row = tuple[Cell, ...]
 
 def _opening(root: Path, rounds: int) -> Table:
     """CPU seconds of the separate process in which an untrusted dataset is opened first."""
-    opened, imported = [], []
+    opened = []
+    imported = []
     for _ in range(rounds):
         LASTING.close()
         began = _cpu_seconds_of_children()

@@ -218,7 +218,8 @@ def train(network, recordings, steps):
     for step in range(1, steps + 1):
         chosen = rng.integers(len(recordings), size=BATCH)
         batch = torch.from_numpy(np.stack([sample(recordings[k], rng) for k in chosen]))
-        heat, logits = batch[:, WINDOW:], network(batch[:, :WINDOW])
+        heat = batch[:, WINDOW:]
+        logits = network(batch[:, :WINDOW])
         loss = functional.binary_cross_entropy_with_logits(logits, heat, pos_weight=POSITIVE)
         optimizer.zero_grad()
         loss.backward()
@@ -255,8 +256,8 @@ def peaks(scores, least):
     """Local maxima of one frame from a score on, the highest first."""
     kernel = np.ones((2 * APART_PX + 1,) * 2, np.uint8)
     rows, columns = np.nonzero((scores >= least) & (scores == cv2.dilate(scores, kernel)))
-    found = [Peak(int(x), int(y), float(scores[y, x])) for y, x in zip(rows, columns, strict=True)]
-    return sorted(found, key=lambda peak: -peak.score)
+    maxima = [Peak(int(x), int(y), float(scores[y, x])) for y, x in zip(rows, columns, strict=True)]
+    return sorted(maxima, key=lambda peak: -peak.score)
 
 
 def above(detections, least):
@@ -308,12 +309,14 @@ def count_tracks(detections):
     tracks = []
     for number, frame in enumerate(detections):
         for peak in frame:
-            nearest, distance_px = None, JUMP_PX
+            nearest = None
+            distance_px = JUMP_PX
             for track in tracks:
                 last, last_number = track[-1]
                 apart_px = np.hypot(last.x - peak.x, last.y - peak.y)
                 if 0 < number - last_number <= GAP_FRAMES and apart_px < distance_px:
-                    nearest, distance_px = track, apart_px
+                    nearest = track
+                    distance_px = apart_px
             if nearest is None:
                 tracks.append([(peak, number)])
             else:

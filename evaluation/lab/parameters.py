@@ -243,8 +243,8 @@ def unit_of(name: str) -> str:
 def sentences_of(settings: type) -> dict[str, str]:
     """What the docstring of a settings class says of each key, as in `name, other: Sentence`."""
     names = "|".join(item.name for item in fields(settings))
-    text = " ".join(inspect.cleandoc(settings.__doc__ or "").split())
-    parts = re.split(rf"(?:^|(?<=\s))((?:{names})(?:, (?:{names}))*): ", text)
+    docstring = " ".join(inspect.cleandoc(settings.__doc__ or "").split())
+    parts = re.split(rf"(?:^|(?<=\s))((?:{names})(?:, (?:{names}))*): ", docstring)
     help_texts: dict[str, str] = {}
     for keys, text in zip(parts[1::2], parts[2::2], strict=True):
         sentence = re.split(r"(?<=\.)\s", text.strip(), maxsplit=1)[0]

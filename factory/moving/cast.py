@@ -14,17 +14,14 @@ from .. import seeds
 from ..errors import FactoryError
 from ..frame import FrameRef, Surroundings
 from ..labels import class_names
-from ..scenes.mesh import MeshSettings
 from ..scenes.moving import Moving, MovingObject, waypoints
-from ..scenes.seabed import OwnObject, SeabedSettings
+from ..scenes.seabed import OwnObject, RecordingSettings
 from ..scenes.seabed.meshes import Mesh
 from ..scenes.seabed.terrain import Draws
 from .course import Course, Origin, RecordedPath, Swim
 from .fish import SwimmingWave, fish_mesh, love_target_strength_db
 
 Points = npt.NDArray[np.float64]
-RecordingSettings = SeabedSettings | MeshSettings
-"""Of the readers whose recordings can have moving objects."""
 
 # Of a school: how members differ in length and heading, and how they drift about their places.
 _LENGTH_SPREAD = 0.12

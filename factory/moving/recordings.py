@@ -10,7 +10,8 @@ from ..errors import FrameError
 from ..frame import Frame
 from ..render.base import Rendered
 from ..scenes import SceneSettings
-from .cast import Actor, RecordingSettings, draw_cast
+from ..scenes.seabed import RecordingSettings
+from .cast import Actor, draw_cast
 from .compose import PosedBody, bodies_at
 
 SceneType = TypeVar("SceneType")

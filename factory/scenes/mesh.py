@@ -28,12 +28,12 @@ from ..frame import Frame, FrameRef, Intrinsics, Surroundings, checked
 from ..labels import class_names
 from ..seeds import stream
 from ..settings import STRICT
-from .base import Discovery, OwnClass, Root, SceneSettings
+from .base import Discovery, OwnClass, Root
 from .blend_files import photograph
 from .mesh_parts import READING, Part, Up, files_of, read_model, stands_like_a_wall
-from .moving import Moving, MovingObject, check_moving, check_paths
+from .moving import MovingObject, check_moving, check_paths
 from .poses import trajectory
-from .seabed import OwnObject, moving_by_key
+from .seabed import OwnObject, RecordingSettings
 from .seabed.camera import Objects, Optics, Pose, ZBuffer, camera, centred, pose
 
 _LARGEST_M = 3000.0
@@ -55,7 +55,7 @@ class PartClass(OwnClass):
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
-class MeshSettings(SceneSettings):
+class MeshSettings(RecordingSettings):
     """Keys of `scenes=mesh`.
 
     file: .glb, .gltf, .obj, .ply, .stl, or .blend (whose images Cycles makes with its own
@@ -119,24 +119,9 @@ class MeshSettings(SceneSettings):
         return (*self.classes, *self.own_objects, *self.moving_objects)
 
     @property
-    def moving(self) -> dict[str, Moving]:
-        """How each of the moving objects moves, by its configuration key."""
-        return moving_by_key(self.moving_objects, self.own_objects)
-
-    @property
-    def has_moving_objects(self) -> bool:
-        """See `SceneSettings`."""
-        return bool(self.moving)
-
-    @property
     def is_recording(self) -> bool:
         """Whether the frames of a path are one recording."""
         return self.frame_rate_hz is not None or self.poses is not None
-
-    @property
-    def is_continuous(self) -> bool:
-        """See `SceneSettings`."""
-        return self.frame_rate_hz is not None or self.has_moving_objects
 
     def rendered_ref(self, ref: FrameRef) -> FrameRef:
         """See `SceneSettings`: a sonar at rest sees the same static scene in all frames."""

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from ..recordings.base import FULL_SCALE
 from .pictures import white_of
 from .temporal.motion import Grey, grey_of
+from .unchanged import first_of
 
 _WINDOW_PX = 5  # side of the window of local means and deviations
 _FLAT_STD = 0.002  # of the scale: less is half a grey level of 8 bits
@@ -34,8 +35,6 @@ _LIMIT_ON_BLACK = -0.5
 _LIMIT_WITHOUT_GROUND = -0.3
 """Polarity below which an image counts as inverted.  Of 1,224 images of eight sonars, real and
 simulated, none counts, and of their inverses 1,220 do."""
-
-_NAMED = 3
 
 
 def has_inverted_scale(levels: Grey) -> bool:
@@ -97,8 +96,5 @@ class InvertedReport:
     def summary(self) -> Iterator[str]:
         """One line, if most images of a file look inverted."""
         names = [name for name, count in self._images.items() if self._inverted[name] > count / 2]
-        if not names:
-            return
-        named = ", ".join(names[:_NAMED])
-        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-        yield f"inverted: dark echoes on a bright ground in {named}{more}; add --invert"
+        if names:
+            yield f"inverted: dark echoes on a bright ground in {first_of(names)}; add --invert"

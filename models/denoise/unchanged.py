@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,13 +40,18 @@ class UnchangedReport:
         """One line, if there was an image that did not change."""
         if not self._images:
             return
-        names = ", ".join(list(self._images)[:_NAMED])
-        more = f" and {len(self._images) - _NAMED} more" if len(self._images) > _NAMED else ""
         hint = ""
         if self._bright:
             hint = "; where echoes are dark on a bright ground, add --invert"
         count = self._images.total()
-        yield f"unchanged: {count} image{'s' * (count != 1)} of {names}{more}{hint}"
+        names = first_of(list(self._images))
+        yield f"unchanged: {count} image{'s' * (count != 1)} of {names}{hint}"
+
+
+def first_of(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    named = ", ".join(names[:_NAMED])
+    return named if len(names) <= _NAMED else f"{named} and {len(names) - _NAMED} more"
 
 
 def _has_contrast(image: Image) -> bool:

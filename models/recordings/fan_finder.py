@@ -185,8 +185,13 @@ def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
     for just_inside, just_outside in _outline_sides(fan):
         inner = _lit_share(lit, *fan.pixels(*just_inside))
         outer = _lit_share(lit, *fan.pixels(*just_outside))
-        ends_here.append((inner > _LEAST_INNER) & (outer < _OUTER_OF_INNER * inner))
+        ends_here.append(light_ends(inner, outer))
     return float(np.mean(ends_here))
+
+
+def light_ends(inner: Numbers, outer: Numbers) -> npt.NDArray[np.bool_]:
+    """Where the lit area ends, by the shares of pixels lit just inside and outside an outline."""
+    return (inner > _LEAST_INNER) & (outer < _OUTER_OF_INNER * inner)
 
 
 class _Places(NamedTuple):

@@ -16,14 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.sonar.geometry import FanGeometry
-from .fan_finder import find_geometry, grey_bytes, outline_pixels
+from .fan_finder import find_geometry, grey_bytes, light_ends, outline_pixels
 
 Bytes = npt.NDArray[np.uint8]
 Shares = npt.NDArray[np.float64]
 
 _KEPT_SHARE = 0.5  # of the outline that was seen when the fan was found
-_OUTER_OF_INNER = 0.35  # part of what lies just inside that may be lit just outside
-_LEAST_INNER = 0.1
 _LEAST_SPREAD = 6  # of 255: ringing of codecs on a flat ground
 _MORE_OUTSIDE = 0.02  # part of the image: text and menus where there was nothing
 _LEAST_INSIDE = 0.2  # of what was lit in the fan when it was found
@@ -161,8 +159,7 @@ def _shares(fan: _TrackedFan, grey: Bytes) -> Shares:
 
     inner = lit_share(fan.inner)
     outer = lit_share(fan.outer)
-    ends = (inner > _LEAST_INNER) & (outer < _OUTER_OF_INNER * inner)
-    return np.asarray(ends.mean(axis=1), np.float64)
+    return np.asarray(light_ends(inner, outer).mean(axis=1), np.float64)
 
 
 def _outside_of(fan: _TrackedFan, grey: Bytes) -> float:

@@ -81,19 +81,6 @@ class OwnObject(OwnClass):
         return OwnMesh(whole, files_of(path, f"{key}.file"), model.notes)
 
 
-def moving_by_key(
-    moving_objects: tuple[MovingObject, ...], own_objects: tuple[OwnObject, ...]
-) -> dict[str, Moving]:
-    """How each of the moving objects moves, by its configuration key."""
-    by_key = {
-        f"scenes.moving_objects.{number}": item.moving for number, item in enumerate(moving_objects)
-    }
-    for number, own in enumerate(own_objects):
-        if own.moving is not None:
-            by_key[f"scenes.own_objects.{number}"] = own.moving
-    return by_key
-
-
 class OwnMesh(NamedTuple):
     """The mesh of an own object, centred on the origin.
 
@@ -105,8 +92,41 @@ class OwnMesh(NamedTuple):
     notes: tuple[str, ...]
 
 
+class RecordingSettings(SceneSettings):
+    """What readers have in common whose scenes may be recordings, through which objects move.
+
+    They declare the keys as fields; this class adds none.
+    """
+
+    moving_objects: tuple[MovingObject, ...]
+    own_objects: tuple[OwnObject, ...]
+    frame_rate_hz: float | None
+
+    @property
+    def moving(self) -> dict[str, Moving]:
+        """How each of the moving objects moves, by its configuration key."""
+        by_key = {
+            f"scenes.moving_objects.{number}": item.moving
+            for number, item in enumerate(self.moving_objects)
+        }
+        for number, own in enumerate(self.own_objects):
+            if own.moving is not None:
+                by_key[f"scenes.own_objects.{number}"] = own.moving
+        return by_key
+
+    @property
+    def has_moving_objects(self) -> bool:
+        """See `SceneSettings`."""
+        return bool(self.moving)
+
+    @property
+    def is_continuous(self) -> bool:
+        """See `SceneSettings`."""
+        return self.frame_rate_hz is not None or self.has_moving_objects
+
+
 @dataclass(frozen=True, config=STRICT)
-class SeabedSettings(SceneSettings):
+class SeabedSettings(RecordingSettings):
     """Keys of `scenes` for the procedural seabed.
 
     locations: how many, from number `first_location` on; a number is a place of its own.
@@ -150,24 +170,9 @@ class SeabedSettings(SceneSettings):
         return (*self.own_objects, *self.moving_objects)
 
     @property
-    def moving(self) -> dict[str, Moving]:
-        """How each of the moving objects moves, by its configuration key."""
-        return moving_by_key(self.moving_objects, self.own_objects)
-
-    @property
-    def has_moving_objects(self) -> bool:
-        """See `SceneSettings`."""
-        return bool(self.moving)
-
-    @property
     def is_recording(self) -> bool:
         """Whether the frames of a location are one recording."""
         return self.frame_rate_hz is not None or self.path is not None
-
-    @property
-    def is_continuous(self) -> bool:
-        """See `SceneSettings`."""
-        return self.frame_rate_hz is not None or bool(self.moving)
 
     def rendered_ref(self, ref: FrameRef) -> FrameRef:
         """See `SceneSettings`: a sonar at rest sees the same static scene in all frames."""

@@ -23,7 +23,8 @@ def speckled_fan(seed: int, *, ground: float, inverted: bool = False) -> Grey:
     """(240, 200) float32: a sea floor with bright objects and their shadows in a fan."""
     rng = np.random.default_rng(seed)
     rows, columns = np.mgrid[:240, :200].astype(np.float32)
-    depth, across = 250 - rows, columns - 100
+    depth = 250 - rows
+    across = columns - 100
     inside = (np.abs(across) < 0.35 * depth) & (np.hypot(depth, across) < 235) & (depth > 60)
 
     reflectivity = np.full(inside.shape, 0.12, np.float32)
