@@ -12,6 +12,7 @@ from ..factory.settings import STRICT
 
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
+ScaleFactor = Annotated[float, Field(gt=0, le=16)]
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -58,7 +59,9 @@ class RenderedData(DataSettings):
     make: tuple[str, ...]
     pack: str | None
     fewer: Share
-    scales: Annotated[tuple[Annotated[float, Field(gt=0, le=16)], ...], Field(min_length=1)]
+    scales: Annotated[
+        tuple[ScaleFactor | tuple[ScaleFactor, ScaleFactor], ...], Field(min_length=1)
+    ]
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

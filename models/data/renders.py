@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,28 @@ _BLACK = 0.02  # shadow counts as such where the target is darker; under haze th
 _AMOUNTS = ("alpha", "density", "strength")
 
 
+class ImageScale(NamedTuple):
+    """Size of an image as multiples of the dataset's.
+
+    cells: factor of beams and range bins.  pixels: factor of the image's width and height.
+    """
+
+    cells: float
+    pixels: float
+
+
+def image_scales(data: RenderedData) -> list[ImageScale]:
+    """The entries of `data.scales`: a number scales cells and pixels alike, a pair each of them."""
+    scales = []
+    for entry in data.scales:
+        cells, pixels = entry if isinstance(entry, tuple) else (entry, entry)
+        scales.append(ImageScale(cells, pixels))
+    return scales
+
+
+_SAME_SIZE = ImageScale(1.0, 1.0)
+
+
 class RenderedSource(Source):
     """Pairs made on the fly of rendered frames."""
 
@@ -57,9 +79,9 @@ class RenderSource(RenderedSource):
     """Pairs of the configuration's device, under fresh noise at each visit."""
 
     @cached_property
-    def _makers(self) -> dict[float, PairMaker]:
-        """By scale."""
-        sonars = {scale: resized(self.config.sonar, scale) for scale in (1.0, *self.data.scales)}
+    def _makers(self) -> dict[ImageScale, PairMaker]:
+        scales = (_SAME_SIZE, *image_scales(self.data))
+        sonars = {scale: resized(self.config.sonar, scale) for scale in scales}
         configs = {scale: replace(self.config, sonar=sonar) for scale, sonar in sonars.items()}
         kept_frames = frames_worth_keeping(len(configs) * len(self.images)) // len(configs)
         return {
@@ -69,7 +91,7 @@ class RenderSource(RenderedSource):
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        scale = 1.0
+        scale = _SAME_SIZE
         number = 0
         noise = None
         if visit is not None:
@@ -88,9 +110,9 @@ class RenderSource(RenderedSource):
             FanGeometry.from_record(maker.config.sonar, pair.record),
         )
 
-    def scale_of(self, index: int, visit: int) -> float:
-        """Size of the image of a visit, as multiples of the dataset's: any of `data.scales`."""
-        scales = self.data.scales
+    def scale_of(self, index: int, visit: int) -> ImageScale:
+        """Size of the image of a visit: any of `data.scales`."""
+        scales = image_scales(self.data)
         return scales[stream(self.seed, "scale", index, visit).integers(len(scales))]
 
     def noise_of(self, index: int, visit: int) -> NoiseSettings:
@@ -185,22 +207,24 @@ def scaled(block: Any, factor: float) -> Any:
     return replace(block, **changes)
 
 
-def resized(sonar: SonarSettings, scale: float) -> SonarSettings:
-    """The same device with `scale` times as many beams, range bins and pixels.
+def resized(sonar: SonarSettings, scale: ImageScale) -> SonarSettings:
+    """The same device with other numbers of beams, range bins and pixels.
 
     Its point spread stays as many bins and beams wide, so with more of them it resolves more.
     Raises FactoryError when that is too many, and where there is a table of beams, which says
     nothing of beams between.
     """
-    if scale == 1:
+    if scale == _SAME_SIZE:
         return sonar
     image = sonar.image
-    bins = {name: round(scale * getattr(sonar, name)) for name in ("beams", "range_bins")}
-    pixels = {name: round(scale * getattr(image, name)) for name in ("width_px", "height_px")}
+    cells = {name: round(scale.cells * getattr(sonar, name)) for name in ("beams", "range_bins")}
+    pixels = {
+        name: round(scale.pixels * getattr(image, name)) for name in ("width_px", "height_px")
+    }
     try:
-        return replace(sonar, **bins, image=replace(image, **pixels))
+        return replace(sonar, **cells, image=replace(image, **pixels))
     except ValueError as error:
         raise FactoryError(
-            f"data.scales: {scale:g} makes {bins | pixels}; 2 to 8192 of each are possible, and of "
-            "a sonar with a table of beams only its own"
+            f"data.scales: [{scale.cells:g}, {scale.pixels:g}] makes {cells | pixels}; 2 to 8192 "
+            "of each are possible, and of a sonar with a table of beams only its own"
         ) from error

@@ -24,7 +24,7 @@ from ...factory.views import open_views
 from ..settings import DataSettings, MixedData, ModelsSettings, OldData, RenderedData, SequencesData
 from .images import OldDataSource, digest_of, list_images, smallest_side
 from .pairs import Data, PairSource, SampleRef, hold_out, read_table, spread
-from .renders import DeviceSource, RenderSource
+from .renders import DeviceSource, RenderSource, image_scales
 from .sequences import open_sequences
 from .time_stacks import MixedSource, open_stacks
 
@@ -46,7 +46,9 @@ def open_data(settings: ModelsSettings) -> Data:
         return open_sequences(folder, data, seed)
     table = read_table(folder, "train")
     if not isinstance(data, MixedData):
-        least = min(data.scales) if isinstance(data, RenderedData) else 1.0
+        least = 1.0
+        if isinstance(data, RenderedData):
+            least = min(scale.pixels for scale in image_scales(data))
         height, width = (round(least * side) for side in (table.height, table.width))
         _check_size(data, min(height, width), str(folder), f" ({height}x{width})")
     learning, held = hold_out(table.samples, data.validation, seed)

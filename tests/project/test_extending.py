@@ -86,6 +86,7 @@ def installed(site: Path) -> Iterator[None]:
         finally:
             for kind, name in list(extensions._registered):
                 extensions._registered.pop((kind, name))
+            REGISTRY.pop("row_median", None)
             EFFECTS.pop("drifting_snow", None)
             ConfigStore.instance().repo.get("scenes", {}).pop("npz_folder.yaml", None)
             for module in [name for name in sys.modules if name.split(".")[0] == "mine"]:

@@ -16,7 +16,7 @@ from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.models.data.crops import Crops, Visit, whole_image
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
-from simnfnd.models.data.renders import DeviceSource, resized
+from simnfnd.models.data.renders import DeviceSource, ImageScale, resized
 from simnfnd.models.training.loop import Loop
 from simnfnd.models.training.train import train
 from tests.models.data.small_renders import (
@@ -121,23 +121,24 @@ def test_training_on_renders_broken_off_ends_with_the_same_bytes(
     assert first == second
 
 
-def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) -> None:
-    source = renders(rendered, scales=(1.0, 2.0), weaker=0.0, fewer=0.0)
+def test_scales_train_on_images_of_several_sizes(rendered: tuple[Path, Path]) -> None:
+    source = renders(rendered, scales=(1.0, 2.0, (1.0, 2.0)), weaker=0.0, fewer=0.0)
     once = renders(rendered, weaker=0.0, fewer=0.0)
     height, width = source.config.sonar.shape()
     drawn = {visit: source.scale_of(0, visit) for visit in range(40)}
-    assert 8 < sum(scale == 2 for scale in drawn.values()) < 32
-    for scale in (1.0, 2.0):
+    wide_cells = ImageScale(cells=1, pixels=2)
+    assert 4 < sum(scale == wide_cells for scale in drawn.values()) < 26
+    for scale in (ImageScale(1, 1), ImageScale(2, 2), wide_cells):
         visit = next(number for number, drawn_scale in drawn.items() if drawn_scale == scale)
         sample = source.sample(0, visit)
-        assert sample.noisy.shape == (scale * height, scale * width)
+        assert sample.noisy.shape == (scale.pixels * height, scale.pixels * width)
         assert sample.geometry is not None
         sonar = resized(source.config.sonar, scale)
         expected = pair_maker(replace(source.config, sonar=sonar)).pairs(source.images[0], (visit,))
         np.testing.assert_array_equal(sample.noisy, in_unit_range(expected[0].noisy))
         sector = sample.geometry.maps(0, 0, *sample.noisy.shape)["sector"]
         assert (sector[sample.noisy > 0] > 0).mean() > 0.97
-        if scale == 1:
+        if scale.pixels == 1:
             np.testing.assert_array_equal(sample.noisy, once.sample(0, visit).noisy)
     crops = Crops(source, data_settings(patch=24, batch=8, crops=2), 1, ("range_fraction",))
     sizes = {crops[Visit(visit, 0, visit)]["noisy"].shape for visit in range(4)}
