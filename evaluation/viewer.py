@@ -270,7 +270,8 @@ def _opened(path: Path) -> Recording:
     # Pictures of denoised pings have their samples beside the fans.
     fans = [file for file in recording.files if not file.stem.endswith("_polar")]
     if fans:
-        recording.files, recording.count = fans, len(fans)
+        recording.files = fans
+        recording.count = len(fans)
     return recording
 
 

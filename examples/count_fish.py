@@ -38,13 +38,17 @@ LABELS = EXAMPLE.with_name("lamprey1-fish.csv")
 WINDOW = 5  # frames that the network sees
 HELD_OUT = 1 / 3  # of the simulated recordings, which do not train
 HELD_OUT_STEP = 8  # every so many of their frames is looked at
-BATCH, CROP_PX = 8, 64
+BATCH = 8
+CROP_PX = 64
 ZOOM = 1.0, 2.0  # simulated fish are smaller than those of lamprey1
 POSITIVE = torch.tensor(3.0)  # weight of a fish in the loss
 LEAST_CONTRAST = 10 / 255  # of a simulated echo that counts as visible
 MATCH_PX = 5  # from a detection to the box of its fish
 APART_PX = 9  # between detections
-JUMP_PX, GAP_FRAMES, LEAST_DETECTIONS = 12, 5, 10  # of a track that counts
+# Of a track that counts:
+JUMP_PX = 12
+GAP_FRAMES = 5
+LEAST_DETECTIONS = 10
 
 
 class Peak(NamedTuple):
@@ -351,7 +355,8 @@ def main():
     torch.manual_seed(0)
     recordings = simulated(folder)
     count = max(1, round(HELD_OUT * len(recordings)))
-    learning, held = recordings[:-count], recordings[-count:]
+    learning = recordings[:-count]
+    held = recordings[-count:]
     network = build_network()
     print(f"{sum(weight.numel() for weight in network.parameters())} parameters")
     train(network, learning, steps)

@@ -53,10 +53,8 @@ for _, _, picture, row, boxes in sorted(samples, key=lambda entry: entry[:2], re
             place = np.stack([-points.imag, row["range_max_m"] - points.real], axis=-1)
             pixels = 2 * place / row["metres_per_pixel"] + (picture.shape[1], 0)
             cv2.polylines(tile, [np.int32(np.rint(pixels))], True, colour, 1, cv2.LINE_AA)
-        text, left, top = (
-            f"{box['class']} {100 * box['insonified']:.0f} %",
-            *np.int32(pixels.min(0)),
-        )
+        text = f"{box['class']} {100 * box['insonified']:.0f} %"
+        left, top = np.int32(pixels.min(0))
         cv2.putText(tile, text, (left, top - 4), 0, 0.4, (90, 200, 255), 1, cv2.LINE_AA)
     tiles.append(tile)
 cv2.imwrite(out, np.hstack(tiles))

@@ -53,7 +53,8 @@ def write_ply(path: Path, points: np.ndarray) -> None:
 if __name__ == "__main__":
     if len(sys.argv) < 3:
         sys.exit(__doc__)
-    folder, target = Path(sys.argv[1]), Path(sys.argv[2])
+    folder = Path(sys.argv[1])
+    target = Path(sys.argv[2])
     shards = sorted(folder.glob("*/shard-*.h5"))
     if not shards:
         sys.exit(f"{folder}: no shards below it; give the folder of a dataset")

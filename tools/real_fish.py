@@ -40,7 +40,8 @@ _GAP_PX = 3
 _CAPTION_PX = 20
 _LABEL_PX = 96
 _FEWEST_COLUMNS = 48  # of an image; fewer are beams
-_DARK, _LIGHT = 24, 235
+_DARK = 24
+_LIGHT = 235
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 Frames = npt.NDArray[np.float32]

@@ -118,7 +118,8 @@ def _alike(compared, row, column, tau, places, distances):  # type: ignore[no-un
             i = block_count if block_count < room else room - 1
             while i > 0 and distances[i - 1] > distance:
                 distances[i] = distances[i - 1]
-                places[i, 0], places[i, 1] = places[i - 1, 0], places[i - 1, 1]
+                places[i, 0] = places[i - 1, 0]
+                places[i, 1] = places[i - 1, 1]
                 i -= 1
             distances[i] = distance
             places[i, 0] = r

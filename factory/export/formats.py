@@ -347,6 +347,15 @@ def _value_column(dtype: np.dtype[np.generic]) -> _Column:
 # --- objects, for detectors
 
 
+class Box(NamedTuple):
+    """The smallest box around an object, pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
 @dataclass(frozen=True, eq=False)
 class Shown:
     """An object in an image: its class, 1 or more, and the pixels (H, W) that show it."""
@@ -355,10 +364,9 @@ class Shown:
     mask: npt.NDArray[np.bool_]
 
     @property
-    def box(self) -> tuple[int, int, int, int]:
-        """Left, top, width and height of the smallest box around the pixels, pixels."""
-        left, top, width, height = cv2.boundingRect(self.mask.astype(np.uint8))
-        return left, top, width, height
+    def box(self) -> Box:
+        """The box around the pixels of the mask."""
+        return Box(*cv2.boundingRect(self.mask.astype(np.uint8)))
 
 
 def shown_in(sample: Sample, classes: tuple[str, ...], directory: Path) -> Iterator[Shown]:

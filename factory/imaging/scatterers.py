@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -78,8 +78,9 @@ class Scatterers:
 
             pose = np.ascontiguousarray(self.world_from_camera[:3])
             names, places = np.empty((2, len(self.pixels)), np.uint32)
-            positions = (self.pixels, self.parts), self.row_ends, camera_of(self.frame), pose
-            kernels.cells(*positions, edge_m, names, places)
+            scatterers = (self.pixels, self.parts)
+            rays = tuple(camera_rays(self.frame))
+            kernels.cells(scatterers, self.row_ends, rays, pose, edge_m, names, places)
             for own in self.moving:
                 names[own.index], places[own.index] = own.cells(edge_m)
             self._cells.clear()
@@ -102,9 +103,9 @@ class Scatterers:
         width = self.frame.depth_m.shape[1]
         row = pixel // width  # by one number: faster than divmod
         column = pixel - row * width
-        depth_m, across, down = camera_of(self.frame)
-        z = depth_m.ravel()[pixel]
-        return bins, np.stack([across[column] * z, down[row] * z, z])
+        rays = camera_rays(self.frame)
+        z = rays.depth_m.ravel()[pixel]
+        return bins, np.stack([rays.across[column] * z, rays.down[row] * z, z])
 
 
 def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Floats:
@@ -146,7 +147,7 @@ def scatterers(
     echo, exponents = np.array(acoustics.of_classes()).T
     echo = echo / (frame.intrinsics.fx * frame.intrinsics.fy)  # the middle pixel's solid angle
     count = kernels.place_scatterers(
-        camera_of(frame), surface.rendered.radiance, labels, _factor(surface, exponents),
+        tuple(camera_rays(frame)), surface.rendered.radiance, labels, _factor(surface, exponents),
         echo.astype(np.float32), sonar.mount.axes(), grid_of(window, sonar),
         vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
         (power.reshape(-1), owner.reshape(-1), in_beam.reshape(-1)),
@@ -163,10 +164,22 @@ def scatterers(
     return Scatterers(*of_each, power, owner, in_beam, loss, frame, np.asarray(pose, np.float64))
 
 
-def camera_of(frame: Frame) -> tuple[Floats, Floats, Floats]:
-    """Depths (H, W), and (W,) and (H,) float32 x / z of the columns and y / z of the rows."""
+class CameraRays(NamedTuple):
+    """Where the pixels of a frame lie in camera axes; the compiled loops take it as a plain tuple.
+
+    depth_m: (H, W) float32, z.  across: (W,) float32, x / z of the columns.
+    down: (H,) float32, y / z of the rows.
+    """
+
+    depth_m: Floats
+    across: Floats
+    down: Floats
+
+
+def camera_rays(frame: Frame) -> CameraRays:
+    """Depth of each pixel, and directions of columns and rows."""
     across, down = frame.intrinsics.directions(*frame.depth_m.shape)
-    return frame.depth_m, across.astype(np.float32), down.astype(np.float32)
+    return CameraRays(frame.depth_m, across.astype(np.float32), down.astype(np.float32))
 
 
 def grid_of(window: Window, sonar: SonarSettings) -> tuple[Any, ...]:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..dataset.schema import Column
 from ..errors import FrameError
 from ..frame import MovingPixels
-from ..imaging.scatterers import camera_of, vertical_table
+from ..imaging.scatterers import camera_rays, vertical_table
 from ..sonar import polar
 from ..sonar.fan import lay_out_nearest
 from ..sonar.surface import LitSurface
@@ -88,10 +88,10 @@ class _Heard(NamedTuple):
 def _heard(lit: LitSurface, moving: MovingPixels) -> _Heard:
     frame = lit.frame
     sonar = lit.sonar
-    depth_m, across, down = camera_of(frame)
-    row, column = np.divmod(moving.pixel, depth_m.shape[1])
-    z = depth_m.reshape(-1)[moving.pixel].astype(np.float64)
-    camera_m = np.stack([across[column] * z, down[row] * z, z], axis=-1)
+    rays = camera_rays(frame)
+    row, column = np.divmod(moving.pixel, rays.depth_m.shape[1])
+    z = rays.depth_m.reshape(-1)[moving.pixel].astype(np.float64)
+    camera_m = np.stack([rays.across[column] * z, rays.down[row] * z, z], axis=-1)
     turn = sonar.mount.rotation_sonar_from_camera()
     sonar_m = (camera_m - sonar.mount.position_camera_m()) @ turn.T
     strength = lit.rendered.radiance.reshape(-1)[moving.pixel].astype(np.float64)

@@ -14,7 +14,7 @@ from ..errors import FrameError
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected, interpolate_table
 from ..imaging.moving import static_index
-from ..imaging.scatterers import beam_table, camera_of
+from ..imaging.scatterers import beam_table, camera_rays
 from ..imaging.signal import (
     Floats,
     Ping,
@@ -231,7 +231,7 @@ def _place_static_points(ping: Ping, cell_m: float) -> CellPoints:
     gather_arguments = (
         (scene.pixels[static], scene.parts[static]),
         scene.powers[static],
-        camera_of(scene.frame),
+        tuple(camera_rays(scene.frame)),
         world_from_camera,
         cell_m,
     )

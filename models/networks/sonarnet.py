@@ -67,6 +67,18 @@ class SonarNetSettings:
             )
 
 
+class CoreOutput(NamedTuple):
+    """What the core of a SonarNet computes for N images.
+
+    change: what to add, (N, 1, H, W).  shadow_logits: (N, 1, H, W).  weight: the share of the
+    change to apply, (N,).
+    """
+
+    change: Tensor
+    shadow_logits: Tensor
+    weight: Tensor
+
+
 class SonarNet(Network):
     """Predicts what to add to the noisy image, where it shows shadow, and how much of it."""
 
@@ -131,8 +143,9 @@ class SonarNet(Network):
         if self.training and has_geometry and self.settings.forget:
             has_geometry = bool(torch.rand(()) >= self.settings.forget)
         if not has_geometry:
-            change, logits, weight = self.core(remove, frames, GridLines(), noisy, *_unknown(noisy))
-            return _output(self.gated(noisy + change, logits), logits, weight)
+            core = self.core(remove, frames, GridLines(), noisy, *_unknown(noisy))
+            image = self.gated(noisy + core.change, core.shadow_logits)
+            return _output(image, core.shadow_logits, core.weight)
         range_fraction = extras["range_fraction"]
         azimuth_rad = extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
@@ -142,17 +155,20 @@ class SonarNet(Network):
         if grid is None:
             planes = (padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector))
             maps = _known(range_fraction, azimuth_rad, sector)
-            change, logits, weight = self.core(remove, frames, MapLines.of(*planes), noisy, *maps)
+            core = self.core(remove, frames, MapLines.of(*planes), noisy, *maps)
+            change = core.change
+            logits = core.shadow_logits
         else:
             polar = sampled(torch.cat([noisy, sector], dim=1), grid.to_polar)
             maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
-            *cells, weight = self.core(remove, None, GridLines(), polar[:, :1], *maps)
-            change, logits = sampled(torch.cat(cells, dim=1), grid.to_fan).chunk(2, dim=1)
+            core = self.core(remove, None, GridLines(), polar[:, :1], *maps)
+            cells = torch.cat([core.change, core.shadow_logits], dim=1)
+            change, logits = sampled(cells, grid.to_fan).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
         outside = sector <= 0
         image = self.gated(noisy + change.masked_fill(outside, 0.0), logits)
         image = torch.where(outside, noisy, image)
-        return _output(image, logits.masked_fill(outside, _OUTSIDE), weight)
+        return _output(image, logits.masked_fill(outside, _OUTSIDE), core.weight)
 
     def gated(self, image: Tensor, logits: Tensor) -> Tensor:
         """The image, darker where the logits say shadow; (N, 1, H, W) both."""
@@ -160,8 +176,8 @@ class SonarNet(Network):
 
     def core(
         self, remove: Tensor, frames: Tensor | None, lines: Lines, *planes: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """What to add and logits of shadow, (N, 1, H, W) as the planes; the weight, (N,).
+    ) -> CoreOutput:
+        """What the network computes on the grid of its inputs, inside and outside the sector.
 
         planes: the image and its maps as of `_known` or `_unknown`.  frames: as of
         `with_heads`.  lines: beams and arcs of the features at half resolution.
@@ -189,7 +205,8 @@ class SonarNet(Network):
         # The last plane is the sector's complement, or -1 where it is unknown.
         sector = 1 - planes[-1].clamp_min(0)
         denoised = self.gated(noisy + change, logits)
-        return change, logits, self.blend(x, noisy, denoised - noisy, sector)
+        weight = self.blend(x, noisy, denoised - noisy, sector)
+        return CoreOutput(change, logits, weight)
 
     def _conditioned(self, remove: Tensor, levels: list[Tensor]) -> list[Step]:
         """The blocks on the way down, on features scaled and shifted by the condition.

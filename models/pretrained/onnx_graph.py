@@ -139,7 +139,7 @@ class RuntimeGraph(Graph):
         lines = MapLines(named["beams"], named["arcs"], cell_weights, shape)
         remove = named.get("remove", torch.from_numpy(vector(DEFAULT))[None])
         planes = torch.split(maps, 1, dim=1)
-        return self.network.core(remove, named.get("frames"), lines, noisy, *planes)
+        return tuple(self.network.core(remove, named.get("frames"), lines, noisy, *planes))
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
         """Speckle in one image, and the other inputs for it; `count` has no effect.

@@ -38,6 +38,17 @@ class Message(NamedTuple):
     content: bytes
 
 
+class StoredMessage(NamedTuple):
+    """A message as the readers of rosbags give it: its connection, when it was recorded, its bytes.
+
+    time_ns: nanoseconds since 1970.
+    """
+
+    connection: Connection
+    time_ns: int
+    content: bytes
+
+
 class CutBag:
     """A reader of a `.bag` or `.mcap` file without its index, as those of rosbags are.
 
@@ -60,14 +71,12 @@ class CutBag:
             if number in counts
         ]
 
-    def messages(
-        self, connections: Collection[Connection]
-    ) -> Iterator[tuple[Connection, int, bytes]]:
-        """(connection, nanoseconds since 1970, content) of their messages, in order."""
+    def messages(self, connections: Collection[Connection]) -> Iterator[StoredMessage]:
+        """The messages of these connections, in order."""
         wanted = {connection.id: connection for connection in connections}
         for message in self._messages({}):
             if message.connection in wanted:
-                yield wanted[message.connection], message.time_ns, message.content
+                yield StoredMessage(wanted[message.connection], message.time_ns, message.content)
 
     def close(self) -> None:
         """Nothing stays open."""

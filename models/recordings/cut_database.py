@@ -10,6 +10,8 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .cut_bags import StoredMessage
+
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
@@ -58,14 +60,12 @@ class CutDatabase:
         ]
         database.close()
 
-    def messages(
-        self, connections: Collection[Connection]
-    ) -> Iterator[tuple[Connection, int, bytes]]:
-        """(connection, nanoseconds since 1970, content) of their messages, in order."""
+    def messages(self, connections: Collection[Connection]) -> Iterator[StoredMessage]:
+        """The messages of these connections, in order."""
         wanted = {connection.id: connection for connection in connections}
         for topic, time_ns, content in self._rows():
             if topic in wanted:
-                yield wanted[topic], time_ns, content
+                yield StoredMessage(wanted[topic], time_ns, content)
 
     def close(self) -> None:
         """Nothing stays open."""

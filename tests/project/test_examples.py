@@ -194,7 +194,9 @@ def test_a_node_of_ros_denoises_what_comes(tmp_path: Path, monkeypatch: pytest.M
             monkeypatch.setitem(sys.modules, name, module)
         monkeypatch.setattr(sys, "argv", ["node", "/sonar", "--weights", str(weights), *words])
         runpy.run_path(str(EXAMPLES / "ros2_denoise.py"), run_name="__main__")
-        topics, sent, said = node.topics, node.sent, node.said
+        topics = node.topics
+        sent = node.sent
+        said = node.said
         assert topics == [("/sonar/denoised", kind), ("/sonar", kind)]
         assert len(sent) == len(
             [message for message in messages if message is ping or message.encoding == "mono8"]

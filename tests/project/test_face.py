@@ -135,7 +135,7 @@ def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypat
 
 def test_frames_and_words_that_will_not_do(monkeypatch) -> None:
     rgb, depth_m = frame()
-    with pytest.raises(ValueError, match="depth_m is 76x96 and rgb is 152x96"):
+    with pytest.raises(ValueError, match=r"depth_m .*76x96 .*rgb .*152x96"):
         simnfnd.make_pair(rgb, depth_m[:, ::2], **PLACE)
     with pytest.raises(simnfnd.FactoryError, match="nois"):
         simnfnd.make_pair(rgb, depth_m, **PLACE, config=("nois=none",))
@@ -220,7 +220,7 @@ def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
     with pytest.raises(ValueError, match="'fan': expected 'find', 'polar'"):
         simnfnd.denoise(np.zeros((8, 8)), geometry="fan")  # type: ignore[call-overload]
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(simnfnd.FactoryError, match=r"denoise needs onnxruntime.*\[denoise\]"):
+    with pytest.raises(simnfnd.FactoryError, match=r"onnxruntime.*\[denoise\]"):
         simnfnd.denoise(np.zeros((8, 8)))
 
 

@@ -191,7 +191,8 @@ def total_variation(grey: Grey, sigma: Grey) -> Grey:
     weight = np.maximum(np.float32(_TV_WEIGHT) * sigma, np.float32(1e-4))
     step = np.float32(0.125) / weight
     across, down = np.zeros((2, *grey.shape), np.float32)
-    previous_across, previous_down = across, down
+    previous_across = across
+    previous_down = down
     momentum = 1.0
     for _ in range(_TV_STEPS):
         image = _less_divergence(grey, across, down, weight)
@@ -208,7 +209,8 @@ def total_variation(grey: Grey, sigma: Grey) -> Grey:
         push = np.float32((momentum - 1) / next_momentum)
         across = new_across + push * (new_across - previous_across)
         down = new_down + push * (new_down - previous_down)
-        previous_across, previous_down = new_across, new_down
+        previous_across = new_across
+        previous_down = new_down
         momentum = next_momentum
     return _less_divergence(grey, previous_across, previous_down, weight)
 

@@ -194,7 +194,7 @@ def test_all_are_the_classical_filters_and_rivals_a_group_of_their_own() -> None
 
 @pytest.mark.skipif(HAS_RADAR, reason="deepdespeckling is installed")
 def test_a_missing_radar_network_is_one_line() -> None:
-    with pytest.raises(FactoryError, match="sar2sar: needs deepdespeckling"):
+    with pytest.raises(FactoryError, match=r"sar2sar: .*deepdespeckling"):
         run("sar2sar", scene(32))
 
 

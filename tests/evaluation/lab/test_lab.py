@@ -77,7 +77,8 @@ def test_the_exported_command_makes_the_images_of_the_lab(session: Session, data
     pairs = PairDataset(dataset, "all", scaled=False)
     for number in (0, 1):
         for pair in session.pairs(CHANGES, number, (0, 1)):
-            frame, variant = session.frames[number].frame, pair.record["variant"]
+            frame = session.frames[number].frame
+            variant = pair.record["variant"]
             row = next(
                 index
                 for index, row in enumerate(pairs.meta())
@@ -180,7 +181,8 @@ def test_charts_tell_grains_apart() -> None:
     rng = np.random.default_rng(1)
     fine = rng.integers(1, 256, (96, 128)).astype(np.uint8)
     coarse = np.repeat(np.repeat(fine[:24, :32], 4, axis=0), 4, axis=1)
-    fine_charts, coarse_charts = charts_of(fine), charts_of(coarse)
+    fine_charts = charts_of(fine)
+    coarse_charts = charts_of(coarse)
     assert sum(fine_charts.histogram) == pytest.approx(1, abs=1e-3)
     assert fine_charts.grain_rows[1] < 0.2 < 0.6 < coarse_charts.grain_rows[1]
     assert np.ptp(fine_charts.spectrum_db) < 6 < np.ptp(coarse_charts.spectrum_db)

@@ -94,7 +94,7 @@ def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Pat
 @pytest.mark.parametrize("folder", ["file/below", "/proc/nowhere"])
 def test_a_folder_that_cannot_be_written_is_named_with_its_key(tmp_path: Path, folder: str) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(FactoryError, match=r"dataset\.dir: cannot write .*; give a writable"):
+    with pytest.raises(FactoryError, match=r"dataset\.dir: "):
         check_writable(tmp_path / folder, "dataset.dir")
 
 
@@ -152,7 +152,7 @@ def test_another_configuration_is_refused_with_the_keys_that_differ(tmp_path: Pa
     assert "noise.density.uniform [0.1, 0.5] -> (absent)" in message
     assert "seed" not in message
     assert "\n" not in message
-    with pytest.raises(FactoryError, match=r"made by simnfnd 0\.1\.0, this is simnfnd 9"):
+    with pytest.raises(FactoryError, match=r"simnfnd 0\.1\.0.*simnfnd 9"):
         open_folder(tmp_path, {}, replace(PROVENANCE, generator="simnfnd 9"))
     (tmp_path / "manifest.json").unlink()
     with pytest.raises(FactoryError, match="another configuration"):
@@ -161,7 +161,7 @@ def test_another_configuration_is_refused_with_the_keys_that_differ(tmp_path: Pa
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
-    with pytest.raises(FactoryError, match=r"holds other files \(thesis\.tex\) and no dataset"):
+    with pytest.raises(FactoryError, match=r"thesis\.tex"):
         open_folder(tmp_path, {}, PROVENANCE)
     with pytest.raises(FactoryError, match="is a file"):
         open_folder(tmp_path / "thesis.tex", {}, PROVENANCE)
@@ -332,5 +332,5 @@ def test_a_config_that_does_not_give_its_hash_is_refused(tmp_path: Path) -> None
     dataset(tmp_path)
     path = tmp_path / "manifest.json"
     path.write_text(path.read_text().replace("30.0", "31.0"))
-    with pytest.raises(FactoryError, match=r"manifest\.json: damaged \(its config does not give"):
+    with pytest.raises(FactoryError, match=r"manifest\.json: damaged .*config"):
         load_manifest(tmp_path)

@@ -315,7 +315,7 @@ def test_labels_that_name_no_class_are_refused(tmp_path: Path) -> None:
         file["segmentation"][1] = 200
         reseal(file)
     admit(root)
-    with pytest.raises(FactoryError, match=r"odd: test-000001: /segmentation has a value 200"):
+    with pytest.raises(FactoryError, match=r"test-000001: /segmentation .*200"):
         export(root, "coco", tmp_path / "out", "test")
 
 

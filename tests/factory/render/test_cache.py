@@ -124,7 +124,7 @@ def test_a_pack_holds_the_renders_and_knows_its_mount(tmp_path: Path) -> None:
     content = bytearray((tmp_path / "one.pack").read_bytes())
     content[500] ^= 1
     (tmp_path / "one.pack").write_bytes(content)
-    with pytest.raises(FactoryError, match=r"000000.view is damaged.*copy the pack again"):
+    with pytest.raises(FactoryError, match=r"000000.view is damaged"):
         views.view(refs[0])
     (tmp_path / "one.pack").write_bytes(b"no zip")
     with pytest.raises(FactoryError, match="no pack, or damaged"):

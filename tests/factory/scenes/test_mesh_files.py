@@ -149,7 +149,7 @@ def test_more_parts_than_numbers_are_refused(tmp_path: Path) -> None:
     # Refused before the parts are read one by one.
     lines = [f"o {number}\nf 1 2 3" for number in range(MOST_PARTS + 1)]
     (tmp_path / "many.obj").write_text(SQUARE + "\n".join(lines))
-    with pytest.raises(FactoryError, match=r"65,536 parts; at most 65,535"):
+    with pytest.raises(FactoryError, match="65,536 parts"):
         parts_of(tmp_path / "many.obj")
 
 
@@ -374,7 +374,7 @@ def test_files_that_a_blend_names_lie_beside_it(tmp_path: Path) -> None:
     save_blend(path, image.format(str(tmp_path / "inside/own.png")))
     assert files_of(path, "k") == (str(path), str(tmp_path / "inside/own.png"))
     save_blend(path, image.format(str(tmp_path / "outside.png")))
-    with pytest.raises(FactoryError, match=r"names .*outside\.png, which is not in the mesh's own"):
+    with pytest.raises(FactoryError, match=r"outside\.png"):
         files_of(path, "k")
 
 

@@ -76,7 +76,7 @@ def test_missing_and_empty_roots_get_one_line(tmp_path: Path, kind: str) -> None
         assert "\n" not in str(caught.value)
         assert not isinstance(caught.value, FrameError)
     for unset in ("", "???"):
-        with pytest.raises(FactoryError, match=rf"scenes\.{KEYS[kind]}: a path is required"):
+        with pytest.raises(FactoryError, match=rf"scenes\.{KEYS[kind]}: "):
             build(Scenes, {"kind": kind, KEYS[kind]: unset, **extra}, "scenes")
 
 
@@ -223,7 +223,7 @@ def test_flsea_selects_scenes_by_name(tmp_path: Path) -> None:
     flsea = reader("flsea", tmp_path, scenes=chosen)
     assert names(flsea) == ["canyons/u_canyon/1", "red_sea/sub_pier/1"]
     assert flsea.discover().notes[1].endswith("left out: pier_path")
-    with pytest.raises(FactoryError, match=r"no FLSea scene pier_path here"):
+    with pytest.raises(FactoryError, match="pier_path"):
         reader("flsea", tmp_path, scenes=["pier_path"]).discover()
     assert len(SCENES) == 12
 

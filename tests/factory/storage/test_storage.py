@@ -203,7 +203,7 @@ def test_a_run_that_lost_its_url_writes_no_more(bucket: str, monkeypatch: Any) -
             put(self, ".lock", b'{"token": "another", "pid": 1, "host": "elsewhere"}')
 
     monkeypatch.setattr(Store, "put", steal)
-    with pytest.raises(FactoryError, match="taken by another run"):
+    with pytest.raises(FactoryError, match="another run"):
         make(folder_of(url))
     assert [name for name in contents(url) if name.startswith("train/")] == ["train/shard-00000.h5"]
     assert "another" in contents(url)[".lock"].decode()
@@ -240,7 +240,7 @@ def test_urls_that_are_none_are_one_line(bucket: str, url: str, why: str) -> Non
 def test_a_url_with_other_files_is_left_alone(bucket: str) -> None:
     url = f"{bucket}/foreign"
     Store(url).put("holiday.jpg", b"1")
-    with pytest.raises(FactoryError, match=r"holds other files \(holiday.jpg\) and no dataset"):
+    with pytest.raises(FactoryError, match=r"holiday\.jpg"):
         make(folder_of(url))
     assert contents(url) == {"holiday.jpg": b"1"}
 
@@ -251,13 +251,13 @@ def test_a_folder_cannot_pass_for_a_copy(local: Path, tmp_path: Path) -> None:
     (folder / ".origin").write_text("s3://sonar/two")
     assert url_of(folder) is None
     (folder / "train/shard-00000.h5").unlink()
-    with pytest.raises(FactoryError, match="listed in the manifest but absent"):
+    with pytest.raises(FactoryError, match=r"manifest.*absent"):
         PairDataset(folder)
 
 
 def test_a_storage_without_conditions_is_refused(monkeypatch: Any) -> None:
     monkeypatch.setattr(Store, "create", lambda self, name, content: True)
-    with pytest.raises(FactoryError, match="overwrites where it is told not to"):
+    with pytest.raises(FactoryError, match="overwrites"):
         make(folder_of("memory://sonar/unconditional"))
 
 
@@ -383,6 +383,6 @@ def test_a_limit_that_is_no_number_is_one_line(far: str, monkeypatch: pytest.Mon
     monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", "10 GB")
     with (
         PairDataset(far) as pairs,
-        pytest.raises(FactoryError, match="SIMNFND_CLOUD_CACHE_BYTES=10 GB: must be a whole"),
+        pytest.raises(FactoryError, match="SIMNFND_CLOUD_CACHE_BYTES=10 GB"),
     ):
         pairs[0]

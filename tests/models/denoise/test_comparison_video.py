@@ -82,7 +82,7 @@ def test_no_input_is_replaced_and_no_half_video_left(tmp_path: Path) -> None:
         video.add(np.zeros((40, 40)), np.ones((40, 40)))
     before = source.read_bytes()
     out = ["--out", str(tmp_path / "out")]
-    with pytest.raises(FactoryError, match=r"--compare .*a\.mp4: is an input"):
+    with pytest.raises(FactoryError, match=r"--compare .*a\.mp4: "):
         main([str(source), *out, "--compare", str(source)])
     with pytest.raises(FactoryError, match="nothing to denoise"):
         main(["--compare", str(source), *out])

@@ -182,7 +182,7 @@ def test_metadata_of_a_wrong_type_cost_a_line(key: str, value: object, tmp_path:
     header, arrays = read_weights(find_weights("simnfnd"))
     changed = {**header, "model": {**header["model"], key: value}}
     path = write_arrays(tmp_path / "own.safetensors", changed, arrays)
-    with pytest.raises(FactoryError, match=r"weights=.*own\.safetensors: do not fit"):
+    with pytest.raises(FactoryError, match=r"weights=.*own\.safetensors: "):
         open_runtime(path, "cpu")
 
 

@@ -161,7 +161,7 @@ def test_a_second_run_into_the_same_folder_is_refused(
     with opened_journal(out, "0", ["others"]) as others:
         others.begin([Item(tmp_path / "b.png", Path("b.png"))])
         before = sorted(path.name for path in out.iterdir())
-        with pytest.raises(FactoryError, match=rf"--out .*: process {os.getpid()} is denoising"):
+        with pytest.raises(FactoryError, match=rf"--out .*: process {os.getpid()}"):
             command.main(words)
         assert sorted(path.name for path in out.iterdir()) == before
     assert command.main(words) == 0

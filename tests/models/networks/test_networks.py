@@ -83,7 +83,7 @@ def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
             for tensor in tensors:
                 tensor.fill_(float("nan"))
         save_weights(path, network, {"kind": "nafnet", **TINY["nafnet"]}, {})
-        with pytest.raises(FactoryError, match=r"^weights=.*: \S+ holds NaN or infinity") as caught:
+        with pytest.raises(FactoryError, match=r"^weights=.*NaN") as caught:
             load_weights(path)
         assert "\n" not in str(caught.value)
 
@@ -97,7 +97,7 @@ def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any
     path = tmp_path / "w.safetensors"
     header = {"format": FORMAT, "model": model, "training": {}}
     path.write_bytes(save({"a": torch.zeros(1)}, {"simnfnd": json.dumps(header)}))
-    with pytest.raises(FactoryError, match=r"^weights=.*: do not fit their network") as caught:
+    with pytest.raises(FactoryError, match=r"^weights=.*: .*network") as caught:
         load_weights(path)
     assert "\n" not in str(caught.value)
 

@@ -93,7 +93,7 @@ def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float)
         actual[0][0, 0, 5, 5] += wrong
         return actual
 
-    with pytest.raises(FactoryError, match=r"differs from torch by .*nothing was written"):
+    with pytest.raises(FactoryError, match="differs from torch"):
         compared(graph, different)
 
 

@@ -76,7 +76,7 @@ def test_a_video_without_its_index_names_the_remedy(tmp_path: Path) -> None:
     path = encode(tmp_path / "a.mp4", pings(10, 48, 64), codec="png")
     content = path.read_bytes()
     path.write_bytes(content[: int(0.7 * len(content))])
-    with pytest.raises(FactoryError, match=r"a\.mp4: .*index \(moov\) is missing"):
+    with pytest.raises(FactoryError, match=r"a\.mp4: .*moov"):
         open_recording(path)
 
 

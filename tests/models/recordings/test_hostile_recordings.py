@@ -117,7 +117,7 @@ def test_a_video_that_lists_other_files_is_not_opened(
     secret = write_video(tmp_path / "secret.avi", pings(4, 48, 64))
     path = tmp_path / "a.avi"
     path.write_text(text.format(secret))
-    with pytest.raises(FactoryError, match=r"a\.avi: not a readable video \(no AVI, MP4"):
+    with pytest.raises(FactoryError, match=r"a\.avi: .*AVI, MP4"):
         open_recording(path)
     path.write_bytes(b"RIFF\x40\0\0\0AVI " + path.read_bytes())
     with pytest.raises(FactoryError, match=r"a\.avi: not a readable video"):
@@ -156,7 +156,7 @@ def test_damage_that_libraries_pass_over_stays_off_the_terminal(
 
 def test_a_picture_that_is_too_large_says_how_large_is_allowed(tmp_path: Path) -> None:
     write_black_png(tmp_path / "a.png", 9000)
-    with pytest.raises(FrameError, match=r"a\.png: .*too large; up to 67,108,864 \(such as 8192 x"):
+    with pytest.raises(FrameError, match=r"a\.png: .*67,108,864"):
         read_picture(tmp_path / "a.png")
 
 
@@ -167,7 +167,7 @@ def test_a_stack_that_unpacks_to_too_much_is_refused(
     pages = [np.zeros((1024, 1024), np.uint16)] * 5
     path = tmp_path / "a.tif"
     assert cv2.imwritemulti(str(path), pages, (cv2.IMWRITE_TIFF_COMPRESSION, 8))
-    with pytest.raises(FactoryError, match=r"a\.tif: unpacks to 10,485,760 bytes or more"):
+    with pytest.raises(FactoryError, match=r"a\.tif: unpacks to 10,485,760"):
         open_recording(path)
 
 

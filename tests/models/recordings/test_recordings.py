@@ -215,7 +215,7 @@ def test_video_and_pictures(tmp_path: Path) -> None:
     assert len(pictures) == 3
     assert pictures[0].samples.dtype == np.uint16
     assert np.array_equal(pictures[1].samples, frames[0])
-    with pytest.raises(FrameError, match=r"c\.png: not a readable picture"):
+    with pytest.raises(FrameError, match=r"c\.png: not a readable"):
         pictures[2]
     assert len(open_recording(folder / "b.png")) == 1
 

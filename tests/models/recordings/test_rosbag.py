@@ -156,20 +156,18 @@ def test_which_topics_are_frames(tmp_path: Path) -> None:
     pictures = [image(store, number, ping) for number, ping in enumerate(pings(3, 12, 8))]
     both = {"/front": (IMAGE, pictures), "/back": (IMAGE, pictures[:2])}
     path = write_bag(tmp_path / "a.mcap", both)
-    with pytest.raises(FactoryError, match=r"several topics \(/front, /back\); say with --topic"):
+    with pytest.raises(FactoryError, match=r"/front, /back.*--topic"):
         open_recording(path)
     assert len(RosBag(path, ["/back"])) == 2
     assert len(RosBag(path, ["/back", "/front"])) == 5
-    with pytest.raises(
-        FactoryError, match=r"no pictures on the topic /notes; it has /front, /back"
-    ):
+    with pytest.raises(FactoryError, match=r"/notes.*/front, /back"):
         RosBag(path, ["/notes"])
     sonars = [sonar(store, 0, pings(1, 12, 8)[0])]
     path = write_bag(tmp_path / "b.mcap", {**both, "/sonar": (SONAR, sonars)})
     with RosBag(path) as bag:
         assert bag.topics == ("/sonar",)
     path = write_bag(tmp_path / "c.mcap", {"/only": ("std_msgs/msg/String", [])})
-    with pytest.raises(FactoryError, match="holds no topic with pictures"):
+    with pytest.raises(FactoryError, match="no topic"):
         open_recording(path)
 
 
@@ -202,7 +200,7 @@ def test_another_type_of_the_same_name_is_refused(tmp_path: Path) -> None:
     with Writer(tmp_path / "a.bag") as writer:
         connection = writer.add_connection("/sonar", SONAR, msgdef="int32 a\n", md5sum="1" * 32)
         writer.write(connection, 5, b"abcd")
-    with pytest.raises(FactoryError, match=r"/sonar has another .* fingerprint is 1111"):
+    with pytest.raises(FactoryError, match=r"/sonar .*1111"):
         open_recording(tmp_path / "a.bag")
 
 
