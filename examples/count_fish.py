@@ -1,6 +1,6 @@
 r"""Train a small detector on simulated fish, and count real ones with it.
 
-simnfnd make experiment=fish scenes.locations=6 scenes.frames_per_location=40 \
+simnfnd make experiment=fish sonar=didson_hf scenes.locations=6 scenes.frames_per_location=40 \
     dataset.dir=outputs/fish
 python examples/count_fish.py outputs/fish [STEPS [FRAMES]]
 

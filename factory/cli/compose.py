@@ -39,24 +39,30 @@ def compose_config(words: Sequence[str], scenes: Mapping[str, Any] | None = None
     Works inside another Hydra application and in threads.
     scenes: values of the group `scenes`, instead of those that the words mean.
     """
-    (config,) = compose_points([word for word in words if word not in _SWEEP], scenes)
-    return config
+    with _one_line_errors([word for word in words if word not in _SWEEP]) as readable:
+        overrides = [word for word in readable if not word.startswith("-")]
+        return _compose(overrides, scenes).config
 
 
-def compose_points(
-    words: Sequence[str], scenes: Mapping[str, Any] | None = None
-) -> list[FactoryConfig]:
-    """The configurations of a sweep's points (one without `-m`); see `compose_config`."""
+def compose_points(words: Sequence[str]) -> list[FactoryConfig]:
+    """The configurations of a sweep's points, one where neither `-m` nor a recipe sweeps.
+
+    Raises FactoryError for a bad word.
+    """
+    from hydra.types import RunMode
+
     with _one_line_errors(words) as readable:
         overrides = [word for word in readable if not word.startswith("-")]
+        # Those that choose groups: enough to know what an experiment sweeps over.
+        recipes = [word for word in overrides if word.startswith("experiment=")]
         points = [overrides]
-        if any(word in _SWEEP for word in words):
-            # Those that choose groups: enough to know what an experiment sweeps over.
-            recipes = [word for word in overrides if word.startswith("experiment=")]
+        is_sweep = any(word in _SWEEP for word in words)
+        if is_sweep or recipes:
             root = load("factory", recipes)
             # None in a plain sweep, a mapping where an experiment brings its own.
-            points = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
-        return [_compose(point, scenes).config for point in points]
+            if is_sweep or root.hydra.mode == RunMode.MULTIRUN:
+                points = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
+        return [_compose(point).config for point in points]
 
 
 class Composition(NamedTuple):

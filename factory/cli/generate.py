@@ -64,7 +64,8 @@ def generate(composed: DictConfig) -> int:
         each_its_folder(composed)
         config = from_mapping(composed_values(composed))
         refuse_keys_without_effect(config, named_keys(HydraConfig.get().overrides.task))
-        words = [*config_folder_words(), *sys.argv[1:]]
+        point_words = HydraConfig.get().overrides.task if in_sweep() else sys.argv[1:]
+        words = [*config_folder_words(), *point_words]
         report, directory = run(config, words, reporter())
         code = 1 if report.failures else 0
     except FactoryError as error:

@@ -368,6 +368,12 @@ def test_a_sweep_over_names_separates_them_by_commas():
     assert [point.dataset.name for point in points] == ["a", "b"]
 
 
+def test_a_recipe_may_sweep_by_itself():
+    sonars = [point.sonar.name for point in compose_points(["experiment=fish"])]
+    assert sonars == ["didson_hf", "aris_1800_hf"]
+    assert len(compose_points(["experiment=fish", "sonar=didson_hf"])) == 1
+
+
 def test_home_is_expanded(tmp_path, monkeypatch):
     home = tmp_path / "me (2)"
     monkeypatch.setenv("HOME", str(home))
