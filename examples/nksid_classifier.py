@@ -7,15 +7,16 @@ Wenpei Jiao).  SIMULATED: a dataset with boxes of the same targets:
 
     python examples/make_targets.py targets
     simnfnd make experiment=physical scenes=seabed +scenes/objects=nksid sonar=oculus_m750d_hf \
-        scenes.locations=24 scenes.frames_per_location=2 render=embree dataset.columns=[boxes] \
+        scenes.locations=60 scenes.frames_per_location=3 render=embree dataset.columns=[boxes] \
         dataset.dir=outputs/targets
 
-Prints the macro-F1 of five folds.  Crops that look alike are frames of one pass and stay in one
-fold; without that a classifier is tested on near copies of what it learned.
+Prints the macro-F1 of five folds, for three seeds.  Crops that look alike are frames of one pass
+and stay in one fold; without that a classifier is tested on near copies of what it learned.
 """
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -29,8 +30,10 @@ from simnfnd import denoise
 
 CLASSES = ("big_propeller", "cylinder", "fishing_net", "small_propeller", "soft_pipeline")
 SIDE_PX = 32
-ALIKE = 0.75  # correlation of crops from which on they count as near-duplicates
+ALIKE = 0.8  # correlation of crops from which on they count as near-duplicates
+LEAST_INSONIFIED = 0.2  # part of an object's outline that echoes in a simulated crop
 FOLDS = 5
+SEEDS = 3  # trainings of each network; their scores differ
 EPOCHS = 20
 
 
@@ -54,7 +57,7 @@ def read_simulated(folder: Path) -> tuple[list[np.ndarray], np.ndarray]:
             for number, row in enumerate(shard["meta"]):
                 image = shard["noisy"][number]
                 for box in json.loads(row["boxes"]):
-                    if box["class"] in CLASSES and box["insonified"] > 0.3:
+                    if box["class"] in CLASSES and box["insonified"] > LEAST_INSONIFIED:
                         crop = cut_box(image, row, box)
                         if min(crop.shape) >= 8:
                             crops.append(crop)
@@ -87,11 +90,10 @@ def normalise(crops: list[np.ndarray]) -> np.ndarray:
 
 def group_alike(images: np.ndarray) -> np.ndarray:
     """Group number of each image: near-duplicates and what they are linked to by others."""
-    small = np.array([cv2.resize(cv2.GaussianBlur(x, (0, 0), 1.5), (16, 16)) for x in images])
-    flat = small.reshape(len(small), -1)
-    flat = flat - flat.mean(axis=1, keepdims=True)
-    flat /= np.linalg.norm(flat, axis=1, keepdims=True) + 1e-9
-    return connected_components(flat @ flat.T > ALIKE)[1]
+    pixels = images.reshape(len(images), -1)  # of mean 0
+    pixels = pixels / (np.linalg.norm(pixels, axis=1, keepdims=True) + 1e-9)
+    correlation = pixels @ pixels.T
+    return connected_components(correlation > ALIKE)[1]
 
 
 def split_folds(groups: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -120,7 +122,7 @@ def train(images: np.ndarray, labels: np.ndarray, seed: int) -> nn.Module:
         *layers, nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Dropout(0.3), nn.Linear(32, len(CLASSES))
     )
     optimizer = torch.optim.AdamW(network.parameters(), 2e-3, weight_decay=1e-2)
-    odds = 1 / np.bincount(labels, minlength=len(CLASSES))[labels]
+    odds = 1 / np.bincount(labels)[labels]
     odds /= odds.sum()
     for _ in range(EPOCHS * len(images) // 32):
         chosen = rng.choice(len(images), 32, p=odds)
@@ -141,13 +143,46 @@ def predict(network: nn.Module, images: np.ndarray) -> np.ndarray:
         return network(torch.from_numpy(images)[:, None]).argmax(1).numpy()
 
 
-def macro_f1(labels: np.ndarray, predicted: np.ndarray, classes: list[int]) -> float:
-    """Mean over classes of the harmonic mean of precision and recall."""
+def macro_f1(labels: np.ndarray, predicted: np.ndarray) -> float:
+    """Mean over the classes of `labels` of the harmonic mean of precision and recall."""
     scores = []
-    for number in classes:
+    for number in np.unique(labels):
         hits = np.sum((labels == number) & (predicted == number))
-        scores.append(2 * hits / max(np.sum(labels == number) + np.sum(predicted == number), 1))
+        scores.append(2 * hits / (np.sum(labels == number) + np.sum(predicted == number)))
     return float(np.mean(scores))
+
+
+def cross_validate(
+    images: np.ndarray,
+    labels: np.ndarray,
+    folds: np.ndarray,
+    seed: int,
+    more: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Class number of each image by a network that saw the other folds.
+
+    more: images and labels that every network learns from besides.
+    """
+    predicted = np.zeros_like(labels)
+    for fold in range(FOLDS):
+        learning = folds != fold
+        fold_images = images[learning]
+        fold_labels = labels[learning]
+        if more is not None:
+            fold_images = np.concatenate([fold_images, more[0]])
+            fold_labels = np.concatenate([fold_labels, more[1]])
+        network = train(fold_images, fold_labels, seed=FOLDS * seed + fold)
+        predicted[~learning] = predict(network, images[~learning])
+    return predicted
+
+
+def print_scores(
+    name: str, labels: np.ndarray, predict_with_seed: Callable[[int], np.ndarray]
+) -> None:
+    """A line of the macro-F1 of each seed, over the classes that occur, and their mean."""
+    scores = [macro_f1(labels, predict_with_seed(seed)) for seed in range(SEEDS)]
+    listed = ", ".join(f"{score:.3f}" for score in scores)
+    print(f"{name}: macro-F1 {np.mean(scores):.3f} ({listed})", flush=True)
 
 
 def main() -> None:
@@ -159,28 +194,29 @@ def main() -> None:
     groups = group_alike(recorded)
     folds = split_folds(groups, labels)
     print(f"{len(crops)} crops in {len(set(groups))} groups of near-duplicates, {FOLDS} folds")
+    print_scores("recorded", labels, lambda seed: cross_validate(recorded, labels, folds, seed))
+    print_scores("denoised", labels, lambda seed: cross_validate(denoised, labels, folds, seed))
+    if len(sys.argv) == 2:
+        return
 
-    rows = {"recorded": (recorded, None), "denoised": (denoised, None)}
-    if len(sys.argv) > 2:
-        simulated, simulated_labels = read_simulated(Path(sys.argv[2]))
-        print(f"{len(simulated)} simulated crops: {np.bincount(simulated_labels, minlength=5)}")
-        rows["recorded and simulated"] = (recorded, (normalise(simulated), simulated_labels))
-    every = list(range(len(CLASSES)))
-    net = CLASSES.index("fishing_net")
-    for name, (images, more) in rows.items():
-        predicted = np.zeros_like(labels)
-        for fold in range(FOLDS):
-            learning = folds != fold
-            parts = [(images[learning], labels[learning]), *([more] if more else [])]
-            network = train(*(np.concatenate(part) for part in zip(*parts, strict=True)), seed=fold)
-            predicted[~learning] = predict(network, images[~learning])
-        accuracy = np.mean(predicted == labels)
-        print(f"{name}: macro-F1 {macro_f1(labels, predicted, every):.3f}, accuracy {accuracy:.3f}")
-    if len(sys.argv) > 2:
-        known = labels != net
-        predicted = predict(train(*rows["recorded and simulated"][1], seed=0), recorded[known])
-        score = macro_f1(labels[known], predicted, [n for n in every if n != net])
-        print(f"simulated alone, four classes: macro-F1 {score:.3f}")
+    crops, simulated_labels = read_simulated(Path(sys.argv[2]))
+    simulated = normalise(crops)
+    counts = np.bincount(simulated_labels, minlength=len(CLASSES))
+    listed = ", ".join(f"{name} {count}" for name, count in zip(CLASSES, counts, strict=True))
+    print(f"{len(simulated)} simulated crops: {listed}")
+    more = (simulated, simulated_labels)
+    print_scores(
+        "recorded and simulated",
+        labels,
+        lambda seed: cross_validate(recorded, labels, folds, seed, more),
+    )
+    # A network of simulated crops alone is not asked about classes that were not simulated.
+    known = np.isin(labels, simulated_labels)
+    print_scores(
+        "simulated alone",
+        labels[known],
+        lambda seed: predict(train(simulated, simulated_labels, seed), recorded[known]),
+    )
 
 
 main()

@@ -272,7 +272,9 @@ def test_labels_of_real_fish_lie_on_echoes() -> None:
     assert np.median(brighter) > 2
 
 
-def test_targets_are_classified_with_near_duplicates_in_one_fold(tmp_path: Path) -> None:
+def test_targets_are_classified_with_near_duplicates_in_one_fold(
+    tmp_path: Path, printed: Callable[..., str]
+) -> None:
     """Five kinds of pattern, four of each, each twice with hardly any difference."""
     rng = np.random.default_rng(0)
     classes = ("big_propeller", "cylinder", "fishing_net", "small_propeller", "soft_pipeline")
@@ -286,17 +288,20 @@ def test_targets_are_classified_with_near_duplicates_in_one_fold(tmp_path: Path)
                 pixels = np.clip(first + rng.normal(0, 3, (24, 24)) + 60, 0, 255).astype(np.uint8)
                 file = tmp_path / "nksid" / name / f"img_{number}_{copy}.jpg"
                 Picture.fromarray(pixels).save(file, quality=95)
-    said = printed("nksid_classifier.py", str(tmp_path / "nksid"), cwd=tmp_path)
-    count, groups = (int(said.split()[index]) for index in (0, 3))
-    assert count == 40
-    assert groups <= 20
-    assert "denoised: macro-F1 0." in said
-    assert float(said.split("recorded: macro-F1 ")[1].split(",")[0]) > 0.3
+    output = printed("nksid_classifier.py", str(tmp_path / "nksid"))
+    words = output.split()
+    crop_count = int(words[0])
+    group_count = int(words[3])
+    assert crop_count == 40
+    assert group_count <= 20
+    assert "denoised: macro-F1" in output
+    recorded_f1 = float(output.split("recorded: macro-F1 ")[1].split()[0])
+    assert recorded_f1 > 0.3
 
 
-def test_targets_become_meshes(tmp_path: Path) -> None:
-    said = printed("make_targets.py", str(tmp_path / "targets"), cwd=tmp_path)
-    assert said.count(" m\n") == 4
+def test_targets_become_meshes(tmp_path: Path, printed: Callable[..., str]) -> None:
+    output = printed("make_targets.py", str(tmp_path / "targets"))
+    assert output.count(" m\n") == 4
     names = {path.stem for path in (tmp_path / "targets").glob("*.ply")}
     assert names == {"big_propeller", "small_propeller", "soft_pipeline", "cylinder"}
 
