@@ -27,6 +27,8 @@ SEABED = f"{__package__}.scenes.seabed.kernels"
 FIELD = f"{__package__}.imaging.kernels"
 LOOPS = (*PICTURES, SEABED, FIELD)
 
+_LOADING = "loading kernels; the first time on a machine compiles them, about 20 s"
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 _mode = {"loading": False}
 
@@ -71,7 +73,7 @@ def compile_needed(*, scenes: str = "", field: bool = False) -> None:
         names.append(FIELD)
     if all(name in sys.modules for name in names):
         return
-    with _alone(), stage_if_slow("compiling kernels, once per machine, about 20 s", after_s=2.0):
+    with _alone(), stage_if_slow(_LOADING, after_s=2.0):
         for name in names:
             importlib.import_module(name)
 

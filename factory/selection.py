@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from .config import FactoryConfig
 from .errors import FactoryError
 from .frame import FrameRef
-from .words import list_word
 
 _Scene = tuple[str, str]
 
@@ -58,9 +57,15 @@ def split_frames(
     }
 
 
+class SplitWarning(str):
+    """A warning about train and test frames, for which not all readers of a dataset care."""
+
+    __slots__ = ()
+
+
 def split_warnings(
     splits: Mapping[str, Sequence[FrameRef]], config: FactoryConfig
-) -> tuple[str, ...]:
+) -> tuple[SplitWarning, ...]:
     """One line each: patterns of split.test that match nothing, and a split that stays empty.
 
     A split that is empty because it was asked for (no limit above 0, `frames.only`) is none.
@@ -77,15 +82,15 @@ def split_warnings(
     wanted = bool(settings.test) or settings.test_fraction > 0
     for split in ("train", "test"):
         if not splits[split] and limits.get(split) != 0 and (wanted or split == "train"):
-            testing = sorted(scene for _, scene in _by_fraction(scenes, 0.25))
+            fraction = "" if settings.test_fraction == 0.25 else " split.test_fraction=0.25"
             said.append(
-                f"the {split} split is empty; {list_word('split.test', testing)} would test on a "
-                f"quarter of the {len(scenes)} scenes"
+                f"the {split} split is empty; split.test=[]{fraction} would test on a quarter of "
+                f"the {len(scenes)} scenes"
                 if len(scenes) > 1
                 else f"the {split} split is empty, for there is one scene, {scenes[0][1]}; bring "
                 "another, or train and evaluate on the one split (evaluate split=train)"
             )
-    return tuple(said)
+    return tuple(map(SplitWarning, said))
 
 
 def _scenes(frames: Iterable[FrameRef]) -> list[_Scene]:

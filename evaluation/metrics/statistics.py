@@ -25,7 +25,10 @@ def evenly(every: Sequence[T], most: int | None) -> list[T]:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean over images with its 95 % interval; all NaN when there was nothing to average."""
+    """A mean over images with its 95 % interval; all NaN when there was nothing to average.
+
+    low, high: NaN where the images are of one group, which has no interval.
+    """
 
     mean: float
     low: float
@@ -49,12 +52,14 @@ def estimate(
     names, member = np.unique(np.asarray(groups)[known], return_inverse=True)
     sums = np.bincount(member, weights=values)
     counts = np.bincount(member)
+    mean = float(values.mean())
+    median = float(np.median(values))
+    if names.size < 2:
+        return Estimate(mean, np.nan, np.nan, median, int(values.size))
     draws = stream(seed, "bootstrap").integers(0, names.size, size=(resamples, names.size))
     means = sums[draws].sum(axis=1) / counts[draws].sum(axis=1)
     low, high = np.quantile(means, [0.025, 0.975])
-    return Estimate(
-        float(values.mean()), float(low), float(high), float(np.median(values)), int(values.size)
-    )
+    return Estimate(mean, float(low), float(high), median, int(values.size))
 
 
 LEAST_FRAMES = 6

@@ -152,10 +152,19 @@ def verdict(content: Mapping[str, Any]) -> str:
         if margin is not None:
             lines.append(
                 f"`{row['label']}` is {margin['mean']:+.2f} dB from it "
-                f"({interval(margin, 2)}; Wilcoxon-Holm p {written_p(margin['p_holm'])}; better "
-                f"in {percent(margin['wins'])} of the pairs)."
+                f"({_evidence(margin)}better in {percent(margin['wins'])} of the pairs)."
             )
     return " ".join(lines)
+
+
+def _evidence(margin: Mapping[str, Any]) -> str:
+    """The interval and the p value of a difference, as far as the frames suffice for them."""
+    parts = []
+    if margin["low"] is not None:
+        parts.append(interval(margin, 2))
+    if margin["p_holm"] is not None:
+        parts.append(f"Wilcoxon-Holm p {written_p(margin['p_holm'])}")
+    return "".join(f"{part}; " for part in parts)
 
 
 def _facts(settings: EvaluationSettings, items: Sequence[Item], identical: int) -> dict[str, Any]:

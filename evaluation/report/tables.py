@@ -74,8 +74,18 @@ def written_p(p: float | None) -> str:
 
 
 def interval(item: Mapping[str, Any], digits: int, sign: bool = False) -> str:
-    """Low .. high."""
+    """Low .. high; `-` where there is none."""
+    if plain(item["low"]) is None:
+        return "-"
     return f"{written(item['low'], digits, sign)} .. {written(item['high'], digits, sign)}"
+
+
+def with_interval(item: Mapping[str, Any], digits: int, sign: bool = False) -> str:
+    """A mean, and its interval in brackets where there is one."""
+    mean = written(item["mean"], digits, sign)
+    if plain(item["low"]) is None:
+        return mean
+    return f"{mean} ({interval(item, digits, sign)})"
 
 
 def percent(share: float | None) -> str:
@@ -120,7 +130,7 @@ def leaderboard(rows: Sequence[Content]) -> pd.DataFrame:
         gain = row["against_noisy"].get("psnr")
         cells = [title, written(psnr["mean"], 2), interval(psnr, 2), "", "", ""]
         if gain is not None:
-            both = f"{written(gain['mean'], 2, True)} ({interval(gain, 2, True)})"
+            both = with_interval(gain, 2, True)
             cells[3:] = [both, written_p(gain["p_holm"]), percent(gain["wins"])]
         cells += [written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names]
         lines.append([*cells, written(row["milliseconds"], 1)])

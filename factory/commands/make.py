@@ -60,7 +60,7 @@ def demo(words: Sequence[str]) -> int:
     from ..dataset.preview import side_by_side
 
     picture = Path(f"{points.rstrip('/')}-profiles.png")
-    both = [("points", Path(points)), ("sonar equation", Path(physical))]
+    both = [("pointwise", Path(points)), ("coherent", Path(physical))]
     side_by_side(both, picture, frames=4, whole=True)
     print(f"both, side by side: {picture}")
     return 0

@@ -16,8 +16,9 @@ from ...factory.distribution import number
 from ...factory.errors import FactoryError
 from ...factory.files import sha256_of
 from ...factory.frame import FrameRef
+from ...factory.progress import RunReporter, print_warning
 from ...factory.scenes import open_reader
-from ...factory.selection import choose_frames, split_frames
+from ...factory.selection import SplitWarning, choose_frames, split_frames
 from ...factory.small_files import load_yaml
 from ...factory.storage.copies import local_folder
 from ...factory.views import open_views
@@ -89,11 +90,22 @@ def _dataset_folder(settings: ModelsSettings) -> str:
     # Loads the scheduler, which a dataset that exists does without.
     from ...factory.cli.generate import run
 
-    digest = hashlib.blake2b("\n".join(data.make).encode(), digest_size=4).hexdigest()
-    folder = f"outputs/renders-{digest}"
+    folder = _folder_of_renders(data)
     words = (*data.make, f"dataset.dir={folder}")
-    run(compose_config(words), words)
+    run(compose_config(words), words, RunReporter(warning=_warn_but_of_splits))
     return folder
+
+
+def _folder_of_renders(data: RenderedData) -> str:
+    """Where the dataset lies that `data.make` makes."""
+    digest = hashlib.blake2b("\n".join(data.make).encode(), digest_size=4).hexdigest()
+    return f"outputs/renders-{digest}"
+
+
+def _warn_but_of_splits(text: str) -> None:
+    """Training holds out frames itself: that the dataset has no test frames is as it should be."""
+    if not isinstance(text, SplitWarning):
+        print_warning(text)
 
 
 def _of_images(data: OldData, seed: int) -> Data:
@@ -135,11 +147,13 @@ def renders_of(
     views = open_views(config)
     ready = tuple(ref for ref in training if views.holds(ref))
     if not ready:
+        remedy = "make the dataset again with this version in a fresh folder"
+        if data.make and dataset == Path(_folder_of_renders(data)):
+            remedy = f"delete {dataset} and give the same command again, which makes it anew"
         raise FactoryError(
             f"data={data.kind}: none of the {len(training)} training frames of {dataset} has its "
-            f"render in {config.cache.folder}; make the dataset again with this version (its "
-            "command keeps the renders; where data.make makes it, delete the folder), or give "
-            "data.pack=FILE"
+            f"render in {config.cache.folder}; the folder is of another version, or the cache "
+            f"was cleared: {remedy}, or give data.pack=FILE"
         )
     missing = len(training) - len(ready)
     print(f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else ""))

@@ -494,9 +494,8 @@ def test_a_split_that_stays_empty_is_told_with_one_that_works():
     few = found(flatiron=3, pier=2, reef=2)
     lost, empty = warnings(few, split={"test": ["u_canyon", "coral_*"]})
     assert "u_canyon, coral_*" in lost
-    offered = empty.partition("split.test=[")[2].partition("]")[0]
     assert empty.startswith("the test split is empty")
-    assert warnings(few, split={"test": offered.split(",")}) == ()
+    assert "split.test=[]" in empty
     assert warnings(few, split={"test": []}) == ()
     (lost,) = warnings(few, split={"test": ["pier", "u_canyon"]})
     assert lost == "split.test: u_canyon: no scene of that name here"

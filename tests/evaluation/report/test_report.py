@@ -24,6 +24,7 @@ from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.metrics import statistics
 from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import build as builder
+from simnfnd.evaluation.report import tables
 from simnfnd.evaluation.report.content import best_classical, content_of
 from simnfnd.evaluation.report.document import as_data_uri
 from simnfnd.evaluation.runner import SECONDS, Measured
@@ -40,6 +41,15 @@ def test_bootstrap_draws_frames_not_images() -> None:
     assert together.mean == apart.mean == 2.5
     assert together.high - together.low > 2.5 * (apart.high - apart.low)
     assert statistics.estimate(values, frames, resamples=2000, seed=0) == together
+
+
+def test_one_frame_has_no_interval() -> None:
+    one_frame = statistics.estimate(np.array([26.15, 26.35]), ["a", "a"], resamples=20, seed=0)
+    assert one_frame.mean == pytest.approx(26.25)
+    assert np.isnan([one_frame.low, one_frame.high]).all()
+    estimate_ = {"mean": 26.15, "low": None, "high": None}
+    assert tables.with_interval(estimate_, 2) == "26.15"
+    assert tables.interval(estimate_, 2) == "-"
 
 
 def test_the_paired_test_sees_frames() -> None:

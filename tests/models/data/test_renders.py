@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +14,18 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.dataset.pair_dataset import in_unit_range
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.models.data.crops import Crops, Visit, whole_image
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import DeviceSource, ImageScale, resized
+from simnfnd.models.data.sources import open_data
 from simnfnd.models.training.loop import Loop
 from simnfnd.models.training.train import train
 from tests.models.data.small_renders import (
     SMALL,
+    WORDS,
     composed,
     data_settings,
     drawn_devices,
@@ -50,6 +55,24 @@ def test_renders_train_on_no_scene_that_tests_or_validates(
     assert scenes.isdisjoint({sample.scene for sample in tested})
     assert len(source) == 2
     assert capsys.readouterr().out == "renders: 2 frames\n"
+
+
+def test_renders_that_training_makes_need_no_test_split_and_are_missed_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    words = [*WORDS, "split.test=[no_such_scene]", "cache.dir=cache"]
+    settings, _ = composed("data=renders", "data.patch=32")
+    data: Any = settings.data
+    settings = replace(settings, data=replace(data, make=words, validation=0.3))
+    open_data(settings)
+    assert "no_such_scene" not in capfd.readouterr().err
+    (folder,) = Path("outputs").iterdir()
+
+    shutil.rmtree("cache")
+    with pytest.raises(FactoryError, match=f"delete {folder}"):
+        open_data(settings)
 
 
 def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
