@@ -33,7 +33,7 @@ from simnfnd.factory.scenes import open_reader
 
 # Single runs differ by a tenth of a second: by a tenth of what a further frame costs.
 TURNS = 3
-PICTURES = (
+IMAGE_SETTINGS = (
     *("sonar.beams=512", "sonar.range_bins=512"),
     *("sonar.image.width_px=512", "sonar.image.height_px=512"),
 )
@@ -70,7 +70,7 @@ def measure(options: Options) -> Section:
 def _table(
     title: str, root: str, words: list[str], counts: tuple[int, int], folder: Path, options: Options
 ) -> Table:
-    recipe = in_own_process(literal, [*frame_words(root), *PICTURES], options.amount(3))
+    recipe = in_own_process(literal, [*frame_words(root), *IMAGE_SETTINGS], options.amount(3))
     rows: list[tuple[Cell, ...]] = [("literal recipe", 1.0, recipe, "")]
     # Not counted: the first run of a machine compiles the loops.
     run_command(
@@ -78,7 +78,7 @@ def _table(
         f"cache.dir={folder / 'no cache'}", f"dataset.dir={folder / 'no'}",
     )  # fmt: skip
     for renderer in RENDERERS:
-        overrides = [*words, *PICTURES, *ONE, f"render={renderer}"]
+        overrides = [*words, *IMAGE_SETTINGS, *ONE, f"render={renderer}"]
         for state in ("cold", "warm"):
             spent = []
             for count in counts:

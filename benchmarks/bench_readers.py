@@ -20,7 +20,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from benchmarks.bench_command import PICTURES
+from benchmarks.bench_command import IMAGE_SETTINGS
 from benchmarks.shared import Cell, Options, Section, Table, run_command
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.isolated import LASTING
@@ -37,7 +37,7 @@ def measure(options: Options) -> Section:
         for compression in WANTED:
             root = Path(folder) / compression
             run_command(
-                "make", "scenes=seabed", "render=analytic", *PICTURES, "scheduler=serial",
+                "make", "scenes=seabed", "render=analytic", *IMAGE_SETTINGS, "scheduler=serial",
                 "scenes.locations=2", f"frames.variants={options.amount(8, 1)}",
                 f"scenes.frames_per_location={options.amount(15, 1)}", "split.test_fraction=0",
                 f"dataset.compression={compression}", f"dataset.dir={root}",

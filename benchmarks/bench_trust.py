@@ -289,16 +289,16 @@ def _png(path: Path) -> None:
 
 
 def _npz(path: Path) -> None:
-    np.savez_compressed(path, picture=np.zeros((2, 24_000, 24_000), np.uint8))
+    np.savez_compressed(path, image=np.zeros((2, 24_000, 24_000), np.uint8))
 
 
 def _npz_aside(path: Path) -> None:
     large = np.zeros((2, 24_000, 24_000), np.uint8)
-    np.savez_compressed(path, picture=np.zeros((64, 64), np.uint8), large=large)
+    np.savez_compressed(path, image=np.zeros((64, 64), np.uint8), large=large)
 
 
 def _mat(path: Path) -> None:
-    savemat(path, {"picture": np.zeros((24_000, 48_000), np.uint8)}, do_compression=True)
+    savemat(path, {"image": np.zeros((24_000, 48_000), np.uint8)}, do_compression=True)
 
 
 def _tiff(path: Path) -> None:

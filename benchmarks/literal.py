@@ -16,7 +16,7 @@ import numpy.typing as npt
 from simnfnd.factory.frame import Frame
 
 SAMPLES = 16
-PICTURE_PX = 512
+IMAGE_PX = 512
 
 
 class LiteralRecipe:
@@ -101,17 +101,17 @@ class LiteralRecipe:
         target = self.folder / "render.png"
         scene.render.filepath = str(target)
         self.bpy.ops.render.render(write_still=True)
-        picture = cv2.imread(str(target), cv2.IMREAD_GRAYSCALE)
-        assert picture is not None
-        assert picture.shape == frame.depth_m.shape
-        return np.asarray(picture / 255.0)
+        image = cv2.imread(str(target), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        assert image.shape == frame.depth_m.shape
+        return np.asarray(image / 255.0)
 
     def _scatter(
         self, name: str, points_m: npt.NDArray[np.float64], strength: npt.NDArray[np.float64]
     ) -> Path:
         import matplotlib.pyplot as plt
 
-        figure = plt.figure(figsize=(PICTURE_PX / 100, PICTURE_PX / 100), dpi=100)
+        figure = plt.figure(figsize=(IMAGE_PX / 100, IMAGE_PX / 100), dpi=100)
         axes = figure.add_axes((0, 0, 1, 1), facecolor="black")
         axes.scatter(points_m[:, 0], points_m[:, 2], c=strength, cmap="gray", s=1, linewidths=0)
         axes.set_aspect("equal")

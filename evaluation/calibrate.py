@@ -27,7 +27,7 @@ from ..factory.sonar.geometry import FanGeometry
 from ..factory.views import Views, open_views
 from .features import features_of
 from .metrics.statistics import evenly
-from .realism import described, distances, real_pictures, to_polar
+from .realism import described, distances, real_images, to_polar
 from .report.document import write_files
 from .settings import FitSettings, Grid, Parameter
 
@@ -54,7 +54,7 @@ def fit(settings: FitSettings) -> dict[str, Any]:
     simulation = Simulation(settings.recipe, settings.frames, settings.grid)
     for key, parameter in settings.parameters.items():
         simulation.configured({key: _middle(parameter)})  # a bad key or limit ends the run here
-    real = described(real_pictures(settings.real), settings.grid)
+    real = described(real_images(settings.real), settings.grid)
     study = _study(settings)
 
     def apart(values: Mapping[str, Any]) -> float:

@@ -183,7 +183,7 @@ def _tune(config: DictConfig) -> None:
 def _real(config: DictConfig) -> None:
     from .settings import RealSettings
 
-    settings = _checked(config, RealSettings, real="pictures or a recording")
+    settings = _checked(config, RealSettings, real="images or a recording")
     require(_needs("models=", settings.models))
     from .real.report import evaluate
 
@@ -214,7 +214,7 @@ def _fit(config: DictConfig) -> None:
 
     from .settings import FitSettings
 
-    settings = _checked(config, FitSettings, real="a folder of real pictures")
+    settings = _checked(config, FitSettings, real="a folder of real images")
     from .calibrate import fit as search
 
     # The recipe is composed as `simnfnd make` would, by a Hydra of its own.

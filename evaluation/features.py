@@ -1,4 +1,4 @@
-"""A polar picture in numbers: levels, speckle, and what lies along beams and rows."""
+"""A polar image in numbers: levels, speckle, and what lies along beams and rows."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ FEATURES = {
 
 
 def features_of(polar: Gray, span_m: float | None = None) -> dict[str, float]:
-    """The features of a polar picture in 0..1; NaN where one does not exist.
+    """The features of a polar image in 0..1; NaN where one does not exist.
 
     span_m: length of its range window in metres; without it there is no slope per metre.
     """
@@ -108,7 +108,7 @@ def half_widths(polar: Gray) -> tuple[float, float]:
     """Lags along range and bearing, in cells, where the speckle's autocorrelation is one half.
 
     What is larger than 31 cells is taken out first: the local mean is subtracted and the local
-    standard deviation divides.  NaN for a picture without any variation.
+    standard deviation divides.  NaN for an image without any variation.
     """
     grain = grain_of(polar)
     first, second = (_half(autocorrelation(grain, axis)) for axis in (0, 1))
@@ -143,7 +143,7 @@ def _half(correlation: Values) -> float:
 
 
 def spread_of_means(polar: Gray, axis: int) -> float:
-    """Variance of the means along an axis over that of the picture; NaN when all is equal.
+    """Variance of the means along an axis over that of the image; NaN when all is equal.
 
     Axis 0 gives the beams' means (spokes), axis 1 the range rows' (arcs).
     """

@@ -30,7 +30,7 @@ class Method:
     name: of the baseline in the registry, or of a network.
     form: '', 'tuned', '+ levels' or 'tuned + levels'.
     weights: of a network, else None.
-    pictures_source: of a row that is no function: the folder of another program's images, or a
+    images_source: of a row that is no function: the folder of another program's images, or a
         word that its subjects know; else ''.
     ablation: which row of the paper's Table 3 a network is, or ''.
     """
@@ -41,7 +41,7 @@ class Method:
     levels: Levels | None = None
     weights: str | None = None
     ablation: str = ""
-    pictures_source: str = ""
+    images_source: str = ""
 
     @property
     def label(self) -> str:
@@ -54,14 +54,14 @@ class Method:
         """What made it: noisy (nothing), baseline, network, or images (of another program)."""
         if self.name == "identity" and not self.form:
             return "noisy"
-        if self.pictures_source:
+        if self.images_source:
             return "pictures"
         return "baseline" if self.weights is None else "network"
 
     @property
     def output(self) -> str:
         """Equal for rows that differ in their levels alone, so that they share the filtering."""
-        source = self.pictures_source or self.weights or self.name
+        source = self.images_source or self.weights or self.name
         return f"{source} {sorted(self.parameters.items())}"
 
 

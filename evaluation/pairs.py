@@ -18,14 +18,14 @@ from ..factory.dataset.schema import CORE
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from ..models.recordings.base import Frame
-from ..models.recordings.pictures import read_picture
+from ..models.recordings.images import read_image
 from ..models.recordings.views import grey_of
 from .filters import REGISTRY
 from .methods import Method
 from .metrics.fidelity import MetricError, finite_psnr
-from .metrics.measure import Figures, Gray, Picture, Scene, sector_of
+from .metrics.measure import Figures, Gray, PairImages, Scene, sector_of
 from .runner import Subject
-from .settings import PicturesFolder
+from .settings import ImagesFolder
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +61,7 @@ class Item(Subject):
 
     def noisy_image(self) -> Gray:
         """The noisy image (H, W)."""
-        return picture(self.place).noisy
+        return pair_images(self.place).noisy
 
     def geometry(self) -> FanGeometry | None:
         """Where range and bearing are, as the dataset says."""
@@ -69,7 +69,7 @@ class Item(Subject):
 
     def read_denoised(self, method: Method) -> Gray:
         """See `Subject`."""
-        image = given_picture(Path(method.pictures_source), names_of(self))
+        image = read_external_image(Path(method.images_source), names_of(self))
         if image.shape != (shape := self.noisy_image().shape):
             sizes = ["x".join(map(str, reversed(size))) for size in (image.shape, shape)]
             name = names_of(self)[0]
@@ -130,7 +130,7 @@ def config_hash_of(item: Item) -> str:
 
 
 @lru_cache(maxsize=16)
-def picture(place: Place) -> Picture:
+def pair_images(place: Place) -> PairImages:
     """Read one pair.  FactoryError when it is damaged or has NaN."""
     path, row = place
     with reading(Path(path)) as file:
@@ -140,7 +140,7 @@ def picture(place: Place) -> Picture:
     if not (np.isfinite(noisy).all() and np.isfinite(clean).all()):
         raise FactoryError(f"{path}: sample {row} has NaN or infinite pixels")
     shadow = shadow.astype(bool)
-    return Picture(noisy, clean, shadow, sector_of(noisy, clean, shadow))
+    return PairImages(noisy, clean, shadow, sector_of(noisy, clean, shadow))
 
 
 @lru_cache(maxsize=64)
@@ -160,7 +160,7 @@ def geometry_of(place: Place) -> FanGeometry | None:
 @lru_cache(maxsize=8)
 def _scene(item: Item) -> Scene:
     """What all methods share on a pair."""
-    return Scene(picture(item.place))
+    return Scene(pair_images(item.place))
 
 
 def names_of(item: Item) -> list[str]:
@@ -181,12 +181,12 @@ def given_file(folder: Path, names: Sequence[str]) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def given_picture(folder: Path, names: Sequence[str]) -> Gray:
+def read_external_image(folder: Path, names: Sequence[str]) -> Gray:
     """(H, W) float32 in 0..1 of that file.  FactoryError when it is none, or in colour."""
     path = given_file(folder, names)
     if path is None:
-        raise FactoryError(f"{folder}: no picture {names[0]}.png or .npy")
-    image = read_picture(path)
+        raise FactoryError(f"{folder}: no image {names[0]}.png or .npy")
+    image = read_image(path)
     if image.ndim == 3:
         if (image[..., :3] != image[..., :1]).any():
             raise FactoryError(f"{path}: in colour; sonar images are gray, convert it first")
@@ -194,9 +194,7 @@ def given_picture(folder: Path, names: Sequence[str]) -> Gray:
     return grey_of(Frame(0, image))
 
 
-def given_methods(
-    folders: Sequence[PicturesFolder], names: Sequence[Sequence[str]]
-) -> list[Method]:
+def given_methods(folders: Sequence[ImagesFolder], names: Sequence[Sequence[str]]) -> list[Method]:
     """A row for each folder of another program's denoised images.
 
     names: of each image, where it may lie there.  Raises FactoryError for a folder without one.
@@ -212,8 +210,8 @@ def given_methods(
         if lacking:
             raise FactoryError(
                 f"pictures: {folder.name}: {folder.dir}: {len(lacking)} of {len(names)} "
-                f"pictures are missing, the first is {lacking[0]}.png (or .npy); names are those "
+                f"images are missing, the first is {lacking[0]}.png (or .npy); names are those "
                 "of `simnfnd export --to png` and of `simnfnd denoise`"
             )
-        methods[folder.name] = Method(folder.name, "", {}, pictures_source=folder.dir)
+        methods[folder.name] = Method(folder.name, "", {}, images_source=folder.dir)
     return list(methods.values())

@@ -21,7 +21,7 @@ from ..factory.sonar.geometry import FanGeometry
 from .features import FEATURES, features_of
 from .metrics.measure import Gray
 from .metrics.statistics import evenly
-from .pairs import Place, geometry_of, items_of, picture
+from .pairs import Place, geometry_of, items_of, pair_images
 from .recorded import GEOMETRY_FILE, Shot, open_real
 from .report.document import Example, Section, write_report
 from .report.tables import as_markdown, as_table, plain, written
@@ -35,7 +35,7 @@ _EXAMPLES = 8
 
 def evaluate(settings: RealismSettings) -> None:
     """Measure, compare, print the table and write the report.  Raises FactoryError."""
-    real = real_pictures(settings.real).at_most(settings.limit)
+    real = real_images(settings.real).at_most(settings.limit)
     collections = {REAL: real, **_simulations(settings)}
     measured = {
         name: described(collection, settings.grid) for name, collection in collections.items()
@@ -57,16 +57,16 @@ def evaluate(settings: RealismSettings) -> None:
         "mean of the earth mover's distances over those of the halves, each at least 1."
     )
     about = ", ".join(f"{count} images of {name}" for name, count in counts.items())
-    pictures = {
+    images = {
         name: collection.at_most(_EXAMPLES).sources for name, collection in collections.items()
     }
     examples = [
         # Far range on top.
         Example(
             f"images {number + 1}",
-            {name: sources[number].polar(grid)[::-1] for name, sources in pictures.items()},
+            {name: sources[number].polar(grid)[::-1] for name, sources in images.items()},
         )
-        for number in range(min(map(len, pictures.values())))
+        for number in range(min(map(len, images.values())))
     ]
     facts = {
         "schema": "simnfnd-realism/2",
@@ -93,7 +93,7 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
     for folder in settings.sim:
         path = Path(folder).expanduser()
         if (path / GEOMETRY_FILE).is_file():
-            opened = real_pictures(path)
+            opened = real_images(path)
         else:
             opened = open_dataset(path, "all")
         name = opened.name if opened.name not in (REAL, *collections) else folder
@@ -114,7 +114,7 @@ def described(collection: Collection, grid: Grid) -> pd.DataFrame:
     import pandas as pd
 
     rows = []
-    with progress_bar(total=len(collection.sources), unit="picture", desc=collection.name) as bar:
+    with progress_bar(total=len(collection.sources), unit="image", desc=collection.name) as bar:
         for source in collection.sources:
             rows.append(features_of(source.polar(grid), source.geometry.range_span_m))
             bar.update()
@@ -139,7 +139,7 @@ def distances(
     for name, features_of_set in sets.items():
         if len(features_of_set) < SMALLEST:
             raise FactoryError(
-                f"{name}: {len(features_of_set)} pictures; at least {SMALLEST} are needed to "
+                f"{name}: {len(features_of_set)} images; at least {SMALLEST} are needed to "
                 "compare halves"
             )
     size = min(map(len, sets.values())) // 2
@@ -189,7 +189,7 @@ class Source:
     def polar(self, grid: Grid) -> Gray:
         """(range_bins, beams) float32 in 0..1.  Raises FactoryError."""
         place = self.place
-        image = place.read()[0] if isinstance(place, Shot) else picture(place).noisy
+        image = place.read()[0] if isinstance(place, Shot) else pair_images(place).noisy
         return to_polar(image, self.geometry, grid)
 
 
@@ -206,14 +206,14 @@ class Collection:
         return Collection(self.name, tuple(evenly(self.sources, limit)), self.notes)
 
 
-def to_polar(picture: npt.NDArray[Any], geometry: FanGeometry, grid: Grid) -> Gray:
+def to_polar(image: npt.NDArray[Any], geometry: FanGeometry, grid: Grid) -> Gray:
     """(H, W) grey values -> (range_bins, beams with data) float32, near range and left first.
 
     Inverse mapping: each cell of the grid looks up its place in the image, bilinear.  Only whole
     cells within `geometry.data_fraction` are kept.
     """
-    columns, rows = _lookup(geometry, grid, picture.shape[:2])
-    gray = np.ascontiguousarray(picture, dtype=np.float32)
+    columns, rows = _lookup(geometry, grid, image.shape[:2])
+    gray = np.ascontiguousarray(image, dtype=np.float32)
     return np.asarray(
         cv2.remap(gray, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
         dtype=np.float32,
@@ -236,7 +236,7 @@ def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[
     return np.ascontiguousarray(columns, np.float32), np.ascontiguousarray(rows, np.float32)
 
 
-def real_pictures(folder: str | Path) -> Collection:
+def real_images(folder: str | Path) -> Collection:
     """See `open_real`."""
     shots, notes = open_real(folder)
     sources = [Source(shot.known, shot) for shot in shots if shot.known]
@@ -251,16 +251,14 @@ def open_dataset(folder: str | Path, split: Split) -> Collection:
     for item in items:
         geometry = geometry_of(item.place)
         if geometry is None:
-            raise FactoryError(
-                f"sim={root}: {item.shard} does not say how its pictures are laid out"
-            )
+            raise FactoryError(f"sim={root}: {item.shard} does not say how its images are laid out")
         first, last = geometry.data_fraction
         if last - first >= _LEAST:
             sources.append(Source(geometry, item.place))
     narrow = f"the camera saw less than {_LEAST:.0%} of the sector"
     if not sources:
-        raise FactoryError(f"sim={root}: {narrow} in every picture; use a narrower sonar.hfov_deg")
-    notes = [f"{len(sources)} noisy pictures of {root.name}, {sources[0].geometry.layout}"]
+        raise FactoryError(f"sim={root}: {narrow} in every image; use a narrower sonar.hfov_deg")
+    notes = [f"{len(sources)} noisy images of {root.name}, {sources[0].geometry.layout}"]
     if left := len(items) - len(sources):
         notes.append(f"{left} left out: {narrow}")
     return Collection(root.resolve().name, tuple(sources), tuple(notes))

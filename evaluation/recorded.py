@@ -21,10 +21,10 @@ import numpy.typing as npt
 from ..factory.dataset import PairDataset
 from ..factory.errors import FactoryError
 from ..factory.sonar.geometry import FanGeometry
-from ..models.recordings import DATASET, PICTURE_SUFFIXES, dataset_of, kind_of, open_recording
+from ..models.recordings import DATASET, IMAGE_SUFFIXES, dataset_of, kind_of, open_recording
 from ..models.recordings.fan_tracking import FanTracker
 from ..models.recordings.names import in_order
-from ..models.recordings.views import frame_picture
+from ..models.recordings.views import frame_image
 from .metrics.measure import Gray
 
 GEOMETRY_FILE = "geometry.csv"
@@ -71,16 +71,16 @@ class Shot:
 
         Raises FactoryError when it cannot be read.
         """
-        picture, geometry = frame_of(self.path, self.number)
+        image, geometry = frame_of(self.path, self.number)
         if geometry is not None:
-            return picture, geometry
-        return picture, None if self.known is None else self.known.with_size(*picture.shape)
+            return image, geometry
+        return image, None if self.known is None else self.known.with_size(*image.shape)
 
 
 @lru_cache(maxsize=160)
 def frame_of(path: Path, number: int) -> tuple[Gray, FanGeometry | None]:
-    """See `frame_picture`; frames are asked for again and again, and cost more to decode."""
-    return frame_picture(path, number)
+    """See `frame_image`; frames are asked for again and again, and cost more to decode."""
+    return frame_image(path, number)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def open_input(
     else:
         stretches = _below(root)
     if not stretches:
-        raise FactoryError(f"{key}={root}: holds no pictures and no recordings")
+        raise FactoryError(f"{key}={root}: holds no images and no recordings")
     for stretch in stretches:
         if most is not None and (count := len(stretch.shots)) > most:
             notes += (f"of the {count} frames of {stretch.name} the first {most} are used",)
@@ -132,11 +132,11 @@ def open_real(location: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
     for shot in (shot for stretch in stretches for shot in stretch.shots):
         known = shot.known
         if known is None:
-            picture, known = shot.read()
-            known = known or trackers.setdefault(shot.path, FanTracker()).geometry(picture)
+            image, known = shot.read()
+            known = known or trackers.setdefault(shot.path, FanTracker()).geometry(image)
         if known is None:
             raise FactoryError(
-                f"real={shot.path}: no fan is seen in it; write a {GEOMETRY_FILE} beside pictures "
+                f"real={shot.path}: no fan is seen in it; write a {GEOMETRY_FILE} beside images "
                 "(docs/realism.md says how)"
             )
         shots_with_fans.append(replace(shot, known=known))
@@ -147,10 +147,10 @@ def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
     """The images of a folder whose geometry is known, by name, and notes."""
     images = root / "Images" if (root / "Images").is_dir() else root
     files = sorted(path for path in images.iterdir() if path.is_file())
-    paths = in_order([path for path in files if kind_of(path) == "pictures"])
+    paths = in_order([path for path in files if kind_of(path) == "images"])
     if not paths:
         raise FactoryError(
-            f"real={root}: no pictures ({', '.join(PICTURE_SUFFIXES)}) there or in its Images/"
+            f"real={root}: no images ({', '.join(IMAGE_SUFFIXES)}) there or in its Images/"
         )
     table = root / GEOMETRY_FILE
     if table.is_file():
@@ -170,14 +170,14 @@ def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
     return tuple(shots), (f"Marine Debris Dataset: {mix}",)
 
 
-def mdd_geometry(picture: npt.NDArray[np.floating]) -> str | None:
+def mdd_geometry(image: npt.NDArray[np.floating]) -> str | None:
     """Which fan of the Marine Debris Dataset an image shows, by its black border; None: neither.
 
     The original download does not say it, so it is looked up in each image.
     """
-    if picture.shape != MDD_SHAPE:
+    if image.shape != MDD_SHAPE:
         return None
-    across = outline(picture)
+    across = outline(image)
     agreement = {}
     for name, geometry in MDD_GEOMETRIES.items():
         sector = geometry.sector_mask(*MDD_SHAPE)
@@ -186,12 +186,12 @@ def mdd_geometry(picture: npt.NDArray[np.floating]) -> str | None:
     return best if agreement[best] >= _SAME else None
 
 
-def outline(picture: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+def outline(image: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     """(H, W) bool: what lies between the first and the last lit pixel of each row.
 
     A dark image has black pixels inside, too: its outline is what counts.
     """
-    lit = picture > 0
+    lit = image > 0
     left = np.maximum.accumulate(lit, 1)
     right = np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
     return np.asarray(left & right)
@@ -211,7 +211,7 @@ def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
             f"{table}: line {number}: {error}; docs/realism.md has the columns"
         ) from error
     if absent := sorted(set(lines) - {"*"} - {path.name for path in paths}):
-        raise FactoryError(f"{table}: {absent[0]} is listed but there is no such picture")
+        raise FactoryError(f"{table}: {absent[0]} is listed but there is no such image")
     if "*" not in lines and (more := [path.name for path in paths if path.name not in lines]):
         raise FactoryError(f"{table}: no line for {more[0]}; add one, or one for all: *")
     return tuple(Shot(path, 0, path.name, lines.get(path.name) or lines["*"]) for path in paths)
@@ -244,12 +244,12 @@ def _below(root: Path) -> list[Stretch]:
             continue
         files = sorted(path for path in folder.iterdir() if path.is_file())
         kinds = {path: kind_of(path) for path in files}
-        images = in_order([path for path, kind in kinds.items() if kind == "pictures"])
+        images = in_order([path for path, kind in kinds.items() if kind == "images"])
         shots = tuple(Shot(path, 0, path.name) for path in images)
         if shots:
             stretches.append(Stretch("/".join(parts) or root.resolve().name, shots))
         for path, kind in kinds.items():
-            if kind not in (None, "pictures"):
+            if kind not in (None, "images"):
                 stretches.append(_recording(path, path.relative_to(root).as_posix()))
     return stretches
 
@@ -257,6 +257,6 @@ def _below(root: Path) -> list[Stretch]:
 def _recording(path: Path, name: str) -> Stretch:
     with open_recording(path) as recording:
         count = len(recording)
-    if kind_of(path) == "pictures":
+    if kind_of(path) == "images":
         return Stretch(name, (Shot(path, 0, path.name),))
     return Stretch(name, tuple(Shot(path, n, f"{path.name}#{n}") for n in range(count)))

@@ -90,9 +90,9 @@ class Measured:
 
         rows = [
             {"method": label, "picture": number, **figures}
-            for label, figures_of_picture in self.figures.items()
+            for label, figures_of_image in self.figures.items()
             if label not in self.lost
-            for number, figures in sorted(figures_of_picture.items())
+            for number, figures in sorted(figures_of_image.items())
         ]
         return pd.DataFrame(rows, columns=None if rows else ["method", "picture"])
 
@@ -202,7 +202,7 @@ def _applied(method: Method, task: Task) -> dict[int, tuple[Gray, float]] | str:
     """
     results = {}
     for number, subject in task.subjects.items():
-        noisy = None if method.pictures_source else subject.noisy_image()
+        noisy = None if method.images_source else subject.noisy_image()
         try:
             if noisy is None:
                 results[number] = subject.read_denoised(method), math.nan

@@ -34,7 +34,7 @@ class TuningSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
-class PicturesFolder:
+class ImagesFolder:
     """An entry of `pictures`: the row's name, and the folder of its denoised images."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -64,7 +64,7 @@ class EvaluationSettings(ReportSettings):
     split: Literal["train", "test", "all"]
     limit: Count | None
     models: Literal["auto"] | list[str]
-    pictures: list[PicturesFolder]
+    pictures: list[ImagesFolder]
     ablation: dict[Literal["olddata_l1", "simnfnd_l1", "simnfnd_newloss"], str | None]
     tuning: TuningSettings
 

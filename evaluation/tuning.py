@@ -30,7 +30,7 @@ from .filters import REGISTRY, Baseline, Parameters, method_of
 from .methods import reason, shown
 from .metrics.fidelity import finite_psnr, psnr
 from .metrics.measure import Gray, Levels, fit_levels
-from .pairs import Item, items_of, picture
+from .pairs import Item, items_of, pair_images
 from .settings import EvaluationSettings
 
 SCHEMA = "simnfnd-tuned/1"
@@ -83,7 +83,7 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
     known = load_tuned(path)
     lost: dict[str, str] = {}
     keys = {baseline.name: _key(baseline, items) for baseline in baselines}
-    pairs = [picture(item.place) for item in items]
+    pairs = [pair_images(item.place) for item in items]
     samples = tuple(Sample(pair.noisy, pair.clean) for pair in pairs)
     tasks = [
         Task(name, samples) for name, key in keys.items() if known.get(name, {}).get("key") != key

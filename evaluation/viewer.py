@@ -53,7 +53,7 @@ def sheet(words: list[str]) -> None:
     parser = Parser(prog="simnfnd preview")
     parser.add_argument("dir", type=Path, help="folder of a dataset, or a recording")
     parser.add_argument(
-        "--out", type=Path, help="picture to write (default: DIR/preview.png; a recording needs it)"
+        "--out", type=Path, help="image to write (default: DIR/preview.png; a recording needs it)"
     )
     parser.add_argument("--pairs", type=int, default=8, help="pairs or frames to show")
     arguments = parser.parse_args(words)
@@ -74,9 +74,9 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
     with closing(ShownRecording(source)) as recording:
         count = len(recording)
         for number in evenly(range(count), frames):
-            picture = recording.picture(number, 0)
-            grey = picture.mean(axis=-1) if picture.ndim == 3 else picture
-            shown.append(OnSheet(f"frame {number}", {"picture": grey}, 255.0))
+            image = recording.image(number, 0)
+            grey = image.mean(axis=-1) if image.ndim == 3 else image
+            shown.append(OnSheet(f"frame {number}", {"image": grey}, 255.0))
     write_atomically(out, draw(shown, source.name, f"{count} frames"), key="--out")
     return out
 
@@ -84,7 +84,7 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
 _RATE_HZ = 10.0
 _MOST_RATE_HZ = 30.0
 _PAGE = Path(__file__).with_name("view.html")
-_ASKED = re.compile(r"/(?:picture|facts)/(\d{1,12})(?:/(\d{1,3})\.png|\.json)")
+_ASKED = re.compile(r"/(?:image|facts)/(\d{1,12})(?:/(\d{1,3})\.png|\.json)")
 
 
 class Viewer(PageServer):
@@ -112,11 +112,11 @@ class Viewer(PageServer):
         if path.startswith("/facts"):
             return json_answer(shown.facts(number))
         buffer = io.BytesIO()
-        Image.fromarray(shown.picture(number, layer)).save(buffer, "PNG", compress_level=1)
+        Image.fromarray(shown.image(number, layer)).save(buffer, "PNG", compress_level=1)
         return Answer("image/png", buffer.getvalue())
 
 
-Picture = npt.NDArray[np.uint8]
+Pixels = npt.NDArray[np.uint8]
 """(H, W), or (H, W, 3): red, green, blue."""
 Facts = dict[str, str | float | int | None]
 
@@ -155,7 +155,7 @@ class ShownDataset:
     def __len__(self) -> int:
         return len(self._samples)
 
-    def picture(self, number: int, layer: int) -> Picture:
+    def image(self, number: int, layer: int) -> Pixels:
         """One layer of one.  Raises FactoryError when it is damaged."""
         name = self.layers[layer]
         image = self._pairs[self._samples[number]][name]
@@ -191,7 +191,7 @@ class ShownRecording:
     def __len__(self) -> int:
         return min(map(len, self._recordings))
 
-    def picture(self, number: int, layer: int) -> Picture:
+    def image(self, number: int, layer: int) -> Pixels:
         """Of pings the fan."""
         frame = self._recordings[layer][number]
         grey = grey_of(frame)
@@ -199,14 +199,14 @@ class ShownRecording:
             return self._windowed(fan_of(grey, frame.beams)[0])
         return _grey(grey[..., 2::-1] if grey.ndim == 3 else grey)
 
-    def polar_picture(self, number: int, layer: int) -> Picture:
-        """Of pings the samples, near range first; of images the same as `picture`."""
+    def polar_image(self, number: int, layer: int) -> Pixels:
+        """Of pings the samples, near range first; of images the same as `image` gives."""
         frame = self._recordings[layer][number]
         if frame.beams is None:
-            return self.picture(number, layer)
+            return self.image(number, layer)
         return self._windowed(grey_of(frame))
 
-    def _windowed(self, grey: npt.NDArray[np.floating]) -> Picture:
+    def _windowed(self, grey: npt.NDArray[np.floating]) -> Pixels:
         black, white = self._window
         return _grey(np.clip((grey - black) / (white - black), 0, 1))
 
@@ -267,7 +267,7 @@ def open_shown(path: Path, after: Path | None = None) -> Shown:
 
 def _opened(path: Path) -> Recording:
     recording = open_recording(path)
-    # Pictures of denoised pings have their samples beside the fans.
+    # Images of denoised pings have their samples beside the fans.
     fans = [file for file in recording.files if not file.stem.endswith("_polar")]
     if fans:
         recording.files = fans
@@ -275,7 +275,7 @@ def _opened(path: Path) -> Recording:
     return recording
 
 
-def _grey(image: npt.NDArray[np.generic]) -> Picture:
+def _grey(image: npt.NDArray[np.generic]) -> Pixels:
     """0..1 or a mask as it is; metres and radians from their least to their largest."""
     values = image.astype(np.float32)
     known = np.isfinite(values)

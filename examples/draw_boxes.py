@@ -32,8 +32,8 @@ for path in shards:
             samples.append((heard, -len(samples), shard["noisy"][number], row, boxes))
 
 tiles = []
-for _, _, picture, row, boxes in sorted(samples, key=lambda entry: entry[:2], reverse=True)[:3]:
-    grey = np.uint8(picture if picture.dtype == np.uint8 else np.rint(255 * picture))
+for _, _, image, row, boxes in sorted(samples, key=lambda entry: entry[:2], reverse=True)[:3]:
+    grey = np.uint8(image if image.dtype == np.uint8 else np.rint(255 * image))
     tile = cv2.cvtColor(grey.repeat(2, axis=0).repeat(2, axis=1), cv2.COLOR_GRAY2BGR)
     for box in boxes:
         if box["range_m"] is None:
@@ -51,11 +51,11 @@ for _, _, picture, row, boxes in sorted(samples, key=lambda entry: entry[:2], re
         for points, colour in ((ring, (90, 200, 255)), (ground, (120, 255, 120))):
             # The sonar is below the middle of the image, whose top is the far end of its range.
             place = np.stack([-points.imag, row["range_max_m"] - points.real], axis=-1)
-            pixels = 2 * place / row["metres_per_pixel"] + (picture.shape[1], 0)
+            pixels = 2 * place / row["metres_per_pixel"] + (image.shape[1], 0)
             cv2.polylines(tile, [np.int32(np.rint(pixels))], True, colour, 1, cv2.LINE_AA)
         text = f"{box['class']} {100 * box['insonified']:.0f} %"
         left, top = np.int32(pixels.min(0))
         cv2.putText(tile, text, (left, top - 4), 0, 0.4, (90, 200, 255), 1, cv2.LINE_AA)
     tiles.append(tile)
 cv2.imwrite(out, np.hstack(tiles))
-print(f"{out}: {len(samples)} pictures, {sum(len(entry[4]) for entry in samples)} boxes")
+print(f"{out}: {len(samples)} images, {sum(len(entry[4]) for entry in samples)} boxes")

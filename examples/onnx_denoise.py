@@ -1,12 +1,12 @@
-"""Denoises a picture on any machine with numpy, onnxruntime and Pillow.
+"""Denoises an image on any machine with numpy, onnxruntime and Pillow.
 
 simnfnd export-weights simnfnd --to onnx --out any.onnx
-python examples/onnx_denoise.py any.onnx picture.png denoised.png
+python examples/onnx_denoise.py any.onnx image.png denoised.png
 
 simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx
 python -c "import simnfnd; from simnfnd.models.data.fans import write_fans; \
-    write_fans('fans.csv', {'picture.png': simnfnd.open_recording('picture.png')[0].geometry})"
-python examples/onnx_denoise.py fan.onnx picture.png denoised.png fans.csv
+    write_fans('fans.csv', {'image.png': simnfnd.open_recording('image.png')[0].geometry})"
+python examples/onnx_denoise.py fan.onnx image.png denoised.png fans.csv
 """
 
 import csv
@@ -38,14 +38,14 @@ def maps(row, height, width):
 if len(sys.argv) < 4:
     sys.exit(__doc__)
 model, source, target, *table = sys.argv[1:]
-picture = np.asarray(Image.open(source).convert("L"))
-inputs = {"noisy": picture / 255}
+image = np.asarray(Image.open(source).convert("L"))
+inputs = {"noisy": image / 255}
 if table:
     with open(table[0], newline="", encoding="utf-8") as file:
         rows = {row["file"]: row for row in csv.DictReader(file)}
-    inputs |= maps(rows[Path(source).name], *picture.shape)
+    inputs |= maps(rows[Path(source).name], *image.shape)
 inputs = {name: values[None, None].astype(np.float32) for name, values in inputs.items()}
 session = onnxruntime.InferenceSession(model)
 denoised, *weight = session.run(None, inputs)
 Image.fromarray(np.rint(255 * denoised[0, 0]).astype(np.uint8)).save(target)
-print(f"{target}: {' x '.join(map(str, picture.shape))}", *weight)
+print(f"{target}: {' x '.join(map(str, image.shape))}", *weight)

@@ -35,7 +35,7 @@ from simnfnd.factory.selection import choose_frames
 from simnfnd.factory.sonar.surface import insonified
 
 # The paper's view from above, drawn larger than datasets need.
-PICTURE = (
+IMAGE_SETTINGS = (
     "sonar.projection=top_view", "sonar.image.width_px=360", "sonar.image.height_px=360",
     "sonar.beams=320", "sonar.range_bins=320", "resample.rate=0.6", "dataset.dtype=float32",
 )  # fmt: skip
@@ -51,7 +51,7 @@ EFFECTS = {5: "background", 6: "range_spreading", 7: "multipath", 8: "azimuth"}
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture: (H, W) values, or (H, W, 3) uint8 colours.
+    """One image: (H, W) values, or (H, W, 3) uint8 colours.
 
     limits: values that are black and white.  size_m: (left, right, bottom, top), for a map.
     """
@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--only", choices=("paper", "devices"))
     options = parser.parse_intermixed_args()
     own = any(word.startswith("scenes=") for word in options.settings)
-    config = compose_config([*(() if own else SCENES), *PICTURE, *options.settings])
+    config = compose_config([*(() if own else SCENES), *IMAGE_SETTINGS, *options.settings])
     matplotlib.use("Agg")
     options.out.mkdir(parents=True, exist_ok=True)
     if options.only != "devices":
@@ -222,10 +222,10 @@ def devices(settings: Sequence[str]) -> list[list[Panel]]:
         words = [*SCENES, "scenes.locations=1", "experiment=physical", "dataset.dtype=float32"]
         config = compose_config([*words, f"sonar={name}", *settings])
         (view,) = views(config, 1)
-        picture = make_pair(view.observed, 0, config).noisy
-        rows = picture.any(axis=1).nonzero()[0]
-        columns = picture.any(axis=0).nonzero()[0]
-        part = picture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        image = make_pair(view.observed, 0, config).noisy
+        rows = image.any(axis=1).nonzero()[0]
+        columns = image.any(axis=0).nonzero()[0]
+        part = image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         panels.append(Panel(f"{name}, {config.sonar.frequency_khz:g} kHz", part))
     return [panels[first : first + 5] for first in range(0, len(panels), 5)]
 

@@ -20,9 +20,9 @@ NEEDED = ("range", "azimuth", "elevation", "intensity_db", "segmentation", "inst
 
 def point_cloud(shard: h5py.File, number: int) -> np.ndarray:
     """(N,) points with fields x, y, z, strength, class, instance."""
-    picture = {name: shard[name][number].ravel() for name in NEEDED}
-    heard = np.isfinite(picture["range"]) & np.isfinite(picture["intensity_db"])
-    r, a, e = (picture[name][heard].astype(float) for name in NEEDED[:3])
+    image = {name: shard[name][number].ravel() for name in NEEDED}
+    heard = np.isfinite(image["range"]) & np.isfinite(image["intensity_db"])
+    r, a, e = (image[name][heard].astype(float) for name in NEEDED[:3])
     points = np.stack(
         [r * np.cos(e) * np.cos(a), -r * np.cos(e) * np.sin(a), r * np.sin(e)], axis=-1
     )
@@ -37,8 +37,8 @@ def point_cloud(shard: h5py.File, number: int) -> np.ndarray:
         len(r), [*kinds, ("strength", "<f4"), ("class", "u1"), ("instance", "<u2")]
     )
     points_out["x"], points_out["y"], points_out["z"] = points.T
-    points_out["strength"] = picture["intensity_db"][heard]
-    points_out["class"], points_out["instance"] = (picture[name][heard] for name in NEEDED[4:])
+    points_out["strength"] = image["intensity_db"][heard]
+    points_out["class"], points_out["instance"] = (image[name][heard] for name in NEEDED[4:])
     return points_out
 
 

@@ -14,7 +14,7 @@ import argparse
 from simnfnd import FactoryError
 from simnfnd.factory.ros_types import SONAR
 from simnfnd.models.denoise.denoiser import Denoiser
-from simnfnd.models.denoise.pictures import Denoising
+from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.recordings.rosbag import IMAGE, frame_of, with_samples
 from simnfnd.models.recordings.views import polar_geometry
@@ -42,7 +42,7 @@ class Worker:
             if shape not in self.fans:
                 self.fans[shape] = find_geometry(frame.samples)
             geometry = self.fans[shape]
-        denoised = self.denoising.denoise_image(frame.samples, lambda picture: geometry).image
+        denoised = self.denoising.denoise_image(frame.samples, lambda image: geometry).image
         return with_samples(message, self.kind, denoised, label)
 
 

@@ -20,12 +20,12 @@ from filelock import FileLock
 
 from .progress import stage_if_slow
 
-PICTURES = tuple(
+IMAGE_LOOPS = tuple(
     f"{__package__}.{name}" for name in ("elementary", "render.kernels", "sonar.kernels")
 )
 SEABED = f"{__package__}.scenes.seabed.kernels"
 FIELD = f"{__package__}.imaging.kernels"
-LOOPS = (*PICTURES, SEABED, FIELD)
+LOOPS = (*IMAGE_LOOPS, SEABED, FIELD)
 
 _LOADING = "loading kernels; the first time on a machine compiles them, about 20 s"
 
@@ -66,7 +66,7 @@ def compile_needed(*, scenes: str = "", field: bool = False) -> None:
     scenes: the kind whose frames it makes.  field: whether it forms images by the complex field.
     One process of a machine at a time does it: many workers would compile the same loops at once.
     """
-    names = [*PICTURES]
+    names = [*IMAGE_LOOPS]
     if scenes in ("seabed", "mesh"):
         names.append(SEABED)
     if field:

@@ -212,7 +212,7 @@ def observe_moment(
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
     layers = {
         name: lay_out_nearest(image, window, sonar)
-        for name, image in truth.pictures(config.dataset.layers, lit).items()
+        for name, image in truth.layer_images(config.dataset.layers, lit).items()
     }
     return ObservedFrame(
         ref=moment.frame.ref,

@@ -63,7 +63,7 @@ def _parsed(arguments: Sequence[str]) -> Any:
     parser.add_argument(
         "--geometry",
         default=FIND,
-        help="of pictures and videos: `find` it in the picture (default), `polar`, `none`, or a "
+        help="of images and videos: `find` it in the image (default), `polar`, `none`, or a "
         "CSV table of fans (file, apex_x, apex_y, ...); recordings know theirs",
     )
     parser.add_argument(

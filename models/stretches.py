@@ -17,8 +17,8 @@ from ..factory.errors import FactoryError
 from ..factory.sonar.geometry import FanGeometry
 from .denoise.inputs import Geometries, Item, find_items, sequences
 from .recordings import Frame, Recording, open_recording
+from .recordings.images import Images
 from .recordings.palettes import grey_of_colours
-from .recordings.pictures import Pictures
 from .recordings.repeats import CopyFinder
 from .recordings.static import aligned, find_groups, laid_over, moving
 from .recordings.views import grey_of, polar_geometry, presentation_of
@@ -87,7 +87,7 @@ def read_clips(
         if item.kind == "shard":
             raise FactoryError(
                 f"{item.source}: belongs to a dataset; `simnfnd train` learns from these, and "
-                "`simnfnd adapt` from recordings, videos and pictures"
+                "`simnfnd adapt` from recordings, videos and images"
             )
     read = ReadClips()
     sources = sequences(items)
@@ -105,7 +105,7 @@ def read_clips(
     for source, count in zip(sources, counts, strict=True):
         if count and (shots := list(_shots(source, runs(count, share), geometries, read))):
             name = source[0].source.name
-            read.clips.append(Clip(name, presented(shots), source[0].kind == "pictures"))
+            read.clips.append(Clip(name, presented(shots), source[0].kind == "images"))
     if not read.clips:
         more = f" ({read.skipped[0]})" if read.skipped else ""
         raise FactoryError(f"{paths[0]}: no frame can be read{more}")
@@ -138,8 +138,8 @@ def runs(count: int, share: float) -> list[int]:
 
 def _opened(source: list[Item]) -> Recording:
     path = source[0].source
-    if source[0].kind == "pictures":
-        return Pictures(path.parent, [item.source for item in source])
+    if source[0].kind == "images":
+        return Images(path.parent, [item.source for item in source])
     return open_recording(path)
 
 

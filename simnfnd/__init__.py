@@ -1,4 +1,4 @@
-"""SimNFND: pairs (noisy, clean) of forward-looking sonar pictures, and denoisers made of them.
+"""SimNFND: pairs (noisy, clean) of forward-looking sonar images, and denoisers made of them.
 
     from simnfnd import PairDataset, denoise, make_dataset, make_pair, open_recording
 

@@ -33,7 +33,7 @@ class DenoisedImage(NamedTuple):
 
 @overload
 def denoise(
-    picture: npt.ArrayLike | Pair,
+    image: npt.ArrayLike | Pair,
     *,
     weights: str | Path | None = None,
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
@@ -47,7 +47,7 @@ def denoise(
 
 @overload
 def denoise(
-    picture: npt.ArrayLike | Pair,
+    image: npt.ArrayLike | Pair,
     *,
     weights: str | Path | None = None,
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
@@ -60,7 +60,7 @@ def denoise(
 
 
 def denoise(
-    picture: npt.ArrayLike | Pair,
+    image: npt.ArrayLike | Pair,
     *,
     weights: str | Path | None = None,
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
@@ -70,9 +70,9 @@ def denoise(
     device: Literal["auto", "cpu", "gpu"] = "auto",
     return_removed: bool = False,
 ) -> npt.NDArray[Any] | DenoisedImage:
-    """Denoise one sonar picture, or a stack of them.
+    """Denoise one sonar image, or a stack of them.
 
-    picture: (H, W), (N, H, W), or (H, W, C): C is 1, 2 (grey and alpha), 3 or 4 (colours, with
+    image: (H, W), (N, H, W), or (H, W, C): C is 1, 2 (grey and alpha), 3 or 4 (colours, with
         alpha); uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.  Of a `Pair` the
         noisy image is denoised, with the geometry of the pair.
@@ -80,12 +80,12 @@ def denoise(
         real sonars, `simnfnd-paper` for the points that the paper simulates.  They stay loaded for
         the next call.  None: `simnfnd`, and for a pointwise `Pair` `simnfnd-paper`.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
-        in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
+        in each image, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
         the columns span 30 degrees.  None: not known.
-    strength: part of the change that a picture gets, 0 to 1.
-    frames: of a stack whose pictures follow each other in time: up to so many, odd, are laid over
+    strength: part of the change that an image gets, 0 to 1.
+    frames: of a stack whose images follow each other in time: up to so many, odd, are laid over
         each other and fused where they show the same; 1: each alone.
-    causal: fuse with pictures before alone.
+    causal: fuse with images before alone.
     device: gpu means CUDA; auto takes it where it is usable.
     return_removed: whether the removed signal is returned, too.
 
@@ -99,21 +99,19 @@ def denoise(
     require(Need("simnfnd.denoise", module) for module in needed)
     from .factory.dataset.schema import Pair
     from .factory.sonar.geometry import FanGeometry
-    from .models.denoise.pictures import Denoising
+    from .models.denoise.images import Denoising
     from .models.pretrained import POINTS, find_weights
     from .models.recordings.fan_finder import find_geometry
 
-    if isinstance(picture, Pair):
-        if weights is None and picture.formation == "pointwise":
+    if isinstance(image, Pair):
+        if weights is None and image.formation == "pointwise":
             weights = POINTS
-        if geometry == "find" and picture.geometry is not None:
-            geometry = picture.geometry
-        picture = picture.noisy
-    values = np.asarray(picture)
+        if geometry == "find" and image.geometry is not None:
+            geometry = image.geometry
+        image = image.noisy
+    values = np.asarray(image)
     if values.ndim not in (2, 3):
-        raise ValueError(
-            f"picture has shape {values.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
-        )
+        raise ValueError(f"image has shape {values.shape}; expected (H, W), (N, H, W) or (H, W, 3)")
     path = find_weights(weights)
     if not 0 <= strength <= 1:
         raise ValueError(f"strength={strength}: expected 0 to 1")
@@ -130,8 +128,10 @@ def denoise(
     denoising = Denoising(network, frames=frames, causal=causal, calibrated=strength == 1)
     if values.ndim == 2 or values.shape[2] <= 4:
         single = denoising.denoise_image(known, place)
-        image = single.image.astype(values.dtype)
-        return DenoisedImage(image, single.removed.signal) if return_removed else image
+        denoised_image = single.image.astype(values.dtype)
+        if return_removed:
+            return DenoisedImage(denoised_image, single.removed.signal)
+        return denoised_image
     result = np.empty(values.shape, values.dtype)
     removed = np.empty(values.shape if return_removed else 0, np.float32)
     shots = (denoising.shot(number, image, place) for number, image in enumerate(known))
@@ -154,18 +154,23 @@ def _denoiser(path: Path, changed_ns: int, device: str, strength: float) -> Deno
 class RecordedFrame:
     """One frame of a recording.
 
-    picture: (H, W) float32 in 0..1, a fan with far range on top; or, of a picture or video, its
+    image: (H, W) float32 in 0..1, a fan with far range on top; or, of an image or video, its
         pixels as they are stored, (H, W) or (H, W, colours).
-    geometry: where range and bearing are in it: as the file says, else as found in the picture
+    geometry: where range and bearing are in it: as the file says, else as found in the image
         (range_fraction without metres); None where there is no fan.
     time_s: seconds since 1970 (UTC), or since the start where the file has no clock; None: unknown.
     frame: all that the file says: samples as stored, beams, pose and device.
     """
 
-    picture: npt.NDArray[Any]
+    image: npt.NDArray[Any]
     geometry: FanGeometry | None
     time_s: float | None
     frame: Frame
+
+    @property
+    def picture(self) -> npt.NDArray[Any]:
+        """`image` by its name of version 0.4."""
+        return self.image
 
 
 class OpenRecording:
@@ -213,11 +218,11 @@ class OpenRecording:
             return RecordedFrame(frame.samples, frame.geometry, frame.time_s, frame)
         from .models.recordings.fan_finder import find_geometry  # of the extra sonar
         from .models.recordings.fan_tracking import FanTracker
-        from .models.recordings.pictures import Pictures
+        from .models.recordings.images import Images
 
-        # Pictures of a folder may have a fan each; that of a video changes now and then.
+        # Images of a folder may have a fan each; that of a video changes now and then.
         samples = frame.samples
-        if isinstance(self._recording, Pictures):
+        if isinstance(self._recording, Images):
             geometry = find_geometry(samples)
         else:
             tracker = self._trackers.setdefault(samples.shape, FanTracker())
@@ -226,10 +231,10 @@ class OpenRecording:
 
 
 def open_recording(path: str | Path) -> OpenRecording:
-    """Open the recording of a sonar, a bag, a video, or a folder of pictures.
+    """Open the recording of a sonar, a bag, a video, or a folder of images.
 
     path: `.aris`, `.ddf`, Oculus `.raw`, bags of ROS 1 and 2 (extra `ros`), `.avi` and other
-        videos, pictures; docs/recordings.md has them all.
+        videos, images; docs/recordings.md has them all.
 
     Frames are read when they are asked for.  Raises FactoryError, one line, for a file that is not
     there, of no known kind, or damaged.

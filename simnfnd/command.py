@@ -110,7 +110,7 @@ def _verb_for(verb: str, path: Path) -> str:
 
 def overview() -> str:
     """What `simnfnd --help` prints."""
-    lines = ["simnfnd VERB ...: sonar pictures with a known truth, and denoisers made of them"]
+    lines = ["simnfnd VERB ...: sonar images with a known truth, and denoisers made of them"]
     for group in dict.fromkeys(verb.group for verb in VERBS.values()):
         lines += ["", f"{group}:"]
         lines += [

@@ -39,7 +39,7 @@ _TORCH = ("torch", "safetensors", *_SONAR)
 
 VERBS: dict[str, Verb] = {
     "demo": Verb(
-        MAKE, "two small datasets of procedural scenes, one a profile, with a picture of both",
+        MAKE, "two small datasets of procedural scenes, one a profile, with a figure of both",
         f"{_COMMANDS}.make:demo",
         ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
         hydra=True,
@@ -130,7 +130,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd denoise outputs/demo --out outputs/denoised",
             "simnfnd denoise dive.aris --out outputs/denoised",
             "simnfnd denoise dive.bag --topic /sonar/image --out outputs/denoised",
-            "simnfnd denoise picture.png --out outputs/denoised --strength 0.7 --compare",
+            "simnfnd denoise image.png --out outputs/denoised --strength 0.7 --compare",
             "simnfnd denoise lamprey.avi --out outputs/denoised --compare talk.mp4",
             "simnfnd denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd",
         ),
@@ -188,7 +188,7 @@ VERBS: dict[str, Verb] = {
         needs=("pandas", *_SONAR),
     ),
     "evaluate real": Verb(
-        JUDGE, "what methods make of real pictures and recordings",
+        JUDGE, "what methods make of real images and recordings",
         "simnfnd.evaluation.commands:real",
         ("simnfnd evaluate real mdd models=[simnfnd]",),
         needs=("skimage", *_SONAR), hydra=True,
@@ -201,13 +201,13 @@ VERBS: dict[str, Verb] = {
         needs=("pandas", "skimage", *_SONAR), hydra=True,
     ),
     "evaluate realism": Verb(
-        JUDGE, "how near datasets are to real pictures",
+        JUDGE, "how near datasets are to real images",
         "simnfnd.evaluation.commands:realism",
         ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
         needs=("skimage", *_SONAR), hydra=True,
     ),
     "evaluate fit": Verb(
-        JUDGE, "the noise parameters that come nearest to real pictures",
+        JUDGE, "the noise parameters that come nearest to real images",
         "simnfnd.evaluation.commands:fit",
         ("simnfnd evaluate fit mdd name=mine trials=100",
          "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "

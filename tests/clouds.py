@@ -25,7 +25,7 @@ def uniform_scene(count=20000, seed=0, near_m=1.0, far_m=9.0) -> Echoes:
 
 
 def camera_scene(count=200_000, seed=0) -> Echoes:
-    """What a camera of 45 x 29 degrees sees: directions even over the picture, ranges 1 to 10 m."""
+    """What a camera of 45 x 29 degrees sees: directions even over the image, ranges 1 to 10 m."""
     rng = np.random.default_rng(seed)
     elevation_half_rad = np.deg2rad(14.5)
     return Echoes(

@@ -183,7 +183,7 @@ class LethalSource:
 def fan(
     shape: tuple[int, int], rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    """(H, W) float32 picture in [0, 1] of a 60 degree fan, and its shadows."""
+    """(H, W) float32 image in [0, 1] of a 60 degree fan, and its shadows."""
     height, width = shape
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
     ahead = 1.02 - rows / height

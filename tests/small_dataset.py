@@ -25,7 +25,7 @@ PROVENANCE = Provenance({"made": "by a test", "noise": {}}, "0123abcd", "tests")
 
 
 def fan_mask(size: int) -> npt.NDArray[np.bool_]:
-    """(size, size) bool sector with its apex below the picture."""
+    """(size, size) bool sector with its apex below the image."""
     rows, columns = np.mgrid[0:size, 0:size]
     up = size * 1.05 - rows
     right = columns - (size - 1) / 2

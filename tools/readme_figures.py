@@ -23,7 +23,7 @@ import numpy.typing as npt
 from simnfnd import denoise
 from simnfnd.command import main as simnfnd
 from simnfnd.evaluation.filters.windows import registered_mean
-from simnfnd.models.recordings.views import frame_picture
+from simnfnd.models.recordings.views import frame_image
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "didson" / "lamprey.avi"
@@ -54,7 +54,7 @@ Figures = dict[str, Any]
 
 def example_frames() -> Frames:
     """(N, H, W) float32 in 0..1: some frames of the recording that ships."""
-    return np.stack([frame_picture(EXAMPLE, number)[0] for number in _PROBE_FRAMES])
+    return np.stack([frame_image(EXAMPLE, number)[0] for number in _PROBE_FRAMES])
 
 
 def probe() -> dict[str, float]:

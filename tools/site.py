@@ -66,10 +66,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             text = (ROOT / source).read_text(encoding="utf-8")
             files.append(File.generated(config, name, content=text))
     for notebook in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
-        text, pictures = notebook_page(notebook.read_text(encoding="utf-8"), notebook.stem)
+        text, images = notebook_page(notebook.read_text(encoding="utf-8"), notebook.stem)
         files.append(File.generated(config, f"notebooks/{notebook.stem}.md", content=text))
-        for name, picture in pictures.items():
-            files.append(File.generated(config, f"notebooks/{name}", content=picture))
+        for name, image in images.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=image))
     return files
 
 
@@ -152,7 +152,7 @@ def notebook_page(text: str, stem: str) -> tuple[str, dict[str, bytes]]:
     Raises ValueError for an output that is neither text nor a PNG image.
     """
     lines: list[str] = []
-    pictures: dict[str, bytes] = {}
+    images: dict[str, bytes] = {}
     for cell in json.loads(text)["cells"]:
         source = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
@@ -160,17 +160,17 @@ def notebook_page(text: str, stem: str) -> tuple[str, dict[str, bytes]]:
             continue
         lines += ["```python", source, "```", ""]
         for output in cell["outputs"]:
-            lines += _output(output, stem, pictures)
-    return "\n".join(lines), pictures
+            lines += _output(output, stem, images)
+    return "\n".join(lines), images
 
 
-def _output(output: dict[str, Any], stem: str, pictures: dict[str, bytes]) -> Iterator[str]:
+def _output(output: dict[str, Any], stem: str, images: dict[str, bytes]) -> Iterator[str]:
     data = output.get("data", {})
     if output["output_type"] == "stream":
         yield from ("```text", "".join(output["text"]).rstrip(), "```", "")
     elif "image/png" in data:
-        name = f"{stem}-{len(pictures) + 1}.png"
-        pictures[name] = base64.b64decode(data["image/png"])
+        name = f"{stem}-{len(images) + 1}.png"
+        images[name] = base64.b64decode(data["image/png"])
         yield from (f"![What the cell draws]({name})", "")
     elif "text/plain" in data:
         yield from ("```text", "".join(data["text/plain"]), "```", "")

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
-from ...models.denoise.pictures import Denoising
+from ...models.denoise.images import Denoising
 from ...models.denoise.temporal.stream import Shot
 from .. import tuning
 from ..filters import REGISTRY, Baseline, Parameters, method_of

@@ -66,9 +66,9 @@ def _dct() -> Floats:
     return np.asarray(basis, dtype=np.float32)
 
 
-def _all_blocks(picture: Floats) -> Floats:
+def _all_blocks(image: Floats) -> Floats:
     """(H - 7, W - 7, 64) DCT of the block at every pixel."""
-    windows = np.lib.stride_tricks.sliding_window_view(picture, (_BLOCK, _BLOCK))
+    windows = np.lib.stride_tricks.sliding_window_view(image, (_BLOCK, _BLOCK))
     basis = _dct()
     result = np.empty((*windows.shape[:2], _BLOCK * _BLOCK), dtype=np.float32)
     for row, line in enumerate(windows):  # row by row: all at once would take a second copy

@@ -140,8 +140,8 @@ class LabServer(PageServer):
         if request.right == "unchanged":
             return self._unchanged(request.frame, request.variant)
         assert self.real is not None
-        picture = self.real.polar_picture if is_polar else self.real.picture
-        image = picture(request.real, 0)
+        read = self.real.polar_image if is_polar else self.real.image
+        image = read(request.real, 0)
         return image if image.ndim == 2 else np.asarray(np.rint(image.mean(axis=-1)), np.uint8)
 
     def _make_unchanged(self, frame: int, variant: int) -> npt.NDArray[np.uint8]:

@@ -33,7 +33,7 @@ _NO_POWER = 1e-20  # of a ratio image: less is rounding
 
 
 @dataclass(frozen=True)
-class Picture:
+class PairImages:
     """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool."""
 
     noisy: Gray
@@ -83,7 +83,7 @@ def fit_levels(pairs: Iterable[tuple[Floats, Floats]]) -> Levels:
 class Scene:
     """A pair, checked, and what the metrics of all methods on it share."""
 
-    def __init__(self, pair: Picture) -> None:
+    def __init__(self, pair: PairImages) -> None:
         """Raises MetricError for a pair without anything to measure."""
         if not pair.sector.any():
             raise metrics.MetricError("clean, noisy and shadow are empty; nothing to measure")

@@ -92,7 +92,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     sectors: list[Mask] = []
     for shot in stretch.shots:
         try:
-            picture, geometry = shot.read()
+            image, geometry = shot.read()
         except FrameError as error:
             # A recording may have damaged frames, and fewer than its header says.
             if not recording or shot.number == stretch.shots[0].number:
@@ -100,19 +100,19 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
             notes.append(f"left out: {error}")
             continue
         if geometry is None:
-            geometry = tracker.geometry(picture) if recording else find_geometry(picture)
+            geometry = tracker.geometry(image) if recording else find_geometry(image)
         # The copy of a frame has its noise: as a reference it would flatter whatever keeps that.
-        if copy_finder.is_copy(picture):
+        if copy_finder.is_copy(image):
             copies += 1
             continue
         shots.append(shot)
         fans.append(geometry)
-        sectors.append(sector_of(picture, geometry))
+        sectors.append(sector_of(image, geometry))
     if copies:
         notes.append(f"{stretch.name}: {copies} frames left out that are copies of others")
     groups = []
-    pictures = _Pictures(shots)
-    for static in find_groups(pictures, sectors, least=LEAST):
+    images = _Images(shots)
+    for static in find_groups(images, sectors, least=LEAST):
         group = _group(stretch.name, shots, fans, sectors, static, limit)
         if group.still < _LEAST_STILL:
             count = len(static.numbers)
@@ -180,9 +180,9 @@ def alone(shot: Shot) -> Judged:
     return Judged(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
 
 
-def sector_of(picture: Gray, geometry: FanGeometry | None) -> Mask:
+def sector_of(image: Gray, geometry: FanGeometry | None) -> Mask:
     """(H, W) bool: the sector; where no geometry is known what lies within the lit outline."""
-    return outline(picture) if geometry is None else _sector(geometry, picture.shape)
+    return outline(image) if geometry is None else _sector(geometry, image.shape)
 
 
 @lru_cache(maxsize=4)
@@ -222,7 +222,7 @@ def _group(
     return Group(name, tuple(shots[n] for n in chosen), shifts, geometry, static_mask, still)
 
 
-class _Pictures(Sequence[Gray]):
+class _Images(Sequence[Gray]):
     """Images that are read when they are looked at."""
 
     def __init__(self, shots: Sequence[Shot]) -> None:

@@ -144,7 +144,7 @@ def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
 def _in_time(frames: Gray, network: Network | None) -> list[Gray]:
     """Fused, and denoised where there is a network."""
     shots = (Shot(number, frame) for number, frame in enumerate(frames))
-    return [picture for _, picture in InTime(network)(shots)]
+    return [image for _, image in InTime(network)(shots)]
 
 
 def _references(frames: Gray) -> tuple[Gray, Mask]:

@@ -190,7 +190,7 @@ def _measured(
     every = Measured()
     shown = dict[int, Judged]()
 
-    def pictures(fold: int) -> Iterator[tuple[int, Judged]]:
+    def images(fold: int) -> Iterator[tuple[int, Judged]]:
         first = 0
         for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
             if part.fold == fold:
@@ -200,12 +200,12 @@ def _measured(
             yield from enumerate(map(alone, shots))
 
     def batches(fold: int) -> Iterator[dict[int, Subject]]:
-        left = pictures(fold)
+        left = images(fold)
         while some := dict(islice(left, _BATCH)):
             shown.update({number: frame for number, frame in some.items() if number in picked})
-            yield {number: RealPicture(frame) for number, frame in some.items()}
+            yield {number: RealImage(frame) for number, frame in some.items()}
 
-    with progress_bar(total=len(shots) * len(methods), unit="picture", desc="judging") as bar:
+    with progress_bar(total=len(shots) * len(methods), unit="image", desc="judging") as bar:
         for fold in sorted({part.fold for part in parts}) or [0]:
             measured = run(
                 [folds[fold % len(folds)] for folds in methods.values()],
@@ -268,7 +268,7 @@ def rows_of(
             if label != best_label:
                 own[MARGINS[name]] = own[name] - by_group.loc[best_label][name]
         own = own.drop(columns=SECONDS).dropna(axis="columns", how="all")
-        pictures = table[table["method"] == label]
+        images = table[table["method"] == label]
         for figure, column in own.items():
             row_estimate = estimate(column.to_numpy(float), names, resamples=resamples, seed=seed)
             row["means"][str(figure)] = plain(row_estimate.mean)
@@ -276,7 +276,7 @@ def rows_of(
                 row["by_group"][str(figure)] = [plain(value) for value in column]
                 if row_estimate.count > 1:
                     row["intervals"][str(figure)] = [row_estimate.low, row_estimate.high]
-        row["means"][SECONDS] = float(pictures[SECONDS].median())
+        row["means"][SECONDS] = float(images[SECONDS].median())
         row["pictures"] = [
             {name: plain(value) for name, value in row_estimate.items()}
             for _, row_estimate in sorted(measured.figures[label].items())
@@ -306,9 +306,9 @@ _DARKEST = 0.1  # share of the sector
 _BRIGHTER = 0.5  # share of the sector
 
 
-def score(picture: Gray, reference: Gray, mask: Mask) -> tuple[float, float]:
+def score(image: Gray, reference: Gray, mask: Mask) -> tuple[float, float]:
     """PSNR in dB and SSIM of an image against its reference, after one gain and offset."""
-    fitted = fit_levels([(picture[mask], reference[mask])])(picture)
+    fitted = fit_levels([(image[mask], reference[mask])])(image)
     return (
         finite_psnr(psnr(reference, fitted, data_range=1.0, mask=mask)),
         ssim(reference, fitted, data_range=1.0, mask=mask),
@@ -359,7 +359,7 @@ def figures_of(image: Gray, shared: Scene) -> Figures:
 
 
 @dataclass(frozen=True, eq=False)
-class RealPicture(Subject):
+class RealImage(Subject):
     """A judged image."""
 
     judged: Judged

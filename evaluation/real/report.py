@@ -32,7 +32,7 @@ COLUMNS = {
     "ratio_mean": Metric("ratio mean", 3, 0),
     "ratio_variance": Metric("ratio variance", 3, 0),
     "ratio_correlation": Metric("ratio correlation", 3, 0),
-    SECONDS: Metric("CPU s a picture", 3, -1),
+    SECONDS: Metric("CPU s an image", 3, -1),
 }
 _SIGNED = {"gain_db", *MARGINS.values()}
 _WITH_INTERVAL = {"psnr_db", "ssim", *MARGINS.values()}
@@ -40,7 +40,7 @@ _WITH_INTERVAL = {"psnr_db", "ssim", *MARGINS.values()}
 TRUTH = (
     f"The truth of a frame is the mean of the other frames of its group (of the {MOST_OTHERS} "
     "nearest in time). PSNR and SSIM: inside the sector, without its rim and what moves, after one "
-    "gain and offset a picture; means over groups, with 95 % bootstrap intervals that draw groups. "
+    "gain and offset an image; means over groups, with 95 % bootstrap intervals that draw groups. "
     "Filters are tuned on every other group and judged on the others. CPU s: the median."
 )
 IN_TIME = (
@@ -73,7 +73,7 @@ def write(settings: RealSettings, notes: Sequence[str], outcome: Outcome) -> str
 
     FactoryError when the folder cannot be written to.
     """
-    about = "; ".join([f"{len(outcome.files)} pictures judged", *notes]) + "."
+    about = "; ".join([f"{len(outcome.files)} images judged", *notes]) + "."
     rules = (TRUTH, RULE) if outcome.groups else (RULE,)
     table = table_of(outcome.rows)
     verdict = _verdict(outcome)

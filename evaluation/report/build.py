@@ -14,7 +14,7 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskPool
 from .. import tuning
 from ..methods import NOISY, Method, baselines_of, methods_of, networks_of
-from ..pairs import Item, config_hash_of, drawn_of, given_methods, items_of, names_of, picture
+from ..pairs import Item, config_hash_of, drawn_of, given_methods, items_of, names_of, pair_images
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import EvaluationSettings
 from . import tables
@@ -54,7 +54,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
         methods = list({method.label: method for method in named}.values())
         measured = measure(settings, items, methods, pool)
         content = content_of(methods, measured, items, settings, tuned)
-        content["facts"]["image"] = "x".join(map(str, picture(items[0].place).clean.shape))
+        content["facts"]["image"] = "x".join(map(str, pair_images(items[0].place).clean.shape))
         content["facts"]["config_hash"] = config_hash_of(items[0])
         labels = shown_rows(content["rows"], _SHOWN)
         write_results(out / RESULTS_NAME, measured, items)
@@ -86,7 +86,7 @@ def measure(
 
     Raises FactoryError for a dataset that cannot be read.
     """
-    picture.cache_clear()  # files may have changed since the last report of this process
+    pair_images.cache_clear()  # files may have changed since the last report of this process
     pairs: dict[int, Subject] = dict(enumerate(items))
     with progress_bar(total=len(methods) * len(items), unit="image", desc="measuring") as bar:
         return run(
@@ -165,6 +165,6 @@ def _examples(
         images = {label: measured_images.images[label, number] for label in labels}
         psnr = {label: measured_images.figures[label][number]["psnr"] for label in labels}
         title = f"{item.scene} {item.frame}" + (f" #{item.variant}" if item.variant else "")
-        images["clean"] = picture(item.place).clean
+        images["clean"] = pair_images(item.place).clean
         examples.append(Example(title, images, psnr, truth="clean"))
     return examples

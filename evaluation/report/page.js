@@ -50,7 +50,7 @@
   const view = { zoom: 1, x: 0, y: 0 };
   const decoded = new Map();
 
-  // The gray values of a picture, 0..255, decoded once.
+  // The gray values of an image, 0..255, decoded once.
   function grayOf(pair, label) {
     const key = `${pair} ${label}`;
     if (!decoded.has(key)) {
@@ -83,7 +83,7 @@
   const table = (stops) => Array.from({ length: 256 }, (_, i) => mix(stops, i / 255));
   const heat = table(HEAT), coldHot = table(COLD_HOT);
 
-  // A pixel's colour from the value of the picture, of the clean and of the noisy one.
+  // A pixel's colour from the value of the image, of the clean and of the noisy one.
   const MAPS = {
     image: (v) => [v, v, v],
     error: (v, clean) => heat[Math.min(255, 2 * Math.abs(v - clean))],

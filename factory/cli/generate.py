@@ -144,7 +144,7 @@ def run(
     for warning in job.warnings:
         reporter.warning(warning)
     if (share := lit_share(job.directory)) < _LEAST_LIT:
-        reporter.warning(f"{100 * share:.2g} % of the pictures is lit; {_LIKELIEST}")
+        reporter.warning(f"{100 * share:.2g} % of the images is lit; {_LIKELIEST}")
     return report, job.directory
 
 

@@ -59,8 +59,8 @@ def demo(words: Sequence[str]) -> int:
 
     from ..dataset.preview import side_by_side
 
-    picture = Path(f"{points.rstrip('/')}-profiles.png")
+    figure = Path(f"{points.rstrip('/')}-profiles.png")
     both = [("pointwise", Path(points)), ("coherent", Path(physical))]
-    side_by_side(both, picture, frames=4, whole=True)
-    print(f"both, side by side: {picture}")
+    side_by_side(both, figure, frames=4, whole=True)
+    print(f"both, side by side: {figure}")
     return 0

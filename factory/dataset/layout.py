@@ -194,15 +194,15 @@ def check_shard(file: h5py.File) -> None:
 
 def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> None:
     """A stack has the shape, type and chunks of its layer.  shape: of /noisy."""
-    samples, *picture = stack.shape or (-1,)
-    problem = layer.size_problem(tuple(picture), shape[1:])
+    samples, *image_shape = stack.shape or (-1,)
+    problem = layer.size_problem(tuple(image_shape), shape[1:])
     if samples != shape[0]:
-        problem = f"has {samples} pictures, /noisy {shape[0]}"
+        problem = f"has {samples} images, /noisy {shape[0]}"
     # Of the same layer in other shards, too: grey values are all of one dtype.
-    elif str(stack.dtype) != layer.dtype or stack.chunks != (1, *picture):
+    elif str(stack.dtype) != layer.dtype or stack.chunks != (1, *image_shape):
         problem = problem or (
             f"is {stack.dtype} in chunks {stack.chunks}; expected {layer.dtype}, one chunk "
-            "for each picture"
+            "for each image"
         )
     if problem:
         raise FactoryError(f"/{layer.name} {problem}")
@@ -211,17 +211,17 @@ def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> N
 def _check_chunks(stack: h5py.Dataset) -> None:
     """Each sample has a chunk inside the file; HDF5 aborts over sizes that cannot be."""
     name = stack.name
-    (samples, *picture) = stack.shape
+    (samples, *image_shape) = stack.shape
     codec, ending = _filters(stack)
     file_bytes = stack.file.id.get_filesize()
-    full = prod(picture) * stack.dtype.itemsize + ending
+    full = prod(image_shape) * stack.dtype.itemsize + ending
     least = full
     most = full
     if codec != "none":
         least = ending + 1
         # Incompressible data grow by far less than this.
         most = full + full // 16 + 4096
-    origin = (0,) * len(picture)
+    origin = (0,) * len(image_shape)
     chunk_count = 0
 
     def check_chunk(chunk: Any) -> None:

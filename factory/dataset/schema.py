@@ -81,19 +81,19 @@ class Layer:
         expected = ", ".join(self.of_camera) or sonar_shape
         return f"is {shape}; expected {expected} and at most {MAX_PIXELS} pixels"
 
-    def value_problem(self, picture: npt.NDArray[np.generic]) -> str | None:
+    def value_problem(self, image: npt.NDArray[np.generic]) -> str | None:
         """What is wrong with the values of an image of the right type."""
-        kind = picture.dtype.kind
-        if self.classes and picture.max() >= len(self.classes):
-            return f"has class {picture.max()}; the schema knows {len(self.classes)}"
-        if kind == "b" and not np.isin(picture.view(np.uint8), (0, 1)).all():
+        kind = image.dtype.kind
+        if self.classes and image.max() >= len(self.classes):
+            return f"has class {image.max()}; the schema knows {len(self.classes)}"
+        if kind == "b" and not np.isin(image.view(np.uint8), (0, 1)).all():
             return "has values that are neither true nor false"
-        if kind == "c" and not np.isfinite(picture).all():
+        if kind == "c" and not np.isfinite(image).all():
             return "has NaN or infinite values"
         if kind != "f":
             return None
         low, high = self.least, np.float32(self.most)
-        known = picture if self.grey else picture[~np.isnan(picture)]
+        known = image if self.grey else image[~np.isnan(image)]
         # Also false for NaN, which compares as neither.
         inside = not known.size or (known.min() >= low and known.max() <= high)
         if inside and np.isfinite(known).all():

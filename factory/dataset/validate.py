@@ -258,7 +258,7 @@ def _duplicates(facts: Mapping[str, Facts]) -> Iterator[str]:
             place = f"{path} sample {row}"
             owner = owners.setdefault(digest, place)
             if owner != place:
-                yield f"error: {path}: sample {row} has the same noisy picture as {owner}"
+                yield f"error: {path}: sample {row} has the same noisy image as {owner}"
 
 
 def _leaks(facts: Mapping[str, Facts]) -> Iterator[str]:
@@ -282,7 +282,7 @@ def _leaks(facts: Mapping[str, Facts]) -> Iterator[str]:
             f"{', '.join(shared[:3])}"
         )
     if shared := sorted(set.intersection(*clean.values())):
-        yield f"error: {MANIFEST_NAME}: {len(shared)} clean picture(s) are in train and in test"
+        yield f"error: {MANIFEST_NAME}: {len(shared)} clean image(s) are in train and in test"
     if shared := sorted(set.intersection(*locations.values()) - {"", _PROCEDURAL}):
         yield (
             f"note: {MANIFEST_NAME}: scenes of {len(shared)} location(s) train and test: "

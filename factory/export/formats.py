@@ -109,7 +109,7 @@ def _files(
             yield name.format(split, number, files), islice(of_split, samples_per_file)
 
 
-def is_picture(dtype: np.dtype[np.generic]) -> bool:
+def is_image(dtype: np.dtype[np.generic]) -> bool:
     """Whether a PNG holds this type without loss."""
     return dtype in (np.bool_, np.uint8, np.uint16)
 
@@ -120,7 +120,7 @@ def png(image: npt.NDArray[Any]) -> bytes:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
-    elif not is_picture(image.dtype):
+    elif not is_image(image.dtype):
         image = np.rint(image.astype(np.float64) * 65535).astype(np.uint16)
     done, encoded = cv2.imencode(".png", image, _PNG)
     assert done  # only unknown types and empty images fail
@@ -177,7 +177,7 @@ def write_png(pairs: PairDataset, folder: Path) -> str:
     neither go nowhere: a PNG cannot hold metres.
     """
     layers = {named(name): dtype for name, dtype in pairs.form.layers.items()}
-    drawn = [n for n, dtype in layers.items() if n in ("noisy", "clean") or is_picture(dtype)]
+    drawn = [n for n, dtype in layers.items() if n in ("noisy", "clean") or is_image(dtype)]
     for split in pairs.splits:
         for name in drawn:
             (folder / split / name).mkdir(parents=True)
@@ -185,10 +185,10 @@ def write_png(pairs: PairDataset, folder: Path) -> str:
             rows = csv.writer(file, lineterminator="\n")
             rows.writerow(["file", *(column.name for column in pairs.form.columns)])
             for sample in samples(pairs, split):
-                picture = f"{sample.key.removeprefix(f'{split}-')}.png"
+                file_name = f"{sample.key.removeprefix(f'{split}-')}.png"
                 for name in drawn:
-                    (folder / split / name / picture).write_bytes(png(sample.images[name]))
-                rows.writerow([picture, *sample.json_record().values()])
+                    (folder / split / name / file_name).write_bytes(png(sample.images[name]))
+                rows.writerow([file_name, *sample.json_record().values()])
     write_notes(pairs, folder, _PNG_NOTES)
     written = f"{len(pairs)} samples as PNG ({', '.join(drawn)})"
     if left_out := [name for name in layers if name not in drawn]:
@@ -211,7 +211,7 @@ def write_webdataset(pairs: PairDataset, folder: Path) -> str:
             for sample in file_samples:
                 entry: dict[str, str | bytes] = {"__key__": sample.key}
                 for layer, image in sample.images.items():
-                    if is_picture(image.dtype):
+                    if is_image(image.dtype):
                         entry[f"{layer}.png"] = png(image)
                         continue
                     buffer = io.BytesIO()
@@ -268,7 +268,7 @@ def _row(pairs: PairDataset, sample: Sample) -> dict[str, Any]:
             for shown in shown_in(sample, classes_of(pairs.form.config), pairs.folder)
         ]
     for name, image in sample.images.items():
-        if is_picture(image.dtype):
+        if is_image(image.dtype):
             row[name] = {"bytes": png(image), "path": f"{sample.key}.{name}.png"}
         else:
             row[name] = list(image)
@@ -310,7 +310,7 @@ def _image_column(pairs: PairDataset, layer: str) -> _Column:
     import pyarrow
 
     dtype = pairs.form.layers[layer]
-    if is_picture(dtype):
+    if is_image(dtype):
         png_file = pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
         return _Column(png_file, {"_type": "Image"})
     rows = pyarrow.list_(pyarrow.list_(pyarrow.from_numpy_dtype(dtype)))
@@ -410,7 +410,7 @@ def _objects(
 
 def _counted(pairs: PairDataset, counts: Counter[str]) -> str:
     small = f"{counts['small']} below {LEAST_PX} pixels left out"
-    return f"{len(pairs)} pictures, {counts['objects']} objects; {small}"
+    return f"{len(pairs)} images, {counts['objects']} objects; {small}"
 
 
 def write_coco(pairs: PairDataset, folder: Path) -> str:
@@ -524,7 +524,7 @@ def outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
 
 
 _PNG_NOTES = """\
-Pictures of one name belong together: `train/noisy/000000.png` is the input of which
+Images of one name belong together: `train/noisy/000000.png` is the input of which
 `train/clean/000000.png` is the target, and `train/shadow/000000.png` is 255 in acoustic shadow.
 `samples.csv` has one row a sample: its file name and its record (empty: not drawn). uint8 data are
 stored as they are, float32 data (0..1) as 16 bits (0..65535).
@@ -561,10 +561,10 @@ pairs = load_dataset("PATH_OF_THIS_FOLDER")
 """
 
 _COCO_NOTES = f"""\
-`annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the pictures of
+`annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the images of
 `images/SPLIT`: box, area in pixels, and the mask as run lengths, which pycocotools reads
 (`annToMask`); `--to yolo` has polygons. Objects that show in fewer than {LEAST_PX} pixels are left
-out. `clean/SPLIT` has the same pictures without noise.
+out. `clean/SPLIT` has the same images without noise.
 
 ```python
 from pycocotools.coco import COCO
@@ -578,7 +578,7 @@ _YOLO_NOTES = f"""\
 `data.yaml`), then the corners of a polygon along the edges of its pixels, as fractions of width and
 height. An object in parts that do not touch has a line for each part; holes are filled. Objects
 that show in fewer than {LEAST_PX} pixels are left out. `data.yaml` takes the test split to
-validate, or the only one that was exported. `clean/SPLIT` has the same pictures without
+validate, or the only one that was exported. `clean/SPLIT` has the same images without
 noise.
 
 ```sh

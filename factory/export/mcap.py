@@ -213,6 +213,6 @@ those of the recording, or a ping every .1 s.
 from simnfnd import open_recording
 
 for frame in open_recording("train/train.mcap"):  # /sonar/clean and /sonar/noisy in turn
-    print(frame.time_s, frame.picture.shape, frame.geometry.range_max_m)
+    print(frame.time_s, frame.image.shape, frame.geometry.range_max_m)
 ```
 """

@@ -177,6 +177,6 @@ def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
             field = effect.apply(field, ping)
     field *= np.sqrt(ping.gain)[:, None]
     for effect in effects:
-        if effect.stage == "picture":
+        if effect.stage == "image":
             field = effect.apply(field, ping)
     return field

@@ -20,7 +20,7 @@ Value = float | int | str
 
 # When an effect acts: on the echoes as points; on the complex field before the device blurs it;
 # after beamforming; after time-varying gain.
-Stage = Literal["points", "echo", "beam", "picture"]
+Stage = Literal["points", "echo", "beam", "image"]
 
 # What an effect shows in an image, and what a network can learn to remove: grain that averages
 # out; a level added to the ground; bright beams and arcs; copies of objects at the wrong place;

@@ -96,8 +96,8 @@ def expected(
     """
     none = [np.zeros(ping.shape, np.float32) for _ in range(3)]
     state = Expected(none[0], none[1], ping.expected.copy(), none[2], standing=standing)
-    for stage in ("echo", "beam", "picture"):
-        if stage == "picture":
+    for stage in ("echo", "beam", "image"):
+        if stage == "image":
             state.scale(ping.gain[:, None])
         for effect in effects:
             if effect.stage == stage:

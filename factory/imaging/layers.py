@@ -15,12 +15,12 @@ from ..errors import FrameError
 from ..sonar import polar
 from ..sonar.surface import LitSurface
 
-Picture = npt.NDArray[np.generic]
+Pixels = npt.NDArray[np.generic]
 
 _OF_ECHOES = {"range", "azimuth", "elevation", "elevation_min", "elevation_max", "segmentation"}
 
 
-def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture]:
+def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Pixels]:
     """(range_bins, beams) images of the requested layers, by the names of `OPTIONAL_LAYERS`.
 
     requested: of range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
@@ -29,7 +29,7 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
     """
     frame = surface.frame
     sonar = surface.sonar
-    layers = dict[str, Picture]()
+    layers = dict[str, Pixels]()
     shape = sonar.range_bins, sonar.beams
     if "valid_azimuth" in requested:
         beams = polar.seen_beams(surface.window, sonar)
@@ -43,7 +43,7 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
     strongest = np.full(sonar.range_bins * sonar.beams, -1, np.intp)
     strongest[bins[order]] = order
 
-    def paint_strongest(values: npt.NDArray[np.generic], nothing: float) -> Picture:
+    def paint_strongest(values: npt.NDArray[np.generic], nothing: float) -> Pixels:
         shown = np.where(strongest >= 0, values[strongest], values.dtype.type(nothing))
         return shown.reshape(shape)
 

@@ -352,4 +352,4 @@ def _draw_spokes(
         yield Spoke(slice(first, stop), noise, amplitude.astype(np.float32))
 
 
-SPOKES = Effect(SpokesSettings, spokes, "picture", "spokes", realised=realise_spokes)
+SPOKES = Effect(SpokesSettings, spokes, "image", "spokes", realised=realise_spokes)

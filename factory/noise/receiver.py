@@ -137,7 +137,7 @@ def _of_gain(
     def expect(state: Expected, ping: Ping, rng: Rng, **parameters: float) -> None:
         state.scale(10 ** (gain_db(ping, rng, **parameters) / 10))
 
-    return Effect(settings, apply, "picture", "gains", scope, systematic=expect)
+    return Effect(settings, apply, "image", "gains", scope, systematic=expect)
 
 
 BEAM_GAIN = _of_gain(BeamGainSettings, beam_gain_db, "recording")
@@ -180,7 +180,7 @@ def expect_ring_down(
     state.noise += loud.astype(np.float32)[:, None]
 
 
-RING_DOWN = Effect(RingDownSettings, ring_down, "picture", "spokes", systematic=expect_ring_down)
+RING_DOWN = Effect(RingDownSettings, ring_down, "image", "spokes", systematic=expect_ring_down)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -228,9 +228,7 @@ def _lines(
             yield int(row), line, phase[index]
 
 
-COMB_LINES = Effect(
-    CombLinesSettings, comb_lines, "picture", "spokes", systematic=expect_comb_lines
-)
+COMB_LINES = Effect(CombLinesSettings, comb_lines, "image", "spokes", systematic=expect_comb_lines)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -268,6 +266,4 @@ def _limit(ping: Ping, level_db: float) -> Floats:
     return limit[:, None]
 
 
-SATURATION = Effect(
-    SaturationSettings, saturation, "picture", "gains", systematic=expect_saturation
-)
+SATURATION = Effect(SaturationSettings, saturation, "image", "gains", systematic=expect_saturation)

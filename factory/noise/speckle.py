@@ -460,7 +460,7 @@ def expect_scintillation(state: Expected, ping: Ping, rng: Rng, *, sigma_db: flo
 SCINTILLATION = Effect(
     ScintillationSettings,
     scintillation,
-    stage="picture",
+    stage="image",
     artefact="speckle",
     expected=expect_scintillation,
 )

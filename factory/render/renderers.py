@@ -124,13 +124,13 @@ class CyclesRenderer:
         else:
             _fill_mesh(mesh, pixels, surface)
         mesh.update_tag()
-        picture = _pixels(self._bpy, self._scene)
+        image = _pixels(self._bpy, self._scene)
         mesh.clear_geometry()
-        hit = surface.mask & (picture[..., 3] > 0.5)
+        hit = surface.mask & (image[..., 3] > 0.5)
         if as_points:
             radiance = pixels.radiance(mount.position_camera_m())
-            return Rendered(pixels.apply(radiance, picture[..., 0], hit), pixels.mask)
-        return Rendered(np.where(hit, picture[..., 0], np.float32(0)), hit)
+            return Rendered(pixels.apply(radiance, image[..., 0], hit), pixels.mask)
+        return Rendered(np.where(hit, image[..., 0], np.float32(0)), hit)
 
     def _new_object(self, name: str, mesh: Any = None) -> Any:
         new = self._bpy.data.objects.new(name, mesh or self._bpy.data.meshes.new(name))

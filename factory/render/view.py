@@ -138,7 +138,7 @@ def decode(content: bytes) -> View:
         shape = height, width = head["shape"]
         pixels = height * width
         if not (height >= 1 <= width and pixels <= MOST_PIXELS):
-            raise ValueError(f"a picture of {pixels} pixels; at most {MOST_PIXELS} go")
+            raise ValueError(f"an image of {pixels} pixels; at most {MOST_PIXELS} go")
         parts = []
         start = start + length
         sizes = [2 * pixels, 2 * pixels, *([pixels, 2 * pixels] if head["labelled"] else [])]

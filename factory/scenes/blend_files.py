@@ -1,4 +1,4 @@
-"""Blender files, in the isolated process: exported, and photographed with their own materials.
+"""Blender files, in the isolated process: exported, and rendered with their own materials.
 
 One Blender has one file open.  Its scripts are never run, files that it names must lie beside it,
 and of its output settings none is kept.
@@ -134,7 +134,7 @@ def _reset_output(context: Any) -> None:
     scene.view_settings.view_transform = "Standard"
 
 
-def photograph(
+def camera_image(
     path: Path, world_from_camera: list[list[float]], lens: list[float], width: int, height: int
 ) -> bytes:
     """PNG of what a camera sees, by Cycles, with the file's own materials and lights.

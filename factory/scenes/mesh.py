@@ -29,7 +29,7 @@ from ..labels import class_names
 from ..seeds import stream
 from ..settings import STRICT
 from .base import Discovery, OwnClass, Root
-from .blend_files import photograph
+from .blend_files import camera_image
 from .mesh_parts import READING, Part, Up, files_of, read_model, stands_like_a_wall
 from .moving import MovingObject, check_moving, check_paths
 from .poses import trajectory
@@ -38,7 +38,7 @@ from .seabed.camera import Objects, Optics, Pose, ZBuffer, camera, centred, pose
 
 _LARGEST_M = 3000.0
 _KEY = "scenes.file"
-_GROUND_PX = 9  # side of the picture that looks for the ground below
+_GROUND_PX = 9  # side of the image that looks for the ground below
 _CLEAR_M = 0.3
 _AROUND = 24  # heights of the ground around a recording's beginning, to each side
 _AROUND_STEP_M = 1.0
@@ -200,7 +200,7 @@ class MeshReader:
         segmentation, instance = z_buffer.shown
         frame = Frame(
             ref=ref,
-            rgb=self._photograph(viewpoint, optics, world.shades[z_buffer.which]),
+            rgb=self._camera_image(viewpoint, optics, world.shades[z_buffer.which]),
             depth_m=np.where(z_buffer.which < 0, np.float32(0), z_buffer.depth_m),
             intrinsics=Intrinsics(*optics.lens),
             world_from_camera=viewpoint.matrix,
@@ -274,7 +274,7 @@ class MeshReader:
             labels[matching] = class_numbers.index(stated.label)
         return labels
 
-    def _photograph(
+    def _camera_image(
         self, viewpoint: Pose, optics: Optics, shaded: npt.NDArray[np.uint8]
     ) -> npt.NDArray[np.uint8]:
         """What a camera sees of a .blend, in its own materials; of other files the shaded faces."""
@@ -285,7 +285,7 @@ class MeshReader:
         matrix = viewpoint.matrix
         matrix[:3, 3] = (matrix[:3, 3] + self._world.origin_m) / self._settings.scale
         arguments = matrix.tolist(), list(optics.lens), optics.width, optics.height
-        content = READING.call(photograph, self._path, *arguments, limit_s=600.0)
+        content = READING.call(camera_image, self._path, *arguments, limit_s=600.0)
         with Image.open(io.BytesIO(content)) as image:
             return np.array(image.convert("RGB"))
 

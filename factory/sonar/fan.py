@@ -138,13 +138,13 @@ def rasterised(
 
 
 def lay_out_nearest(
-    picture: npt.NDArray[AnyNumber], window: Window, sonar: SonarSettings
+    image: npt.NDArray[AnyNumber], window: Window, sonar: SonarSettings
 ) -> npt.NDArray[AnyNumber]:
     """A polar mask, label or length image in the layout that was asked for, never mixed.
 
     Outside the sector of a fan: NaN for lengths, 0 for the others.
     """
     if sonar.image.layout == "polar":
-        return picture
-    outside = np.nan if picture.dtype.kind == "f" else 0
-    return fan_table(sonar, window.near_fraction).nearest(picture, outside)
+        return image
+    outside = np.nan if image.dtype.kind == "f" else 0
+    return fan_table(sonar, window.near_fraction).nearest(image, outside)

@@ -16,12 +16,12 @@ from ..elementary import FLOATS, atan2, cos
 _F = np.float32
 _ZERO = _F(0)
 _OUT = "float32[::1]"
-_PICTURE = "Array(float32, 2, 'C', readonly=True)"
+_IMAGE = "Array(float32, 2, 'C', readonly=True)"
 _MASK = "Array(bool_, 2, 'C', readonly=True)"
 _PLACES = "Array(int32, 1, 'C', readonly=True)"
 # Depth, radiance and surface of the pixels (H, W); x / z of the columns, y / z of the rows; sonar
 # axes from camera axes, and where the sonar is in these.
-_PIXELS = f"Tuple(({_PICTURE}, {_PICTURE}, {_MASK}, {FLOATS}, {FLOATS}, {_PICTURE}, {FLOATS}))"
+_PIXELS = f"Tuple(({_IMAGE}, {_IMAGE}, {_MASK}, {FLOATS}, {FLOATS}, {_IMAGE}, {FLOATS}))"
 # Whether ranges are those of a view from above; near_m, span_m, rows; left_rad, per_rad, columns.
 _GRID = "Tuple((boolean, float32, float32, int64, float32, float32, int64))"
 
@@ -256,7 +256,7 @@ def _add(values: Any, weight: Any, total: Any) -> None:
         total[at] += weight * values[at]
 
 
-@compiled(f"void({_PICTURE}, {FLOATS}, {FLOATS}, float32[:, ::1])")
+@compiled(f"void({_IMAGE}, {FLOATS}, {FLOATS}, float32[:, ::1])")
 def blur(level: Any, down: Any, across: Any, blurred: Any) -> None:
     """Correlate with two odd kernels, along rows and columns; nothing lies outside."""
     rows, columns = level.shape
@@ -273,7 +273,7 @@ def blur(level: Any, down: Any, across: Any, blurred: Any) -> None:
             _add(wide[step : step + columns], across[step], blurred[row])
 
 
-@compiled(f"void({_PICTURE}, {_PLACES}, {_PLACES}, {FLOATS}, {FLOATS}, {_OUT})")
+@compiled(f"void({_IMAGE}, {_PLACES}, {_PLACES}, {FLOATS}, {FLOATS}, {_OUT})")
 def bilinear(polar: Any, pixel: Any, corner: Any, down: Any, across: Any, fan: Any) -> None:
     """fan[pixel] = the four bins from `corner` on, mixed by the fractions down and across."""
     flat = polar.ravel()

@@ -261,7 +261,7 @@ def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:
     return np.asarray(ends_after_left_edge & begins_before_right_edge)
 
 
-def where_seen(picture: Polar, window: Window, sonar: SonarSettings) -> Polar:
+def where_seen(image: Polar, window: Window, sonar: SonarSettings) -> Polar:
     """The (range_bins, beams) image, 0 in beams that the camera did not see."""
     is_seen = seen_beams(window, sonar)
-    return picture if is_seen.all() else np.where(is_seen, picture, np.float32(0))
+    return image if is_seen.all() else np.where(is_seen, image, np.float32(0))

@@ -1,4 +1,4 @@
-"""Keys of the `sonar` group: the device, its picture and where it is mounted."""
+"""Keys of the `sonar` group: the device, its image and where it is mounted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class RangeSettings:
     """The range window.
 
     auto: fit the window to each frame's echoes; then min_m and max_m only limit it.
-    min_m, max_m: first and last range in the picture, metres.
+    min_m, max_m: first and last range in the image, metres.
     windows_m: first and last ranges of several windows, metres; each place is seen through one of
         them, drawn by its name, as an operator sets the device from dive to dive.  Empty: min_m
         and max_m for all.
@@ -51,7 +51,7 @@ class RangeSettings:
 
     @property
     def fixed(self) -> bool:
-        """Whether all pictures have one window."""
+        """Whether all images have one window."""
         return not (self.auto or self.windows_m)
 
 
@@ -71,10 +71,10 @@ class PointSpread:
 class ImageSettings:
     """layout: fan (Cartesian, far range on top) or polar (range_bins x beams, near range first).
 
-    width_px, height_px: of the fan picture; a polar picture has one pixel a bin.
+    width_px, height_px: of the fan image; a polar image has one pixel a bin.
     sampling: bilinear, or nearest: pixels show the nearest sample as it is, as makers' programs do.
-    enlarged: the fan is made so much larger and then shrunk, as pictures of a screen are.
-    jpeg_quality: of the JPEG that noisy pictures went through before; null for none.
+    enlarged: the fan is made so much larger and then shrunk, as images of a screen are.
+    jpeg_quality: of the JPEG that noisy images went through before; null for none.
     """
 
     layout: Literal["fan", "polar"] = "fan"
@@ -86,23 +86,23 @@ class ImageSettings:
 
     @property
     def plain(self) -> bool:
-        """Whether a fan interpolates between samples, and no more is done to a picture."""
+        """Whether a fan interpolates between samples, and no more is done to an image."""
         return (self.sampling, self.enlarged, self.jpeg_quality) == ("bilinear", 1, None)
 
 
 @dataclass(frozen=True, config=STRICT)
 class TransferSettings:
-    """From echo level to grey value; the same curve for the clean and the noisy picture.
+    """From echo level to grey value; the same curve for the clean and the noisy image.
 
     kind: linear, power (level ** exponent), log (dynamic_range_db below full scale is black) or
         soft_log (the logarithm of one plus the intensity, in units of dynamic_range_db below full
         scale: a logarithm that ends in a straight line at nothing instead of a step).
-    percentile: this percentile of the clean picture's echoing bins is shown at `reference`.
+    percentile: this percentile of the clean image's echoing bins is shown at `reference`.
     reference: grey value in (0, 1] of that percentile.
     exponent: of kind power.
     dynamic_range_db: how far below full scale black lies, dB; of kinds log and soft_log.
     black: grey value of no echo at all, of soft_log.
-    full_scale_db: what grey value 1 stands for in every picture, as a device of fixed gain has it:
+    full_scale_db: what grey value 1 stands for in every image, as a device of fixed gain has it:
         echo intensity after time-varying gain over the source level, dB; of
         acoustics=coherent.  null takes percentile and reference of each frame.
     """
@@ -194,7 +194,7 @@ class SonarSettings:
         return np.asarray(np.deg2rad((np.arange(self.beams) + 0.5) * step - self.hfov_deg / 2))
 
     def shape(self) -> tuple[int, int]:
-        """(rows, columns) of the picture."""
+        """(rows, columns) of the image."""
         if self.image.layout == "polar":
             return self.range_bins, self.beams
         return self.image.height_px, self.image.width_px

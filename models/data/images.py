@@ -19,8 +19,8 @@ from ...factory.noise.registry import NoiseSettings
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.polar import Echoes, in_plane
 from ...factory.sonar.window import Window
-from ..recordings import PICTURE_SUFFIXES, is_recording, kind_of, open_recording
-from ..recordings.views import frame_picture
+from ..recordings import IMAGE_SUFFIXES, is_recording, kind_of, open_recording
+from ..recordings.views import frame_image
 from ..settings import OldData
 from .fans import read_fans
 from .pairs import Image, Sample, SampleRef, Source, weakened
@@ -49,10 +49,10 @@ def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef
                 rows = range(len(recording))
             scene = place.as_posix()
             samples += [SampleRef(path, row, scene, f"{path.name}#{row}") for row in rows]
-        elif kind_of(path) == "pictures":
+        elif kind_of(path) == "images":
             samples.append(SampleRef(path, 0, place.parent.as_posix(), path.name))
     if not samples:
-        kinds = ", ".join(PICTURE_SUFFIXES)
+        kinds = ", ".join(IMAGE_SUFFIXES)
         raise FactoryError(f"{key}={folder}: holds no image ({kinds}) and no recording")
     return tuple(samples)
 
@@ -62,7 +62,7 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
 
     A ping becomes a fan.  Raises FactoryError when it cannot be read.
     """
-    return frame_picture(sample.path, sample.row)
+    return frame_image(sample.path, sample.row)
 
 
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:
@@ -97,8 +97,8 @@ class OldDataSource(Source):
         self.weaker = data.weaker
         self.seed = seed
         self.fans = {} if data.geometry == "polar" else read_fans(data.geometry)
-        pictures = (sample for sample in samples if self.fans and not is_recording(sample.path))
-        unknown = [sample.frame for sample in pictures if sample.frame not in self.fans]
+        images = (sample for sample in samples if self.fans and not is_recording(sample.path))
+        unknown = [sample.frame for sample in images if sample.frame not in self.fans]
         if unknown:
             raise FactoryError(
                 f"data.geometry={data.geometry}: says nothing about {unknown[0]} and "
@@ -140,11 +140,11 @@ def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
     limits = (geometry.near_fraction * _FAR_M, _FAR_M)
     window = Window("slant_range", *limits, geometry.azimuth_min_rad, geometry.azimuth_max_rad)
     moved, *added = noisy_cloud(scene, effect_clouds(draws.effects, scene, window), 1.0)
-    picture = _gathered(moved, geometry, clean.shape)
+    image = _gathered(moved, geometry, clean.shape)
     for echoes in added:
         points = _gathered(echoes, geometry, clean.shape)
-        picture += ndimage.gaussian_filter(points, _SPREAD_PX, mode="constant", truncate=3.0)
-    return np.clip(picture * maps["sector"], 0, 1).astype(np.float32)
+        image += ndimage.gaussian_filter(points, _SPREAD_PX, mode="constant", truncate=3.0)
+    return np.clip(image * maps["sector"], 0, 1).astype(np.float32)
 
 
 def _gathered(echoes: Echoes, geometry: FanGeometry, shape: tuple[int, ...]) -> Image:

@@ -217,19 +217,19 @@ def standing(sample: Sample, rng: np.random.Generator) -> Sample:
     )
 
 
-def temporal_noise(rng: np.random.Generator, picture: Image) -> Image:
+def temporal_noise(rng: np.random.Generator, image: Image) -> Image:
     """The difference of one frame from the static part: nothing in black, some grain wide."""
-    grain = rng.standard_normal(picture.shape, dtype=np.float32)
+    grain = rng.standard_normal(image.shape, dtype=np.float32)
     across = rng.uniform(0.2, 1.3)
     down = rng.uniform(0.2, 1.1)
     if max(across, down) > 0.25:
         grain = np.asarray(cv2.GaussianBlur(grain, (0, 0), across, sigmaY=down), np.float32)
         grain /= grain.std()
-    level = np.clip(picture / rng.uniform(0.03, 0.2), 0, 1)
+    level = np.clip(image / rng.uniform(0.03, 0.2), 0, 1)
     if rng.random() < 0.5:
         # Echoes of DIDSON recordings vary less where they are bright.
-        level = level * np.clip(1 - (picture - 0.25) / rng.uniform(0.5, 1.2), 0.35, 1)
-    return np.asarray(rng.uniform(0.015, 0.07) * level * grain * (picture > 0.004), np.float32)
+        level = level * np.clip(1 - (image - 0.25) / rng.uniform(0.5, 1.2), 0.35, 1)
+    return np.asarray(rng.uniform(0.015, 0.07) * level * grain * (image > 0.004), np.float32)
 
 
 def with_loud_beam(sample: Sample, rng: np.random.Generator) -> Sample:

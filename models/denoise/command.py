@@ -18,10 +18,10 @@ from ..pretrained import POINTS
 from .comparison_video import SUFFIX, comparison_video
 from .denoiser import Denoiser
 from .files import denoise_files
+from .images import Denoising
 from .inputs import FIND, Geometries, Item, find_items, said_of_sequences, sequences
 from .job import Job
 from .journal import opened_journal
-from .pictures import Denoising
 from .temporal.stream import FRAMES
 
 SHEETS = "sheets"
@@ -122,11 +122,11 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add("--causal", action="store_true", help="fuse with frames before alone, for live use")
     add("--compare", nargs="?", const=SHEETS, default="", metavar="FILE.mp4", help=_COMPARE)
     geometry_help = (
-        "of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV table "
+        "of images and videos: `find` it in the image (default), `polar`, `none`, or a CSV table "
         "of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
     )
     add("--geometry", default=FIND, help=geometry_help)
-    topics_help = "of bags: whose pictures to denoise (may be repeated; default: those of sonars)"
+    topics_help = "of bags: whose images to denoise (may be repeated; default: those of sonars)"
     add("--topic", action="append", default=[], help=topics_help)
     add("--device", choices=("auto", "cpu", "gpu"), default="auto")
 
@@ -160,7 +160,7 @@ def _denoise_all(items: Sequence[Item], job: Job) -> None:
     finished = sum(item in job.journal for item in items)
     if finished:
         print(f"already denoised: {finished} file(s), of a run that was stopped")
-    images = sum(item.kind == "pictures" and item not in job.journal for item in items)
+    images = sum(item.kind == "images" and item not in job.journal for item in items)
     job.journal.begin(items)
     for folder in {(job.out / name).parent for item in items for name in item.results()}:
         remove_stale_temporaries(folder)

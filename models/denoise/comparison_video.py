@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from ...factory.files import whole_file
-from .writers import Picture, side_by_side
+from .writers import Pixels, side_by_side
 
 SUFFIX = ".mp4"
 _CODECS = ("libopenh264", "libx264", "mpeg4")  # the first that this FFmpeg has
@@ -60,7 +60,7 @@ class ComparisonVideo:
         self._tick = 0
         self._last_time_s: float | None = None
 
-    def add(self, noisy: Picture, denoised: Picture, time_s: float | None = None) -> None:
+    def add(self, noisy: Pixels, denoised: Pixels, time_s: float | None = None) -> None:
         """The next image, (H, W) or (H, W, C); uint8, uint16 or float in 0..1.
 
         time_s: when it was taken; None: unknown.
@@ -109,7 +109,7 @@ def _even(side: float) -> int:
     return max(2, 2 * round(side / 2))
 
 
-def _fitted(image: Picture, size: tuple[int, int]) -> Picture:
+def _fitted(image: Pixels, size: tuple[int, int]) -> Pixels:
     """(H, W, 3) uint8 scaled into (height, width), black around it."""
     scale = min(size[0] / image.shape[0], size[1] / image.shape[1])
     height, width = (max(1, round(scale * side)) for side in image.shape[:2])

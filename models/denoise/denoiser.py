@@ -22,7 +22,7 @@ from ...factory.sonar.geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
-from .pictures import Gray
+from .images import Gray
 from .runtime import Maps, open_runtime
 
 Work = Callable[[Gray, Maps], Gray]

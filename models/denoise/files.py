@@ -17,11 +17,11 @@ from ...factory.sonar.geometry import FanGeometry
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
-from ..recordings.pictures import read_picture
+from ..recordings.images import read_image
 from ..recordings.views import fan_of, grey_of, polar_geometry
+from .images import Denoised, Pixels
 from .inputs import Item
 from .job import Job
-from .pictures import Denoised, Picture
 from .shards import denoise_shards
 from .temporal.stream import Shot
 from .video_writer import TimedImage
@@ -31,14 +31,14 @@ _PING = re.compile(r"\d{6}(_polar)?\.png")
 
 
 def denoise_files(items: Sequence[Item], job: Job) -> None:
-    """Denoise picture files or shards that follow each other in time, or one other file.
+    """Denoise image files or shards that follow each other in time, or one other file.
 
     Those of an earlier run are left out.
     """
     if all(item in job.journal for item in items):
         return
-    if items[0].kind == "pictures":
-        _denoise_pictures(items, job)
+    if items[0].kind == "images":
+        _denoise_images(items, job)
     elif items[0].kind == "shard":
         denoise_shards(items, job)
     else:
@@ -48,27 +48,27 @@ def denoise_files(items: Sequence[Item], job: Job) -> None:
             job.failures.append(str(error))
 
 
-def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
+def _denoise_images(items: Sequence[Item], job: Job) -> None:
     finished = {item for item in items if item in job.journal}
 
     def read() -> Iterator[Shot]:
         # Finished files, too: what a stream learns from them is part of the bytes of the others.
         for item in items:
             try:
-                picture = read_picture(item.source)
+                image = read_image(item.source)
                 place = partial(job.geometries.of, item)
                 wanted = item not in finished
-                yield job.denoising.shot((item, picture), picture, place, wanted=wanted)
+                yield job.denoising.shot((item, image), image, place, wanted=wanted)
             except (FactoryError, ValueError) as error:
                 text = str(error)
                 named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
                 job.failures.append(named)
 
     for denoised in job.denoising.sequence(read(), alone=len(items) < 2):
-        item, picture = denoised.key
+        item, image = denoised.key
         job.removed.add(str(item.relative), denoised.removed)
-        job.unchanged.add(str(item.relative), picture, denoised.image)
-        job.inverted.add(str(item.relative), picture, denoised.removed.noisy)
+        job.unchanged.add(str(item.relative), image, denoised.image)
+        job.inverted.add(str(item.relative), image, denoised.removed.noisy)
         path = job.out / item.relative
         try:
             if item.source.suffix.lower() == ARRAY_SUFFIX:
@@ -77,9 +77,9 @@ def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
             else:
                 write_image(path, denoised.image)
             if job.video is not None:
-                job.video.add(picture, denoised.image)
+                job.video.add(image, denoised.image)
             if job.compare:
-                row = Compared(picture, denoised.image, denoised.removed.shown())
+                row = Compared(image, denoised.image, denoised.removed.shown())
                 write_compared(job.out / item.compared, [row])
             job.done(item, job.denoise.name)
         except FrameError as error:
@@ -90,7 +90,7 @@ def _denoise_pictures(items: Sequence[Item], job: Job) -> None:
 def _denoise_recording(item: Item, job: Job) -> None:
     """Denoise a video, a stack, arrays, a bag, or a sonar's own recording, ping by ping.
 
-    Pictures become what `write_frames` says.  An ARIS recording and a bag become one, with the same
+    Images become what `write_frames` says.  An ARIS recording and a bag become one, with the same
     headers, stamps and other topics; other recordings a folder of their name with a fan
     (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.
     """
@@ -128,7 +128,7 @@ def _denoise_recording(item: Item, job: Job) -> None:
     job.done(item, job.denoise.name, of_points=False)
 
 
-def _write_pings(folder: Path, frames: Iterable[tuple[Frame, Picture]]) -> None:
+def _write_pings(folder: Path, frames: Iterable[tuple[Frame, Pixels]]) -> None:
     """A fan and the samples of each ping, or its image; those of a longer run before go."""
     remove_stale_temporaries(folder)
     written = set()
@@ -161,13 +161,13 @@ def _opened(item: Item, topics: Sequence[str]) -> Recording:
 
 def _frames(
     item: Item, recording: Recording, job: Job, shown: list[Compared]
-) -> Iterator[tuple[Frame, Picture]]:
+) -> Iterator[tuple[Frame, Pixels]]:
     """Each frame and what became of it; the first are shown to compare."""
 
-    def place(frame: Frame, picture: Picture) -> FanGeometry | None:
+    def place(frame: Frame, image: Pixels) -> FanGeometry | None:
         if frame.beams is not None:
-            return polar_geometry(frame.beams, len(picture))
-        return frame.geometry or job.geometries.of(item, picture)
+            return polar_geometry(frame.beams, len(image))
+        return frame.geometry or job.geometries.of(item, image)
 
     def read() -> Iterator[Shot]:
         before = None
@@ -210,7 +210,7 @@ def _turned_px(frame: Frame, before: Frame | None) -> tuple[float, float] | None
     return -math.radians(turned_deg) / spacing, 0.0
 
 
-def _view(frame: Frame, samples: Picture) -> Picture:
+def _view(frame: Frame, samples: Pixels) -> Pixels:
     if frame.beams is None:
         return samples
     return fan_of(grey_of(replace(frame, samples=samples)), frame.beams)[0]

@@ -52,10 +52,10 @@ class Item:
 
     @cached_property
     def kind(self) -> str:
-        """`shard`, or the kind of recording; one image is of kind `pictures`."""
+        """`shard`, or the kind of recording; one image is of kind `images`."""
         if self.source.suffix.lower() in HDF5_SUFFIXES:
             return "array" if self.relative.suffix == ARRAY_SUFFIX else "shard"
-        return kind_of(self.source) or "pictures"
+        return kind_of(self.source) or "images"
 
 
 def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> list[Item]:
@@ -111,7 +111,7 @@ def _by_folder(items: Sequence[Item]) -> dict[Path | None, list[Item]]:
     """Image files by their folder, and other files under None, in the order of the items."""
     folders: dict[Path | None, list[Item]] = {}
     for item in items:
-        folder = item.source.parent if item.kind == "pictures" else None
+        folder = item.source.parent if item.kind == "images" else None
         folders.setdefault(folder, []).append(item)
     return folders
 
@@ -205,25 +205,25 @@ class Geometries:
         self._trackers: dict[tuple[Path, tuple[int, ...]], FanTracker] = {}
         self._fans_found: dict[Path, list[bool]] = {}  # in the images of a folder
 
-    def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
+    def of(self, item: Item, image: npt.NDArray[Any]) -> FanGeometry | None:
         """The geometry of an image of `item`; None where it is not known.
 
         Frames of a recording are to be asked for in order.
         """
         if self.chosen == POLAR:
-            return FanGeometry.polar().with_size(*picture.shape[:2])
+            return FanGeometry.polar().with_size(*image.shape[:2])
         if self.chosen != FIND:
             return self._table.get(item.source.name)
-        if item.kind != "pictures":
-            key = item.source, picture.shape
-            return self._trackers.setdefault(key, FanTracker()).geometry(picture)
-        geometry = find_geometry(picture)
+        if item.kind != "images":
+            key = item.source, image.shape
+            return self._trackers.setdefault(key, FanTracker()).geometry(image)
+        geometry = find_geometry(image)
         self._fans_found.setdefault(item.source.parent, []).append(geometry is not None)
         return geometry
 
     def summary(self) -> Iterator[str]:
         """One line a folder, video or bag whose images were searched."""
-        said = "geometry: fan found in {} of {} pictures searched ({})"
+        said = "geometry: fan found in {} of {} images searched ({})"
         for folder, results in self._fans_found.items():
             yield said.format(sum(results), len(results), folder)
         for (source, _), tracker in self._trackers.items():

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..recordings.base import FULL_SCALE
-from .pictures import white_of
+from .images import white_of
 from .temporal.motion import Grey, grey_of
 from .unchanged import first_of
 

@@ -11,10 +11,10 @@ from typing import Any
 from ..pretrained import DEFAULT, POINTS
 from .comparison_video import ComparisonVideo
 from .denoiser import Denoiser
+from .images import Denoising
 from .inputs import Geometries, Item
 from .inverted import InvertedReport
 from .journal import Journal
-from .pictures import Denoising
 from .removed import RemovedReport
 from .unchanged import UnchangedReport
 
@@ -23,8 +23,8 @@ from .unchanged import UnchangedReport
 class Job:
     """How files are denoised, and into which folder; what came of it.
 
-    points: gives what denoises shards of the paper's points.  topics: of bags, whose pictures;
-    none: as `RosBag` says.  bar: of progress, in pictures.
+    points: gives what denoises shards of the paper's points.  topics: of bags, whose images;
+    none: as `RosBag` says.  bar: of progress, in images.
     used: names of weights, with how many files they denoised.  removed: from all of their images.
     unchanged: images that stayed as they were.  inverted: those with dark echoes.
     video: of all images side by side; None: none is asked for.

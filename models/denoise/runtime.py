@@ -20,7 +20,7 @@ from ...factory.errors import FactoryError
 from ..networks import DEFAULT, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
-from .pictures import Gray
+from .images import Gray
 
 Maps = Mapping[str, Gray]
 Positions = Sequence[Gray]

@@ -15,9 +15,9 @@ import numpy as np
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+from .images import Denoised, Pixels
 from .inputs import Item
 from .job import Job
-from .pictures import Denoised, Picture
 from .temporal.stream import Shot
 from .writers import COMPARED, Compared, write_compared
 
@@ -38,8 +38,8 @@ class _Images(NamedTuple):
     """A row with its images, as stored."""
 
     sample: _Sample
-    noisy: Picture
-    clean: Picture
+    noisy: Pixels
+    clean: Pixels
 
 
 class _Shard:
@@ -58,9 +58,9 @@ class _Shard:
         self.rows_left = len(self.table)
         self.shown: list[Compared] = []
         self._source: h5py.File | None = None
-        self._denoised: Picture | None = None
+        self._denoised: Pixels | None = None
 
-    def images(self, row: int) -> tuple[Picture, Picture]:
+    def images(self, row: int) -> tuple[Pixels, Pixels]:
         """Noisy and clean as stored.  Raises FactoryError for a damaged one."""
         from ...factory.dataset.reader import ImageStack
 
@@ -73,13 +73,13 @@ class _Shard:
 
         return value_range(self._opened())
 
-    def place(self, row: int, _: Picture) -> FanGeometry | None:
+    def place(self, row: int, _: Pixels) -> FanGeometry | None:
         """Where range and bearing are in an image."""
         if self.sonar is None:
             return None
         return FanGeometry.from_record(self.sonar, self.table[row])
 
-    def put(self, row: int, image: Picture) -> None:
+    def put(self, row: int, image: Pixels) -> None:
         """Keep the result of a row."""
         if self._denoised is None:
             noisy = self._opened()["noisy"]

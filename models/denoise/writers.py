@@ -21,7 +21,7 @@ from .animation_writer import write_animation
 from .removed import SHOWN
 from .video_writer import TimedImage, target_of, write_video
 
-Picture = npt.NDArray[Any]
+Pixels = npt.NDArray[Any]
 
 COMPARED = 4  # images of one file that `--compare` shows
 CAPTION_PX = 20  # height of the line with the names
@@ -41,12 +41,12 @@ class Compared(NamedTuple):
     removed: see `Removed.shown`.  clean: None where it is unknown.
     """
 
-    noisy: Picture
-    denoised: Picture
-    removed: Picture
-    clean: Picture | None = None
+    noisy: Pixels
+    denoised: Pixels
+    removed: Pixels
+    clean: Pixels | None = None
 
-    def panels(self) -> dict[str, Picture]:
+    def panels(self) -> dict[str, Pixels]:
         """By their captions, from left to right."""
         captions = {
             "noisy": self.noisy,
@@ -92,7 +92,7 @@ def _write_pages(partial: Path, images: Iterable[TimedImage]) -> None:
             pages.newFrame()
 
 
-def write_image(path: Path, image: Picture) -> None:
+def write_image(path: Path, image: Pixels) -> None:
     """An image by the suffix of its name.  FrameError when the format does not hold it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -111,7 +111,7 @@ def write_compared(path: Path, rows: Sequence[Compared]) -> None:
     write_image(path, np.vstack(lines))
 
 
-def side_by_side(panels: Mapping[str, Picture]) -> Picture:
+def side_by_side(panels: Mapping[str, Pixels]) -> Pixels:
     """(H, W, 3) uint8: panels of one size, (H, W) or (H, W, C), under their captions."""
     line = _joined(panels)
     width = next(iter(panels.values())).shape[1]
@@ -121,14 +121,14 @@ def side_by_side(panels: Mapping[str, Picture]) -> Picture:
     return np.vstack([header, line])
 
 
-def _joined(panels: Mapping[str, Picture]) -> Picture:
+def _joined(panels: Mapping[str, Pixels]) -> Pixels:
     """Panels from left to right with gaps between."""
     gap = np.full((len(next(iter(panels.values()))), _GAP_PX, 3), 128, np.uint8)
     parts = [part for panel in panels.values() for part in (gap, _shown(panel))]
     return np.hstack(parts[1:])
 
 
-def _write_caption(header: Picture, caption: str, left: int, width: int) -> None:
+def _write_caption(header: Pixels, caption: str, left: int, width: int) -> None:
     """Draw a caption into the header, no wider than its panel."""
     font = cv2.FONT_HERSHEY_SIMPLEX
     (full_width, _), _ = cv2.getTextSize(caption, font, 1.0, 1)
@@ -138,7 +138,7 @@ def _write_caption(header: Picture, caption: str, left: int, width: int) -> None
     cv2.putText(header, caption, position, font, scale, white, 1, cv2.LINE_AA)
 
 
-def _shown(image: Picture) -> Picture:
+def _shown(image: Pixels) -> Pixels:
     """As (H, W, 3) uint8."""
     full = 1.0 if image.dtype.kind == "f" else FULL_SCALE[str(image.dtype)]
     levels = np.rint(np.clip(image / full, 0, 1) * 255).astype(np.uint8)

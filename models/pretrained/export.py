@@ -28,7 +28,7 @@ def main(arguments: Sequence[str]) -> int:
         "without torch"
     )
     add("--to", choices=tuple(SUFFIXES), default="safetensors", help=form)
-    geometry_help = "of the pictures that an onnx file gets with their range and bearing"
+    geometry_help = "of the images that an onnx file gets with their range and bearing"
     add("--geometry", choices=("none", "fan", "polar"), default="none", help=geometry_help)
     reports = "real.json or report.json of evaluations, whose figures go into the model card"
     add("--figures", nargs="*", default=[], metavar="REPORT", help=reports)

@@ -1,4 +1,4 @@
-"""Recordings of real sonars, and of videos and pictures of them: `open_recording`.
+"""Recordings of real sonars, and of videos and images of them: `open_recording`.
 
 A reader is a module here with a class that takes a path and is a `base.Recording`; its line below
 says which files it reads.
@@ -16,13 +16,13 @@ from .base import (
     ANIMATED_SUFFIXES,
     ARRAY_SUFFIXES,
     HDF5_SUFFIXES,
-    PICTURE_SUFFIXES,
+    IMAGE_SUFFIXES,
     TIFF_SUFFIXES,
     Frame,
     Recording,
 )
 
-__all__ = ["PICTURE_SUFFIXES", "Frame", "Recording", "is_recording", "kind_of", "open_recording"]
+__all__ = ["IMAGE_SUFFIXES", "Frame", "Recording", "is_recording", "kind_of", "open_recording"]
 
 READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "aris": ("sonar_files:ArisFile", (".aris",)),
@@ -33,7 +33,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "stack": ("stacks:StackFile", ()),
     "animation": ("animations:Animation", (".gif", ".apng")),
     "array": ("arrays:ArrayFile", (".npz", ".mat")),
-    "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),
+    "images": ("images:Images", IMAGE_SUFFIXES),
     "dataset": ("simulated:DatasetRecording", ()),
 }
 """Kind -> ("module:class", suffixes of its files); `kind_of` says what else files of images are."""
@@ -41,7 +41,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
 DATASET = "dataset"
 """Kind of the recordings of a dataset: `DATASET/LOCATION/SCENE`, which is no file."""
 SEQUENCES = ("video", "stack", "animation", "array")
-"""Kinds whose frames are pictures, one after the other."""
+"""Kinds whose frames are images, one after the other."""
 
 
 def is_bag_folder(folder: Path) -> bool:
@@ -55,15 +55,15 @@ def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; None for others.
 
     A TIFF file of several pages is a `stack`, a PNG or WebP file of several frames an `animation`;
-    a .npy file of several pictures, .npz, .mat, and HDF5 files that are no shard of a dataset are
-    an `array`, and of no kind when they hold no pictures.  A folder is `rosbag` when it holds a bag
-    of ROS 2, and `pictures` otherwise.  A path that names a scene of a dataset, and no file, is a
+    a .npy file of several images, .npz, .mat, and HDF5 files that are no shard of a dataset are
+    an `array`, and of no kind when they hold no images.  A folder is `rosbag` when it holds a bag
+    of ROS 2, and `images` otherwise.  A path that names a scene of a dataset, and no file, is a
     `dataset`.
     """
     if not path.exists() and dataset_of(path) is not None:
         return DATASET
     if path.is_dir():
-        return "rosbag" if is_bag_folder(path) else "pictures"
+        return "rosbag" if is_bag_folder(path) else "images"
     suffix = path.suffix.lower()
     if path.is_file():
         if suffix in (*ARRAY_SUFFIXES, *HDF5_SUFFIXES):
@@ -74,18 +74,18 @@ def kind_of(path: Path) -> str | None:
         if suffix in TIFF_SUFFIXES:
             from .stacks import is_stack
 
-            return "stack" if is_stack(path) else "pictures"
+            return "stack" if is_stack(path) else "images"
         if suffix in ANIMATED_SUFFIXES:
             from .animations import is_animated
 
-            return "animation" if is_animated(path) else "pictures"
+            return "animation" if is_animated(path) else "images"
     return next((kind for kind, (_, known) in READERS.items() if suffix in known), None)
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file or folder is one by its name: of a sonar, a bag or a video, not pictures."""
+    """Whether a file or folder is one by its name: of a sonar, a bag or a video, not images."""
     kind = kind_of(path)
-    return kind == DATASET or (path.exists() and kind not in (None, "pictures"))
+    return kind == DATASET or (path.exists() and kind not in (None, "images"))
 
 
 def dataset_of(path: Path) -> Path | None:

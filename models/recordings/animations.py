@@ -84,7 +84,7 @@ class Animation(Recording):
         if whole.is_cut:
             source = BytesIO(_closed(self._file.read(whole.end), whole.count))
             self.warning = f"{name}: is cut short; its {whole.count} whole frames are read"
-        with explained(f"{name}: not a readable picture"):
+        with explained(f"{name}: not a readable image"):
             self._image = Image.open(source, formats=("GIF", "WEBP", "PNG"))
             self.count = int(getattr(self._image, "n_frames", 1))
         width, height = self._image.size
@@ -105,7 +105,7 @@ class Animation(Recording):
             return _frames_of_png(self._file)
         if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
             return _frames_of_webp(self._file)
-        raise FrameError(f"{self.path}: not a readable picture (no GIF, WebP or PNG)")
+        raise FrameError(f"{self.path}: not a readable image (no GIF, WebP or PNG)")
 
     def _read(self, number: int) -> Frame:
         name = f"{self.path}: frame {number}"

@@ -87,13 +87,13 @@ class ArrayFile(Recording):
         arrays = _images_in(self.path)
         if not arrays:
             raise FrameError(
-                f"{self.path}: holds no pictures; expected (H, W), (H, W, 3), (N, H, W) or "
+                f"{self.path}: holds no images; expected (H, W), (H, W, 3), (N, H, W) or "
                 f"(N, H, W, 3), {LEAST_SIDE_PX} pixels or more on a side; save them as .npy"
             )
         if len(arrays) > 1:
             names = ", ".join([array.name for array in arrays][:_MOST_NAMED])
             raise FrameError(
-                f"{self.path}: holds several arrays of pictures ({names}); save the one that is "
+                f"{self.path}: holds several arrays of images ({names}); save the one that is "
                 "meant as .npy"
             )
         (self._listed,) = arrays
@@ -115,13 +115,13 @@ class ArrayFile(Recording):
             return _load(self.path, self._listed)
 
     def _read(self, number: int) -> Frame:
-        name = f"{self.path}: picture {number + 1}" if self.count > 1 else str(self.path)
+        name = f"{self.path}: image {number + 1}" if self.count > 1 else str(self.path)
         page = self.stored if self._listed.is_single else self.stored[number]
         return Frame(number, as_samples(np.ascontiguousarray(swapped(page)), name))
 
 
 def kind_of_array(path: Path) -> str | None:
-    """`pictures` for a .npy file of one, `array` for others, None where none is of images.
+    """`images` for a .npy file of one, `array` for others, None where none is of images.
 
     Of a file that cannot be read, as if it held some.
     """
@@ -129,10 +129,10 @@ def kind_of_array(path: Path) -> str | None:
     try:
         arrays = _images_in(path)
     except FactoryError:
-        return "pictures" if alone else "array"
+        return "images" if alone else "array"
     if not arrays:
         return None
-    return "pictures" if alone and arrays[0].is_single else "array"
+    return "images" if alone and arrays[0].is_single else "array"
 
 
 def is_table(path: Path) -> bool:
@@ -223,7 +223,7 @@ def _whole_part(
     if is_fortran or _is_single(shape) or len(shape) < 3 or parts < 1:
         raise FrameError(
             f"{path}: not a readable array: it is cut short ({max(data_bytes, 0):,} of "
-            f"{math.prod(shape) * dtype.itemsize:,} bytes) before its first whole picture"
+            f"{math.prod(shape) * dtype.itemsize:,} bytes) before its first whole image"
         )
     return Listed(name, (parts, *shape[1:]), dtype, parts)
 
@@ -483,14 +483,14 @@ def _load_hdf5(path: Path, listed: Listed, *, is_matlab: bool) -> Samples:
     return np.asarray(np.moveaxis(array, -1, 0) if is_stack else array)
 
 
-def write_array(file: IO[bytes], pictures: Iterable[Samples], like: Samples) -> None:
+def write_array(file: IO[bytes], images: Iterable[Samples], like: Samples) -> None:
     """Write a .npy file with the shape and dtype of `like`, image by image.
 
-    pictures: (H, W) or (H, W, colours) in BGR order.  Raises OSError.
+    images: (H, W) or (H, W, colours) in BGR order.  Raises OSError.
     """
     dtype = like.dtype.newbyteorder("=")
     _FORMAT.write_array_header_1_0(
         file, {"descr": dtype.str, "fortran_order": False, "shape": like.shape}
     )
-    for picture in pictures:
-        file.write(np.ascontiguousarray(swapped(picture), dtype).tobytes())
+    for image in images:
+        file.write(np.ascontiguousarray(swapped(image), dtype).tobytes())

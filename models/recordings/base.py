@@ -29,7 +29,7 @@ ANIMATED_SUFFIXES = (".png", ".webp")
 ARRAY_SUFFIX = ".npy"
 HDF5_SUFFIXES = (".h5", ".hdf5")
 ARRAY_SUFFIXES = (ARRAY_SUFFIX, ".npz", ".mat")
-PICTURE_SUFFIXES = (".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX)
+IMAGE_SUFFIXES = (".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX)
 FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 Samples = npt.NDArray[Any]
@@ -97,7 +97,7 @@ class Frame:
     beams: None for an image, of which only the pixels are known.
     time_s: seconds since 1970 (UTC), or since the start where the file has no clock; None: unknown.
     duration_s: how long a video or an animation shows it; None: unknown.
-    geometry: where range and bearing lie in a picture, if the file says it.
+    geometry: where range and bearing lie in an image, if the file says it.
     """
 
     number: int
@@ -255,11 +255,11 @@ def ask_pixels(name: str, width: float, height: float) -> None:
         raise FrameError(f"{name}: {width:.0f} x {height:.0f} pixels are {TOO_LARGE}")
 
 
-def swapped(picture: Samples) -> Samples:
+def swapped(image: Samples) -> Samples:
     """(H, W) or (H, W, C), red first as blue first or the other way round, in native byte order."""
-    if picture.ndim == 3 and picture.shape[2] >= 3:
-        picture = np.concatenate([picture[..., 2::-1], picture[..., 3:]], axis=2)
-    return picture.astype(picture.dtype.newbyteorder("="), copy=False)
+    if image.ndim == 3 and image.shape[2] >= 3:
+        image = np.concatenate([image[..., 2::-1], image[..., 3:]], axis=2)
+    return image.astype(image.dtype.newbyteorder("="), copy=False)
 
 
 def untinted(image: Samples) -> Samples:

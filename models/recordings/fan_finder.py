@@ -63,14 +63,14 @@ class Sector(NamedTuple):
     squeeze: float
 
 
-def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
+def find_geometry(image: npt.NDArray[Any]) -> FanGeometry | None:
     """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
 
     In pixels and shares of the largest range; metres cannot be seen.
     None for an image without a sector on black or on a bright page: a photo, a polar image, a
     full rectangle.  Raises ValueError for another shape.
     """
-    grey = grey_bytes(picture)
+    grey = grey_bytes(image)
     if min(grey.shape) < 32:
         return None
     for spread in (None, *_GROUND_SPREADS):
@@ -150,21 +150,21 @@ def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
     return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
 
 
-def grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
+def grey_bytes(image: npt.NDArray[Any]) -> Bytes:
     """(H, W) of 8 bits: grey values, or the levels of a colour map."""
-    if picture.ndim == 3:
-        painted = find_painted(picture)
-        picture = picture[..., :3].max(axis=2) if painted is None else painted.levels
-    if picture.ndim != 2:
-        raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
-    if picture.dtype == np.uint8:
-        return picture
-    full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
+    if image.ndim == 3:
+        painted = find_painted(image)
+        image = image[..., :3].max(axis=2) if painted is None else painted.levels
+    if image.ndim != 2:
+        raise ValueError(f"image has shape {image.shape}; expected (H, W) or (H, W, colours)")
+    if image.dtype == np.uint8:
+        return image
+    full = float(np.iinfo(image.dtype).max) if image.dtype.kind in "iu" else 1.0
     # Samples of 10 or 12 bits in files of 16 leave most of the scale empty.
-    brightest = float(np.nan_to_num(picture, posinf=0).max(initial=0))
+    brightest = float(np.nan_to_num(image, posinf=0).max(initial=0))
     full = brightest if 0 < brightest < full / 4 else full
     # Rounded up, so that only zero becomes zero.
-    return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
+    return np.asarray(np.ceil(np.clip(np.nan_to_num(image / full), 0, 1) * 255), np.uint8)
 
 
 def _sector_mask(sector: Sector, height: int, width: int) -> Bytes:

@@ -98,7 +98,7 @@ GREY = "grey"
 class Painted:
     """An image whose colours stand for levels."""
 
-    picture: Samples  # (H, W, C) as it is stored
+    image: Samples  # (H, W, C) as it is stored
     palette: Palette
     levels: Levels  # (H, W) in 0..1
     known: npt.NDArray[np.bool_]
@@ -107,31 +107,31 @@ class Painted:
 
     def repainted(self, levels: Levels) -> Samples:
         """The image with other levels, (H, W); what did not change keeps its very colours."""
-        full = FULL_SCALE[str(self.picture.dtype)]
+        full = FULL_SCALE[str(self.image.dtype)]
         changed = self.known & (np.abs(levels - self.levels) >= _HALF_STEP)
         colours = self.palette.painted(levels[changed]) * np.float32(full / 255)
         if full > 1:
             colours = np.rint(colours)
-        result = self.picture.copy()
+        result = self.image.copy()
         result[changed, :3] = colours.astype(result.dtype)
         return result
 
 
-def find_painted(picture: Samples, before: Palette | None = None) -> Painted | None:
+def find_painted(image: Samples, before: Palette | None = None) -> Painted | None:
     """The levels of an image in colours; None for a grey one, and for colours of no map.
 
-    picture: (H, W, C) uint8, uint16 or float32, red or blue first.  before: the map of the image
+    image: (H, W, C) uint8, uint16 or float32, red or blue first.  before: the map of the image
     before it; a known one is kept where it fits.  A known map is recognised by its colours; of
     other maps each sum of the three channels must have one colour.
     """
-    full = FULL_SCALE.get(str(picture.dtype))
-    if full is None or picture.ndim != 3 or picture.shape[2] not in (3, 4):
+    full = FULL_SCALE.get(str(image.dtype))
+    if full is None or image.ndim != 3 or image.shape[2] not in (3, 4):
         return None
-    flat = picture[..., :3].reshape(-1, 3)
+    flat = image[..., :3].reshape(-1, 3)
     if (flat == flat[:, :1]).all() or not (flat.min() >= 0 and flat.max() <= full):
         return None
     codes = _codes(flat)
-    foreground = _foreground(codes.reshape(picture.shape[:2]))
+    foreground = _foreground(codes.reshape(image.shape[:2]))
     if len(foreground) < _LEAST:
         return None
     # What is known of another map ends with the brightest colour of that image.
@@ -143,14 +143,14 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     codes, place = np.unique(codes, return_inverse=True)
     colours = _uncoded(codes)
     size = (_STROKE, _STROKE)
-    shape = picture.shape[:2]
+    shape = image.shape[:2]
     misses = palette.misses(colours)
     near = misses <= (_COLOURED if palette.name == GREY else _BLURRED)
     levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
     levels = levels[place].reshape(shape)
     known = near[place].reshape(shape)
     if known.all() or not known.any():
-        return Painted(picture, palette, levels, known)
+        return Painted(image, palette, levels, known)
     # Specks, lines and letters of no map get the mean of what is known around them, else weights
     # would see black ones.
     unknown = (~known).astype(np.uint8)
@@ -162,18 +162,18 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     if float((misses[place] > _MIXED).mean()) > _MIXED_SHARE:
         _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
         known = known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))
-    return Painted(picture, palette, np.where(drawn, means, levels).astype(np.float32), known)
+    return Painted(image, palette, np.where(drawn, means, levels).astype(np.float32), known)
 
 
-def grey_of_colours(picture: Samples) -> Levels:
+def grey_of_colours(image: Samples) -> Levels:
     """(H, W) float32 in 0..1 of (H, W, C) colours, blue first: levels of a map, else luminance.
 
     Equal channels stay exactly what they are.
     """
-    scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
-    if picture.shape[2] < 3 or (picture[..., :3] == picture[..., :1]).all():
+    scaled = image.astype(np.float32) / np.float32(FULL_SCALE[str(image.dtype)])
+    if image.shape[2] < 3 or (image[..., :3] == image[..., :1]).all():
         return np.ascontiguousarray(scaled[..., 0])
-    painted = find_painted(picture)
+    painted = find_painted(image)
     if painted is not None:
         return painted.levels
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(scaled[..., :3]), cv2.COLOR_BGR2GRAY))
@@ -190,7 +190,7 @@ def _palette_of(colours: Colours) -> Palette | None:
         for palette in (*_known(), own)
         if _fits(palette, colours, _NEAR)
     }
-    # JPEG of half the quality lies 9 beside a map on average, a murky photograph 14.
+    # JPEG of half the quality lies 9 beside a map on average, a murky camera image 14.
     for palette in () if fit else _known():
         if _fits(palette, colours, _BLURRED) and (miss := palette.misses(colours).mean()) <= _NEAR:
             fit[palette] = miss

@@ -41,7 +41,7 @@ from .base import (
 )
 from .cut_bags import CutBag
 from .cut_database import CutDatabase
-from .pictures import decoded
+from .images import decoded
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -118,7 +118,7 @@ class RosBag(Recording):
             if topic not in {connection.topic for connection in fit}
         ]
         if absent:
-            raise FactoryError(f"{self.path}: no pictures on the topic {absent[0]}; it has {names}")
+            raise FactoryError(f"{self.path}: no images on the topic {absent[0]}; it has {names}")
         sonars = [connection for connection in fit if connection.msgtype == SONAR]
         chosen = (
             [connection for connection in fit if connection.topic in self._requested]
@@ -127,9 +127,9 @@ class RosBag(Recording):
         )
         if not chosen:
             kinds = "ProjectedSonarImage, Image or CompressedImage"
-            raise FactoryError(f"{self.path}: holds no topic with pictures ({kinds})")
+            raise FactoryError(f"{self.path}: holds no topic with images ({kinds})")
         if chosen is fit and len({connection.topic for connection in fit}) > 1:
-            said = f"has pictures on several topics ({names}); say with --topic"
+            said = f"has images on several topics ({names}); say with --topic"
             raise FactoryError(f"{self.path}: {said} which of them are of a sonar")
         for connection in chosen:
             if connection.digest not in (
@@ -326,7 +326,7 @@ def with_samples(message: Any, msgtype: str, samples: Samples, name: str) -> Any
     return changed
 
 
-def _picture(message: Any, name: str) -> Samples:
+def _image(message: Any, name: str) -> Samples:
     """The pixels of an Image, (H, W) or (H, W, channels), in its own memory."""
     height = int(message.height)
     width = int(message.width)
@@ -375,7 +375,7 @@ def _samples(message: Any, name: str) -> Samples:
 
 _PIXELS: dict[str, Callable[[Any, str], Samples]] = {
     SONAR: _samples,
-    IMAGE: _picture,
+    IMAGE: _image,
     COMPRESSED: lambda message, name: decoded(bytes(message.data), name),
 }
 """What a frame shows, by the type of its message."""

@@ -34,7 +34,7 @@ class StaticGroup:
 
 
 def find_groups(
-    pictures: Sequence[Gray],
+    images: Sequence[Gray],
     sectors: Sequence[Mask],
     *,
     least: int = 6,
@@ -43,12 +43,12 @@ def find_groups(
 ) -> list[StaticGroup]:
     """Groups of at least `least` frames that show one scene, in any order among the others.
 
-    pictures: (H, W) float32 in 0..1.  sectors: (H, W) bool, what each image shows of the fan.
+    images: (H, W) float32 in 0..1.  sectors: (H, W) bool, what each image shows of the fan.
     alike: correlation of the small, smoothed images above which two frames may show one scene.
     furthest_px: how far the scene of a group may move.
     """
     # One at a time: the images may be read from files only here.
-    near = np.array([_small(*both) for both in zip(pictures, sectors, strict=True)])
+    near = np.array([_small(*both) for both in zip(images, sectors, strict=True)])
     likeness = near @ near.T
     left = list(range(len(near)))
     groups = []
@@ -61,7 +61,7 @@ def find_groups(
         numbers = [left[first]] + [left[i] for i in np.flatnonzero(similar[first]) if i != first]
         if len(numbers) < least:
             break
-        frames = [pictures[i] for i in numbers]
+        frames = [images[i] for i in numbers]
         group = aligned(frames, sectors[left[first]], furthest_px=furthest_px)
         members = tuple(numbers[i] for i in group.numbers)
         if len(members) >= least:
@@ -142,10 +142,10 @@ def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
     return np.asarray(moved, np.float32)
 
 
-def _small(picture: Gray, sector: Mask) -> npt.NDArray[np.float64]:
+def _small(image: Gray, sector: Mask) -> npt.NDArray[np.float64]:
     """(_SIDE * _SIDE,) of unit length: the scene without brightness, speckle and border."""
     weight = cv2.resize(sector.astype(np.float32), (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)
-    small = cv2.resize(picture * sector, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image * sector, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)
     total = np.asarray(cv2.GaussianBlur(small, (0, 0), _BROAD))
     wide = total / np.maximum(cv2.GaussianBlur(weight, (0, 0), _BROAD), 1e-3)
     scene = np.where(weight > 0.99, cv2.GaussianBlur(small, (0, 0), 1.0) - wide, 0.0).ravel()

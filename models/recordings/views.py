@@ -59,9 +59,9 @@ def fan_of(samples: npt.NDArray[np.floating], beams: Beams) -> tuple[Grey, FanGe
     sonar = _sonar(beams, *samples.shape)
     window = (beams.range_min_m, beams.range_max_m)
     geometry = FanGeometry.from_sonar(sonar, *window, *_edges_rad(beams))
-    picture = fan_table(sonar, window[0] / window[1]).bilinear(samples)
+    image = fan_table(sonar, window[0] / window[1]).bilinear(samples)
     # The sector of the beams need not be symmetric, the table's is.
-    return picture * geometry.maps(0, 0, *picture.shape)["sector"], geometry
+    return image * geometry.maps(0, 0, *image.shape)["sector"], geometry
 
 
 @lru_cache(maxsize=8)
@@ -95,7 +95,7 @@ def _edges_rad(beams: Beams) -> tuple[float, float]:
 _opened = lru_cache(maxsize=1)(open_recording)  # the last stays open for its next frame
 
 
-def frame_picture(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
+def frame_image(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
     """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where the file has none.
 
     Raises FactoryError when it cannot be read.

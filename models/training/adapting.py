@@ -20,7 +20,7 @@ from ..stretches import Lessons, Still
 from .loop import Loop, Row, denoised
 
 _BATCH = 2  # crops of a step
-_PATCH = 192  # crops have as many pixels as a square of this side, where pictures are large enough
+_PATCH = 192  # crops have as many pixels as a square of this side, where images are large enough
 _CHECKS = 5  # times that the weights are measured on the way, at most; the best are kept
 _MOST_MEASURED = 4
 _TRIES = 6
@@ -140,14 +140,14 @@ def squared_differences(network: Network, batch: Batch) -> Tensor:
     return loss
 
 
-def psnr_after_levels(picture: Image, reference: Image) -> float:
+def psnr_after_levels(image: Image, reference: Image) -> float:
     """PSNR in dB where the reference is known, after one gain and offset; at most 100 dB.
 
-    picture, reference: (H, W) float32 in 0..1; the reference is NaN where it is unknown.  The gain
+    image, reference: (H, W) float32 in 0..1; the reference is NaN where it is unknown.  The gain
     and offset are those of least squares, so brightness and contrast do not count.
     """
     is_known = np.isfinite(reference)
-    x = picture[is_known].astype(np.float64)
+    x = image[is_known].astype(np.float64)
     y = reference[is_known].astype(np.float64)
     power = float(x.var())
     gain = float(((x - x.mean()) * (y - y.mean())).mean()) / power if power > 1e-12 else 0.0
@@ -175,7 +175,7 @@ def _crop(sample: Sample, extras: Sequence[str], rng: np.random.Generator) -> Ba
     """A batch of one, mirrored or not; drawn again while most of its target is unknown."""
     height, width = sample.noisy.shape
     rows, columns = min(height, _PATCH), min(width, _PATCH)
-    # Of narrow pictures longer than wide, for as many pixels.
+    # Of narrow images longer than wide, for as many pixels.
     if columns < _PATCH:
         rows = min(height, _PATCH * _PATCH // columns)
     if rows < _PATCH:

@@ -136,9 +136,9 @@ def taught_loss(
 ) -> Tensor:
     """The loss of a batch; parts of its targets are what a teacher makes of it.
 
-    The pictures of trained weights as targets (Hinton et al. 2015, for pictures): what a small
-    network cannot do shows as noise in the gradients when it learns from clean pictures alone; the
-    pictures of a larger one are nearer to what it can do.
+    What trained weights denoise is the target (Hinton et al. 2015, here for images): what a small
+    network cannot do shows as noise in the gradients when it learns from clean images alone; the
+    images of a larger one are nearer to what it can do.
     """
     if not network.has_heads:
         images = network.stages(batch["noisy"], **known_extras(network, batch))
@@ -151,7 +151,7 @@ def taught_loss(
 
 
 def completed(batch: Batch, prediction: Tensor, teacher: Network | None) -> Batch:
-    """The batch with a target everywhere: `taught` of it is the teacher's picture.
+    """The batch with a target everywhere: `taught` of it is the teacher's image.
 
     Where nothing is known (NaN) the target is the prediction, which then costs nothing.
     """

@@ -1,4 +1,4 @@
-"""Small settings, calls and pictures of the evaluation, for its tests."""
+"""Small settings, calls and images of the evaluation, for its tests."""
 
 from __future__ import annotations
 
@@ -91,10 +91,10 @@ def speckle(
     return np.asarray(np.sqrt(power / power.mean()))
 
 
-def sonar_picture(
+def sonar_image(
     rng: np.random.Generator, level: float = 0.3, looks: int = 3
 ) -> npt.NDArray[np.float32]:
-    """(192, 96) polar picture in 0..1: log-compressed speckle on a sloping bottom, one object."""
+    """(192, 96) polar image in 0..1: log-compressed speckle on a sloping bottom, one object."""
     power = np.mean([speckle(rng, grain=(0.6, 0.6)) ** 2 for _ in range(looks)], axis=0)
     rows, columns = np.mgrid[0:192, 0:96]
     bottom_db = -6 * rows / 192 + 4 * np.sin(columns / 30 + rng.uniform(0, 6))
@@ -105,12 +105,12 @@ def sonar_picture(
 
 
 def polar_folder(root: Path, seed: int, count: int = 16, **changes: float) -> Path:
-    """A folder of polar pictures with geometry.csv."""
+    """A folder of polar images with geometry.csv."""
     root.mkdir(parents=True)
     rng = np.random.default_rng(seed)
     for number in range(count):
-        picture = np.rint(255 * sonar_picture(rng, **changes)).astype(np.uint8)  # type: ignore[arg-type]
-        Image.fromarray(picture).save(root / f"{number:03d}.png")
+        image = np.rint(255 * sonar_image(rng, **changes)).astype(np.uint8)  # type: ignore[arg-type]
+        Image.fromarray(image).save(root / f"{number:03d}.png")
     (root / "geometry.csv").write_text(
         "file,layout,hfov_deg,range_min_m,range_max_m\n*,polar,30,1,5\n"
     )

@@ -31,8 +31,8 @@ from simnfnd.evaluation.methods import (
 )
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
-from simnfnd.evaluation.metrics.measure import Picture, Scene, fit_levels, sector_of
-from simnfnd.evaluation.pairs import geometry_of, items_of, picture
+from simnfnd.evaluation.metrics.measure import PairImages, Scene, fit_levels, sector_of
+from simnfnd.evaluation.pairs import geometry_of, items_of, pair_images
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.runner import SECONDS, Measured
 from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance
@@ -160,7 +160,7 @@ def test_a_killed_worker_costs_the_row_of_its_method_alone(
 def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
     noisy, clean, shadow = fan_images(64, np.random.default_rng(1))
     sector = sector_of(noisy, clean, shadow)
-    scene = Scene(Picture(noisy, clean, shadow, sector))
+    scene = Scene(PairImages(noisy, clean, shadow, sector))
     scores = scene.figures(noisy)
     share = sector.mean()
     assert 0.2 < share < 0.8
@@ -176,8 +176,8 @@ def test_filters_are_chosen_by_name_or_group() -> None:
     assert methods[0] == NOISY
 
 
-def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
-    """By the names of `export --to png`, PNG or .npy; equal pictures give equal figures."""
+def test_somebodys_denoised_images_are_a_row(tmp_path: Path) -> None:
+    """By the names of `export --to png`, PNG or .npy; equal images give equal figures."""
     dataset = write_dataset(tmp_path / "data", train=2, test=5, size=48, per_shard=3)
     items = items_of(dataset, "test")
     mine = tmp_path / "mine"
@@ -185,7 +185,7 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
     for folder in (mine / "test" / "noisy", arrays):
         folder.mkdir(parents=True)
     for number, item in enumerate(items):
-        noisy = np.rint(picture(item.place).noisy * 255).astype(np.uint8)
+        noisy = np.rint(pair_images(item.place).noisy * 255).astype(np.uint8)
         cv2.imwrite(str(mine / "test" / "noisy" / f"{number:06d}.png"), cv2.medianBlur(noisy, 3))
         np.save(arrays / f"{number:06d}.npy", noisy / 255)
     folders = [{"name": "mine", "dir": str(mine)}, {"name": "arrays", "dir": str(arrays)}]
@@ -230,8 +230,8 @@ def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> Non
     plain = {}
     corrected = {}
     for point in baseline.points():
-        pictures = [picture(item.place) for item in items]
-        pairs = [(baseline(pair.noisy, point), pair.clean) for pair in pictures]
+        images = [pair_images(item.place) for item in items]
+        pairs = [(baseline(pair.noisy, point), pair.clean) for pair in images]
         levels = fit_levels(pairs)
         key = float(point["sigma_px"])
         plain[key] = np.mean([psnr(c, i, data_range=1.0) for i, c in pairs])
@@ -322,7 +322,7 @@ def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
     # One pair by hand.
     number = 4
     label = "median tuned + levels"
-    pair = picture(items_of(dataset, "test")[number].place)
+    pair = pair_images(items_of(dataset, "test")[number].place)
     method = methods[labels.index(label)]
     assert method.levels is not None
     image = method.levels(REGISTRY["median"](pair.noisy, method.parameters))
@@ -408,7 +408,7 @@ def test_networks_are_rows_with_their_costs(dataset: Path, tmp_path: Path) -> No
     ]
     actual = measured(dataset, methods)
     psnr_db = actual.wide()["psnr"]
-    pair = picture(items_of(dataset, "test")[1].place)
+    pair = pair_images(items_of(dataset, "test")[1].place)
     expected = psnr(pair.clean, Denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
     assert psnr_db["small"][1] == pytest.approx(expected, abs=1e-6)
     assert psnr_db["small"][1] != psnr_db["other"][1]
@@ -453,7 +453,7 @@ def test_one_command_gives_both_tables_and_goes_on(
     ran: list[str] = []
 
     def run_quickly(words: list[str]) -> int:
-        """The same words in this process, on pictures as small as a crop."""
+        """The same words in this process, on images as small as a crop."""
         ran.append(words[0])
         small = {
             "make": ["sonar.image.width_px=72", "sonar.image.height_px=72", "scheduler=serial"],

@@ -24,7 +24,7 @@ def observed(settings: FactoryConfig, frame=None):
     return pairs.observe(frame, plain_render(frame), settings)
 
 
-def test_without_noise_the_noisy_picture_is_the_clean_one():
+def test_without_noise_the_noisy_image_is_the_clean_one():
     settings = config(noise=OFF)
     pair = pairs.make_pair(observed(settings), 0, settings)
     np.testing.assert_array_equal(pair.noisy, pair.clean)
@@ -42,7 +42,7 @@ def test_seed_changes_the_noise_and_never_the_scene():
 
 
 def test_the_record_makes_the_sample_again():
-    """Every drawn value, given back as a number, gives the same picture."""
+    """Every drawn value, given back as a number, gives the same image."""
     drawn = {"background": {"density": {"uniform": [0.1, 0.9]}, "strength": {"uniform": [0, 1]}}}
     settings = config(noise=drawn, resample={"rate": {"uniform": [0.3, 0.9]}})
     pair = pairs.make_pair(observed(settings), 3, settings)
@@ -114,7 +114,7 @@ def test_a_sonar_that_looks_elsewhere_is_a_bad_frame_with_its_name():
         observed(settings)
 
 
-def test_pictures_of_several_windows_have_metres_of_their_own():
+def test_images_of_several_windows_have_metres_of_their_own():
     settings = config(sonar={"range": {"auto": False, "windows_m": [[1, 5], [2, 6]]}})
     actual = {}
     for place in map(str, range(12)):

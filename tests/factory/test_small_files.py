@@ -155,7 +155,7 @@ def forged(content: bytes, **changes: Any) -> bytes:
 BOMB_BYTES = 1 << 27
 
 
-def test_a_plane_makes_no_more_than_its_picture(tmp_path: Path) -> None:
+def test_a_plane_makes_no_more_than_its_image(tmp_path: Path) -> None:
     bomb = zstd.compress(bytes(BOMB_BYTES))
     content = forged(views.encode(some_view()), parts=[len(bomb)] * 2, labelled=False)
     cache = Cache(CacheSettings(dir=str(tmp_path)))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from PIL import Image as Picture
+from PIL import Image as PilImage
 
 from simnfnd import denoise, make_dataset, open_recording
 from simnfnd.command import main
@@ -157,7 +157,7 @@ class Node:
 
 
 def test_a_node_of_ros_denoises_what_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two pictures and one that cannot be; a ping of a sonar.  ROS is a stand-in."""
+    """Two images and one that cannot be; a ping of a sonar.  ROS is a stand-in."""
     header = Message(stamp=Message(sec=7, nanosec=5), frame_id="sonar")
     noise = np.random.default_rng(1).integers(0, 256, (40, 32), dtype=np.uint8)
 
@@ -217,7 +217,7 @@ def test_the_papers_figures(tmp_path: Path, printed: Callable[..., str]) -> None
     names = {path.stem for path in tmp_path.glob("*.png")}
     assert names == {f"figure-{number:02d}" for number in (3, 4, 5, 6, 7, 8, 12)}
     for path in tmp_path.glob("*.png"):
-        assert np.asarray(Picture.open(path).convert("L")).std() > 20
+        assert np.asarray(PilImage.open(path).convert("L")).std() > 20
 
 
 def test_a_listed_recording_becomes_pairs(tmp_path: Path, printed: Callable[..., str]) -> None:
@@ -231,7 +231,7 @@ def test_a_listed_recording_becomes_pairs(tmp_path: Path, printed: Callable[...,
         for time in times:
             pixels = np.rint(depth_m * 5000).astype(np.uint16)
             stored = np.full((480, 640, 3), 128, np.uint8) if kind == "rgb" else pixels
-            Picture.fromarray(stored).save(folder / kind / f"{time}.png")
+            PilImage.fromarray(stored).save(folder / kind / f"{time}.png")
         lines = [f"{time} {kind}/{time}.png" for time in times]
         (folder / f"{kind}.txt").write_text("# timestamp filename\n" + "\n".join(lines) + "\n")
     command = printed("rgbd_to_csv.py", folder.name).splitlines()[1]

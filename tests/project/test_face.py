@@ -106,7 +106,7 @@ def test_a_pair_of_a_frame_in_memory() -> None:
 
 
 def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypatch) -> None:
-    """A recording of one frame, made by `simnfnd make`, holds the very same pictures."""
+    """A recording of one frame, made by `simnfnd make`, holds the very same images."""
     rgb, depth_m = frame()
     depth_m[:4, :4] = 0
     millimetres = np.rint(depth_m * 1000).astype(np.uint16)
@@ -170,23 +170,23 @@ def test_the_examples_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("shape", [(40, 48), (2, 40, 48)])
-def test_a_picture_comes_back_in_its_own_form(dtype: type, shape: tuple[int, ...]) -> None:
+def test_an_image_comes_back_in_its_own_form(dtype: type, shape: tuple[int, ...]) -> None:
     full = 1 if np.dtype(dtype).kind == "f" else np.iinfo(dtype).max
-    picture: np.ndarray = (np.random.default_rng(0).random(shape) * full).astype(dtype)
-    before = picture.copy()
-    result = simnfnd.denoise(picture)
+    image: np.ndarray = (np.random.default_rng(0).random(shape) * full).astype(dtype)
+    before = image.copy()
+    result = simnfnd.denoise(image)
     assert result.shape == shape
     assert result.dtype == dtype
-    assert (result != picture).any()
-    np.testing.assert_array_equal(picture, before)
+    assert (result != image).any()
+    np.testing.assert_array_equal(image, before)
 
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_colours_of_a_map_are_denoised_as_levels(order: int) -> None:
     """Whether red comes first or blue, and with an alpha channel; not taken for a stack."""
     ramp = np.linspace(20, 230, 48, dtype=np.float32)
-    picture = np.clip(ramp + np.random.default_rng(0).normal(0, 12, (40, 48)), 0, 255)
-    levels = picture.astype(np.uint8)
+    image = np.clip(ramp + np.random.default_rng(0).normal(0, 12, (40, 48)), 0, 255)
+    levels = image.astype(np.uint8)
     jet = cv2.applyColorMap(levels, cv2.COLORMAP_JET)[..., ::order]
     wanted = cv2.applyColorMap(simnfnd.denoise(levels), cv2.COLORMAP_JET)[..., ::order]
     actual = simnfnd.denoise(jet)
@@ -196,25 +196,25 @@ def test_colours_of_a_map_are_denoised_as_levels(order: int) -> None:
     np.testing.assert_allclose(simnfnd.denoise(jet / 255) * 255, actual, atol=1)
 
 
-def test_a_stack_is_its_pictures_one_by_one() -> None:
+def test_a_stack_is_its_images_one_by_one() -> None:
     stack = np.random.default_rng(0).integers(0, 255, (2, 40, 48), dtype=np.uint8)
     both = simnfnd.denoise(stack, strength=0.9, geometry="polar")
-    for picture, denoised in zip(stack, both, strict=True):
-        alone = simnfnd.denoise(picture, strength=0.9, geometry="polar")
+    for image, denoised in zip(stack, both, strict=True):
+        alone = simnfnd.denoise(image, strength=0.9, geometry="polar")
         np.testing.assert_array_equal(alone, denoised)
     assert (simnfnd.denoise(stack[0], strength=0.9) != both[0]).any(), "geometry made no difference"
 
 
-def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
-    pictures: list[tuple[np.ndarray, str]] = [
+def test_images_and_weights_that_will_not_do(monkeypatch) -> None:
+    images: list[tuple[np.ndarray, str]] = [
         (np.zeros(5), "expected"),
         (np.zeros((4, 4), np.int64), "int64"),
         (np.full((4, 4), 2.0), r"0\.\.1"),
         (np.full((5, 5, 3), [0, 1, np.nan]), r"0\.\.1"),
     ]
-    for picture, said in pictures:
+    for image, said in images:
         with pytest.raises(ValueError, match=said):
-            simnfnd.denoise(picture)
+            simnfnd.denoise(image)
     with pytest.raises(simnfnd.FactoryError, match="nowhere"):
         simnfnd.denoise(np.zeros((8, 8)), weights="nowhere")
     with pytest.raises(ValueError, match="'fan': expected 'find', 'polar'"):

@@ -525,7 +525,7 @@ def expose(colour: Any, black: Any, gain: Any, gamma: Any, height: int, width: i
 
     black: (3,) black level.  gain: exposure.  gamma: (L,) codes of levels from 0 to 1.
     """
-    picture = np.empty((height, width, 3), np.uint8)
+    image = np.empty((height, width, 3), np.uint8)
     rows, columns = colour.shape[:2]
     most = _F(len(gamma) - 1)
     for row in range(height):
@@ -540,5 +540,5 @@ def expose(colour: Any, black: Any, gain: Any, gamma: Any, height: int, width: i
                 over = value - _F(0.75)
                 value /= _ONE + (over if over > _ZERO else _ZERO)  # highlights roll off
                 value = min(max(value, _ZERO), _ONE) * most
-                picture[row, column, k] = gamma[_U(value)]
-    return picture
+                image[row, column, k] = gamma[_U(value)]
+    return image

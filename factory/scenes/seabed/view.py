@@ -46,7 +46,7 @@ def take(
     ground = world.terrain.seen_from(viewpoint.eye, azimuths, elevations, shape)
     z_buffer = ZBuffer(viewpoint, optics, world.objects, ground.points)
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
-    rgb = photograph(world, ground, z_buffer, rng.uniform(0.68, 0.92))
+    rgb = camera_image(world, ground, z_buffer, rng.uniform(0.68, 0.92))
     depth_m = z_buffer.depth_m
     clear_m = world.look.clear_m
     intrinsics = Intrinsics(*optics.lens)
@@ -99,7 +99,7 @@ def field_of_view(
     return azimuths, (float(up.min() - 0.04), float(up.max() + 0.04))
 
 
-def photograph(
+def camera_image(
     world: World, ground: Ground, z_buffer: ZBuffer, exposure: float
 ) -> npt.NDArray[np.uint8]:
     """The (H, W, 3) image of what a z-buffer met.
@@ -146,7 +146,7 @@ def sunlit(world: World, viewpoint: Pose) -> ZBuffer:
 def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> npt.NDArray[np.bool_]:
     """(H, W) bool: pixels that keep their depth, decided for every second one.
 
-    As of depth maps from photographs: far water, depth edges and patches have none.
+    As in depth maps computed from camera images: far water, depth edges and patches have none.
     depth_m, range_m: (H, W), inf where there is only water.  clear_m: how far the water lets
     matching work; the border is ragged.  About 8 to 38 % are lost, small shares more often.
     """
@@ -225,10 +225,10 @@ def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
     x = eye[0] + ranges * np.cos(azimuths)
     y = eye[1] + ranges * np.sin(azimuths)
     ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).astype(np.float32)
-    pictures = []
+    images = []
     for lookout in lookouts:
         z_buffer = ZBuffer(lookout, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
-        pictures.append((z_buffer.inverse, z_buffer.shown[1]))
+        images.append((z_buffer.inverse, z_buffer.shown[1]))
     rays = camera(968, 608).directions(np.eye(3), 32).reshape(-1, 3)
     length = np.sqrt((rays**2).sum(axis=1))
     fx, fy, cx, cy = _LOOKOUT.lens
@@ -243,7 +243,7 @@ def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
         row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
         inverse, thing = (
             np.where(left, left_plane[row, column], right_plane[row, column])
-            for left_plane, right_plane in zip(*pictures, strict=True)
+            for left_plane, right_plane in zip(*images, strict=True)
         )
         met = inverse * ahead > 0
         depth = 1 / np.where(met, inverse * ahead, 1e-9)

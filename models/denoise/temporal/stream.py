@@ -87,7 +87,7 @@ class InTime:
     causal: whether the window ends with the frame that is denoised, and is not centred on it.
     calibrated: whether the strength is fitted to the recording; otherwise it is the default.
     keeps_outside: whether pixels around a fan stay as they are.
-    tally: counts that the stream adds to: `pictures`, the frames that were fused; `alone`, those
+    tally: counts that the stream adds to: `images`, the frames that were fused; `alone`, those
         that matched no neighbour; `frames` and `moved`, sums over the fused frames of the mean
         number of frames averaged at a pixel and of the share of pixels that moved.
     at_once: frames that the network denoises at the same time; with 1 a frame comes out as soon as
@@ -186,7 +186,7 @@ class InTime:
         lit = grey_of(fused.image) > _DARK
         if not lit.any():
             lit = np.ones_like(lit)
-        self._tally["pictures"] += 1
+        self._tally["images"] += 1
         self._tally["frames"] += float(fused.frame_count[lit].mean())
         self._tally["moved"] += 1 - float(fused.static_share[lit].mean())
         self._tally["alone"] += bool(fused.frame_count.max() <= 1)

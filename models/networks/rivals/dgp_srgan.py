@@ -6,7 +6,7 @@ et al., CVPR 2017) and the penalty (Gulrajani et al., Improved Training of Wasse
 
 Chosen here, because images are denoised and not enlarged: no upsampling, and the change of the
 noisy image is predicted; no batch normalisation, which the penalty rules out in the critic; fewer
-channels and blocks; the content term is the `loss` group instead of a network for photographs.
+channels and blocks; the content term is the `loss` group instead of a network for camera images.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def run(name: str, image: Array, **parameters: float) -> Array:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_gives_a_picture_for_every_picture(name: str) -> None:
+def test_gives_an_image_for_every_image(name: str) -> None:
     rng = np.random.default_rng(1)
     size = (12, 17)
     for image in (
@@ -101,14 +101,14 @@ def test_bm3d_is_ahead_on_white_noise() -> None:
     assert psnr(clean, run("bm3d", noisy, sigma=0.1), data_range=1) > max(gaussian, nlm, tv) + 2
 
 
-def test_bm3d_leaves_a_noiseless_picture() -> None:
+def test_bm3d_leaves_a_noiseless_image() -> None:
     """Transforms, stacks and the weighted sum put together again what they took apart."""
     image = noisy_scene("white", 41)
     np.testing.assert_allclose(run("bm3d", image, sigma=1e-4), image, atol=2e-4)
 
 
 def test_median_and_opening_are_the_definition() -> None:
-    """The median of stored pictures, which is taken on bytes, is that of any other."""
+    """The median of stored images, which is taken on bytes, is that of any other."""
     stored = np.random.default_rng(3).integers(0, 256, (40, 33)).astype(np.float32)
     stored /= np.float32(255)
     for image in (stored, np.nextafter(stored, np.float32(0.5))):

@@ -38,13 +38,13 @@ def real(out: Path, *words: str) -> dict[str, Any]:
     return content
 
 
-def save(path: Path, picture: Array) -> None:
+def save(path: Path, image: Array) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8))
+    cv2.imwrite(str(path), np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8))
 
 
 def fans(root: Path, count: int) -> Path:
-    """Pictures of both fans with speckle, a shadow and a bright object each."""
+    """Images of both fans with speckle, a shadow and a bright object each."""
     rng = np.random.default_rng(0)
     for number in range(count):
         name = "AB"[number % 2]
@@ -60,8 +60,8 @@ def fans(root: Path, count: int) -> Path:
 
 
 def shown(shot: Shot) -> Scene:
-    picture, geometry = shot.read()
-    return scene_of(picture, sector_of(picture, geometry), shot.name)
+    image, geometry = shot.read()
+    return scene_of(image, sector_of(image, geometry), shot.name)
 
 
 def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
@@ -142,11 +142,11 @@ def stored(seed: int, count: int) -> list[npt.NDArray[np.uint8]]:
 
 
 def shuffled(folder: Path, counts: dict[int, int]) -> Path:
-    """Pictures of several scenes in one folder, in no order.  counts: seed -> frames."""
-    pictures = [image for seed, count in counts.items() for image in stored(seed, count)]
+    """Images of several scenes in one folder, in no order.  counts: seed -> frames."""
+    images = [image for seed, count in counts.items() for image in stored(seed, count)]
     folder.mkdir(parents=True)
-    for number, place in enumerate(np.random.default_rng(0).permutation(len(pictures))):
-        cv2.imwrite(str(folder / f"{number:03d}.png"), pictures[place])
+    for number, place in enumerate(np.random.default_rng(0).permutation(len(images))):
+        cv2.imwrite(str(folder / f"{number:03d}.png"), images[place])
     return folder
 
 
@@ -188,7 +188,7 @@ def test_what_moves_is_found() -> None:
 
 
 def group(folder: Path, values: list[int]) -> Group:
-    """A group of even pictures."""
+    """A group of even images."""
     shots = []
     for number, value in enumerate(values):
         path = folder / f"{number}.png"
@@ -307,7 +307,7 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     plain = str(tmp_path / "plain")
     for words, message in (
         ((str(tmp_path / "none"),), "no such folder or recording"),
-        ((str(tmp_path / "empty"),), "holds no pictures and no recordings"),
+        ((str(tmp_path / "empty"),), "holds no images and no recordings"),
         ((str(tmp_path / "black"),), "0.png: black, or smaller than 16 pixels"),
         ((plain, "limit=3"), "limit: Input should be greater than or equal to 4"),
         ((plain, f"models=[{tmp_path / 'none'}]"), "models: "),

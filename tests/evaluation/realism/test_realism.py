@@ -22,7 +22,7 @@ from simnfnd.evaluation import features as statistics
 from simnfnd.evaluation import recorded
 from simnfnd.evaluation.calibrate import Simulation
 from simnfnd.evaluation.features import FEATURES, features_of
-from simnfnd.evaluation.realism import distances, real_pictures, to_polar
+from simnfnd.evaluation.realism import distances, real_images, to_polar
 from simnfnd.evaluation.settings import FitSettings, Grid
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run as generate
@@ -32,7 +32,7 @@ from simnfnd.factory.settings import build
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from tests.evaluation.evaluation_settings import polar_folder, sonar_picture, speckle
+from tests.evaluation.evaluation_settings import polar_folder, sonar_image, speckle
 from tests.project_files import ROOT
 
 SHARED = ROOT.parent / "shared" / "data"
@@ -47,7 +47,7 @@ def smooth(rows: int, columns: int) -> np.ndarray:
     return np.asarray(0.5 + waves, dtype=np.float32)
 
 
-def test_a_fan_of_the_factory_comes_back_as_its_polar_picture() -> None:
+def test_a_fan_of_the_factory_comes_back_as_its_polar_image() -> None:
     near = 0.25
     image = ImageSettings(width_px=320, height_px=480)
     sonar = SonarSettings(hfov_deg=30, beams=64, range_bins=128, image=image)
@@ -59,7 +59,7 @@ def test_a_fan_of_the_factory_comes_back_as_its_polar_picture() -> None:
     assert geometry.range_span_m == pytest.approx(8 * (1 - near))
 
 
-def test_bearings_without_data_are_left_out_and_squeezed_pictures_stretched() -> None:
+def test_bearings_without_data_are_left_out_and_squeezed_images_stretched() -> None:
     image = ImageSettings(layout="polar")
     sonar = SonarSettings(hfov_deg=40, beams=64, range_bins=64, image=image)
     geometry = FanGeometry.from_sonar(sonar, 1, 5, math.radians(-10), math.radians(20))
@@ -78,7 +78,7 @@ def test_bearings_without_data_are_left_out_and_squeezed_pictures_stretched() ->
 
 
 @pytest.mark.skipif(not MDD.is_dir(), reason="needs the MDD sample in ../shared/data")
-def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
+def test_every_real_image_gets_the_geometry_it_was_measured_to_have() -> None:
     lines = (MDD / "fan_geometry.csv").read_text().splitlines()[1:]
     known = dict(line.split(",")[:2] for line in lines)
     actual = recorded.open_real(MDD)
@@ -86,8 +86,8 @@ def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
     assert len(shots) == len(known) == 117
     names = {geometry: name for name, geometry in recorded.MDD_GEOMETRIES.items()}
     assert {shot.name: names[shot.known] for shot in shots if shot.known} == known
-    # No black border is left in the polar picture.
-    polar = real_pictures(MDD).sources[0].polar(Grid())
+    # No black border is left in the polar image.
+    polar = real_images(MDD).sources[0].polar(Grid())
     assert polar.shape == (440, 128)
     assert (polar[2:-2, 2:-2] == 0).mean() < 0.01
 
@@ -151,12 +151,12 @@ def test_half_widths_are_those_of_the_point_spread(grain: tuple[float, float]) -
     # Filtered white noise of standard deviation s has the autocorrelation exp(-d^2 / 4 s^2).
     rng = np.random.default_rng(3)
     noise = ndimage.gaussian_filter(rng.standard_normal((512, 512)), grain, mode="wrap")
-    picture = (0.5 + 0.1 * noise / noise.std()).astype(np.float32)
+    image = (0.5 + 0.1 * noise / noise.std()).astype(np.float32)
     expected = [2 * s * np.sqrt(np.log(2)) for s in grain]
-    assert statistics.half_widths(picture) == pytest.approx(expected, rel=0.08)
+    assert statistics.half_widths(image) == pytest.approx(expected, rel=0.08)
 
 
-def test_spokes_arcs_slope_and_contrasts_of_made_up_pictures() -> None:
+def test_spokes_arcs_slope_and_contrasts_of_made_up_images() -> None:
     rng = np.random.default_rng(6)
     spokes = np.broadcast_to(rng.random(64), (200, 64)).astype(np.float32)
     assert statistics.spread_of_means(spokes, 0) == pytest.approx(1)
@@ -164,10 +164,10 @@ def test_spokes_arcs_slope_and_contrasts_of_made_up_pictures() -> None:
     position = (np.arange(200) + 0.5) / 200
     ramp = np.broadcast_to((0.5 * 10 ** (-12 * position / 20))[:, None], (200, 64))
     assert statistics.range_slope_db(ramp.astype(np.float32)) == pytest.approx(-12, abs=0.05)
-    picture = np.full((200, 64), 0.2, np.float32)
-    picture[20:40, 10:30] = 0.8
-    picture[100:140, 10:30] = 0.05
-    highlight, shadow = statistics.contrasts_db(picture)
+    image = np.full((200, 64), 0.2, np.float32)
+    image[20:40, 10:30] = 0.8
+    image[100:140, 10:30] = 0.05
+    highlight, shadow = statistics.contrasts_db(image)
     assert highlight == pytest.approx(20 * np.log10(4), abs=0.3)
     assert shadow == pytest.approx(20 * np.log10(4), abs=0.3)
 
@@ -178,7 +178,7 @@ def many() -> dict[str, pd.DataFrame]:
 
     def of(count: int, **changes: float) -> pd.DataFrame:
         return pd.DataFrame(
-            [features_of(sonar_picture(rng, **changes), 4.0) for _ in range(count)]  # type: ignore[arg-type]
+            [features_of(sonar_image(rng, **changes), 4.0) for _ in range(count)]  # type: ignore[arg-type]
         )
 
     return {"real": of(24), "same": of(24), "bright": of(16, level=0.42)}
@@ -201,7 +201,7 @@ def test_a_perfect_simulation_reaches_the_halves_and_another_does_not(
 def test_the_command_writes_a_report_that_needs_nothing_else(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    real_folder = polar_folder(tmp_path / "real pictures", 1, 9)
+    real_folder = polar_folder(tmp_path / "real images", 1, 9)
     simulated_folder = polar_folder(tmp_path / "made, up", 2, 8, level=0.4)
     out = tmp_path / "report"
     words = [str(real_folder), str(simulated_folder), "grid.range_bins=96", "grid.beams=48"]
@@ -225,7 +225,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
     for words, said in (
         (["nowhere", "REAL"], "real=nowhere: no such folder"),
         (["REAL", "nowhere"], "dataset=nowhere: no such folder"),
-        (["REAL", "REAL", "limit=6"], "6 pictures; at least 8"),
+        (["REAL", "REAL", "limit=6"], "6 images; at least 8"),
     ):
         assert main(["evaluate", "realism", *words]) == 2
         (error,) = [line for line in capsys.readouterr().err.splitlines() if line[:6] == "error:"]
@@ -246,7 +246,7 @@ GRID = {"range_bins": 96, "beams": 64}
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of "real" pictures: the recipe's frames with another density; and its renders."""
+    """A folder of "real" images: the recipe's frames with another density; and its renders."""
     folder = tmp_path_factory.mktemp("fit")
     generate(compose_config([*RECIPE, f"dataset.dir={folder / 'data'}"]), [])
     (folder / "real").mkdir()
@@ -266,7 +266,7 @@ def settings_for(real: Path, out: Path, **changes: object) -> FitSettings:
     return build(FitSettings, {**values, **changes})
 
 
-def test_the_density_that_made_the_pictures_is_found_again(
+def test_the_density_that_made_the_images_is_found_again(
     real: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings = settings_for(real, tmp_path / "fit")
@@ -338,4 +338,4 @@ def test_the_command_takes_the_recipe_behind_two_dashes(
     assert main(["evaluate", "fit", str(real), *own, "--", *RECIPE]) == 0
     assert "experiment=shown" in capsys.readouterr().out
     assert main(["evaluate", "fit", *own, "--", *RECIPE]) == 2
-    assert "real: give a folder of real pictures" in capsys.readouterr().err
+    assert "real: give a folder of real images" in capsys.readouterr().err

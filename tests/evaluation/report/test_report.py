@@ -241,11 +241,11 @@ def test_it_is_one_file_that_asks_nobody(reports: tuple[Path, Path, Path]) -> No
     assert text.startswith("<!DOCTYPE html>")
     for word in ("http://", "https://", "//cdn", "@import"):
         assert word not in text
-    assert not re.search(r"url\((?!#)", text), "parts of its own pictures alone"
+    assert not re.search(r"url\((?!#)", text), "parts of its own images alone"
     assert not re.search(r"<(script|img|link)[^>]+(src|href)=\"(?!data:)", text)
 
 
-def test_pictures_inside_are_lossless() -> None:
+def test_images_inside_are_lossless() -> None:
     image = np.linspace(0, 1, 256, dtype=np.float32).reshape(16, 16)
     head, content = as_data_uri(image).split(",", 1)
     assert head == "data:image/png;base64"

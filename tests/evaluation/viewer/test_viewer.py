@@ -87,8 +87,8 @@ def code(url: str) -> int:
     return caught.value.code
 
 
-def picture(url: str, number: int, layer: int) -> np.ndarray:
-    content = np.frombuffer(fetched(f"{url}picture/{number}/{layer}.png"), np.uint8)
+def image(url: str, number: int, layer: int) -> np.ndarray:
+    content = np.frombuffer(fetched(f"{url}image/{number}/{layer}.png"), np.uint8)
     found = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     assert found is not None
     return found
@@ -99,7 +99,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("viewed") / "little", labels=True)
 
 
-def test_pictures_and_parameters_of_a_dataset(dataset: Path) -> None:
+def test_images_and_parameters_of_a_dataset(dataset: Path) -> None:
     with served(open_shown(dataset)) as url:
         about = json.loads(fetched(f"{url}about.json"))
         assert (about["title"], about["count"]) == ("little", 12)
@@ -111,9 +111,9 @@ def test_pictures_and_parameters_of_a_dataset(dataset: Path) -> None:
             row = file["meta"][1]
         order = json.loads(fetched(f"{url}facts/0.json"))["scene"]
         number = 1 if order == "reef-test" else 10
-        np.testing.assert_array_equal(picture(url, number, 0), stored["noisy"])
-        np.testing.assert_array_equal(picture(url, number, 2), stored["shadow"] * 255)
-        colours = picture(url, number, names.index("segmentation"))
+        np.testing.assert_array_equal(image(url, number, 0), stored["noisy"])
+        np.testing.assert_array_equal(image(url, number, 2), stored["shadow"] * 255)
+        colours = image(url, number, names.index("segmentation"))
         assert colours.shape == (*SHAPE, 3)
         assert (colours.any(axis=-1) == (stored["segmentation"] > 0)).all()
         facts = json.loads(fetched(f"{url}facts/{number}.json"))
@@ -128,10 +128,10 @@ def test_only_what_is_shown_and_only_to_this_machine(dataset: Path) -> None:
         assert url.startswith("http://127.0.0.1:")
         port = url.split(":")[2].split("/")[0]
         assert fetched(url).startswith(b"<!doctype html>")
-        for path in ("picture/12/0.png", "picture/0/99.png", "facts/12.json", "../pyproject.toml"):
+        for path in ("image/12/0.png", "image/0/99.png", "facts/12.json", "../pyproject.toml"):
             assert code(url + path) == 404, path
         # Another user of the machine knows the port and not the token.
-        for path in ("", "about.json", "picture/0/0.png", f"{'x' * 32}/about.json", "\u00fc/"):
+        for path in ("", "about.json", "image/0/0.png", f"{'x' * 32}/about.json", "\u00fc/"):
             assert code(f"http://127.0.0.1:{port}/{quote(path)}") == 403, path
     with Viewer(open_shown(dataset)) as one, Viewer(open_shown(dataset)) as other:
         assert one.token != other.token
@@ -173,7 +173,7 @@ def test_half_open_connections_end_and_hold_nobody_up(
 
 def test_many_requests_at_once_are_answered(dataset: Path) -> None:
     with served(open_shown(dataset)) as url, ThreadPoolExecutor(120) as pool:
-        paths = [f"picture/{number % 12}/{number % 2}.png" for number in range(120)]
+        paths = [f"image/{number % 12}/{number % 2}.png" for number in range(120)]
         answers = list(pool.map(fetched, (url + path for path in paths)))
         for path, answer in zip(paths, answers, strict=True):
             assert answer == fetched(url + path)
@@ -187,7 +187,7 @@ def test_a_recording_before_and_after(tmp_path: Path) -> None:
         about = json.loads(fetched(f"{url}about.json"))
         assert about.pop("rate_hz") == pytest.approx(10, abs=0.01)
         assert about == {"title": "before.aris", "count": 3, "layers": ["before", "after"]}
-        fans = [picture(url, 2, layer).astype(int) for layer in (0, 1)]
+        fans = [image(url, 2, layer).astype(int) for layer in (0, 1)]
         assert fans[0].shape == fans[1].shape
         assert np.abs(fans[1] - fans[0] / 2).max() <= 3  # shown in one window of grey values
         facts = json.loads(fetched(f"{url}facts/2.json"))
@@ -199,9 +199,9 @@ def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> Non
         open_shown(tmp_path / "nowhere")
     with pytest.raises(FactoryError, match="a dataset is shown alone"):
         open_shown(dataset, dataset)
-    (tmp_path / "a.png").write_bytes(b"no picture")
+    (tmp_path / "a.png").write_bytes(b"no image")
     with served(open_shown(tmp_path)) as url:
-        assert code(f"{url}picture/0/0.png") == 500
+        assert code(f"{url}image/0/0.png") == 500
         with pytest.raises(FactoryError, match=r"--port \d+"):
             Viewer(open_shown(tmp_path), int(url.split(":")[2].split("/")[0]))
 
@@ -214,7 +214,7 @@ def test_a_recording_of_a_dataset_is_shown_alone_at_its_rate(tmp_path: Path) -> 
         assert about["rate_hz"] == 4
         for number in (0, FRAMES - 1):
             expected = recorded_pair("1", number).noisy
-            np.testing.assert_array_equal(picture(url, number, 0), expected)
+            np.testing.assert_array_equal(image(url, number, 0), expected)
             assert json.loads(fetched(f"{url}facts/{number}.json"))["frame"] == f"{number:04d}"
     with pytest.raises(FactoryError, match="sea/0"):
         open_shown(folder / "sea/9")
@@ -259,6 +259,6 @@ def test_the_page_steps_by_keyboard(
     found = page_after(open_shown(dataset), _KEYS, tmp_path, monkeypatch)
     # First, last, first, two on, one back, ten on, one back: number 10 of 0 to 11.
     for part in ('data-shown="10"', ">11 of 12<", "inset(0px 0px 0px 100%)",
-                 'src="picture/10/0.png"', "<td>range_max_m</td>"):  # fmt: skip
+                 'src="image/10/0.png"', "<td>range_max_m</td>"):  # fmt: skip
         assert part in found
     assert "noise.range_spreading.mode" not in found  # not drawn, so not said

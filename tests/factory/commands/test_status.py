@@ -24,9 +24,9 @@ def failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "scene"
     folder.mkdir()
     depth = np.linspace(4000, 1500, 80 * 120).reshape(80, 120).astype(np.uint16)
-    for name, picture in (("good", depth), ("bad", depth * 0)):
+    for name, image in (("good", depth), ("bad", depth * 0)):
         cv2.imwrite(str(folder / f"{name}.png"), np.full((80, 120, 3), 120, np.uint8))
-        cv2.imwrite(str(folder / f"{name}_d.png"), picture)
+        cv2.imwrite(str(folder / f"{name}_d.png"), image)
     (folder / "list.csv").write_text("good.png,good_d.png\nbad.png,bad_d.png\n")
     out = tmp_path / "out"
     words = [
@@ -84,7 +84,7 @@ def test_a_forged_configuration_chooses_no_folder_and_no_cluster(failed: Path, c
 
 def test_a_frame_that_still_fails_says_why(failed: Path, capfd) -> None:
     depth = failed.parent / "scene/bad_d.png"
-    depth.write_bytes(b"no picture")
+    depth.write_bytes(b"no image")
     for _ in range(2):
         assert main(["status", str(failed), "--rerun", *SERIAL]) == 1
         printed = capfd.readouterr().out

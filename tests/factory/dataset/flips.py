@@ -14,14 +14,14 @@ LAYERS = ("noisy", "clean", "shadow", "range", "elevation", "segmentation", "lay
 
 
 def given_out(root: Path) -> dict[str, str]:
-    """Name -> content (hexadecimal) of every picture, mask and piece of metadata of a train split.
+    """Name -> content (hexadecimal) of every image, mask and piece of metadata of a train split.
 
     Raises FactoryError when the reader refuses anything.
     """
     actual: dict[str, bytes] = {}
     with PairDataset(root, "train", layers=LAYERS) as pairs:
         for number, sample in enumerate(pairs):
-            actual |= {f"picture {number} {name}": x.tobytes() for name, x in sample.items()}
+            actual |= {f"image {number} {name}": x.tobytes() for name, x in sample.items()}
         table = pairs.meta()
         both = pairs.axes
         actual["meta"] = table.tobytes() + repr(table.dtype.names).encode()

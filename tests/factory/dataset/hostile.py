@@ -284,7 +284,7 @@ def _bomb(file: h5py.File, name: str, secret: Path) -> None:
 
 
 def _small_bomb(file: h5py.File, name: str, secret: Path) -> None:
-    """A chunk as small as a picture may be that grows to a thousand pictures."""
+    """A chunk as small as an image may be that grows to a thousand images."""
     stack = _again(file, name, compression="gzip")
     for row in range(4):
         stack.id.write_direct_chunk((row, 0, 0), zlib.compress(bytes(24 * 20 * 1000), 9))
@@ -313,7 +313,7 @@ OBJECTS: dict[str, Callable[[h5py.File, str, Path], Any]] = {
     "huge and empty": lambda file, name, secret: _again(
         file, name, shape=(2**40, 24, 20), maxshape=(None, 24, 20)
     ),
-    "huge pictures": lambda file, name, secret: _again(
+    "huge images": lambda file, name, secret: _again(
         file, name, shape=(4, 2**31, 2**31), chunks=(1, 2**15, 2**15)
     ),
     "no dimension": lambda file, name, secret: _again(file, name, shape=(), chunks=None),

@@ -1,4 +1,4 @@
-"""What tells of damage: checksums of pictures, tables and texts, chunks."""
+"""What tells of damage: checksums of images, tables and texts, chunks."""
 
 from __future__ import annotations
 
@@ -92,18 +92,18 @@ def shard(folder: Path, compression: str, samples: int = 4) -> Path:
 
 
 @pytest.mark.parametrize("compression", ["gzip", "none"])
-def test_a_flipped_bit_in_a_table_of_chunks_changes_no_picture(
+def test_a_flipped_bit_in_a_table_of_chunks_changes_no_image(
     tmp_path: Path, compression: str
 ) -> None:
     """In this very process, whom a damaged table must not abort; 70 chunks fill several nodes."""
     path = shard(tmp_path, compression, samples=70)
     sound = path.read_bytes()
 
-    def pictures() -> list[bytes]:
+    def images() -> list[bytes]:
         with PairDataset(tmp_path, layers=STACKS, trusted=True) as pairs:
             return [image.tobytes() for sample in pairs for image in sample.values()]
 
-    right = pictures()
+    right = images()
     nodes = [actual.start() for actual in re.finditer(rb"TREE\x01", sound)]
     assert len(nodes) >= len(STACKS) * 2
     rng = np.random.default_rng(5)
@@ -116,7 +116,7 @@ def test_a_flipped_bit_in_a_table_of_chunks_changes_no_picture(
         content[node + int(rng.integers(4, 24 + (entries + 1) * 48))] ^= 1 << int(rng.integers(8))
         path.write_bytes(content)
         try:
-            assert pictures() == right
+            assert images() == right
         except FactoryError:
             refused += 1
     assert refused > 2

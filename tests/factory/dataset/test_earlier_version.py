@@ -1,4 +1,4 @@
-"""Datasets that version 0.3 made are read: pictures, labels, fields, echoes, tables, verbs."""
+"""Datasets that version 0.3 made are read: images, labels, fields, echoes, tables, verbs."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_verbs_take_it(datasets: Path, tmp_path: Path, capsys: pytest.CaptureFix
     folder = datasets / "points"
     main(["inspect", str(folder)])
     assert "samples      2 train, 2 test" in capsys.readouterr().out
-    for to, word in (("png", "4 samples"), ("coco", "4 pictures"), ("webdataset", "4 samples")):
+    for to, word in (("png", "4 samples"), ("coco", "4 images"), ("webdataset", "4 samples")):
         main(["export", str(folder), "--to", to, "--out", str(tmp_path / to)])
         assert word in capsys.readouterr().out.replace("2 train samples and 2 test", "4")
     words = [

@@ -81,7 +81,7 @@ def test_values_are_in_the_range_that_is_stated(tmp_path: Path, dtype: str, scal
         np.testing.assert_allclose(clean / high, np.asarray(PAIRS[0].clean, float) / 255, atol=1e-6)
 
 
-def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
+def test_table_and_axes_come_with_the_images(sound: Path) -> None:
     pairs = opened(sound, split="all")
     table = pairs.meta()
     assert [row["scene"].decode() for row in table] == ["alpha"] * 4 + ["beta"] * 4 + ["gamma"] * 4

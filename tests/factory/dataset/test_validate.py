@@ -88,13 +88,13 @@ def test_leaks_and_samples_twice_are_found(folder: Path) -> None:
     clean = some_pairs(1)[0].clean
     add(folder, "test/shard-00001.h5", layered("delta", clean=clean))
     assert errors(validate(folder)) == ""
-    assert "1 clean picture(s) are in train and in test" in errors(validate(folder, True))
+    assert "1 clean image(s) are in train and in test" in errors(validate(folder, True))
     add(folder, "test/shard-00001.h5", layered("alpha", 10))
     add(folder, "train/shard-00002.h5", layered("beta", 2))
     text = errors(validate(folder, True))
     assert "1 scene(s) both train and test: reef/alpha" in text
     assert "sample 0 is reef/beta/0002 variant 0 again, as train/shard-00001.h5 sample 2" in text
-    assert "sample 1 has the same noisy picture as train/shard-00001.h5 sample 3" in text
+    assert "sample 1 has the same noisy image as train/shard-00001.h5 sample 3" in text
 
 
 IMPOSSIBLE = (
@@ -257,7 +257,7 @@ def test_no_object_that_the_schema_has_not_is_read(
         OBJECTS[kind](file, "noisy", (folder.parent / "secret.h5").resolve())
     admit(folder)
     read, found = check(folder, reader)
-    # Two grey pictures that changed names are as good as any others, to a program.
+    # Two grey images that changed names are as good as any others, to a program.
     if kind != "swapped names":
         assert read.startswith("refused: "), read
         assert found != "valid"

@@ -1,4 +1,4 @@
-"""Little datasets of random pictures, of every form that an export must carry."""
+"""Little datasets of random images, of every form that an export must carry."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_p
 
 
 @pytest.mark.parametrize("which", ["fans", "floats"])
-def test_png_pairs_are_the_pictures(which, request, tmp_path) -> None:
+def test_png_pairs_are_the_images(which, request, tmp_path) -> None:
     source = request.getfixturevalue(which)
     stated = export(source, "png", tmp_path / "out")
     assert ("range" in stated) == (which == "fans")  # what no PNG holds is said
@@ -207,7 +207,7 @@ Masks = dict[str, dict[int, tuple[int, np.ndarray]]]
 
 @pytest.fixture(scope="module")
 def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Little pictures with ragged objects that have parts and holes, and a few tiny ones."""
+    """Little images with ragged objects that have parts and holes, and a few tiny ones."""
     root = write(tmp_path_factory.mktemp("labelled"), labels=True)
     rng = np.random.default_rng(5)
     for path in sorted(root.glob("*/*.h5")):
@@ -229,7 +229,7 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def truth(root: Path, split: str) -> list[list[tuple[int, np.ndarray]]]:
-    """(label, mask) of the objects that are large enough, picture for picture."""
+    """(label, mask) of the objects that are large enough, image for image."""
     actual = []
     for path in sorted((root / split).glob("*.h5")):
         with h5py.File(path) as file:
@@ -245,7 +245,7 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     said = export(labelled, "coco", out)
     everything = truth(labelled, "train") + truth(labelled, "test")
-    assert said.startswith(f"12 pictures, {sum(map(len, everything))} objects; 12 below 8 pixels")
+    assert said.startswith(f"12 images, {sum(map(len, everything))} objects; 12 below 8 pixels")
     for split, count in (("train", 9), ("test", 3)):
         coco = COCO(str(out / "annotations" / f"instances_{split}.json"))
         names = {
@@ -255,9 +255,9 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
         assert len(coco.getImgIds()) == count
         wanted = truth(labelled, split)
         for image, masks in zip(coco.loadImgs(sorted(coco.getImgIds())), wanted, strict=True):
-            picture = cv2.imread(str(out / "images" / split / image["file_name"]), -1)
-            assert picture is not None
-            assert picture.shape == (image["height"], image["width"]) == (20, 16)
+            pixels = cv2.imread(str(out / "images" / split / image["file_name"]), -1)
+            assert pixels is not None
+            assert pixels.shape == (image["height"], image["width"]) == (20, 16)
             assert (out / "clean" / split / image["file_name"]).is_file()
             actual = coco.loadAnns(coco.getAnnIds(image["id"]))
             assert [annotation["category_id"] for annotation in actual] == [
@@ -278,9 +278,9 @@ def test_yolo_lines_are_the_objects(labelled: Path, tmp_path: Path) -> None:
     data = yaml.safe_load((out / "data.yaml").read_text())
     assert data["names"] == dict(enumerate(CLASSES[1:]))
     for key, split in (("train", "train"), ("val", "test")):
-        pictures = sorted((out / data[key]).iterdir())
-        for path, masks in zip(pictures, truth(labelled, split), strict=True):
-            # Ultralytics finds the labels by these changes of the picture's name.
+        images = sorted((out / data[key]).iterdir())
+        for path, masks in zip(images, truth(labelled, split), strict=True):
+            # Ultralytics finds the labels by these changes of the image's name.
             place = Path(str(path).replace("/images/", "/labels/")).with_suffix(".txt")
             lines = [line.split() for line in place.read_text().splitlines()]
             assert {int(line[0]) + 1 for line in lines} == {label for label, _ in masks}

@@ -1,4 +1,4 @@
-"""The targets: the mean of many displayed pictures, and each target's scale in the record."""
+"""The targets: the mean of many displayed images, and each target's scale in the record."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar.settings import TransferSettings
 from tests.constant_field import config, constant_field, effects_of
 
-PICTURES = 24
+IMAGE_SETTINGS = 24
 # Those that the same device in the same place has from ping to ping.
 CONSTANT = {"beam_gain", "comb_lines"}
 
@@ -32,16 +32,16 @@ def ground() -> tuple[Frame, Rendered]:
 
 
 def averaged(settings: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of many noisy pictures with the same parameters, and the clean one."""
+    """Mean of many noisy images with the same parameters, and the clean one."""
     observed_frame = observe(*ground(), settings)
     effects = effects_of(settings, observed_frame)
     clean = observed_frame.scene.sample(0, effects).clean
     total = np.zeros(clean.shape)
-    for seed in range(PICTURES):
+    for seed in range(IMAGE_SETTINGS):
         others = [e if e.name in CONSTANT else replace(e, seed=seed) for e in effects]
         chosen = {effect.name for effect in others}
         total += observed_frame.scene.sample(0, others).noisy(chosen)
-    return total / PICTURES, clean
+    return total / IMAGE_SETTINGS, clean
 
 
 NOISE: dict[str, dict[str, Any]] = {
@@ -67,7 +67,7 @@ NOISE: dict[str, dict[str, Any]] = {
     ("effect", "transfer"),
     [*((effect, "log") for effect in NOISE), *(("all", t) for t in ("log", "soft_log", "power"))],
 )
-def test_the_target_is_the_mean_of_the_displayed_pictures(effect, transfer):
+def test_the_target_is_the_mean_of_the_displayed_images(effect, transfer):
     """Within 0.012 of full scale; where a row's strongest return leaks, 0.03."""
     noise = NOISE if effect == "all" else {"speckle": {}, effect: NOISE[effect]}
     settings = config(
@@ -130,7 +130,7 @@ def test_every_effect_says_what_it_shows_and_texture_is_part_of_the_scene() -> N
     assert [name for name, effect in EFFECTS.items() if effect.artefact is None] == ["texture"]
 
 
-def test_a_picture_without_an_artefact_has_all_the_others() -> None:
+def test_an_image_without_an_artefact_has_all_the_others() -> None:
     """Under the same random streams, so what is kept is kept to the grey value."""
     noise = {name: NOISE[name] for name in ("speckle", "volume", "receiver", "beam_gain")}
     sample = sampled({**noise, "spokes": {"count": 2, "level_db": -10}})

@@ -44,7 +44,7 @@ def make_pair(settings: FactoryConfig, frame: Frame | None = None, variant: int 
     return pairs.make_pair(scene, variant, settings)
 
 
-def test_each_effect_layer_is_the_noisy_picture_with_that_effect_alone() -> None:
+def test_each_effect_layer_is_the_noisy_image_with_that_effect_alone() -> None:
     """As another configuration would make it, in which all others are off."""
     noise = {effect: {"enabled": True} for effect in EFFECTS} | {"range_arc": {"count": 2}}
     noise["range_arc"]["enabled"] = True
@@ -59,7 +59,7 @@ def test_each_effect_layer_is_the_noisy_picture_with_that_effect_alone() -> None
         assert np.abs(alone.noisy.astype(int) - alone.clean.astype(int)).sum() > 500
 
 
-def test_effects_that_are_off_have_no_layer_and_asking_changes_no_picture() -> None:
+def test_effects_that_are_off_have_no_layer_and_asking_changes_no_image() -> None:
     off = {"background": {"enabled": False}}
     with_layers = make_pair(config(noise=off, dataset={"layers": ["effects", *TRUTH]}))
     plain = make_pair(config(noise=off))
@@ -77,10 +77,10 @@ def test_outside_of_the_fan_there_is_nothing_nor_where_the_camera_saw_nothing() 
     scene = pairs.observe(frame, plain_render(frame), wide)
     inside = fan_table(wide.sonar, scene.window.near_fraction).inside
     pair = pairs.make_pair(scene, 0, wide)
-    for name, picture in pair.layers.items():
-        values = np.asarray(picture)[~inside]
+    for name, image in pair.layers.items():
+        values = np.asarray(image)[~inside]
         assert (np.isnan(values) if values.dtype.kind == "f" else values == 0).all(), name
-        assert picture.dtype == {layer.name: layer.dtype for layer in layers("uint8", [name])}[name]
+        assert image.dtype == {layer.name: layer.dtype for layer in layers("uint8", [name])}[name]
     valid = np.asarray(pair.layers["valid_azimuth"], np.bool_)
     assert valid[inside].mean() == pytest.approx(46 / 120, abs=0.03)
     # Grey values are interpolated beside valid pixels, labels never.
@@ -190,14 +190,14 @@ def test_layers_are_read_back(written):
         assert file["intensity_db"].attrs["units"] == "dB re 1 uPa"
 
 
-def test_field_and_level_are_the_picture(written):
+def test_field_and_level_are_the_image(written):
     _, settings, pair = written
     field = pair.layers["field"]
     level_db = pair.layers["intensity_db"]
     heard = np.isfinite(level_db)
     assert heard.mean() > 0.8
     np.testing.assert_allclose(20 * np.log10(abs(field[heard])), level_db[heard], atol=1e-3)
-    # The same through the gain, the full scale and the curve is the noisy picture.
+    # The same through the gain, the full scale and the curve is the noisy image.
     near = pair.record["range_min_m"]
     far = pair.record["range_max_m"]
     range_m = near + (np.arange(160)[:, None] + 0.5) / 160 * (far - near)

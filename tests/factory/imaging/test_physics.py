@@ -189,7 +189,7 @@ def test_tvg_levels_what_it_knows() -> None:
 
 
 def test_the_papers_data_set_does_not_know_of_physics() -> None:
-    """Settings that do not reach its pictures do not reach its name either."""
+    """Settings that do not reach its images do not reach its name either."""
     plain = compose_config([])
     assert not {"acoustics", "water"} & set(identity(plain))
     assert "array" not in identity(plain)["sonar"]
@@ -220,7 +220,7 @@ def test_mistakes_are_one_line(words, said):
 
 
 def test_points_twenty_decibels_down_are_not_black_at_forty() -> None:
-    """Half of the picture has a hundredth of the echo: half the grey scale of 40 dB."""
+    """Half of the image has a hundredth of the echo: half the grey scale of 40 dB."""
     settings = compose_config(
         ["sonar.transfer={kind: log, dynamic_range_db: 40, percentile: 99}", "noise=none",
          "sonar.hfov_deg=24", "sonar.range={auto: false, min_m: 4, max_m: 8}", "resample.rate=1",
@@ -368,7 +368,7 @@ def test_noise_and_haze_are_those_of_the_closed_forms(device):
         thermal_noise_db(sonar.frequency_khz, device_.bandwidth_khz)
         - decibels(4 * np.pi / (beam_rad * one_way)) - device_.source_level_db + 7
     )  # fmt: skip
-    # What is received of an echo of density p is p pulse beam; the picture has p dr dtheta.
+    # What is received of an echo of density p is p pulse beam; the image has p dr dtheta.
     noise_db += decibels(ping.bin_m * width * np.cos(azimuth[centre]) / (pulse_m * beam_rad))
     near = slice(max(centre - 3, 0), centre + 4)
     assert decibels(noise[:, near].mean()) == pytest.approx(noise_db, abs=0.2)

@@ -198,7 +198,7 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
     clean = actual[0][1][WIDE_EDGE]
     decibels = 80 * (noisy - clean).std()
     assert decibels == pytest.approx(4.343 * np.sqrt(special.polygamma(1, looks)), rel=0.06)
-    # mean_log: the average of the noisy pictures.
+    # mean_log: the average of the noisy images.
     assert abs(float((noisy.mean(axis=0) - clean).mean())) < 0.006
 
 
@@ -274,12 +274,12 @@ def test_cells_too_small_are_refused():
         PATH_SPECKLE.function(None, ping, None, looks=1, scatterer_m=1e-4)
 
 
-# --- Speckle that stands still in part: what the clean picture keeps of it ---
+# --- Speckle that stands still in part: what the clean image keeps of it ---
 
 
 @cache
-def pictures(standing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Noisy, clean, and without speckle, inside of the picture; the transfer curve is linear."""
+def images(standing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Noisy, clean, and without speckle, inside of the image; the transfer curve is linear."""
     settings = config(
         noise={"speckle": {}},
         acoustics={"standing": standing},
@@ -293,9 +293,9 @@ def pictures(standing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return noisy[8:-8, 8:-8], clean[8:-8, 8:-8], bare[8:-8, 8:-8]
 
 
-def intensity(picture: np.ndarray) -> np.ndarray:
-    """Over that of the mean picture, so that range has no part in it."""
-    return np.asarray((picture.astype(np.float64) / pictures(0.0)[1]) ** 2)
+def intensity(image: np.ndarray) -> np.ndarray:
+    """Over that of the mean image, so that range has no part in it."""
+    return np.asarray((image.astype(np.float64) / images(0.0)[1]) ** 2)
 
 
 def likeness(first: np.ndarray, second: np.ndarray) -> float:
@@ -303,16 +303,16 @@ def likeness(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.corrcoef(intensity(first).ravel(), intensity(second).ravel())[0, 1])
 
 
-def test_what_stands_still_whole_is_the_clean_picture() -> None:
-    noisy, clean, bare = pictures(1.0)
+def test_what_stands_still_whole_is_the_clean_image() -> None:
+    noisy, clean, bare = images(1.0)
     np.testing.assert_allclose(clean, noisy, atol=2e-3)
     np.testing.assert_array_equal(bare, clean)
 
 
 @pytest.mark.parametrize("part", [0.25, 0.5, 0.75])
-def test_the_clean_picture_is_as_like_the_noisy_one_as_fields_of_such_a_part(part: float) -> None:
+def test_the_clean_image_is_as_like_the_noisy_one_as_fields_of_such_a_part(part: float) -> None:
     """|f|^2 of two circular fields whose coherence is sqrt(p) correlate by p (Goodman, 2007)."""
-    noisy, clean, _ = pictures(part)
+    noisy, clean, _ = images(part)
     assert likeness(noisy, clean) == pytest.approx(part, abs=0.08)
     # Averaging took the rest of an exponential intensity, whose contrast is 1.
     power = intensity(clean)

@@ -52,7 +52,7 @@ def test_target_strength_gives_the_level_of_the_sonar_equation(actor, range_m, e
     loss_db = 40 * np.log10(range_m) + 2 * ping.absorption_db_per_m * range_m
     theory_db = -25 - loss_db + 10 * np.log10(pattern)
     assert 10 * np.log10(ping.scatterers.power.sum()) == pytest.approx(theory_db, abs=0.5)
-    # The beams keep the energy, so the level in the picture is theory's, too.
+    # The beams keep the energy, so the level in the image is theory's, too.
     assert 10 * np.log10(ping.expected.sum()) == pytest.approx(theory_db, abs=0.5)
 
 

@@ -1,4 +1,4 @@
-"""Each effect of the complex field: what it does to a picture, alone and recorded."""
+"""Each effect of the complex field: what it does to an image, alone and recorded."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_the_registry_and_the_settings_name_the_same_effects() -> None:
         names = [item.name for item in fields(block)]
         assert names == ["enabled", *(parameter.name for parameter in EFFECTS[name].parameters)]
     stages = [EFFECTS[name].stage for name in FIELD_EFFECTS]
-    assert stages == sorted(stages, key=["echo", "beam", "picture"].index)
+    assert stages == sorted(stages, key=["echo", "beam", "image"].index)
 
 
 def test_receiver_noise_is_rayleigh_and_flat_before_the_gain(of: Ping) -> None:
@@ -148,7 +148,7 @@ def test_arcs_leak_along_their_row_and_crosstalk_to_both_sides(of: Ping) -> None
     assert leaked[50, 56] == pytest.approx(0.04, rel=1e-3)
 
 
-def test_a_wrong_gain_tilts_the_picture_about_its_middle(of: Ping) -> None:
+def test_a_wrong_gain_tilts_the_image_about_its_middle(of: Ping) -> None:
     ones = np.ones((1, 2, *of.shape), np.float32)
     rows = decibels(
         intensity(TVG_ERROR.function(ones, of, rng(), db_per_decade=10, db_per_m=0.5))[:, 0] / 2

@@ -186,7 +186,7 @@ def test_unmeasured_pixels_are_neither_surface_nor_bright(kind: str) -> None:
 
 
 @pytest.mark.skipif(not FLSEA.is_dir(), reason="no real data")
-def test_pictures_of_a_real_frame_are_those_of_full_resolution() -> None:
+def test_images_of_a_real_frame_are_those_of_full_resolution() -> None:
     """40 dB is what is asked for; 87 to 92 dB is what six real frames give, at 512x512."""
     frame = flsea_frame()
     fast = render("cycles", frame)
@@ -248,14 +248,14 @@ def test_flattened_albedo_forgets_light_and_keeps_texture() -> None:
     texture = rng.uniform(0.5, 1.5, (200, 300))
     haze = np.linspace(0.02, 0.5, 300)[None, :] * np.linspace(1, 0.4, 200)[:, None]
 
-    def picture(linear: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+    def image(linear: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
         code = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
         grey: npt.NDArray[np.uint8] = np.round(255 * code).astype(np.uint8)
         return np.repeat(grey[..., None], 3, axis=-1)
 
     valid = np.ones((200, 300), np.bool_)
     valid[:, 200:] = False
-    flat = albedo(picture(texture * haze), valid, "flattened")
+    flat = albedo(image(texture * haze), valid, "flattened")
     assert not flat[:, 200:].any()
     flat = flat[:, :200]
     texture = texture[:, :200]

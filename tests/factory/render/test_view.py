@@ -85,7 +85,7 @@ def test_ground_at_grazing_incidence_stays_whole_and_a_low_step_is_cut() -> None
     assert surface_of(flying).mask.sum() == 80
 
 
-def test_what_is_stored_is_what_pictures_are_made_of() -> None:
+def test_what_is_stored_is_what_images_are_made_of() -> None:
     view = some_view()
     assert same(decode(encode(view)), view)
     frame = ground_and_post()
@@ -144,7 +144,7 @@ def test_folded_planes_keep_their_bytes() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
-def test_a_flipped_bit_never_changes_a_picture(place: float, bit: int) -> None:
+def test_a_flipped_bit_never_changes_an_image(place: float, bit: int) -> None:
     view = some_view()
     content = bytearray(encode(view))
     whole = decode(bytes(content))

@@ -381,14 +381,14 @@ def bad(folder: Path) -> Path:
     (folder / "nan.ply").write_text(head.format(3, 1) + "0 0 0\n1 0 0\n0 nan 0\n3 0 1 2\n")
     (folder / "broken.glb").write_bytes(b"glTF\2\0\0\0 nothing more")
     (folder / "notes.txt").write_text("no mesh")
-    for name, library, picture in (
+    for name, library, image in (
         ("painted", "painted.mtl", "map_Kd rust.png"),
         ("absolute", "absolute.mtl", "map_Bump /etc/passwd"),
         ("above", "../a.mtl", ""),
     ):
         faces = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
         (folder / f"{name}.obj").write_text(f"mtllib {library}\n{faces}")
-        (folder / f"{name}.mtl").write_text(f"newmtl a\n{picture}\n")
+        (folder / f"{name}.mtl").write_text(f"newmtl a\n{image}\n")
     url = {"buffers": [{"uri": "file:///etc/passwd", "byteLength": 9}]}
     (folder / "url.gltf").write_text(json.dumps(url))
     write_chunks(folder / "linked.glb", {"buffers": [{"uri": "../a.bin", "byteLength": 9}]}, b"")
@@ -416,9 +416,9 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
     for part in (right, turned):
         a, b, c = (part.mesh.vertices[part.mesh.triangles[:, k]] for k in range(3))
         assert ((np.cross(b - a, c - a) * a).sum(axis=1) > 0).all()
-    picture = np.zeros((8, 8, 3), np.uint8)
-    picture[:, 4:] = (0, 0, 255)  # the right half is red
-    cv2.imwrite(str(folder / "half.png"), picture)
+    image = np.zeros((8, 8, 3), np.uint8)
+    image[:, 4:] = (0, 0, 255)  # the right half is red
+    cv2.imwrite(str(folder / "half.png"), image)
     (folder / "sheet.mtl").write_text("newmtl a\nmap_Kd half.png\n")
     (folder / "sheet.obj").write_text(
         "mtllib sheet.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -432,7 +432,7 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
 
 
 def test_scripts_of_a_blend_are_never_run(tmp_path: Path) -> None:
-    """It is read for its meshes and colours, and photographed by Cycles."""
+    """It is read for its meshes and colours, and rendered by Cycles."""
     world = tmp_path / "world.blend"
     marker = tmp_path / "ran"
     script = f"""

@@ -31,7 +31,7 @@ POSES = (0, 1)
 
 
 def small_reader(**keys: Any) -> SeabedReader:
-    """A reader of pictures a quarter as wide and high as FLSea's."""
+    """A reader of images a quarter as wide and high as FLSea's."""
     return SeabedReader(SeabedSettings(**{"width": 242, "height": 152, **keys}))
 
 
@@ -88,7 +88,7 @@ def test_frames_are_measured_labelled_and_look_a_little_down(
         np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
         assert np.linalg.det(rotation) == pytest.approx(1)
         assert 8 <= np.rad2deg(np.arcsin(-rotation[2, 2])) <= 35, name  # pitch
-        assert rotation[2, 1] < -0.8, name  # the picture's y axis points down
+        assert rotation[2, 1] < -0.8, name  # the image's y axis points down
     assert {CLASSES[k] for k in observed} == set(CLASSES)
 
 

@@ -1,4 +1,4 @@
-"""Where range and bearing lie: fans and polar pictures, of the factory and of real devices."""
+"""Where range and bearing lie: fans and polar images, of the factory and of real devices."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_record_limits_the_data_to_what_the_camera_saw() -> None:
 def test_turned_fans(
     turns: int, apex_x: float, apex_y: float, scale: float, rows: int, columns: int
 ) -> None:
-    """A picture and its geometry, turned alike, belong together."""
+    """An image and its geometry, turned alike, belong together."""
     upright = FanGeometry.fan(
         1.2, apex_x_px=apex_x, apex_y_px=apex_y, near_px=15, far_px=80, x_scale=scale
     )
@@ -93,7 +93,7 @@ def test_beams_need_not_be_evenly_spaced() -> None:
     np.testing.assert_allclose(columns, [0.5, 2.5])
 
 
-def test_a_polar_picture_gets_its_size_when_it_is_read() -> None:
+def test_a_polar_image_gets_its_size_when_it_is_read() -> None:
     geometry = FanGeometry.polar(math.radians(40))
     assert geometry.near_fraction == 0
     assert geometry.range_span_m is None

@@ -1,4 +1,4 @@
-"""Devices drawn for every picture: their draws, their record, their rasterisation."""
+"""Devices drawn for every image: their draws, their record, their rasterisation."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_the_same_name_draws_the_same_device() -> None:
     assert {round(device.values["beams"]) for device in drawn} == {48, 96, 128, 160, 256, 512}
 
 
-def test_drawn_values_given_as_numbers_make_the_same_picture() -> None:
+def test_drawn_values_given_as_numbers_make_the_same_image() -> None:
     first = pair(variant=3)
     row = first.record
     drawn = [name for name in row if name.startswith("device.")]
@@ -71,7 +71,7 @@ def test_drawn_values_given_as_numbers_make_the_same_picture() -> None:
     np.testing.assert_array_equal(again.clean, first.clean)
 
 
-def test_odd_effects_are_those_of_a_share_of_the_pictures() -> None:
+def test_odd_effects_are_those_of_a_share_of_the_images() -> None:
     odd = ("spokes", "ring_down", "surface_multipath", "sidelobe_arcs", "tvg_error", "beam_gain")
 
     def on(share: int, variants: int) -> list[dict[str, bool]]:
@@ -100,14 +100,14 @@ def test_rasters_show_samples_as_they_are_or_between() -> None:
     window = Window("slant_range", 1.0, 4.0, -1.0, 1.0)
     polar = (np.random.default_rng(0).integers(0, 256, (24, 16)) / 255).astype(np.float32)
 
-    def picture(**keys: Any) -> Any:
+    def raster(**keys: Any) -> Any:
         image = ImageSettings(width_px=120, height_px=160, **keys)
         sonar = SonarSettings(hfov_deg=30, beams=16, range_bins=24, image=image)
         return rasterised(polar, window, sonar, noisy=True)
 
-    nearest = picture(sampling="nearest")
+    nearest = raster(sampling="nearest")
     assert set(np.unique(nearest)) <= {0.0, *np.unique(polar)}
-    assert len(np.unique(picture())) > len(np.unique(polar))
+    assert len(np.unique(raster())) > len(np.unique(polar))
 
 
 def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
@@ -123,7 +123,7 @@ def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
         changed = pair(*words, f"sonar.image.{key}={value}")
         assert changed.noisy.shape == before.noisy.shape
         assert (changed.noisy != before.noisy).any()
-        # A clean picture has no traces of compression.
+        # A clean image has no traces of compression.
         assert (changed.clean != before.clean).any() == (key != "jpeg_quality")
 
 

@@ -25,7 +25,7 @@ def noisy(of: Gray, seed: int, noise: float = 0.08) -> Gray:
     return np.asarray(np.clip(observed, 0, 1), np.float32)
 
 
-def write(path: Path, picture: Gray) -> None:
-    """A picture of 8 bits."""
+def write(path: Path, image: Gray) -> None:
+    """An image of 8 bits."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), np.rint(picture * 255).astype(np.uint8))
+    assert cv2.imwrite(str(path), np.rint(image * 255).astype(np.uint8))

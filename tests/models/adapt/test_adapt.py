@@ -26,7 +26,7 @@ CONFIG = {"kind": "nafnet", "width": 8, "encoder": [1], "middle": 1, "decoder": 
 
 @pytest.fixture
 def weights(tmp_path: Path) -> Path:
-    """A network that leaves pictures as they are until it learns something."""
+    """A network that leaves images as they are until it learns something."""
     torch.manual_seed(0)
     network = build_network(CONFIG)
     with torch.no_grad():
@@ -127,9 +127,9 @@ def test_the_frames_that_judge_have_no_part_in_the_choice(tmp_path: Path) -> Non
 def test_what_moves_is_no_target(tmp_path: Path) -> None:
     truth = scene(0)
     for frame in range(8):
-        picture = noisy(truth, frame, 0.03)
-        picture[24:34, 7 * frame + 2 : 7 * frame + 12] = 1
-        write(tmp_path / f"{frame}.png", picture)
+        image = noisy(truth, frame, 0.03)
+        image[24:34, 7 * frame + 2 : 7 * frame + 12] = 1
+        write(tmp_path / f"{frame}.png", image)
     lessons = find_lessons(clips_of(tmp_path))
     assert lessons is not None
     unknown = np.isnan(lessons.learning[0].targets[0])
@@ -183,11 +183,11 @@ def test_bad_input_is_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_damaged_pictures_are_left_out(
+def test_damaged_images_are_left_out(
     tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand_still(tmp_path / "in", 1, 6)
-    (tmp_path / "in" / "0" / "f3.png").write_bytes(b"no picture")
+    (tmp_path / "in" / "0" / "f3.png").write_bytes(b"no image")
     out = tmp_path / "out.safetensors"
     arguments = ["--weights", str(weights), "--steps", "12", "--learning-rate", "1e-3"]
     assert main([str(tmp_path / "in"), "--out", str(out), *arguments]) == 0

@@ -20,7 +20,7 @@ from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.fans import read_fans
 from simnfnd.models.data.images import list_images, read_sample, smallest_side, with_noise
 from simnfnd.models.data.sources import open_data
-from simnfnd.models.recordings.views import frame_picture
+from simnfnd.models.recordings.views import frame_image
 from simnfnd.models.training.train import train
 from tests.models.data.small_renders import SMALL, composed
 from tests.models.recordings.recording_files import pings, write_array
@@ -62,7 +62,7 @@ def test_fan_geometry_is_the_factorys(near: float) -> None:
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Fan pictures with their geometry in a table."""
+    """Fan images with their geometry in a table."""
     folder = tmp_path_factory.mktemp("images")
     rng = np.random.default_rng(3)
     lines = ["file,apex_x,apex_y,edge_slope,top_row,bottom_row"]
@@ -76,7 +76,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
     fan = read_fans(images / "fans.csv")["0.png"]
-    clean = frame_picture(images / "0.png", 0)[0] * fan.maps(0, 0, 48, 48)["sector"]
+    clean = frame_image(images / "0.png", 0)[0] * fan.maps(0, 0, 48, 48)["sector"]
     config = compose_config(["noise=simnfnd"]).noise
     draws = draw(config, 0, StreamNames.single("a"))
     sector = fan.maps(0, 0, 48, 48)["sector"] > 0
@@ -136,7 +136,7 @@ def test_every_kind_of_data_has_a_configuration() -> None:
 LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
 
 
-def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
+def test_frames_stand_beside_images(tmp_path: Path) -> None:
     shutil.copy(LAMPREY, tmp_path / "dive.avi")
     cv2.imwrite(str(tmp_path / "one.png"), np.full((300, 500), 90, np.uint8))
     actual = list_images(tmp_path)
@@ -151,12 +151,12 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
 
 
 def test_arrays_are_recordings_for_training_and_for_evaluate_real(tmp_path: Path) -> None:
-    pictures = pings(9, 30, 40)
-    path = write_array(tmp_path / "a.npy", pictures)
+    images = pings(9, 30, 40)
+    path = write_array(tmp_path / "a.npy", images)
     actual = list_images(path)
     assert [sample.frame for sample in actual] == [f"a.npy#{n}" for n in range(9)]
-    picture, _ = read_sample(actual[5])
-    np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
+    image, _ = read_sample(actual[5])
+    np.testing.assert_allclose(image, images[5] / 255, atol=1e-6)
     words = ("data=olddata", f"data.folder='{path}'", "data.patch=16")
     assert len(open_data(composed(*words)[0]).validation) > 0
     stretches, _ = open_input(str(path))

@@ -191,7 +191,7 @@ def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> No
     sides = {crops(number, 64)["range_fraction"].shape for number in range(3)}
     assert sides == {(6, 1, 40, 48)}
     rising = batch["azimuth_rad"].diff(dim=-1)
-    assert (rising > 0).all(), "a mirrored picture has its bearings from left to right, too"
+    assert (rising > 0).all(), "a mirrored image has its bearings from left to right, too"
     whole = whole_image(source.sample(0, None), extras)
     assert whole["sector"].shape == (1, 1, 40, 48)
 
@@ -205,7 +205,7 @@ def source(rendered: tuple[Path, Path]) -> DeviceSource:
     return drawn
 
 
-def test_every_visit_is_another_picture_and_the_same_one_again(source: DeviceSource) -> None:
+def test_every_visit_is_another_image_and_the_same_one_again(source: DeviceSource) -> None:
     elsewhere = pickle.loads(pickle.dumps(source))
     samples = [source.sample(0, visit) for visit in range(4)]
     assert len({sample.noisy.shape for sample in samples}) > 1

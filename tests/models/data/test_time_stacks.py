@@ -1,4 +1,4 @@
-"""Means of frames as training pictures, and targets that are known in part."""
+"""Means of frames as training images, and targets that are known in part."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_loud_beam_is_not_in_the_target() -> None:
             along = (actual.noisy - actual.clean).mean(axis=0)
             assert along.max() > 5 * np.median(along)
             return
-    raise AssertionError("no loud beam in 60 pictures")
+    raise AssertionError("no loud beam in 60 images")
 
 
 def test_unknown_targets_cost_nothing() -> None:

@@ -17,8 +17,8 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser
+from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.inputs import Item, find_items
-from simnfnd.models.denoise.pictures import Denoising
 from simnfnd.models.denoise.shards import opened_shard
 from simnfnd.models.denoise.writers import CAPTION_PX
 from tests.factory.export.export_dataset import write
@@ -32,7 +32,7 @@ def test_shape_dtype_and_scale_stay(dtype: str, shape: tuple[int, ...]) -> None:
     full = {"uint8": 255, "uint16": 65535, "float32": 1}[dtype]
     image = np.random.default_rng(0).random(shape) * full
     image = image.astype(dtype) if dtype == "float32" else np.rint(image).astype(dtype)
-    result = Denoising(half).denoise_image(image, lambda picture: None).image
+    result = Denoising(half).denoise_image(image, lambda _: None).image
     assert result.shape == shape
     assert result.dtype == image.dtype
     tolerance = 1e-6 if dtype == "float32" else 0.5
@@ -149,7 +149,7 @@ def test_a_bad_file_among_good_ones_is_skipped(
     assert main([str(folder), "--out", str(out), "--weights", str(weights)]) == 1
     said = capsys.readouterr()
     assert "denoised: 1 file(s)" in said.out
-    for name in ("broken.png: not a readable picture", "empty.png", "other.h5: not a readable"):
+    for name in ("broken.png: not a readable image", "empty.png", "other.h5: not a readable"):
         assert name in said.err
     assert [path.name for path in out.iterdir()] == ["good.png"]
     (folder / "good.png").unlink()

@@ -1,4 +1,4 @@
-"""`simnfnd denoise` on recordings of sonars, and on pictures whose fan it finds itself."""
+"""`simnfnd denoise` on recordings of sonars, and on images whose fan it finds itself."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from simnfnd.factory.files import space
 from simnfnd.models.recordings import open_recording
 from tests.models.denoise.untrained import Halving, main
-from tests.models.recordings.fan_pictures import fan, preset
+from tests.models.recordings.fan_images import fan, preset
 from tests.models.recordings.recording_files import (
     pings,
     write_aris,
@@ -73,7 +73,7 @@ def test_stacks_and_arrays_become_the_same(tmp_path: Path, halving: Halving, dty
 
 @pytest.mark.parametrize("name", ["a.npz", "b.mat"])
 def test_arrays_in_files_of_several(tmp_path: Path, halving: Halving, name: str) -> None:
-    """The pictures come back as a .npy file."""
+    """The images come back as a .npy file."""
     samples = pings(5, 41, 48)
     folder = tmp_path / "in"
     folder.mkdir()
@@ -86,12 +86,12 @@ def test_arrays_in_files_of_several(tmp_path: Path, halving: Halving, name: str)
     assert np.abs(actual - samples / 2.0).max() <= 0.5
 
 
-def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:
-    picture = pings(1, 41, 48)[0]
-    assert cv2.imwrite(str(tmp_path / "a.webp"), picture, [cv2.IMWRITE_WEBP_QUALITY, 101])
+def test_a_webp_image_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:
+    image = pings(1, 41, 48)[0]
+    assert cv2.imwrite(str(tmp_path / "a.webp"), image, [cv2.IMWRITE_WEBP_QUALITY, 101])
     assert main([str(tmp_path / "a.webp"), "--out", str(tmp_path / "out")]) == 0
     actual = cv2.imread(str(tmp_path / "out" / "a.webp"), cv2.IMREAD_GRAYSCALE)
-    assert np.abs(actual - picture / 2.0).max() <= 0.5
+    assert np.abs(actual - image / 2.0).max() <= 0.5
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -128,8 +128,8 @@ def test_fans_are_found_unless_told_not_to(
     arguments = [str(folder), "--out", str(tmp_path / "out")]
     assert main(arguments) == 0
     said = capsys.readouterr().out
-    assert f"geometry: fan found in 2 of 3 pictures searched ({folder})" in said
-    assert f"geometry: fan found in 1 of 1 pictures searched ({folder / 'deep'})" in said
+    assert f"geometry: fan found in 2 of 3 images searched ({folder})" in said
+    assert f"geometry: fan found in 1 of 1 images searched ({folder / 'deep'})" in said
     actual = [message for message in halving.geometries if message is not None]
     assert len(actual) == 3
     assert actual[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)
@@ -171,5 +171,5 @@ def test_what_a_killed_run_left_of_pings_goes_with_the_next(
     for name in ("000007.png", "000007_polar.png", half, "notes.txt"):
         (folder / name).touch()
     assert main([str(tmp_path / "a.ddf"), "--out", str(tmp_path / "out")]) == 0
-    pictures = [f"00000{number}{kind}.png" for number in range(2) for kind in ("", "_polar")]
-    assert sorted(path.name for path in folder.iterdir()) == sorted([*pictures, "notes.txt"])
+    images = [f"00000{number}{kind}.png" for number in range(2) for kind in ("", "_polar")]
+    assert sorted(path.name for path in folder.iterdir()) == sorted([*images, "notes.txt"])

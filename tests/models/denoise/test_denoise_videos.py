@@ -1,4 +1,4 @@
-"""Videos, and pictures whose colours stand for levels of echo, in `simnfnd denoise`."""
+"""Videos, and images whose colours stand for levels of echo, in `simnfnd denoise`."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def away(frame: npt.NDArray[Any], reference: Bytes) -> float:
 
 
 @pytest.mark.usefixtures("halving")
-def test_a_picture_is_painted_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_image_is_painted_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     levels = levels_of(0)
     (tmp_path / "in").mkdir()
     for suffix in ("png", "tif", "bmp"):

@@ -1,4 +1,4 @@
-"""Decibels of every weights file that ships, on pictures that never change.
+"""Decibels of every weights file that ships, on images that never change.
 
 Real frames: the first eight of examples/didson/lamprey.avi, which no weights learned from, against
 the mean of the others, inside the fan after one gain and offset.  Procedural pairs:
@@ -59,7 +59,7 @@ def target(members: range) -> Grey:
 
 
 def pairs(kind: str) -> list[tuple[Grey, Grey, FanGeometry]]:
-    """(noisy, clean, geometry) of procedural pictures, `points` or `sonar`."""
+    """(noisy, clean, geometry) of procedural images, `points` or `sonar`."""
     with np.load(PAIRS) as stored:
         return [
             (
@@ -71,12 +71,12 @@ def pairs(kind: str) -> list[tuple[Grey, Grey, FanGeometry]]:
         ]
 
 
-def psnr(picture: Grey, reference: Grey) -> float:
-    return float(-10 * np.log10(np.square(picture - reference).mean()))
+def psnr(image: Grey, reference: Grey) -> float:
+    return float(-10 * np.log10(np.square(image - reference).mean()))
 
 
 def figures(name: str) -> dict[str, float]:
-    """What a file gains, dB: on single frames, on means of seven, on procedural pictures."""
+    """What a file gains, dB: on single frames, on means of seven, on procedural images."""
     denoise = Denoiser(name, "cpu")
     observed, geometry = frames()
     single: list[float] = []

@@ -1,4 +1,4 @@
-"""Pictures that lie otherwise or are dark are denoised as the usual ones are."""
+"""Images that lie otherwise or are dark are denoised as the usual ones are."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import simnfnd
 from simnfnd.models.denoise.command import main
 from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.stretches import Shot, presented
-from tests.models.recordings.fan_pictures import LEFT, TOP, fan, preset, screen, with_rings
+from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen, with_rings
 
-Picture = npt.NDArray[Any]
+Image = npt.NDArray[Any]
 QUARTERS = {"usual": 0, "from the left": 1, "upside down": 2, "from the right": 3}
 
 
@@ -26,7 +26,7 @@ def test_turned_fans_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
     for name, turns in QUARTERS.items():
         assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), np.rot90(grey, turns))
     assert main([str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
-    read: dict[str, Picture] = {
+    read: dict[str, Image] = {
         name: np.asarray(cv2.imread(str(tmp_path / "out" / f"{name}.png"), 0)) for name in QUARTERS
     }
     usual = read["usual"].astype(np.float64)
@@ -76,16 +76,16 @@ def test_samples_of_few_bits_in_files_of_sixteen(bits: int, tmp_path: Path) -> N
     """By the weights that ship, fan and all; before, 12 bits were made worse than they were."""
     grey, _ = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
     scale = (2**bits - 1) / 255
-    pictures = {
+    images = {
         "full": grey.astype(np.uint16) * 257,
         "few": np.rint(grey * scale).astype(np.uint16),
     }
     (tmp_path / "in").mkdir()
-    for name, picture in pictures.items():
-        assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), picture)
+    for name, image in images.items():
+        assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), image)
     assert main([str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
     full, few = (
-        cv2.imread(str(tmp_path / "out" / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in pictures
+        cv2.imread(str(tmp_path / "out" / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in images
     )
     assert np.abs(few / scale - full / 257).mean() < 2
     assert np.abs(full / 257 - grey).mean() > 3, "that is less than what denoising does"

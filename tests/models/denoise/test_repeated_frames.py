@@ -14,13 +14,13 @@ import pytest
 from simnfnd import denoise
 from simnfnd import open_recording as open_shown
 from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.inputs import Geometries, find_items
-from simnfnd.models.denoise.pictures import Denoising
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.fan_tracking import FanTracker
 from simnfnd.models.recordings.repeats import CopyFinder, RepeatFinder
 from simnfnd.models.stretches import read_clips
-from tests.models.recordings.fan_pictures import fan, preset
+from tests.models.recordings.fan_images import fan, preset
 from tests.models.recordings.video_files import encode
 
 Bytes = npt.NDArray[Any]
@@ -177,7 +177,7 @@ def test_a_video_without_a_fan_is_not_searched_all_the_time() -> None:
     assert tracker.searched <= 8
 
 
-def test_a_folder_of_pictures_keeps_a_fan_each(tmp_path: Path) -> None:
+def test_a_folder_of_images_keeps_a_fan_each(tmp_path: Path) -> None:
     frames = pings(2)
     for number, frame in enumerate((shrunk(frames[0]), frames[1])):
         assert cv2.imwrite(str(tmp_path / f"{number}.png"), frame)

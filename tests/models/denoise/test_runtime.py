@@ -31,7 +31,7 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import KEY, Arrays, read_weights, save_weights
 from simnfnd.models.pretrained import find_weights, shipped
 from simnfnd.models.pretrained.export import main as export
-from tests.models.recordings.fan_pictures import fan, preset
+from tests.models.recordings.fan_images import fan, preset
 
 Change = Callable[[Arrays], Arrays]
 MODELS = {
@@ -50,7 +50,7 @@ MODELS = {
 def both(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, Path]:
-    """Weights of a small network that changes pictures, and its graph."""
+    """Weights of a small network that changes images, and its graph."""
     return exported(MODELS[request.param], tmp_path_factory.mktemp("runtime"))
 
 
@@ -102,21 +102,19 @@ def test_onnxruntime_gets_what_torch_gets(
     both: tuple[Path, Path], kind: str, frames: float | str | None
 ) -> None:
     drawn, geometry = fan(preset("aris_explorer_3000", 90, 127), 0.3, holes=False)
-    picture = drawn.astype(np.float32) / 255
-    polar = FanGeometry.polar().with_size(*picture.shape)
+    image = drawn.astype(np.float32) / 255
+    polar = FanGeometry.polar().with_size(*image.shape)
     known = {"fan": geometry, "polar": polar, "unknown": None}[kind]
     message: float | np.ndarray | None = None if isinstance(frames, str) else frames
     if frames == "map":
-        message = np.random.default_rng(0).uniform(1, 7, picture.shape).astype(np.float32)
+        message = np.random.default_rng(0).uniform(1, 7, image.shape).astype(np.float32)
     of_torch = in_torch(both)
     of_onnx = in_onnx(both)
-    wished = of_torch(picture, known, frames=message)
-    assert np.abs(wished - picture).max() > 0.01
-    np.testing.assert_allclose(
-        of_onnx(picture, known, frames=message), wished, atol=within(of_onnx)
-    )
+    wished = of_torch(image, known, frames=message)
+    assert np.abs(wished - image).max() > 0.01
+    np.testing.assert_allclose(of_onnx(image, known, frames=message), wished, atol=within(of_onnx))
     if frames is not None and of_onnx.knows_frames:
-        assert np.abs(of_torch(picture, known) - wished).max() > 1e-4
+        assert np.abs(of_torch(image, known) - wished).max() > 1e-4
 
 
 @pytest.mark.parametrize("name", sorted(shipped()))
@@ -129,10 +127,10 @@ def test_weights_that_ship_run_in_onnxruntime_as_in_torch(name: str, tmp_path: P
     assert export([name, "--to", "runtime", "--out", str(again)]) == 0
     assert again.read_bytes() == find_weights(name).with_suffix(".onnx").read_bytes()
     drawn, geometry = fan(preset("aris_explorer_3000", 150, 211), 0.3, holes=False)
-    picture = drawn.astype(np.float32) / 255
+    image = drawn.astype(np.float32) / 255
     of_torch.runtime = TorchNetwork(find_weights(name), "cpu")
-    wished = of_torch(picture, geometry)
-    np.testing.assert_allclose(denoise(picture, geometry), wished, atol=within(denoise))
+    wished = of_torch(image, geometry)
+    np.testing.assert_allclose(denoise(image, geometry), wished, atol=within(denoise))
 
 
 def widest(arrays: Arrays) -> str:
@@ -192,18 +190,18 @@ def write_arrays(path: Path, header: Any, arrays: Arrays) -> Path:
     return path
 
 
-def test_a_picture_is_denoised_without_torch(tmp_path: Path) -> None:
+def test_an_image_is_denoised_without_torch(tmp_path: Path) -> None:
     drawn, _ = fan(preset("aris_explorer_3000", 150, 211), 0.3, holes=False)
-    cv2.imwrite(str(tmp_path / "picture.png"), drawn)
+    cv2.imwrite(str(tmp_path / "image.png"), drawn)
     script = (
         "import sys; from simnfnd.command import main; code = main(sys.argv[1:]); "
         "print(*(name for name in ('torch', 'onnx') if name in sys.modules)); "
         "sys.exit(code)"
     )
-    words = ["denoise", str(tmp_path / "picture.png"), "--out", str(tmp_path / "out")]
+    words = ["denoise", str(tmp_path / "image.png"), "--out", str(tmp_path / "out")]
     done = subprocess.run(
         [sys.executable, "-c", script, *words], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == ""
-    assert (tmp_path / "out" / "picture.png").is_file()
+    assert (tmp_path / "out" / "image.png").is_file()

@@ -184,8 +184,8 @@ def test_what_is_no_array_says_so_in_one_line(tmp_path: Path) -> None:
         "text.mat": "text file",
         "empty.mat": "not a readable array",
         "noise.mat": "not a readable array",
-        "words.mat": "holds no pictures",
-        "none.h5": "holds no pictures",
+        "words.mat": "holds no images",
+        "none.h5": "holds no images",
     }.items():
         with pytest.raises(FactoryError, match=words) as caught:
             open_recording(tmp_path / name)

@@ -16,14 +16,14 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors, space, write_atomically
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command, writers
+from simnfnd.models.denoise.images import Gray
 from simnfnd.models.denoise.inputs import Item, items_below
 from simnfnd.models.denoise.journal import JOURNAL_NAME, opened_journal
-from simnfnd.models.denoise.pictures import Gray
 from tests.models.adapt.scenes import noisy, scene, write
 
 
 class Stopping:
-    """Halves, and is stopped by a signal at a picture."""
+    """Halves, and is stopped by a signal at an image."""
 
     name = "stopping"
     digest = "0"
@@ -230,17 +230,17 @@ def test_a_video_that_is_stopped_leaves_nothing(
 def test_no_input_is_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By no result, and by no sheet to compare by."""
     folder = tmp_path / "in/compare"
-    pictures = [folder / "a.png", folder / "a.png.png"]
-    for picture in pictures:
-        write(picture, scene(0))
-    before = pictures[0].read_bytes()
+    images = [folder / "a.png", folder / "a.png.png"]
+    for image in images:
+        write(image, scene(0))
+    before = images[0].read_bytes()
     use(monkeypatch, None)
     for out, compare in ((folder, []), (folder.parent, ["--compare"])):
-        words = [*map(str, pictures), "--out", str(out), *compare]
+        words = [*map(str, images), "--out", str(out), *compare]
         with pytest.raises(FactoryError, match="would overwrite the input"):
             command.main(words)
-    assert [picture.read_bytes() for picture in pictures] == [before] * 2
-    assert sorted(folder.iterdir()) == pictures
+    assert [image.read_bytes() for image in images] == [before] * 2
+    assert sorted(folder.iterdir()) == images
     assert list(folder.parent.iterdir()) == [folder]
 
 

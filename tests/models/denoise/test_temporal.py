@@ -15,8 +15,8 @@ import pytest
 from simnfnd import denoise
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.inputs import find_items, sequences
-from simnfnd.models.denoise.pictures import Denoising
 from simnfnd.models.denoise.temporal.fusion import Fusion, Neighbour
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, Shot
@@ -46,14 +46,14 @@ def view(wide: Grey, right: float = 0, down: float = 0, turn_deg: float = 0) -> 
     return np.array(np.clip(moved, 0, 1), dtype=np.float32)
 
 
-def noisy(picture: Grey, seed: int) -> Grey:
-    noise = np.random.default_rng(seed).normal(0, NOISE, picture.shape)
-    noisy_frame: Grey = np.clip(picture + noise, 0, 1).astype(np.float32)
+def noisy(image: Grey, seed: int) -> Grey:
+    noise = np.random.default_rng(seed).normal(0, NOISE, image.shape)
+    noisy_frame: Grey = np.clip(image + noise, 0, 1).astype(np.float32)
     return noisy_frame
 
 
-def error(picture: Grey, truth: Grey, edge: int = 12) -> float:
-    return float((picture - truth)[edge:-edge, edge:-edge].std())
+def error(image: Grey, truth: Grey, edge: int = 12) -> float:
+    return float((image - truth)[edge:-edge, edge:-edge].std())
 
 
 def motion_between(first: Grey, second: Grey) -> Motion | None:
@@ -79,7 +79,7 @@ def through(
     stream = InTime(as_it_is, frames=window, causal=causal, calibrated=calibrated, tally=tally)
     denoised = list(stream(shots(frames)))
     assert [key for key, _ in denoised] == list(range(len(frames)))
-    return [picture for _, picture in denoised], tally
+    return [image for _, image in denoised], tally
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
         return gray / 2
 
     denoising = Denoising(halving)
-    shuffled = (denoising.shot(n, frame, lambda picture: None) for n, frame in enumerate(frames))
+    shuffled = (denoising.shot(n, frame, lambda image: None) for n, frame in enumerate(frames))
     for denoised in denoising.sequence(shuffled):
         np.testing.assert_allclose(denoised.image, frames[denoised.key] / 2, atol=1e-6)
     assert next(denoising.summary()).endswith("9 of 9 frames matched no neighbour")
@@ -123,7 +123,7 @@ def test_where_nothing_moves_all_frames_count() -> None:
     frames = [noisy(truth, number) for number in range(14)]
     denoised, tally = through(frames, calibrated=False)
     plain = np.mean(frames[3:10], axis=0)
-    assert tally["frames"] / tally["pictures"] > 5.8  # the first and last have fewer neighbours
+    assert tally["frames"] / tally["images"] > 5.8  # the first and last have fewer neighbours
     assert tally["alone"] == 0
     # The usual strength takes a little total variation: no worse than the mean.
     assert error(denoised[6], truth) < 1.03 * error(plain, truth)
@@ -151,9 +151,9 @@ def test_a_faint_target_on_a_path_keeps_its_contrast_and_loses_its_noise() -> No
     for number in range(24):
         top, left = 30 + 2 * number, 40 + 4 * number
         box = np.s_[top : top + shape[0], left : left + shape[1]]
-        picture = ground.copy()
-        picture[box] += 1.5 * NOISE
-        frames.append(noisy(picture, number))
+        clean = ground.copy()
+        clean[box] += 1.5 * NOISE
+        frames.append(noisy(clean, number))
         boxes.append(box)
     contrasts = []
     residuals = []
@@ -191,11 +191,11 @@ def test_what_moves_leaves_no_trail_and_does_not_fade() -> None:
     truth = []
     frames = []
     for number in range(12):
-        picture = view(scene())
+        image = view(scene())
         top, left = 60 + 4 * number, 40 + 10 * number
-        picture[top : top + 10, left : left + 14] = 0.95
-        truth.append(picture)
-        frames.append(noisy(picture, number))
+        image[top : top + 10, left : left + 14] = 0.95
+        truth.append(image)
+        frames.append(noisy(image, number))
     aligner = Aligner(14)
     fusion = Fusion()
     for number, frame in enumerate(frames):
@@ -269,7 +269,7 @@ def test_memory_stays_flat() -> None:
 
 
 def test_the_recording_chooses_the_strength() -> None:
-    """A network that removes the noise gets a part, one that spoils the picture gets none."""
+    """A network that removes the noise gets a part, one that spoils the image gets none."""
     truth = view(scene())
     frames = [noisy(truth, number) for number in range(24)]
 
@@ -302,7 +302,7 @@ def test_windows_that_cannot_be(frames: int) -> None:
         Denoising(as_it_is, frames=frames)
 
 
-def test_sequences_are_pictures_that_differ_in_their_last_number(tmp_path: Path) -> None:
+def test_sequences_are_images_that_differ_in_their_last_number(tmp_path: Path) -> None:
     names = ["a2.png", "a10.png", "a1.png", "b1.png", "x.png", "a1.jpg"]
     for name in names:
         assert cv2.imwrite(str(tmp_path / name), np.zeros((20, 20), np.uint8))

@@ -1,4 +1,4 @@
-"""Large pictures are denoised in tiles without a seam, those of wide grain at smaller sizes."""
+"""Large images are denoised in tiles without a seam, those of wide grain at smaller sizes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from simnfnd.models.denoise.denoiser import Denoiser, tiled
-from simnfnd.models.denoise.pictures import Gray as Grey
+from simnfnd.models.denoise.images import Gray as Grey
 from tests.small_dataset import fan_images
 
 
@@ -31,7 +31,7 @@ def test_tiles_leave_no_seam() -> None:
     assert np.median(middle) < 1e-6
 
 
-def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:
+def test_large_images_are_denoised_in_tiles(weights: Path) -> None:
     noisy, _, _ = fan_images(96, np.random.default_rng(2))
     denoise = Denoiser(weights, "cpu")
     whole = denoise(noisy)
@@ -63,7 +63,7 @@ def larger(grey: Grey, times: float) -> Grey:
     return np.asarray(actual, np.float32)
 
 
-def test_weights_that_ship_denoise_enlarged_pictures() -> None:
+def test_weights_that_ship_denoise_enlarged_images() -> None:
     """Twice as wide grain leaves hardly more noise than grain of a pixel."""
     once = Denoiser("simnfnd", "cpu")
     assert once.runtime.wide_grain == 0.56

@@ -12,7 +12,7 @@ import torch
 
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command
-from simnfnd.models.denoise.pictures import Gray
+from simnfnd.models.denoise.images import Gray
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 

@@ -47,7 +47,7 @@ def test_weights_of_earlier_versions_are_taken() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_network_learns(kind: str) -> None:
-    """Smooth pictures under heavy haze: a few steps take away half of the error."""
+    """Smooth images under heavy haze: a few steps take away half of the error."""
     network = tiny(kind).train()
     source = torch.Generator().manual_seed(2)
     coarse = torch.rand(8, 1, 3, 3, generator=source)

@@ -18,7 +18,7 @@ from tests.models.networks.tiny_networks import stirred, tiny
 
 
 def random_inputs(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
-    """A random picture of a fan of 60 degrees that fills it, and what goes with it."""
+    """A random image of a fan of 60 degrees that fills it, and what goes with it."""
     image = torch.rand(1, 1, size, size, generator=torch.Generator().manual_seed(0))
     step = (torch.arange(size) + 0.5) / size
     ahead = 1 - 0.9 * step[:, None]
@@ -31,7 +31,7 @@ def random_inputs(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor
     return image * extras["sector"], extras
 
 
-def test_the_mask_gates_the_picture_inside_the_sector() -> None:
+def test_the_mask_gates_the_image_inside_the_sector() -> None:
     network = stirred(tiny("sonarnet"))
     image, extras = random_inputs(network, 32)
     image = image + 0.1
@@ -45,7 +45,7 @@ def test_the_mask_gates_the_picture_inside_the_sector() -> None:
     torch.testing.assert_close(restored[~outside], gated[~outside])
 
 
-def test_the_weight_is_the_part_of_the_change_that_a_picture_gets() -> None:
+def test_the_weight_is_the_part_of_the_change_that_an_image_gets() -> None:
     network = stirred(tiny("sonarnet", forget=0.0))
     assert isinstance(network, SonarNet)
     image, extras = random_inputs(network, 32)
@@ -62,7 +62,7 @@ def test_the_weight_is_the_part_of_the_change_that_a_picture_gets() -> None:
         assert not torch.equal(whole.image, image)
 
 
-def test_what_to_remove_changes_the_picture() -> None:
+def test_what_to_remove_changes_the_image() -> None:
     network = stirred(tiny("sonarnet"))
     image, extras = random_inputs(network, 32)
     usual = network(image, **extras)
@@ -85,7 +85,7 @@ def test_geometry_is_forgotten_in_training_alone() -> None:
 
 
 def fan_and_polar() -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-    """A smooth polar picture, the factory's fan picture of it, and the maps of the fan."""
+    """A smooth polar image, the factory's fan image of it, and the maps of the fan."""
     rows = 80
     columns = 96
     near = 0.3

@@ -23,12 +23,12 @@ from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.pretrained.export import main
 from simnfnd.models.pretrained.onnx_graph import OPSET, Graph, Layout, compared
 from tests.models.networks.tiny_networks import TINY
-from tests.models.recordings.fan_pictures import fan, preset
+from tests.models.recordings.fan_images import fan, preset
 from tests.project.run_example import run
 
 
 def weights(folder: Path, kind: str) -> Path:
-    """A small network of this kind that changes pictures."""
+    """A small network of this kind that changes images."""
     model = {"kind": kind, **TINY[kind]}
     torch.manual_seed(1)
     network = build_network(model)
@@ -100,21 +100,21 @@ def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float)
 def test_the_example_denoises_as_the_command_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The shipped weights, on a fan found in its picture; pictures may round differently."""
+    """The shipped weights, on a fan found in its image; images may round differently."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
-    cv2.imwrite("picture.png", fan(preset("aris_1800_lf", 128, 160), 0.3, holes=False)[0])
+    cv2.imwrite("image.png", fan(preset("aris_1800_lf", 128, 160), 0.3, holes=False)[0])
     words = ("export-weights", "simnfnd", "--to", "onnx", "--geometry", "fan", "--out", "fan.onnx")
     assert command(words) == 0
-    geometry = open_recording("picture.png")[0].geometry
+    geometry = open_recording("image.png")[0].geometry
     assert geometry is not None
-    write_fans("fans.csv", {"picture.png": geometry})
-    assert command(("denoise", "picture.png", "--geometry", "fans.csv", "--out", "out")) == 0
-    done = run("onnx_denoise.py", "fan.onnx", "picture.png", "a.png", "fans.csv", cwd=tmp_path)
+    write_fans("fans.csv", {"image.png": geometry})
+    assert command(("denoise", "image.png", "--geometry", "fans.csv", "--out", "out")) == 0
+    done = run("onnx_denoise.py", "fan.onnx", "image.png", "a.png", "fans.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    theirs, ours = (cv2.imread(str(path), 0).astype(int) for path in ("a.png", "out/picture.png"))
+    theirs, ours = (cv2.imread(str(path), 0).astype(int) for path in ("a.png", "out/image.png"))
     difference = np.abs(theirs - ours)
     assert difference.max() <= 1
     assert (difference > 0).mean() < 0.01
-    assert (np.abs(ours - cv2.imread("picture.png", 0).astype(int)) > 5).any()
+    assert (np.abs(ours - cv2.imread("image.png", 0).astype(int)) > 5).any()

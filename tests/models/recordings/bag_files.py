@@ -50,17 +50,17 @@ def sonar(store: Any, number: int, samples: np.ndarray, *, side: int = 1, big: b
 
 
 def image(
-    store: Any, number: int, picture: np.ndarray, encoding: str = "mono8", padding: int = 0
+    store: Any, number: int, image: np.ndarray, encoding: str = "mono8", padding: int = 0
 ) -> Any:
-    rows = picture.reshape(len(picture), -1).view(np.uint8)
+    rows = image.reshape(len(image), -1).view(np.uint8)
     rows = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
     return store.types[IMAGE](
-        header(store, number), *picture.shape[:2], encoding, 0, rows.shape[1], rows.ravel()
+        header(store, number), *image.shape[:2], encoding, 0, rows.shape[1], rows.ravel()
     )
 
 
-def compressed(store: Any, number: int, picture: np.ndarray, suffix: str = ".png") -> Any:
-    content = cv2.imencode(suffix, picture)[1]
+def compressed(store: Any, number: int, image: np.ndarray, suffix: str = ".png") -> Any:
+    content = cv2.imencode(suffix, image)[1]
     return store.types[COMPRESSED](header(store, number), suffix[1:], np.asarray(content).ravel())
 
 

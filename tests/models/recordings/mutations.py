@@ -20,8 +20,8 @@ def use(path: Path, *, again: bool = True) -> None:
         for frame in recording:
             assert frame.samples.nbytes < 1 << 24
             if frame.beams is not None:
-                picture, _ = fan_of(grey_of(frame), frame.beams)
-                assert np.isfinite(picture).all()
+                image, _ = fan_of(grey_of(frame), frame.beams)
+                assert np.isfinite(image).all()
         if again and isinstance(recording, RosBag):
             target = path.with_name(f"again{path.suffix}")
             recording.rewrite((frame.samples for frame in recording), target)

@@ -130,7 +130,7 @@ def write_oculus(
 
 
 def write_black_png(path: Path, side: int) -> Path:
-    """A square picture of zeros, a thousandth as large as what it unpacks to; never in memory."""
+    """A square image of zeros, a thousandth as large as what it unpacks to; never in memory."""
     packer = zlib.compressobj(1)
     rows = b"".join(packer.compress(bytes(side + 1)) for _ in range(side)) + packer.flush()
     chunks = [(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)), (b"IDAT", rows)]
@@ -180,15 +180,15 @@ def write_log(path: Path, samples: Bytes, *, packed: bool = False) -> Path:
     return path
 
 
-def write_array(path: Path, pictures: Any, **others: Any) -> Path:
-    """Pictures (N, H, W) or (N, H, W, 3) named `frames`, and what else lies beside them.
+def write_array(path: Path, images: Any, **others: Any) -> Path:
+    """Images (N, H, W) or (N, H, W, 3) named `frames`, and what else lies beside them.
 
     a.npz, a.mat: compressed; b.npz, b.mat: plain.
     """
-    arrays = {"frames": np.asarray(pictures), **others}
+    arrays = {"frames": np.asarray(images), **others}
     plain = path.stem == "b"
     if path.suffix == ".npy":
-        np.save(path, pictures)
+        np.save(path, images)
     elif path.suffix == ".npz":
         (np.savez if plain else np.savez_compressed)(path, **arrays)
     else:
@@ -198,6 +198,6 @@ def write_array(path: Path, pictures: Any, **others: Any) -> Path:
 
 
 def matlab(array: Any) -> Any:
-    """An array of pictures as MATLAB keeps them, the number of the picture last."""
+    """An array of images as MATLAB keeps them, the number of the image last."""
     array = np.asarray(array)
     return np.moveaxis(array, 0, -1) if array.ndim > 2 else array

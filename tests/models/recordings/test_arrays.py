@@ -1,4 +1,4 @@
-"""Arrays of NumPy and MATLAB as pictures and recordings, and how much they may unpack to."""
+"""Arrays of NumPy and MATLAB as images and recordings, and how much they may unpack to."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import scipy.io
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.recordings import base, is_recording, kind_of, open_recording
 from simnfnd.models.recordings.arrays import is_table
-from simnfnd.models.recordings.pictures import read_picture
+from simnfnd.models.recordings.images import read_image
 from tests.models.recordings.recording_files import pings, write_array
 
 NAMES = ("a.npz", "b.npz", "a.mat", "b.mat")
@@ -25,17 +25,17 @@ def saved(path: Path, array: Any) -> Path:
 
 @pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2", "f2", "f4", "f8"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_a_picture_and_several(tmp_path: Path, dtype: str, order: Any) -> None:
+def test_an_image_and_several(tmp_path: Path, dtype: str, order: Any) -> None:
     values = pings(3, 30, 40) / (255 if dtype[0] == "f" else 1)
     array = np.asarray(values.astype(dtype), order=order)
     single = saved(tmp_path / "one.npy", array[1])
     several = saved(tmp_path / "more.npy", array)
-    assert (kind_of(single), is_recording(single)) == ("pictures", False)
+    assert (kind_of(single), is_recording(single)) == ("images", False)
     assert (kind_of(several), is_recording(several)) == ("array", True)
     remaining = np.dtype("f4") if dtype[0] == "f" else np.dtype(dtype).newbyteorder("=")
-    assert read_picture(single).dtype == remaining
-    np.testing.assert_array_equal(read_picture(single), array[1].astype(remaining))
-    np.testing.assert_array_equal(read_picture(several), array[0].astype(remaining))
+    assert read_image(single).dtype == remaining
+    np.testing.assert_array_equal(read_image(single), array[1].astype(remaining))
+    np.testing.assert_array_equal(read_image(several), array[0].astype(remaining))
     np.savez(tmp_path / "a.npz", frames=array)
     for path in (several, tmp_path / "a.npz"):
         with open_recording(path) as recording:
@@ -46,7 +46,7 @@ def test_a_picture_and_several(tmp_path: Path, dtype: str, order: Any) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_files_of_one_array_of_pictures(tmp_path: Path, name: str) -> None:
+def test_files_of_one_array_of_images(tmp_path: Path, name: str) -> None:
     """Colours are red first, tables beside it do not count, and of several none is taken."""
     coloured = np.random.default_rng(1).integers(0, 256, (5, 20, 24, 3), dtype=np.uint8)
     path = write_array(tmp_path / name, coloured, poses=np.zeros((5, 4, 4)))
@@ -67,13 +67,13 @@ def test_files_of_one_array_of_pictures(tmp_path: Path, name: str) -> None:
     ],
     ids=lambda array: f"{array.shape} {array.dtype}",
 )  # fmt: skip
-def test_tables_are_no_pictures(tmp_path: Path, array: Any) -> None:
-    """Poses and masks that lie beside pictures."""
+def test_tables_are_no_images(tmp_path: Path, array: Any) -> None:
+    """Poses and masks that lie beside images."""
     path = saved(tmp_path / "a.npy", array)
     assert kind_of(path) is None
     assert is_table(path)
     with pytest.raises(FactoryError, match=r"a\.npy: "):
-        read_picture(path)
+        read_image(path)
     with pytest.raises(FactoryError, match="holds no "):
         open_recording(tmp_path)
 
@@ -90,7 +90,7 @@ def test_tables_are_no_pictures(tmp_path: Path, array: Any) -> None:
 )
 def test_values_that_are_no_grey_values(tmp_path: Path, array: Any, words: str) -> None:
     with pytest.raises(FactoryError, match=f"a.npy: .*{words}"):
-        read_picture(saved(tmp_path / "a.npy", array))
+        read_image(saved(tmp_path / "a.npy", array))
     several = saved(tmp_path / "b.npy", np.stack([array, array]))
     with open_recording(several) as recording, pytest.raises(FactoryError, match=words):
         recording[1]
@@ -102,10 +102,10 @@ def test_files_that_are_no_arrays(tmp_path: Path) -> None:
     for content in (b"", b"hello", whole[:60], whole[:200], b"\x93NUMPY\x09\x00" + whole[8:]):
         path.write_bytes(content)
         with pytest.raises(FactoryError, match=r"a.npy: .*array"):
-            read_picture(path)
+            read_image(path)
     np.save(path, np.array([{1: 2}], dtype=object), allow_pickle=True)
     with pytest.raises(FactoryError, match="not a readable array"):
-        read_picture(path)
+        read_image(path)
 
 
 @pytest.mark.parametrize("name", ["a.npz", "doubles.mat"])

@@ -84,7 +84,7 @@ def test_damaged_frames_are_left_out_and_counted(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.avi", pings(8, 48, 64))
     content = bytearray(path.read_bytes())
     third = content.index(b"00dc", content.index(b"00dc", content.index(b"00dc") + 4) + 4)
-    content[third + 8 : third + 12] = b"\0\0\0\0"  # no picture begins so
+    content[third + 8 : third + 12] = b"\0\0\0\0"  # no image begins so
     path.write_bytes(content)
     with open_recording(path) as recording:
         assert len(list(recording)) in (7, 8)

@@ -1,4 +1,4 @@
-"""Fans found in pictures, against the geometry that the pictures were made with."""
+"""Fans found in images, against the geometry that the images were made with."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.recordings.palettes import find_painted
-from tests.models.recordings.fan_pictures import LEFT, TOP, Grey, fan, preset, screen
+from tests.models.recordings.fan_images import LEFT, TOP, Grey, fan, preset, screen
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
@@ -69,7 +69,7 @@ def test_a_squeezed_fan(squeeze: float) -> None:
     assert actual.apex_x_px == pytest.approx((width - 1) / 2, abs=1)
 
 
-def test_what_happens_to_pictures_on_their_way() -> None:
+def test_what_happens_to_images_on_their_way() -> None:
     """JPEG, text, other types, margins and sizes leave the fan where it is."""
     grey, true = fan(preset("didson_hf", 300, 500), 0.2, False)
     check(find_geometry(grey), true)
@@ -145,11 +145,11 @@ def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
 def test_fans_between_drawn_lines_of_chart_plotters() -> None:
     """Half of the fan is dark, and its range ring and edges are white lines."""
     path = min((DATA / "screens").glob("*_mask_template.png"))
-    picture = np.asarray(cv2.imread(str(path)))
-    painted = find_painted(picture)
+    image = np.asarray(cv2.imread(str(path)))
+    painted = find_painted(image)
     assert painted is not None
     assert painted.palette.name == "red"
-    for shown in (picture, painted.levels):
+    for shown in (image, painted.levels):
         fan = find_geometry(shown)
         assert fan is not None
         assert (fan.apex_x_px, fan.apex_y_px) == pytest.approx((960, 995), abs=10)
@@ -180,10 +180,10 @@ def no_fans() -> dict[str, npt.NDArray[Any]]:
     return images
 
 
-def test_pictures_without_a_fan() -> None:
-    for name, picture in no_fans().items():
-        assert find_geometry(picture) is None, name
-        assert find_geometry(255 - np.rot90(picture)) is None, (name, "turned negative")
+def test_images_without_a_fan() -> None:
+    for name, image in no_fans().items():
+        assert find_geometry(image) is None, name
+        assert find_geometry(255 - np.rot90(image)) is None, (name, "turned negative")
 
 
 @pytest.mark.skipif(not (DATA / "mdd").is_dir(), reason="no shared data")
@@ -192,8 +192,8 @@ def test_mdd() -> None:
         rows = list(csv.DictReader(file))
     assert len(rows) == 117
     for row in rows[::16]:
-        picture = cv2.imread(str(DATA / "mdd" / "Images" / row["file"]), cv2.IMREAD_UNCHANGED)
-        fan = find_geometry(np.asarray(picture))
+        image = cv2.imread(str(DATA / "mdd" / "Images" / row["file"]), cv2.IMREAD_UNCHANGED)
+        fan = find_geometry(np.asarray(image))
         assert fan is not None
         assert fan.apex_x_px == pytest.approx(float(row["apex_x"]), abs=2)
         assert fan.apex_y_px == pytest.approx(float(row["apex_y"]), abs=2)

@@ -16,7 +16,7 @@ import pytest
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.ros_types import SONAR, typestore
 from simnfnd.models.recordings import base, open_recording
-from simnfnd.models.recordings.pictures import read_picture
+from simnfnd.models.recordings.images import read_image
 from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE
 from simnfnd.models.recordings.sonar_files import ArisFile
 from tests.models.recordings.bag_files import compressed, image, sonar, write_bag
@@ -145,7 +145,7 @@ def test_damage_that_libraries_pass_over_stays_off_the_terminal(
     assert cv2.imwrite(str(tmp_path / "a.jpg"), pings(1, 64, 64)[0])
     content = (tmp_path / "a.jpg").read_bytes()
     (tmp_path / "a.jpg").write_bytes(content[: len(content) // 2] + b"\0" * 40 + b"\xff\xd9")
-    read_picture(tmp_path / "a.jpg")
+    read_image(tmp_path / "a.jpg")
     path = write_video(tmp_path / "a.avi", pings(4, 48, 64))
     content = path.read_bytes()
     path.write_bytes(content[:6000] + bytes(2000) + content[8000:])
@@ -154,10 +154,10 @@ def test_damage_that_libraries_pass_over_stays_off_the_terminal(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_picture_that_is_too_large_says_how_large_is_allowed(tmp_path: Path) -> None:
+def test_an_image_that_is_too_large_says_how_large_is_allowed(tmp_path: Path) -> None:
     write_black_png(tmp_path / "a.png", 9000)
     with pytest.raises(FrameError, match=r"a\.png: .*67,108,864"):
-        read_picture(tmp_path / "a.png")
+        read_image(tmp_path / "a.png")
 
 
 def test_a_stack_that_unpacks_to_too_much_is_refused(

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simnfnd.models.recordings.palettes import SUM, find_painted, grey_of_colours
-from tests.models.recordings.fan_pictures import LEFT, TOP, fan, preset, screen, with_rings
+from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen, with_rings
 
 KNOWN = ("JET", "TURBO", "RAINBOW", "VIRIDIS", "HOT", "OCEAN", "BONE", "PARULA", "INFERNO")
 Bytes = npt.NDArray[Any]
@@ -85,15 +85,15 @@ def test_what_does_not_change_keeps_its_colours(seed: int, name: str, dtype: str
     page = np.pad(colours, ((30, 30), (30, 30), (0, 0)), constant_values=255)
     page = np.dstack([page, np.full(page.shape[:2], 255, np.uint8)])
     full = {"u1": 255, "u2": 65535, "f4": 1}[dtype]
-    picture = (page * (full / 255)).astype(dtype)
-    actual = find_painted(picture)
+    image = (page * (full / 255)).astype(dtype)
+    actual = find_painted(image)
     assert actual is not None
-    np.testing.assert_array_equal(actual.repainted(actual.levels), picture)
+    np.testing.assert_array_equal(actual.repainted(actual.levels), image)
     darker = actual.repainted(actual.levels / 2)
-    assert darker.dtype == picture.dtype
-    np.testing.assert_array_equal(darker[..., 3], picture[..., 3])
-    np.testing.assert_array_equal(darker[~actual.known], picture[~actual.known])
-    assert (darker[30:-30, 50:-50] != picture[30:-30, 50:-50]).any()
+    assert darker.dtype == image.dtype
+    np.testing.assert_array_equal(darker[..., 3], image[..., 3])
+    np.testing.assert_array_equal(darker[~actual.known], image[~actual.known])
+    assert (darker[30:-30, 50:-50] != image[30:-30, 50:-50]).any()
 
 
 @pytest.mark.parametrize("quality", [60, 90])

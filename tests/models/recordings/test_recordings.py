@@ -15,7 +15,7 @@ from PIL import Image
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import is_recording, kind_of, open_recording
 from simnfnd.models.recordings.base import Beams
-from simnfnd.models.recordings.pictures import read_picture
+from simnfnd.models.recordings.images import read_image
 from simnfnd.models.recordings.sonar_files import ArisFile, beam_centres_deg
 from simnfnd.models.recordings.views import fan_of, grey_of, polar_geometry
 from tests.models.recordings.recording_files import (
@@ -195,7 +195,7 @@ def test_an_animated_gif(tmp_path: Path) -> None:
         np.testing.assert_array_equal(recording[0].samples, colours[0, ..., ::-1])
 
 
-def test_video_and_pictures(tmp_path: Path) -> None:
+def test_video_and_images(tmp_path: Path) -> None:
     frames = np.repeat(np.linspace(20, 220, 5).astype(np.uint8), 48 * 64).reshape(5, 48, 64)
     with open_recording(write_video(tmp_path / "a.avi", frames)) as recording:
         assert len(recording) == 5
@@ -205,18 +205,18 @@ def test_video_and_pictures(tmp_path: Path) -> None:
     assert [frame.samples.shape for frame in order] == [(48, 64)] * 4
     assert np.abs(np.array(read).astype(int) - frames).max() <= 3
     assert abs(int(order[0].samples[5, 5]) - int(frames[3, 5, 5])) <= 3
-    folder = tmp_path / "pictures"
+    folder = tmp_path / "images"
     folder.mkdir()
-    for name, picture in (("b.png", frames[0]), ("a.tif", frames[1].astype(np.uint16) * 257)):
-        assert cv2.imwrite(str(folder / name), picture)
+    for name, image in (("b.png", frames[0]), ("a.tif", frames[1].astype(np.uint16) * 257)):
+        assert cv2.imwrite(str(folder / name), image)
     (folder / "notes.txt").write_text("none")
-    (folder / "c.png").write_bytes(b"no picture")
-    pictures = open_recording(folder)
-    assert len(pictures) == 3
-    assert pictures[0].samples.dtype == np.uint16
-    assert np.array_equal(pictures[1].samples, frames[0])
+    (folder / "c.png").write_bytes(b"no image")
+    images = open_recording(folder)
+    assert len(images) == 3
+    assert images[0].samples.dtype == np.uint16
+    assert np.array_equal(images[1].samples, frames[0])
     with pytest.raises(FrameError, match=r"c\.png: not a readable"):
-        pictures[2]
+        images[2]
     assert len(open_recording(folder / "b.png")) == 1
 
 
@@ -234,13 +234,13 @@ def test_a_stack_of_pages(tmp_path: Path, dtype: Any) -> None:
 
 
 def test_pages_that_are_no_frames(tmp_path: Path) -> None:
-    """A smaller copy behind a picture; a page of another size; pages of another kind."""
-    picture = pings(1, 32, 40)[0]
-    thumbnail = write_stack(tmp_path / "thumbnail.tif", [picture, picture[::4, ::4]])
-    assert kind_of(thumbnail) == "pictures"
-    assert np.array_equal(open_recording(thumbnail)[0].samples, picture)
+    """A smaller copy behind an image; a page of another size; pages of another kind."""
+    image = pings(1, 32, 40)[0]
+    thumbnail = write_stack(tmp_path / "thumbnail.tif", [image, image[::4, ::4]])
+    assert kind_of(thumbnail) == "images"
+    assert np.array_equal(open_recording(thumbnail)[0].samples, image)
     for pages, words in (
-        ([picture, picture, picture[:8]], r"page 3 has 40 x 8 pixels, the first 40 x 32"),
+        ([image, image, image[:8]], r"page 3 has 40 x 8 pixels, the first 40 x 32"),
         (np.full((2, 9, 9), 2, np.float32), r"page 1: floats must be grey values from 0 to 1"),
         (np.zeros((2, 9, 9), np.int32), "page 1: pixels are int32; expected uint8, "),
     ):
@@ -286,16 +286,16 @@ def test_a_ping_as_a_fan() -> None:
     beams = Beams(bearings, 2.0, 10.0)
     samples = np.full((400, 64), 0.2, np.float32)
     samples[100, 50] = 1.0
-    picture, geometry = fan_of(samples, beams)
-    assert picture.shape[0] >= 400
-    row, column = np.unravel_index(picture.argmax(), picture.shape)
+    image, geometry = fan_of(samples, beams)
+    assert image.shape[0] >= 400
+    row, column = np.unravel_index(image.argmax(), image.shape)
     range_m = 2.0 + 8.0 * 100.5 / 400
     pixel = geometry.pixels(np.array(range_m / 10), np.array(bearings[50]))
     assert np.hypot(row - pixel[0], column - pixel[1]) < 3
     assert column > geometry.apex_x_px, "positive bearings are on the right"
-    maps = geometry.maps(0, 0, *picture.shape)
-    assert not picture[maps["sector"] == 0].any()
-    assert picture[maps["sector"] == 1].min() > 0.1
+    maps = geometry.maps(0, 0, *image.shape)
+    assert not image[maps["sector"] == 0].any()
+    assert image[maps["sector"] == 1].min() > 0.1
     assert np.rad2deg(maps["azimuth_rad"][maps["sector"] == 1].min()) > -21
     polar = polar_geometry(beams, 400)
     assert polar.maps(0, 0, 400, 64)["azimuth_rad"][0] == pytest.approx(bearings)
@@ -318,8 +318,8 @@ def test_real_aris() -> None:
     assert frames[0].device.name == "ARIS 1200"
     steps = np.diff([frame.time_s or 0.0 for frame in frames])
     assert steps == pytest.approx([0.153] * 5, abs=0.002)
-    picture, _ = fan_of(grey_of(frames[0]), beams)
-    assert picture[picture > 0].mean() == pytest.approx(0.37, abs=0.15)
+    image, _ = fan_of(grey_of(frames[0]), beams)
+    assert image[image > 0].mean() == pytest.approx(0.37, abs=0.15)
 
 
 @pytest.mark.skipif(not (DATA / "oculus").is_dir(), reason="no shared data")
@@ -358,6 +358,6 @@ def test_the_orientation_of_exif_is_applied(tmp_path: Path, suffix: str, value: 
     tag[274] = value
     path = tmp_path / f"a{suffix}"
     Image.fromarray(stored).save(path, exif=tag, quality=100, lossless=True)
-    actual = read_picture(path)
+    actual = read_image(path)
     grey = actual if actual.ndim == 2 else actual[..., 0]
     assert np.abs(grey.astype(int) - upright).max() <= 2

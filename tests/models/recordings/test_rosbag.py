@@ -106,7 +106,7 @@ def test_beams_go_from_left_to_right_whatever_the_sign_of_y(tmp_path: Path) -> N
     np.testing.assert_array_equal(left.samples, right.samples)
 
 
-PICTURES = [
+IMAGE_SETTINGS = [
     ("mono8", np.uint8, (30, 20)),
     ("mono16", np.uint16, (30, 20)),
     ("32FC1", np.float32, (30, 20)),
@@ -115,15 +115,15 @@ PICTURES = [
 ]
 
 
-@pytest.mark.parametrize(("encoding", "dtype", "shape"), PICTURES)
-def test_pictures_keep_encoding_and_padding(
+@pytest.mark.parametrize(("encoding", "dtype", "shape"), IMAGE_SETTINGS)
+def test_images_keep_encoding_and_padding(
     tmp_path: Path, encoding: str, dtype: Any, shape: tuple[int, ...]
 ) -> None:
     samples = np.random.default_rng(1).integers(0, 256, shape).astype(dtype)
     samples = samples / np.float32(255) if encoding == "32FC1" else samples
     store = typestore(2)
     messages = [image(store, 0, samples, encoding, padding=8)]
-    path = write_bag(tmp_path / "a.mcap", {"/pictures": (IMAGE, messages)})
+    path = write_bag(tmp_path / "a.mcap", {"/images": (IMAGE, messages)})
     with RosBag(path) as bag:
         frame = bag[0]
         assert frame.beams is None
@@ -131,30 +131,30 @@ def test_pictures_keep_encoding_and_padding(
         bag.rewrite([frame.samples[::-1]], tmp_path / "b.mcap")
     with open_recording(tmp_path / "b.mcap") as bag:
         np.testing.assert_array_equal(bag[0].samples, samples[::-1])
-    (message,) = (m for topic, _, _, m in content(tmp_path / "b.mcap") if topic == "/pictures")
+    (message,) = (m for topic, _, _, m in content(tmp_path / "b.mcap") if topic == "/images")
     rows = message.data.reshape(30, -1)
     assert (rows[:, -8:] == 77).all()
     assert message.encoding == encoding
 
 
 @pytest.mark.parametrize(("suffix", "apart"), [(".png", 0), (".jpg", 3)])
-def test_compressed_pictures_stay_so(tmp_path: Path, suffix: str, apart: int) -> None:
+def test_compressed_images_stay_so(tmp_path: Path, suffix: str, apart: int) -> None:
     smooth = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8)
     messages = [compressed(typestore(1), 0, smooth, suffix)]
-    path = write_bag(tmp_path / "a.bag", {"/pictures": (COMPRESSED, messages)})
+    path = write_bag(tmp_path / "a.bag", {"/images": (COMPRESSED, messages)})
     with RosBag(path) as bag:
         assert np.abs(bag[0].samples.astype(int) - smooth).max() <= apart
         bag.rewrite([smooth // 2], tmp_path / "b.bag")
     with open_recording(tmp_path / "b.bag") as bag:
         assert np.abs(bag[0].samples.astype(int) - smooth // 2).max() <= apart
-    messages = [m for topic, _, _, m in content(tmp_path / "b.bag") if topic == "/pictures"]
+    messages = [m for topic, _, _, m in content(tmp_path / "b.bag") if topic == "/images"]
     assert bytes(messages[0].data[:2]) == {".png": b"\x89P", ".jpg": b"\xff\xd8"}[suffix]
 
 
 def test_which_topics_are_frames(tmp_path: Path) -> None:
     store = typestore(2)
-    pictures = [image(store, number, ping) for number, ping in enumerate(pings(3, 12, 8))]
-    both = {"/front": (IMAGE, pictures), "/back": (IMAGE, pictures[:2])}
+    images = [image(store, number, ping) for number, ping in enumerate(pings(3, 12, 8))]
+    both = {"/front": (IMAGE, images), "/back": (IMAGE, images[:2])}
     path = write_bag(tmp_path / "a.mcap", both)
     with pytest.raises(FactoryError, match=r"/front, /back.*--topic"):
         open_recording(path)
@@ -180,10 +180,10 @@ def test_types_that_nobody_knows_are_copied_and_never_run(tmp_path: Path) -> Non
         odd_connection = writer.add_connection(
             "/odd", "my_msgs/msg/Odd", msgdef=odd, md5sum="0" * 32
         )
-        pictures = writer.add_connection("/sonar", SONAR, typestore=store)
+        images = writer.add_connection("/sonar", SONAR, typestore=store)
         writer.write(odd_connection, 5, b"abc")
         message = sonar(store, 0, pings(1, 12, 8)[0])
-        writer.write(pictures, 6, store.serialize_ros1(message, SONAR))
+        writer.write(images, 6, store.serialize_ros1(message, SONAR))
     with RosBag(tmp_path / "a.bag") as bag:
         bag.rewrite([bag[0].samples], tmp_path / "b.bag")
     with Reader(tmp_path / "b.bag") as reader:
@@ -219,7 +219,7 @@ def test_what_a_message_says_must_fit(tmp_path: Path) -> None:
         (SONAR, uneven, "ranges that do not ascend evenly"),
         (SONAR, few, "8 beams and 4 directions"),
         (IMAGE, bayer, "the encoding 'bayer_rggb8', which cannot be denoised"),
-        (COMPRESSED, cut, "not a readable picture"),
+        (COMPRESSED, cut, "not a readable image"),
     )):  # fmt: skip
         path = write_bag(tmp_path / f"{number}.bag", {"/p": (kind, [message])})
         with pytest.raises(FrameError, match=words), open_recording(path) as bag:

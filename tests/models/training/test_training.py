@@ -380,7 +380,7 @@ def batch_of(size: int = 16) -> dict[str, torch.Tensor]:
 
 
 def test_a_student_becomes_like_its_teacher(teacher: Path, dataset: Path, tmp_path: Path) -> None:
-    """It darkens pictures as the teacher does, whatever the clean ones say."""
+    """It darkens images as the teacher does, whatever the clean ones say."""
     before = copy.deepcopy(load_weights(teacher).network.state_dict())
     out = tmp_path / "student"
     words = ["model=sonarnet", "model.widths=[8,8]", "model.blocks=[1,1]", "model.lines=false"]

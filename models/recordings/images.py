@@ -16,7 +16,7 @@ from ...factory.quiet import quiet_stderr
 from .arrays import ArrayFile, is_table
 from .base import (
     ARRAY_SUFFIX,
-    PICTURE_SUFFIXES,
+    IMAGE_SUFFIXES,
     TOO_LARGE,
     Frame,
     Recording,
@@ -30,7 +30,7 @@ from .orientation import EXIF_ORIENTATION, UPRIGHT, Orientation, orientation_of_
 from .tiff import ORIENTATION, TIFF_HEADS, directories_of, with_upright_tags
 
 
-class Pictures(Recording):
+class Images(Recording):
     """A `Recording` of image files: one, those given, or all right in a folder, by name.
 
     Those of a folder come in the order of their sequences, see `names`.
@@ -45,18 +45,18 @@ class Pictures(Recording):
         self.files = list(self._listed_files) or [self.path]
         if self.path.is_dir() and not self._listed_files:
             files = sorted(file for file in self.path.iterdir() if file.is_file())
-            kinds = PICTURE_SUFFIXES
+            kinds = IMAGE_SUFFIXES
             images = [file for file in files if file.suffix.lower() in kinds]
             self.files = in_order([file for file in images if not is_table(file)])
         self.count = len(self.files)
         if not self.count:
-            raise FactoryError(f"{self.path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")
+            raise FactoryError(f"{self.path}: holds no image ({', '.join(IMAGE_SUFFIXES)})")
 
     def _read(self, number: int) -> Frame:
-        return Frame(number, read_picture(self.files[number]))
+        return Frame(number, read_image(self.files[number]))
 
 
-def read_picture(path: Path) -> Samples:
+def read_image(path: Path) -> Samples:
     """The pixels of a file as stored, (H, W) or (H, W, colours).  Raises FrameError; see `decoded`.
 
     Of a TIFF of several pages, and of an array of several images, the first.
@@ -67,7 +67,7 @@ def read_picture(path: Path) -> Samples:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise FrameError(f"{path}: not a readable picture ({error.strerror})") from error
+        raise FrameError(f"{path}: not a readable image ({error.strerror})") from error
     return decoded(content, str(path))
 
 
@@ -84,11 +84,11 @@ def decoded(content: bytes, name: str) -> Samples:
             ask_pixels(name, *header.size)
             orientation = _orientation_of(header)
     # libjpeg and libtiff write to the terminal about damage that they pass over.
-    with explained(f"{name}: not a readable picture"), quiet_stderr():
-        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None:
-        raise FrameError(f"{name}: not a readable picture")
-    return as_samples(orientation.upright(np.asarray(picture)), name)
+    with explained(f"{name}: not a readable image"), quiet_stderr():
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise FrameError(f"{name}: not a readable image")
+    return as_samples(orientation.upright(np.asarray(image)), name)
 
 
 def _tiff_header(content: bytes, name: str) -> tuple[bytes, Orientation]:
@@ -98,7 +98,7 @@ def _tiff_header(content: bytes, name: str) -> tuple[bytes, Orientation]:
     """
     directories, _ = directories_of(BytesIO(content), len(content), most=1)
     if not directories:
-        raise FrameError(f"{name}: not a readable picture; it is damaged or cut short")
+        raise FrameError(f"{name}: not a readable image; it is damaged or cut short")
     ask_pixels(name, *directories[0].size)
     orientation = orientation_of_exif(directories[0].number(ORIENTATION, 1))
     return with_upright_tags(content, directories[0]), orientation
@@ -115,7 +115,7 @@ def _orientation_of(header: Image.Image) -> Orientation:
 
 def _opened(file: IO[bytes], name: str) -> Image.Image:
     """An image whose pixels are not read yet.  Raises FrameError."""
-    with explained(f"{name}: not a readable picture"):
+    with explained(f"{name}: not a readable image"):
         try:
             return Image.open(file)
         except Image.DecompressionBombError as error:

@@ -1,4 +1,4 @@
-"""Fan pictures of speckle, the geometry they were made with, and screens that show them."""
+"""Fan images of speckle, the geometry they were made with, and screens that show them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Grey = npt.NDArray[np.uint8]
 
 
 def preset(name: str, width: int, height: int) -> SonarSettings:
-    """A device of conf/sonar with a fan picture of this size."""
+    """A device of conf/sonar with a fan image of this size."""
     with initialize_config_module("simnfnd.conf", version_base=None):
         config = compose("factory", [f"sonar={name}"])
     sonar_values: Any = OmegaConf.to_container(config.sonar)
@@ -37,34 +37,34 @@ def fan(sonar: SonarSettings, near: float, holes: bool, seed: int = 0) -> tuple[
     if holes:
         polar[rng.random(polar.shape) < 0.5] = 0
         polar[sonar.range_bins // 2 :, sonar.beams // 3 : sonar.beams // 2] = 0
-    picture = fan_table(sonar, near).bilinear(polar.astype(np.float32))
-    grey = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+    image = fan_table(sonar, near).bilinear(polar.astype(np.float32))
+    grey = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
     return grey, FanGeometry.from_sonar(sonar, near * 10, 10.0)
 
 
 LEFT = 140
 TOP = 30
-Picture = npt.NDArray[Any]
+Image = npt.NDArray[Any]
 
 
-def screen(fan: Picture, inside: Picture, ground: tuple[int, int, int]) -> Picture:
+def screen(fan: Image, inside: Image, ground: tuple[int, int, int]) -> Image:
     """(H, W, 3): a fan, grey or in colours, where `inside`, from (TOP, LEFT) on; text, a panel."""
     height, width = inside.shape
-    picture = np.full((height + 2 * TOP, width + 2 * LEFT, 3), ground, np.uint8)
+    image = np.full((height + 2 * TOP, width + 2 * LEFT, 3), ground, np.uint8)
     fan = np.repeat(fan[..., None], 3, axis=2) if fan.ndim == 2 else fan
-    picture[TOP : TOP + height, LEFT : LEFT + width][inside] = fan[inside]
+    image[TOP : TOP + height, LEFT : LEFT + width][inside] = fan[inside]
     for line in range(8):
         place = (4, 30 + 24 * line)
-        cv2.putText(picture, f"Range {line}.5", place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255,) * 3)
+        cv2.putText(image, f"Range {line}.5", place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255,) * 3)
     right = LEFT + width + 40
-    cv2.rectangle(picture, (right, 30), (right + 80, 160), (90, 90, 90), -1)
-    cv2.putText(picture, "123.4", (right + 8, 60), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255,) * 3)
-    return picture
+    cv2.rectangle(image, (right, 30), (right + 80, 160), (90, 90, 90), -1)
+    cv2.putText(image, "123.4", (right + 8, 60), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255,) * 3)
+    return image
 
 
-def with_rings(picture: Picture, fan: FanGeometry, colour: tuple[int, int, int]) -> Picture:
+def with_rings(image: Image, fan: FanGeometry, colour: tuple[int, int, int]) -> Image:
     """A screen with rings of range and a bearing drawn into its fan."""
-    drawn = picture.copy()
+    drawn = image.copy()
     apex = round(fan.apex_x_px) + LEFT, round(fan.apex_y_px) + TOP
     half_deg = float(np.rad2deg(fan.sector_rad / 2))
     for part in (0.5, 0.75):

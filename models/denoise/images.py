@@ -25,8 +25,8 @@ from .temporal.repeated import Unrepeated
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
 
 Gray = npt.NDArray[np.float32]
-Picture = npt.NDArray[Any]
-Place = Callable[[Picture], FanGeometry | None]
+Pixels = npt.NDArray[Any]
+Place = Callable[[Pixels], FanGeometry | None]
 """Where range and bearing are in an image; None where that is not known."""
 
 
@@ -38,7 +38,7 @@ class Denoised:
     """
 
     key: Any
-    image: Picture
+    image: Pixels
     removed: Removed
 
 
@@ -51,7 +51,7 @@ class _Source:
     """
 
     key: Any
-    shown: Picture
+    shown: Pixels
     levels: Gray
     painted: Painted | None
     white: float | None
@@ -86,7 +86,7 @@ class Denoising:
         """Raises FactoryError for a number of frames that a window cannot have."""
         if not (1 <= frames <= MOST_FRAMES and frames % 2):
             raise FactoryError(
-                f"--frames {frames}: give an odd number up to {MOST_FRAMES}: a picture and as many "
+                f"--frames {frames}: give an odd number up to {MOST_FRAMES}: an image and as many "
                 "before it as after it"
             )
         self.frames = frames
@@ -114,7 +114,7 @@ class Denoising:
     def shot(
         self,
         key: Any,
-        picture: Picture,
+        image: Pixels,
         place: Place,
         shift_px: tuple[float, float] | None = None,
         *,
@@ -123,13 +123,13 @@ class Denoising:
     ) -> Shot:
         """An image of a sequence, its colours read.
 
-        picture: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
+        image: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
         place, shift_px, wanted, is_tracked: see `Shot`.
         Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
         """
-        check(picture)
-        white = white_of(picture) if self._inverts else None
-        shown = picture if white is None else inverted(picture, white)
+        check(image)
+        white = white_of(image) if self._inverts else None
+        shown = image if white is None else inverted(image, white)
         plain = without_alpha(shown)
         painted = find_painted(shown, self._last_map)
         if painted is not None:
@@ -154,9 +154,9 @@ class Denoising:
         self._last_map = None
         yield from self._denoised(shots, alone)
 
-    def denoise_image(self, picture: Picture, place: Place) -> Denoised:
+    def denoise_image(self, image: Pixels, place: Place) -> Denoised:
         """Denoise one image alone.  Raises ValueError as `shot` does."""
-        (denoised,) = self._denoised([self.shot(None, picture, place)], alone=True)
+        (denoised,) = self._denoised([self.shot(None, image, place)], alone=True)
         return denoised
 
     def _denoised(self, shots: Iterable[Shot], alone: bool) -> Iterator[Denoised]:
@@ -177,79 +177,79 @@ class Denoising:
                 f"colour maps: {named}; their levels were denoised and painted again "
                 f"({SUM}: a map that is not known, by the sum of its channels)"
             )
-        if pictures := self._tally["pictures"]:
+        if images := self._tally["images"]:
             yield (
-                f"in time: {self._tally['frames'] / pictures:.1f} of up to {self.frames} frames "
-                f"fused in a pixel, {100 * self._tally['moved'] / pictures:.1f} % of pixels moved, "
-                f"{self._tally['alone']:.0f} of {pictures:.0f} frames matched no neighbour"
+                f"in time: {self._tally['frames'] / images:.1f} of up to {self.frames} frames "
+                f"fused in a pixel, {100 * self._tally['moved'] / images:.1f} % of pixels moved, "
+                f"{self._tally['alone']:.0f} of {images:.0f} frames matched no neighbour"
             )
         if repeats := self._tally["repeats"]:
             yield (
-                f"repeated frames: {repeats:.0f} of {pictures + repeats:.0f} are copies of the one "
+                f"repeated frames: {repeats:.0f} of {images + repeats:.0f} are copies of the one "
                 "before and were fused once"
             )
         for strength in self._strengths:
             yield f"strength by the recording itself: {strength}"
 
 
-def check(picture: Picture) -> None:
+def check(image: Pixels) -> None:
     """ValueError for an image that cannot be denoised."""
-    if str(picture.dtype) not in FULL_SCALE:
-        raise ValueError(f"pixels are {picture.dtype}; expected {', '.join(FULL_SCALE)}")
-    is_image = picture.ndim == 2 or (picture.ndim == 3 and picture.shape[2] <= 4)
-    if not is_image or 0 in picture.shape:
+    if str(image.dtype) not in FULL_SCALE:
+        raise ValueError(f"pixels are {image.dtype}; expected {', '.join(FULL_SCALE)}")
+    is_image = image.ndim == 2 or (image.ndim == 3 and image.shape[2] <= 4)
+    if not is_image or 0 in image.shape:
         raise ValueError(
-            f"image has shape {picture.shape}; expected (H, W), or (H, W, C) with C 1 (grey), 2 "
+            f"image has shape {image.shape}; expected (H, W), or (H, W, C) with C 1 (grey), 2 "
             "(grey and alpha), 3 or 4 (colours and alpha)"
         )
-    if picture.dtype == np.float32:
-        colours = _colours(picture)
+    if image.dtype == np.float32:
+        colours = _colours(image)
         if not (colours.min() >= 0 and colours.max() <= 1):
             raise ValueError("float pixels must lie in 0..1; divide by full scale")
 
 
-def levels_of(picture: Picture) -> Gray:
+def levels_of(image: Pixels) -> Gray:
     """(H, W) or (H, W, C) float32 in 0..1, without alpha; colours that are equal as one plane."""
-    levels = _colours(picture).astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
+    levels = _colours(image).astype(np.float32) / np.float32(FULL_SCALE[str(image.dtype)])
     if levels.ndim == 3 and (levels == levels[..., :1]).all():
         levels = np.ascontiguousarray(levels[..., 0])
     return levels
 
 
-def restored(levels: Gray, picture: Picture) -> Picture:
+def restored(levels: Gray, image: Pixels) -> Pixels:
     """The reverse of `levels_of`, with the dtype, shape and alpha of an image."""
-    full = FULL_SCALE[str(picture.dtype)]
+    full = FULL_SCALE[str(image.dtype)]
     values = np.rint(levels.astype(np.float64) * full) if full > 1 else levels
-    result = picture.copy()
+    result = image.copy()
     colours = _colours(result)
-    colours[...] = values if values.ndim == picture.ndim else values[..., None]
+    colours[...] = values if values.ndim == image.ndim else values[..., None]
     return result
 
 
-def without_alpha(picture: Picture) -> Picture:
+def without_alpha(image: Pixels) -> Pixels:
     """(H, W) of grey with or without alpha, (H, W, 3) of colours."""
-    colours = _colours(picture)
+    colours = _colours(image)
     return colours[..., 0] if colours.ndim == 3 and colours.shape[2] == 1 else colours
 
 
-def white_of(picture: Picture) -> float:
+def white_of(image: Pixels) -> float:
     """The grey value of white: full scale, or that of 10 or 12 bits in samples of 16."""
-    if picture.dtype != np.uint16:
-        return FULL_SCALE[str(picture.dtype)]
-    largest = int(_colours(picture).max(initial=0))
+    if image.dtype != np.uint16:
+        return FULL_SCALE[str(image.dtype)]
+    largest = int(_colours(image).max(initial=0))
     return float((1 << max(largest.bit_length(), 8)) - 1)
 
 
-def inverted(picture: Picture, white: float) -> Picture:
+def inverted(image: Pixels, white: float) -> Pixels:
     """An image with white as black and black as white; alpha as it is."""
-    result = picture.copy()
+    result = image.copy()
     colours = _colours(result)
-    colours[...] = np.clip(white - _colours(picture), 0, white).astype(picture.dtype)
+    colours[...] = np.clip(white - _colours(image), 0, white).astype(image.dtype)
     return result
 
 
-def _colours(picture: Picture) -> Picture:
+def _colours(image: Pixels) -> Pixels:
     """A view without the alpha channel."""
-    if picture.ndim == 2:
-        return picture
-    return picture[..., : 3 if picture.shape[2] in (3, 4) else 1]
+    if image.ndim == 2:
+        return image
+    return image[..., : 3 if image.shape[2] in (3, 4) else 1]
