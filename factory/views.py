@@ -137,7 +137,7 @@ class Cache:
 # Which frames are chosen changes none of them.
 _NOT_PIXELS = {
     *("root", "file", "path", "locations", "first_location", "frames_per_location", "scenes"),
-    # What moves is put into a frame after it was rendered.
+    # Moving objects are put into a frame after it was rendered.
     "moving_objects",
 }
 # All code and data between the files of a recording and the rendered pixels.

@@ -90,7 +90,7 @@ def _lessons(read: ReadClips) -> Lessons:
     lessons = find_lessons(read.clips)
     if lessons is None:
         raise FactoryError(
-            f"{read.clips[0].name}: nothing stands still in {share} frames, so no mean of other "
+            f"{read.clips[0].name}: no scene is static in {share} frames, so no mean of other "
             "frames can be learned from; record a scene with the sonar at rest"
         )
     learning, held = (
@@ -98,7 +98,7 @@ def _lessons(read: ReadClips) -> Lessons:
     )
     stretches = len(lessons.learning) + (0 if lessons.same else len(lessons.held))
     print(
-        f"{stretches} stretch(es) stand still in {share} frames: {learning} frames to learn from, "
+        f"{stretches} static stretch(es) in {share} frames: {learning} frames to learn from, "
         f"{held} held out" + (", of the same stretch" if lessons.same else "")
     )
     return lessons

@@ -36,7 +36,7 @@ def described(paths: Iterable[Path]) -> list[LearnedFile]:
 
 
 def learned_files(weights: Path) -> list[LearnedFile]:
-    """The files that weights learned from, as far as they or their card say it."""
+    """The files that weights learned from, where they or their card name them."""
     files = [*_in_header(weights), *_in_card(weights.with_suffix(".md"))]
     return list(dict.fromkeys(files))
 

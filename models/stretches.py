@@ -56,7 +56,7 @@ class Clip:
 
     name: str
     shots: list[Shot]
-    shuffled: bool = False  # as far as their names tell; they may be anything
+    shuffled: bool = False  # judged by their names, which may be anything
 
 
 @dataclass

@@ -33,7 +33,7 @@ def problems(root: Path = ROOT) -> Iterator[str]:
     if changed := _git(root, "status", "--porcelain"):
         yield f"git: {len(changed.splitlines())} files are not committed"
     if version and _git(root, "tag", "--list", f"v{version}"):
-        yield f"git: the tag v{version} is there already"
+        yield f"git: the tag v{version} exists already"
 
 
 def _first_match(file: Path, pattern: str) -> str | None:

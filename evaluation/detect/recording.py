@@ -106,5 +106,5 @@ def check_static(name: str, frames: Frames, sector: Mask) -> None:
     if not groups:
         raise FactoryError(
             f"{name}: the sonar moves; targets are inserted into static recordings alone, give "
-            "a stretch in which it stands still"
+            "a stretch in which it is at rest"
         )

@@ -135,5 +135,5 @@ def _replacing(value: Any, before: Any) -> Any:
     """The value, with null for another form of distribution before it, which Hydra would merge."""
     if not isinstance(value, Mapping) or not isinstance(before, Mapping):
         return value
-    gone = {form: None for form in FORMS if form in before and form not in value}
-    return {**gone, **value}
+    removed_forms = {form: None for form in FORMS if form in before and form not in value}
+    return {**removed_forms, **value}

@@ -138,7 +138,7 @@ def _search_groups(
         notes += stretch_notes
     if not groups:
         notes.append(
-            f"no static group was found ({LEAST} frames at least of a scene that stands still), "
+            f"no static group was found ({LEAST} frames at least of a static scene), "
             "so there is no truth and nothing to tune filters on"
         )
     elif left := len(shots) - sum(len(group.shots) for group in groups):
@@ -295,7 +295,7 @@ def _about(groups: Sequence[Group], parts: Sequence[Part]) -> list[str]:
         ]
     still = min(group.still for group in groups)
     if still < 1:
-        text.append(f"what moves is left out, at most {1 - still:.1%} of a sector")
+        text.append(f"moving objects are left out, at most {1 - still:.1%} of a sector")
     largest = max(group.largest_px for group in groups)
     text.append(f"frames lie at most {largest:.1f} pixels from that in the middle, which is undone")
     return text

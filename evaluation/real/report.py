@@ -39,9 +39,9 @@ _WITH_INTERVAL = {"psnr_db", "ssim", *MARGINS.values()}
 
 TRUTH = (
     f"The truth of a frame is the mean of the other frames of its group (of the {MOST_OTHERS} "
-    "nearest in time). PSNR and SSIM: inside the sector, without its rim and what moves, after one "
-    "gain and offset an image; means over groups, with 95 % bootstrap intervals that draw groups. "
-    "Filters are tuned on every other group and judged on the others. CPU s: the median."
+    "nearest in time). PSNR and SSIM: inside the sector, without its rim and moving objects, after "
+    "one gain and offset an image; means over groups, with 95 % bootstrap intervals that draw "
+    "groups. Filters are tuned on every other group and judged on the others. CPU s: the median."
 )
 IN_TIME = (
     "A method may use the three frames before and after each; the reference is the mean of frames "

@@ -70,7 +70,7 @@ class Composition(NamedTuple):
 
     values: plain ones, as the YAML files and words give them.  config: the same, validated.
     overrides: the words as Hydra reads them.
-    pins: words that keep, in a sweep, what the experiment would sweep over by itself.
+    pins: words that fix, in a sweep, what the experiment itself would sweep over.
     """
 
     values: dict[str, Any]

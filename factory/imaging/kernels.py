@@ -578,7 +578,7 @@ def gather(
     """Spread the scatterers over the cells of the world; returns how many points that takes.
 
     Each pixel is filled with points half a cell apart, towards the pixel below and the one to the
-    right as far as these are one surface with it.
+    right where these belong to the same surface.
     cells: out, their number (looks random, not 0), power (slots,) and place (slots, 3); the first
     two are zeros, slots a power of two, more than there are cells.  Of no slots it only counts.
     """

@@ -99,7 +99,7 @@ def _normals(grid: Any, row: Any, out: Any) -> None:
     """Fill the first three of `out` (6, W) with unit normals of a row, towards the camera.
 
     By central differences over the neighbours joined to a pixel, one-sided next to an edge.  With
-    neighbours along one direction alone, its surface faces the camera as far as that allows; 0
+    neighbours along one direction alone, its surface faces the camera as nearly as that allows; 0
     without any.  row: without the border.
     """
     depth_m, bits, across, down = grid

@@ -68,7 +68,7 @@ class MeshSettings(RecordingSettings):
     route: orbit (around a named part, or all) or transect (straight over the world).
     paths, views_per_path: how many paths, each a scene, and views of each, a second apart.
     frame_rate_hz: makes a recording of each drawn path: its views are pings, so many a second.
-    moving_objects, own_objects: what moves through the recordings; see `moving.MovingObject` and
+    moving_objects, own_objects: objects that move in the recordings; see `moving.MovingObject` and
         `seabed.OwnObject`, of which each needs `moving`.  They need frame_rate_hz, or poses.
     height_m: least and most above the ground right under the camera.  distance_m: of an orbit.
     tilt_deg: how far a transect looks down.  speed_m_s: of the camera; 0 in a recording: at rest.

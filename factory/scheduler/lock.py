@@ -99,7 +99,7 @@ class Publication:
         """As `files.forward_writes` says; shards stay in the copy as long as there is room."""
         if not self.holds():
             raise FactoryError(
-                f"{self.store.url}: was taken by another run while this one stood still; nothing "
+                f"{self.store.url}: was taken by another run while this one was suspended; nothing "
                 "more is written"
             )
         if content is None:

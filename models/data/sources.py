@@ -189,7 +189,7 @@ def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], 
     stacks = open_stacks(data.recordings, data.least_side)
     refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))
     still = sum(stack.is_still for stack in stacks)
-    print(f"recordings: {len(stacks)}, of which {still} stand still")
+    print(f"recordings: {len(stacks)}, {still} of them static")
     devices = DeviceSource(config, points.images, data, seed)
     shown = spread(others, data.validation_limit)
     return Data(

@@ -96,7 +96,7 @@ def _denoise_recording(item: Item, job: Job) -> None:
     """
     path = job.out / item.relative
     if item.kind == "rosbag" and path.is_dir():
-        raise FrameError(f"{path}: is there already; remove it, or give another --out")
+        raise FrameError(f"{path}: exists already; remove it, or give another --out")
     shown: list[Compared] = []
     with _opened(item, job.topics) as recording:
         before = job.bar.n

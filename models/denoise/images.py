@@ -189,7 +189,7 @@ class Denoising:
                 "before and were fused once"
             )
         for strength in self._strengths:
-            yield f"strength by the recording itself: {strength}"
+            yield f"strength fitted to the recording: {strength}"
 
 
 def check(image: Pixels) -> None:

@@ -465,7 +465,7 @@ class BlendHead(nn.Module):
     """Weighs the change of a whole image, 0 to 1, from the image, the change and its features.
 
     features: channels of the last features.  width: channels of the head itself.
-    A network that has learned to undo a lot of noise harms an image with hardly any; the weight
+    A network that has learned to remove strong noise harms an image with hardly any; the weight
     falls smoothly to zero there.  The head gets the logarithm of the image, in which a blur looks
     the same in bright and in dim places, and pools with a weight for every place (gated attention,
     Ilse et al., ICML 2018), because shadow carries no information, and maxima, because a single

@@ -39,12 +39,12 @@ _TRACED_SIZE = (75, 91, 2)
 _COMPARED_SIZES = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
 # Stored in the files, so they stay as they are.
 _DESCRIPTIONS = {
-    "noisy": "(N, 1, H, W) gray image, 0 to 1",
+    "noisy": "(N, 1, H, W) gray picture, 0 to 1",
     "range_fraction": "(N, 1, H, W) slant range of each pixel over the largest range",
     "azimuth_rad": "(N, 1, H, W) bearing of each pixel in radians, positive to the right",
     "sector": "(N, 1, H, W) 1 where the sonar measured, 0 elsewhere",
-    "denoised": "(N, 1, H, W) the image denoised, 0 to 1",
-    "weight": "(N) the part of its change that the image was given, 0 to 1",
+    "denoised": "(N, 1, H, W) the picture denoised, 0 to 1",
+    "weight": "(N) the part of its change that the picture was given, 0 to 1",
 }
 
 
@@ -256,7 +256,7 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
     for value in (*model.graph.input, *model.graph.output):
         value.doc_string = _DESCRIPTIONS.get(value.name, "")
     _rename_values(model.graph)
-    model.doc_string = "A denoiser for forward-looking sonar images, made by SimNFND."
+    model.doc_string = "A denoiser for forward-looking sonar pictures, made by SimNFND."
     facts = {"geometry": graph.layout, "opset": OPSET, **about}
     onnx.helper.set_model_props(model, {key: str(value) for key, value in sorted(facts.items())})
     onnx.checker.check_model(model, full_check=True)

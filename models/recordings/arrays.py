@@ -245,7 +245,7 @@ def _members(path: Path) -> Iterator[Listed]:
 
 
 class _Unpacked:
-    """The content of the first member of a ZIP file that is cut short, as far as it is there."""
+    """The content of the first member of a ZIP file that is cut short: the part that is there."""
 
     def __init__(self, file: IO[bytes], packed: bool) -> None:
         self._file = file

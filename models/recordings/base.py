@@ -63,7 +63,7 @@ class Beams:
 
 @dataclass(frozen=True)
 class Pose:
-    """How the sonar stood, as far as the file says; None where it does not."""
+    """Pose of the sonar; None where the file does not give it."""
 
     heading_deg: float | None = None  # of the sonar's compass, as the next two
     pitch_deg: float | None = None
@@ -77,7 +77,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Device:
-    """The sonar and its settings, as far as the file says."""
+    """The sonar and those of its settings that the file gives."""
 
     name: str = "unknown"
     serial_number: int | None = None

@@ -230,7 +230,7 @@ def _left_in(file: IO[bytes]) -> int:
 
 
 def _unpacked(content: bytes, compression: str) -> bytes:
-    """What a chunk holds, as far as it is there.  Raises KeyError for an unknown compression."""
+    """The part of a chunk's content that is there.  Raises KeyError for an unknown compression."""
     unpackers: dict[str, Callable[[bytes], bytes]] = {
         "none": lambda packed: packed,
         "bz2": _unpacked_bz2,

@@ -56,7 +56,7 @@ class RepeatFinder:
 def changed_grain(frame: Grey, reference: Grey) -> float:
     """Part of two frames' grain, by its power, in which they differ.
 
-    0: one is a copy of the other; 1: their noise is independent, as far as it is not the scene's.
+    0: one is a copy of the other; 1: their noise is independent, but for what belongs to the scene.
     """
     if np.array_equal(frame, reference):
         return 0.0

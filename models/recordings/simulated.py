@@ -60,4 +60,4 @@ class DatasetRecording(Recording):
         self._pairs.close()
 
     def __del__(self) -> None:
-        """Nothing: the dataset lets go of its files by itself, also where Python is ending."""
+        """Does nothing: the dataset closes its own files, at the end of Python too."""

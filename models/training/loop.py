@@ -88,7 +88,7 @@ class Loop:
         self._drawn: Tensor | None = None  # state of torch's random numbers
         self.bar: Any = None
         self._stop_signal = 0  # the signal that asked to stop
-        # The same steps give the same weights, as far as the device has such kernels.
+        # The same steps give the same weights where the device has deterministic kernels.
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
         self._optimizer = torch.optim.AdamW(

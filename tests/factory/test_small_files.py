@@ -65,7 +65,7 @@ def refused(action: Callable[[], Any], words: str = "") -> str:
     return str(caught.value)
 
 
-def test_a_pipe_in_a_dataset_holds_nobody_up(tmp_path: Path) -> None:
+def test_a_pipe_in_a_dataset_blocks_no_reader(tmp_path: Path) -> None:
     folder = whole(tmp_path / "dataset")
     for name in ("config.yaml", "failed.jsonl", "status.json", ".lock"):
         os.mkfifo(folder / name)

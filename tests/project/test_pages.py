@@ -25,7 +25,7 @@ from tests.project.page_steps import PAGES, SMALL_SEABED, Step, fences, run, ste
 from tests.project_files import ROOT
 
 SHARED = ROOT.parent / "shared" / "data"
-# Run by .ci/run, or by `make demo` of README.md, or by nobody but who installs.
+# Run by .ci/run, or by `make demo` of README.md, or by users who install it.
 NOT_HERE = ("make setup", "make test", "simnfnd demo", ". .venv/bin/activate", "pip install")
 STEPS = {page: steps(page) for page in PAGES}
 # A command that several pages have runs once.
@@ -132,7 +132,7 @@ def as_the_reader(step: Step, folder: Path) -> tuple[int, str]:
     return done.returncode, done.stdout
 
 
-# --- every example of every --help: the cheap ones really, the others as far as they go ----------
+# --- every example of every --help: the cheap ones really, the others until they start -----------
 
 QUICK = ("render=analytic", "scheduler=serial", "dataset.preview_pairs=0", "frames.total=2")
 # What an example of a verb that really runs is made small with.

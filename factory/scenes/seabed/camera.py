@@ -244,7 +244,7 @@ class ZBuffer:
             return 0.0, 0.0
         fx, fy, cx, cy = self.optics.lens
         places = ahead[:, :2] / ahead[:, 2:] * (fx, fy) + (cx, cy)
-        # Of what reaches beside the lens, as far as three images.
+        # What reaches beyond the image counts up to one image width or height on each side.
         limits = np.array([self.optics.width, self.optics.height])
         left, top = np.clip(places.min(axis=0), -limits, 2 * limits)
         right, bottom = np.clip(places.max(axis=0), -limits, 2 * limits)

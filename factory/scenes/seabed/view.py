@@ -120,7 +120,7 @@ def camera_image(
         tiles().texture, look.water, look.sun_direction.astype(np.float32),
         sights[1], sun.inverse,
     )  # fmt: skip
-    # The camera sets its black level on the haze, as far as that has one colour, and lets the
+    # The camera sets its black level to the uniform part of the haze, and lets the
     # bright parts of the image fill most of the scale, whatever the water.
     some = colour[::4, ::4]
     haze = look.water[1]

@@ -159,7 +159,7 @@ class _Worker:
             exitcode = self._end(0 if late else _END_S)
             if late and begun:
                 raise TimeoutError from None
-            reason = "it stood still before it had begun" if late else _exit_text(exitcode)
+            reason = "it did not respond before it had begun" if late else _exit_text(exitcode)
             raise WorkerDied(reason) from None
 
     def _start(self) -> None:

@@ -1,1 +1,1 @@
-"""Recordings in time: frames laid over each other, fused where the scene stands still."""
+"""Recordings in time: frames laid over each other, fused where the scene is static."""

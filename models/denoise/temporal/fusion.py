@@ -38,7 +38,7 @@ _GATE_END = 4.2
 """Significance of a path from which on it counts, and from which on it counts in full."""
 _EXPLAINED_LIMIT = 2.5  # standard deviations between a frame and the mean along its path
 _OBVIOUS = 8.0
-"""Standard deviations from which on a frame shows an object by itself; no path is needed then."""
+"""Standard deviations from which on a single frame shows an object; no path is needed then."""
 _MIN_TRACKED_FRAMES = 3
 _DARK = 0.02  # grey value below which there is nothing to learn from
 
@@ -177,7 +177,7 @@ class Fusion:
     def _find_targets(
         self, small: _Reduced, from_median: Sequence[Grey], neighbours: Sequence[Neighbour]
     ) -> _Targets:
-        """What moves along paths through the window."""
+        """Find the objects that move along paths through the window."""
         lit = small.median > _DARK
         sigma = self._to_median.noise.at(small.median)
         offsets = [*(neighbour.offset for neighbour in neighbours), 0]

@@ -4,7 +4,7 @@ The motion of a frame is affine: a yaw shifts the beams of a ping and turns a fa
 its ranges.  It starts from what phase correlation, the frames before or the compass say, is
 refined below a pixel by Gauss-Newton steps (Lucas and Kanade 1981; the Hessian is that of the fixed
 frame, Baker and Matthews 2004), and must explain the frame better than no motion does: most
-sonars stand still, and laying a frame over another between its pixels costs sharpness.
+sonars are at rest, and laying a frame over another between its pixels costs sharpness.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _STILL = 0.06  # reduced pixels: less is no motion
 _WHITENED = 0.6  # exponent of the magnitudes in the phase correlation
 _LIT = 0.012  # grey value: darker surroundings hold no scene
 _CELL = 16  # reduced pixels: side of a block
-_BLOCK_SURE = 30.0  # squared standard deviations: only then a block moves by itself
+_BLOCK_SURE = 30.0  # squared standard deviations: only then a block moves independently
 _BLOCK_USUAL = 0.35  # reduced pixels: standard deviation expected of a block
 _AFFINE_USUAL = 0.7  # and of the edges of a frame against its middle
 _GRAIN = 8.0  # neighbouring pixels that noise shares

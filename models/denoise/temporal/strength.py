@@ -35,7 +35,7 @@ _PRIOR_SHARE = 1e-3
 """Pixels that count for the default coefficients, and their part whatever is measured."""
 _SINGLE_FRAME_CHOICES = np.array([(tv, net) for tv in range(21) for net in range(6, 21 - tv)]) / 20
 """Parts of total variation and network that are tried for a single frame.  The network has its part
-whatever predicts best, as it also removes artefacts that stand still.  The frame gets the rest."""
+whatever predicts best, as it also removes static artefacts.  The frame gets the rest."""
 _MIN_PIXELS = 500
 
 

@@ -1,4 +1,4 @@
-"""`simnfnd evaluate real`: figures without truth, scenes that stand still, recordings in time."""
+"""`simnfnd evaluate real`: figures without truth, static scenes, recordings in time."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_the_report_of_a_folder_without_static_groups(
     assert "http" not in page.replace('<html lang="en">', ""), "works without a network"
 
 
-# --- scenes that stand still --------------------------------------------------------------------
+# --- static scenes -------------------------------------------------------------------------------
 
 
 def scene(seed: int) -> Gray:
@@ -175,7 +175,7 @@ def test_frames_that_moved_too_far_are_left_out() -> None:
     assert np.abs(group.shifts_px - np.array([shifts[0], shifts[1], shifts[3]])).max() < 0.15
 
 
-def test_what_moves_is_found() -> None:
+def test_moving_objects_are_found() -> None:
     rng = np.random.default_rng(6)
     frames = []
     for number in range(10):

@@ -1,4 +1,4 @@
-"""What the figures say together, and the page: tests, breakdowns, comparisons, what moves."""
+"""What the figures say together, and the page: tests, breakdowns, comparisons, moving objects."""
 
 from __future__ import annotations
 
@@ -236,7 +236,7 @@ def test_compare_refuses_what_cannot_be_compared(
 # --- the page ------------------------------------------------------------------------------------
 
 
-def test_it_is_one_file_that_asks_nobody(reports: tuple[Path, Path, Path]) -> None:
+def test_it_is_one_file_that_loads_no_other(reports: tuple[Path, Path, Path]) -> None:
     text = (reports[0] / builder.PAGE_NAME).read_text(encoding="utf-8")
     assert text.startswith("<!DOCTYPE html>")
     for word in ("http://", "https://", "//cdn", "@import"):

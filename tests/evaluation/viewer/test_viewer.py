@@ -158,7 +158,7 @@ def test_a_name_bound_to_this_address_gets_nothing(
         assert asked.getresponse().status == expected
 
 
-def test_half_open_connections_end_and_hold_nobody_up(
+def test_half_open_connections_end_and_block_no_other(
     dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page_server._Handler, "timeout", 0.5)

@@ -71,7 +71,7 @@ def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Pat
     token = 16 * "0"
     own_place = f"here-{space()}"
     foreign_place = "here-ffffffff"
-    dead = subprocess.Popen([sys.executable, "-c", ""])  # that nobody has collected
+    dead = subprocess.Popen([sys.executable, "-c", ""])  # its exit status is not collected
     wait_for(lambda: psutil.Process(dead.pid).status() == psutil.STATUS_ZOMBIE)
     names = {
         f".shard-00000.h5.{own_place}-{dead.pid}-{token}.tmp": False,
@@ -294,7 +294,7 @@ def test_nothing_elsewhere_can_be_settled(tmp_path: Path, path: str) -> None:
     assert len(shards(tmp_path)) == 3
     file.unlink()
     os.mkfifo(file)
-    assert len(shards(tmp_path)) == 3, "a pipe stops nobody"
+    assert len(shards(tmp_path)) == 3, "a pipe blocks no run"
 
 
 def test_manifest_reads_back_and_its_bytes_do_not_depend_on_order(tmp_path: Path) -> None:

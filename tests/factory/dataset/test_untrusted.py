@@ -96,7 +96,7 @@ def test_a_shard_of_the_other_split_is_refused(folder: Path) -> None:
             READERS[verb](folder)
 
 
-def test_numbers_in_place_of_references_kill_nobody(folder: Path) -> None:
+def test_numbers_in_place_of_references_kill_no_process(folder: Path) -> None:
     """They end in a crash inside HDF5 when they are followed."""
 
     def number(file: h5py.File) -> None:

@@ -143,10 +143,10 @@ def test_an_image_without_an_artefact_has_all_the_others() -> None:
 
 def test_without_speckle_no_grain_is_left_and_texture_stays() -> None:
     sample = sampled({"speckle": {}, "spokes": {"count": 1}, "volume": {"strength_db": -35}})
-    gone = sample.without(("speckle", "spokes"))
+    cleaned = sample.without(("speckle", "spokes"))
     noisy = sample.noisy({"speckle", "spokes", "volume"})
     # Neighbours along range are alike where the ground is.
-    assert np.abs(np.diff(gone, axis=0)).mean() < 0.1 * np.abs(np.diff(noisy, axis=0)).mean()
+    assert np.abs(np.diff(cleaned, axis=0)).mean() < 0.1 * np.abs(np.diff(noisy, axis=0)).mean()
     patches = sampled({"speckle": {}, "texture": {"shape": 2, "patch_m": 0.3}})
     difference = patches.without(("speckle",)) - sampled({"speckle": {}}).without(("speckle",))
     assert difference.std() > 0.02

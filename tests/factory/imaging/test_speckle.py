@@ -274,7 +274,7 @@ def test_cells_too_small_are_refused():
         PATH_SPECKLE.function(None, ping, None, looks=1, scatterer_m=1e-4)
 
 
-# --- Speckle that stands still in part: what the clean image keeps of it ---
+# --- Partly static speckle: what the clean image keeps of it ---
 
 
 @cache
@@ -303,7 +303,7 @@ def likeness(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.corrcoef(intensity(first).ravel(), intensity(second).ravel())[0, 1])
 
 
-def test_what_stands_still_whole_is_the_clean_image() -> None:
+def test_fully_static_speckle_is_the_clean_image() -> None:
     noisy, clean, bare = images(1.0)
     np.testing.assert_allclose(clean, noisy, atol=2e-3)
     np.testing.assert_array_equal(bare, clean)

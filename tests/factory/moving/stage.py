@@ -117,7 +117,7 @@ def ball(course: Line, radius_m: float = 0.05, **fields: Any) -> Actor:
 
 
 def moment(actors: list[Actor], time_s: float = 0.0, **ground: Any) -> Moment:
-    """What moves over the plane at a time."""
+    """The object that moves over the plane at a time."""
     frame, rendered = plane(time_s, **ground)
     return Moment(frame, rendered, bodies_at(actors, frame, time_s), is_continuous=True)
 

@@ -87,7 +87,7 @@ def test_an_object_throws_a_shadow_and_may_be_hidden():
     newly_dark = observed.shadow & ~empty.shadow
     rows, beams = np.nonzero(newly_dark)
     range_m = 2 + 6 * rows / config.sonar.range_bins
-    # The ground behind it, as far as the ray over its top: 1.5 / tan of that ray's angle.
+    # The ground behind it, up to the ray over its top: 1.5 / tan of that ray's angle.
     assert range_m.min() > 3.2
     assert np.percentile(range_m, 90) < 1.1 * 3.0 * 1.5 / (1.2 - 0.15)
     assert abs(np.median(beams) - 47.5) < 3

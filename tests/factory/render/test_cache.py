@@ -1,4 +1,4 @@
-"""Renders on disk: keys, the folder, packs, commands; damage is seen, and nobody needs Blender."""
+"""Renders on disk: keys, the folder, packs, commands; damage is detected; Blender is not needed."""
 
 from __future__ import annotations
 

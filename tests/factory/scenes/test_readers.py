@@ -160,7 +160,7 @@ def test_csv_list_refuses_bad_keys_by_name(tmp_path: Path, values: dict[str, obj
 # --- units of depth ------------------------------------------------------------------------------
 
 
-def test_float_millimetres_are_named_and_depth_scale_mends_them(tmp_path: Path) -> None:
+def test_float_millimetres_are_named_and_depth_scale_corrects_them(tmp_path: Path) -> None:
     write(tmp_path / "1.png", RGB)
     write(tmp_path / "1.tif", DEPTH * np.float32(1000))
     (tmp_path / "list.csv").write_text("1.png,1.tif\n")

@@ -76,7 +76,7 @@ def test_of_many_that_come_at_once_one_gets_the_lock(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"[]", b'{"pid": "1"}', b"{half a lo", b"[" * 9])
-def test_a_file_that_nobody_holds_is_no_lock(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_no_process_holds_is_no_lock(tmp_path: Path, content: bytes) -> None:
     (tmp_path / LOCK_NAME).write_bytes(content)
     with locked(tmp_path):
         pass

@@ -270,7 +270,7 @@ def test_slices_make_every_shard_once_and_the_whole_takes_them_up(tmp_path: Path
     assert (report.reused_shards, report.samples) == (3, 32)
     assert (directory / "README.md").exists()
     assert not list(directory.rglob("*-of-*"))
-    assert not list(directory.glob("*/*.json")), "the results beside the shards have gone"
+    assert not list(directory.glob("*/*.json")), "no results are left beside the shards"
     assert load_failures(directory) == []
     assert shard_bytes(directory) == shard_bytes(tmp_path / "other" / "expected")
 

@@ -1,4 +1,4 @@
-"""Runs that are interrupted or killed: nobody is left behind and nothing is lost."""
+"""Runs that are interrupted or killed: no process is left behind and nothing is lost."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def session_members(session: int) -> list[int]:
     [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)],
     ids=["ctrl-c", "term", "kill"],
 )
-def test_signals_stop_quickly_leave_nobody_and_lose_nothing(
+def test_signals_stop_quickly_leave_no_process_and_lose_nothing(
     tmp_path: Path, undisturbed: dict[str, bytes], number: int, exit_code: int
 ) -> None:
     directory = tmp_path / "dataset"

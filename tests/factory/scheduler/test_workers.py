@@ -1,4 +1,4 @@
-"""Worker processes: pools, tasks that die or stand still, and the template they are forked from."""
+"""Worker processes: pools, tasks that die or hang, and the template they are forked from."""
 
 from __future__ import annotations
 
@@ -213,7 +213,7 @@ def test_environment_and_folder_are_those_of_now(
 
 
 @pytest.mark.usefixtures("none_before")
-def test_one_that_stands_still_is_killed_and_the_worker_comes(
+def test_one_that_hangs_is_killed_and_the_worker_comes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(local, "_PROCESS_S", 2.0)
@@ -236,7 +236,7 @@ def test_it_goes_with_the_process_that_started_it() -> None:
         below = psutil.Process(run.pid).children(recursive=True)
         assert below
         run.kill()
-        # It ends with the pipe's end, too: nobody who reads from the command waits for it.
+        # It ends with the pipe's end, too: no reader of the command's output waits for it.
         run.stdout.read()
     _, alive = psutil.wait_procs(below, timeout=20)
     assert not alive

@@ -88,7 +88,7 @@ def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> No
     assert (again.reused_shards, again.samples) == (4, 32)
 
 
-def test_what_is_damaged_or_gone_there_is_made_again(bucket: str, local: Path) -> None:
+def test_what_is_damaged_or_missing_there_is_made_again(bucket: str, local: Path) -> None:
     url = f"{bucket}/damaged"
     make(folder_of(url))
     store = Store(url)
@@ -167,7 +167,7 @@ def test_two_runs_do_not_write_at_once(bucket: str) -> None:
         with pytest.raises(FactoryError, match="is being written"), slice_of_it:
             pass
         assert contents(url).keys() == {".lock"}
-        # Taken over while it stood still: it writes no more, and leaves the other's lock alone.
+        # Taken over while it was suspended: it writes no more, and leaves the other's lock alone.
         theirs = contents(url)[".lock"].replace(first.token.encode(), b"0" * 32)
         store.put(".lock", theirs)
     assert contents(url) == {".lock": theirs}

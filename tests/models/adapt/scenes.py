@@ -1,4 +1,4 @@
-"""Scenes that stand still, and noisy frames of them."""
+"""Static scenes, and noisy frames of them."""
 
 from __future__ import annotations
 

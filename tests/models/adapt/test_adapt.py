@@ -1,4 +1,4 @@
-"""`simnfnd adapt`: what stands still is found, and weights learn from it without any truth."""
+"""`simnfnd adapt`: static stretches are found, and weights learn from it without any truth."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def weights(tmp_path: Path) -> Path:
     return path
 
 
-def stand_still(folder: Path, scenes: int = 2, frames: int = 6) -> list[Gray]:
+def write_static_scenes(folder: Path, scenes: int = 2, frames: int = 6) -> list[Gray]:
     truth = [scene(number) for number in range(scenes)]
     for number, scene_ in enumerate(truth):
         for frame in range(frames):
@@ -53,14 +53,14 @@ def clips_of(folder: Path) -> list:
 def test_weights_learn_from_frames_without_truth(
     tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    truth = stand_still(tmp_path / "in")
+    truth = write_static_scenes(tmp_path / "in")
     arguments = [str(tmp_path / "in"), "--weights", str(weights), "--steps", "24"]
     arguments += ["--learning-rate", "1e-3"]
     outs = [tmp_path / name for name in ("a.safetensors", "b.safetensors")]
     for out in outs:
         assert main([*arguments, "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "2 stretch(es) stand still in 12 frames: 6 frames to learn from, 6 held out" in said
+    assert "2 static stretch(es) in 12 frames: 6 frames to learn from, 6 held out" in said
     assert "PSNR after levels: noisy" in said
     assert outs[0].read_bytes() == outs[1].read_bytes(), "the same steps and seed, other weights"
     fresh = noisy(truth[1], 999)  # of the scene that nothing was learned from
@@ -96,7 +96,7 @@ def test_without_a_scene_at_rest_one_line_says_so(tmp_path: Path, weights: Path)
 
 
 def test_no_frame_held_out_is_learned_from(tmp_path: Path) -> None:
-    stand_still(tmp_path / "one", 1, 10)
+    write_static_scenes(tmp_path / "one", 1, 10)
     lessons = find_lessons(clips_of(tmp_path / "one"))
     assert lessons is not None
     assert lessons.same
@@ -110,7 +110,7 @@ def test_no_frame_held_out_is_learned_from(tmp_path: Path) -> None:
 
 
 def test_the_frames_that_judge_have_no_part_in_the_choice(tmp_path: Path) -> None:
-    stand_still(tmp_path / "two", 2, 8)
+    write_static_scenes(tmp_path / "two", 2, 8)
     lessons = find_lessons(clips_of(tmp_path / "two"))
     assert lessons is not None
     lesson = Lesson(lessons, 0, ())
@@ -124,7 +124,7 @@ def test_the_frames_that_judge_have_no_part_in_the_choice(tmp_path: Path) -> Non
     assert not Lesson(replace(lessons, held=[alone]), 0, ()).is_judged_apart
 
 
-def test_what_moves_is_no_target(tmp_path: Path) -> None:
+def test_moving_objects_are_no_target(tmp_path: Path) -> None:
     truth = scene(0)
     for frame in range(8):
         image = noisy(truth, frame, 0.03)
@@ -139,7 +139,7 @@ def test_what_moves_is_no_target(tmp_path: Path) -> None:
 
 def test_stretches_are_found_in_a_shuffled_folder(tmp_path: Path) -> None:
     truth = [scene(number) for number in range(9)]
-    # Two scenes stand still, among others, and no two of their frames follow each other.
+    # Two scenes are static, among others, and no two of their frames follow each other.
     order = [0, 2, 1, 3, 0, 4, 1, 5, 0, 6, 1, 7, 0, 8, 1] * 2
     for frame, number in enumerate(order):
         write(tmp_path / f"{frame:03d}.png", noisy(truth[number], frame))
@@ -158,7 +158,7 @@ def test_stretches_are_found_in_a_shuffled_folder(tmp_path: Path) -> None:
     ("files", "words", "said"),
     [
         ([], [], "no image, shard, video or recording"),
-        (["a0.png"], [], "nothing stands still in 1 frames"),
+        (["a0.png"], [], "no scene is static in 1 frames"),
         (["a.png", "b.png"], ["--steps", "0"], "--steps 0"),
         (["a.png", "b.png"], ["--learning-rate", "2"], "--learning-rate 2"),
         (["a.png", "b.png"], ["--out", "here"], r"must end in \.safetensors"),
@@ -186,7 +186,7 @@ def test_bad_input_is_one_line(
 def test_damaged_images_are_left_out(
     tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stand_still(tmp_path / "in", 1, 6)
+    write_static_scenes(tmp_path / "in", 1, 6)
     (tmp_path / "in" / "0" / "f3.png").write_bytes(b"no image")
     out = tmp_path / "out.safetensors"
     arguments = ["--weights", str(weights), "--steps", "12", "--learning-rate", "1e-3"]
@@ -197,7 +197,7 @@ def test_damaged_images_are_left_out(
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the sample recordings")
-def test_sample_recordings_stand_still(tmp_path: Path) -> None:
+def test_sample_recordings_are_static(tmp_path: Path) -> None:
     with_ping = read_clips([DATA / "aris-sdk/sample.aris"], tmp_path, Geometries(NONE))
     lessons = find_lessons(with_ping.clips)
     assert lessons is not None

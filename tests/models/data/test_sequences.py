@@ -1,4 +1,4 @@
-"""Windows of recordings: what moves in them, their reference, and trainings that resume."""
+"""Windows of recordings: moving objects in them, their reference, and trainings that resume."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def source_of(folder: Path, *words: str) -> SequenceSource:
     return source
 
 
-def test_a_window_knows_what_moves_and_its_reference_shows_it(swims):
+def test_a_window_knows_moving_objects_and_its_reference_shows_them(swims):
     source = source_of(swims)
     assert len(source) == 2 * (FRAMES - 6)  # one recording validates
     for index in (0, 5):
@@ -120,7 +120,7 @@ def test_crops_are_drawn_by_index_and_visit_alone(swims):
     assert np.mean(shown) < 0.6
 
 
-def test_a_sample_averages_what_stands_still_and_keeps_what_moves(swims):
+def test_a_sample_averages_static_pixels_and_keeps_moving_objects(swims):
     source = source_of(swims)
     sample = source.sample(2, None)
     window = source.window(2)

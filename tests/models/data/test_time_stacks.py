@@ -55,7 +55,7 @@ def test_a_recording_that_moves_is_taught_alone() -> None:
     assert np.isnan(sample.clean).all()
 
 
-def test_speckle_that_stands_still_stays_in_the_target() -> None:
+def test_static_speckle_stays_in_the_target() -> None:
     rng = np.random.default_rng(1)
     noisy = np.clip(scene() * rng.gamma(3, 1 / 3, SHAPE), 0, 1).astype(np.float32)
     remaining = [

@@ -62,7 +62,7 @@ def test_bags_that_cannot_be_denoised_are_skipped(
     said = capsys.readouterr().err
     assert "loud.bag: frame 0: float pixels must lie in 0..1" in said
     assert "short.bag: is cut short; its 1 whole frames are read" in said
-    assert "there: is there already; remove it, or give another --out" in said
+    assert "there: exists already; remove it, or give another --out" in said
     assert sorted(path.name for path in out.iterdir()) == ["a.bag", "short.bag", "there"]
 
 

@@ -173,7 +173,7 @@ def test_noise_alone_seldom_counts_as_a_path() -> None:
     assert error(image, ground) < 1.15 * error(plain, ground)
 
 
-def test_calibration_leaves_out_what_moves() -> None:
+def test_calibration_leaves_out_moving_objects() -> None:
     ground = view(scene())
     box = np.s_[80:100, 80:100]
     frames = [noisy(ground, number) for number in range(7)]
@@ -187,7 +187,7 @@ def test_calibration_leaves_out_what_moves() -> None:
     assert same[20:60, 20:60].mean() > 0.8
 
 
-def test_what_moves_leaves_no_trail_and_does_not_fade() -> None:
+def test_moving_objects_leave_no_trail_and_do_not_fade() -> None:
     truth = []
     frames = []
     for number in range(12):

@@ -1,4 +1,4 @@
-"""Networks that nobody has trained, and what tests give `denoise` instead."""
+"""Untrained networks, and what tests give `denoise` instead."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.fl
 
 
 def main(words: Sequence[str]) -> int:
-    """`simnfnd denoise`, each frame by itself, so that its result is easy to foretell."""
+    """`simnfnd denoise`, each frame alone, so that its result is easy to predict."""
     return command.main([*words, "--frames", "1"])
 
 

@@ -61,7 +61,7 @@ def test_levels_of_known_maps(name: str, order: int) -> None:
 
 
 @pytest.mark.parametrize("ramp", [COPPER, BRONZE], ids=["copper", "bronze"])
-def test_levels_of_a_map_that_nobody_knows(ramp: Bytes) -> None:
+def test_levels_of_an_unknown_map(ramp: Bytes) -> None:
     levels = echoes()
     actual = find_painted(cv2.applyColorMap(levels, ramp))
     assert actual is not None

@@ -252,7 +252,7 @@ def test_pages_that_are_no_frames(tmp_path: Path) -> None:
 def test_what_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("x")
     (tmp_path / "empty").mkdir()
-    named = {"a.txt": "not a recording", "none.aris": "no such", "empty": "no pic"}
+    named = {"a.txt": "not a recording", "none.aris": "no such", "empty": "no image"}
     for name, words in named.items():
         with pytest.raises(FactoryError, match=words):
             open_recording(tmp_path / name)

@@ -171,7 +171,7 @@ def test_which_topics_are_frames(tmp_path: Path) -> None:
         open_recording(path)
 
 
-def test_types_that_nobody_knows_are_copied_and_never_run(tmp_path: Path) -> None:
+def test_unknown_types_are_copied_and_never_run(tmp_path: Path) -> None:
     from rosbags.rosbag1 import Reader, Writer
 
     store = typestore(1)
