@@ -287,7 +287,7 @@ def test_targets_are_classified_with_near_duplicates_in_one_fold(
             for copy in range(2):
                 pixels = np.clip(first + rng.normal(0, 3, (24, 24)) + 60, 0, 255).astype(np.uint8)
                 file = tmp_path / "nksid" / name / f"img_{number}_{copy}.jpg"
-                Picture.fromarray(pixels).save(file, quality=95)
+                PilImage.fromarray(pixels).save(file, quality=95)
     output = printed("nksid_classifier.py", str(tmp_path / "nksid"))
     words = output.split()
     crop_count = int(words[0])
