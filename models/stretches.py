@@ -83,33 +83,40 @@ def read_clips(
     Raises FactoryError when there are none.
     """
     items = find_items(paths, out)
+    _refuse_shards(items)
+    read = ReadClips(paths=[item.source for item in items])
+    sources = sequences(items)
+    counts = [_count_frames(source, read) for source in sources]
+    read.frames = sum(counts)
+    share = min(1.0, most / max(read.frames, 1))
+    for source, count in zip(sources, counts, strict=True):
+        shots = list(_shots(source, runs(count, share), geometries, read)) if count else []
+        if shots:
+            is_shuffled = source[0].kind == "images"
+            read.clips.append(Clip(source[0].source.name, presented(shots), is_shuffled))
+    if not read.clips:
+        more = f" ({read.skipped[0]})" if read.skipped else ""
+        raise FactoryError(f"{paths[0]}: no frame can be read{more}")
+    return read
+
+
+def _refuse_shards(items: Sequence[Item]) -> None:
     for item in items:
         if item.kind == "shard":
             raise FactoryError(
                 f"{item.source}: belongs to a dataset; `simnfnd train` learns from these, and "
                 "`simnfnd adapt` from recordings, videos and images"
             )
-    read = ReadClips()
-    sources = sequences(items)
-    counts = []
-    read.paths = [item.source for item in items]
-    for source in sources:
-        try:
-            with _opened(source) as recording:
-                counts.append(len(recording))
-        except FactoryError as error:
-            read.skipped.append(str(error))
-            counts.append(0)
-    read.frames = sum(counts)
-    share = min(1.0, most / max(read.frames, 1))
-    for source, count in zip(sources, counts, strict=True):
-        if count and (shots := list(_shots(source, runs(count, share), geometries, read))):
-            name = source[0].source.name
-            read.clips.append(Clip(name, presented(shots), source[0].kind == "images"))
-    if not read.clips:
-        more = f" ({read.skipped[0]})" if read.skipped else ""
-        raise FactoryError(f"{paths[0]}: no frame can be read{more}")
-    return read
+
+
+def _count_frames(source: list[Item], read: ReadClips) -> int:
+    """Number of frames of a recording; 0, and a line in `read.skipped`, if it cannot be opened."""
+    try:
+        with _opened(source) as recording:
+            return len(recording)
+    except FactoryError as error:
+        read.skipped.append(str(error))
+        return 0
 
 
 def presented(shots: list[Shot]) -> list[Shot]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -236,9 +236,9 @@ def judged_in_time(
                 name = f"{recordings[number].name}, {method.label}"
                 notes.append(f"{name}: not judged in time ({result.reason})")
             else:
-                rows += [(number, *row) for row in result[0]]
-                notes.append(result[1])
-    columns = ["number", "recording", "kind", "row", "frames", "psnr_db", "ssim"]
+                rows += [(number, *score) for score in result.scores]
+                notes.append(result.note)
+    columns = ["number", *_Score._fields]
     table = pd.DataFrame(rows, columns=columns).drop_duplicates(["number", "kind", "row"])
     return table.drop(columns="number"), list(dict.fromkeys(notes))
 
@@ -265,10 +265,26 @@ def wide(table: pd.DataFrame, *, resamples: int, seed: int) -> pd.DataFrame:
     return cells.rename_axis("row").reset_index()
 
 
-def _judged(
-    task: tuple[int, list[Group], Method, str, int],
-) -> tuple[list[tuple[str, str, str, int, float, float]], str]:
-    """Recording, kind, row, frames, PSNR and SSIM of each row; and what was tuned on what."""
+class _Score(NamedTuple):
+    """Means over the frames of a recording of a row; the names of its fields are columns."""
+
+    recording: str
+    kind: str
+    row: str
+    frames: int
+    psnr_db: float
+    ssim: float
+
+
+class _Judgement(NamedTuple):
+    """Scores of all rows on a recording, and a line that says what was tuned on what."""
+
+    scores: list[_Score]
+    note: str
+
+
+def _judged(task: tuple[int, list[Group], Method, str, int]) -> _Judgement:
+    """Judge a network, and what needs none, on one recording."""
     number, recordings, method, device, most = task
     group = recordings[number]
     frames = _frames(group, most)
@@ -282,17 +298,18 @@ def _judged(
         tuned_on = f"the first {len(half)} frames of itself"
     weight = tuned_weight(tuning)
     denoiser = network(method.weights or "", device)
-    rows = []
+    scores = []
     for kind in kinds_of(frames):
         for name, make in rows_of(kind, denoiser, weight).items():
-            scores = [kind.score(number, make(number)) for number in kind.numbers()]
+            frame_scores = [kind.score(number, make(number)) for number in kind.numbers()]
             label = f"{method.label}: {name}" if name in _OF_NETWORK else name
             psnr_db, similarity = (
-                float(np.mean([recording[key] for recording in scores]))
+                float(np.mean([score[key] for score in frame_scores]))
                 for key in ("psnr_db", "ssim")
             )
-            rows.append((group.name, kind.name, label, len(scores), psnr_db, similarity))
-    return rows, f"{group.name}: tuned TV has weight {weight:g}, tuned on {tuned_on}"
+            frame_count = len(frame_scores)
+            scores.append(_Score(group.name, kind.name, label, frame_count, psnr_db, similarity))
+    return _Judgement(scores, f"{group.name}: tuned TV has weight {weight:g}, tuned on {tuned_on}")
 
 
 def _is_recording(group: Group) -> bool:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..cli import Parser
 from ..cli.compose import compose_points
@@ -65,14 +65,14 @@ def main(words: list[str]) -> int:
     print(
         f"workers: {worker_counts.render} that render and {worker_counts.noise} that only add noise"
     )
-    render_s, pair_s, render_bytes, pair_bytes = _probe(config, used)
+    cost = _probe(config, used)
     print(
-        f"probe: {render_s:.2f} s to render a frame, {pair_s:.2f} s a pair; "
-        f"{render_bytes / 1e3:.0f} kB a render, {pair_bytes / 1e3:.0f} kB a pair"
+        f"probe: {cost.render_s:.2f} s to render a frame, {cost.pair_s:.2f} s a pair; "
+        f"{cost.render_bytes / 1e3:.0f} kB a render, {cost.pair_bytes / 1e3:.0f} kB a pair"
     )
-    seconds = renders * render_s / min(max(worker_counts.render, 1), usable_cores())
-    seconds += pairs * pair_s / min(worker_counts.total, usable_cores())
-    disk_gb = (pairs * pair_bytes + renders * render_bytes) / 1e9
+    seconds = renders * cost.render_s / min(max(worker_counts.render, 1), usable_cores())
+    seconds += pairs * cost.pair_s / min(worker_counts.total, usable_cores())
+    disk_gb = (pairs * cost.pair_bytes + renders * cost.render_bytes) / 1e9
     folder = job.directory.absolute()
     while not folder.exists():
         folder = folder.parent
@@ -90,8 +90,17 @@ def main(words: list[str]) -> int:
     return 1 if short else 0
 
 
-def _probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> tuple[float, float, float, float]:
-    """Seconds a render and a pair, bytes a render and a pair: of four frames from all over.
+class _Cost(NamedTuple):
+    """Mean cost of a render and of a pair: seconds of one worker, and bytes on disk."""
+
+    render_s: float
+    pair_s: float
+    render_bytes: float
+    pair_bytes: float
+
+
+def _probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> _Cost:
+    """Make pairs of four frames, evenly spread over all, and measure what they cost.
 
     The first, which has Blender to load, is not timed.
     Raises FactoryError when none of them can be made.
@@ -129,4 +138,4 @@ def _probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> tuple[float, fl
         )  # fmt: skip
     assert info is not None
     render_s, pair_s = map(fmean, zip(*(times[1:] or times), strict=True))
-    return render_s, pair_s, fmean(sizes), info.bytes / len(pairs)
+    return _Cost(render_s, pair_s, fmean(sizes), info.bytes / len(pairs))

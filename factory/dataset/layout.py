@@ -327,7 +327,7 @@ def _check_contents(file: h5py.File) -> None:
             "its checksums are absent; generate the shard again (versions before 0.3 wrote none)"
         )
     table = dataset_inside(file, CHECKSUMS)
-    names = _summed(file)
+    names = _checksummed_names(file)
     columns = table.dtype.names or ()
     numbers = all(table.dtype[name] == np.dtype("<u4") for name in columns)
     if table.shape != file["meta"].shape or sorted(columns) != sorted(names) or not numbers:
@@ -342,11 +342,11 @@ def check_texts(file: h5py.File) -> None:
     Raises FactoryError when it differs.
     """
     dict(file.attrs)
-    if file.attrs[_TEXTS] != _digest(_texts(file, _summed(file))):
+    if file.attrs[_TEXTS] != _digest(_texts(file, _checksummed_names(file))):
         raise FactoryError("units or descriptions differ from their checksum; damaged")
 
 
-def _summed(file: h5py.File) -> tuple[str, ...]:
+def _checksummed_names(file: h5py.File) -> tuple[str, ...]:
     return (*CORE, *optional_layers(file), *echo_names(file))
 
 

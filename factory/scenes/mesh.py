@@ -165,8 +165,8 @@ class MeshReader:
         """Nothing is read before it is needed."""
         self._settings = settings
         self._path = Path(settings.file).expanduser()
-        self._course = cache(self._drawn)
-        self._around = cache(self._surroundings)
+        self._poses_along = cache(self._draw_path)
+        self._cached_surroundings = cache(self._surroundings)
 
     def discover(self) -> Discovery:
         """List the frames: scene `orbit-0003` is the path number 3, frame `0007` its view 7."""
@@ -207,9 +207,9 @@ class MeshReader:
             segmentation=segmentation,
             instance=instance,
             time_s=settings.time_s(ref),
-            altitude_m=self._below(viewpoint.eye),
+            altitude_m=self._altitude_m(viewpoint.eye),
             boxes=z_buffer.boxes(instance) if settings.boxes else None,
-            surroundings=self._around(ref.scene) if settings.is_recording else None,
+            surroundings=self._cached_surroundings(ref.scene) if settings.is_recording else None,
         )
         return checked(frame)
 
@@ -221,7 +221,7 @@ class MeshReader:
             eye = matrix[:3, 3] - self._world.origin_m
             return Pose(eye, np.ascontiguousarray(matrix[:3, :3]))
         time_s = view / (settings.frame_rate_hz or 1.0)
-        return self._course(int(scene[-4:]))(settings.speed_m_s * time_s)
+        return self._poses_along(int(scene[-4:]))(settings.speed_m_s * time_s)
 
     def _surroundings(self, scene: str) -> Surroundings:
         """Where a recording begins, and the height of the highest things around.
@@ -289,7 +289,7 @@ class MeshReader:
         with Image.open(io.BytesIO(content)) as image:
             return np.array(image.convert("RGB"))
 
-    def _drawn(self, path: int) -> Callable[[float], Pose]:
+    def _draw_path(self, path: int) -> Callable[[float], Pose]:
         """Draw a path, and measure the ground under it; metres travelled give the pose."""
         settings = self._settings
         rng = stream(0, "mesh", settings.route, path)
@@ -385,10 +385,10 @@ class MeshReader:
     def _ground_m(self, place: Points) -> float | None:
         """Height of the highest thing at a place."""
         top_m = float(self._world.objects.mesh.vertices[:, 2].max()) + 1
-        below = self._below(np.array([*place[:2], top_m]))
+        below = self._altitude_m(np.array([*place[:2], top_m]))
         return None if below is None else top_m - below
 
-    def _below(self, eye: Points) -> float | None:
+    def _altitude_m(self, eye: Points) -> float | None:
         """Metres to the first thing right under the eye."""
         optics = centred(500, _GROUND_PX, _GROUND_PX)
         down = pose(eye, 0, 90, 0)

@@ -113,15 +113,7 @@ def read_model(
     except FactoryError as error:
         raise FactoryError(f"{key}={path}: {error}") from error
 
-    points = np.concatenate([part.mesh.vertices for part in stored.parts])
-    size_m = float(np.ptp(points, axis=0).max()) * scale
-    if not _SMALLEST_M <= size_m <= largest_m:
-        wanted = scale / 1000 if size_m > largest_m else scale * 1000
-        unit = "in millimetres?" if size_m > largest_m else "divided twice?"
-        raise FactoryError(
-            f"{key}={path}: is {size_m:,.4g} m long at scale {scale:g}, {unit} set "
-            f"{key.rpartition('.')[0]}.scale to metres per unit of the file, such as {wanted:g}"
-        )
+    _check_size(path, key, stored.parts, scale, largest_m)
 
     notes = [*_turned_note(path, stored.parts)]
     parts = [part._replace(mesh=part.mesh.moved(scale=scale)) for part in stored.parts]
@@ -144,6 +136,22 @@ def read_model(
             " m; export it near the origin, or with 64 bits"
         )
     return Model(tuple(parts), origin * scale, tuple(notes))
+
+
+def _check_size(
+    path: Path, key: str, parts: tuple[Part, ...], scale: float, largest_m: float
+) -> None:
+    """Raise FactoryError for a world too small or too large, whose unit is hardly the metre."""
+    points = np.concatenate([part.mesh.vertices for part in parts])
+    size_m = float(np.ptp(points, axis=0).max()) * scale
+    if _SMALLEST_M <= size_m <= largest_m:
+        return
+    wanted = scale / 1000 if size_m > largest_m else scale * 1000
+    unit = "in millimetres?" if size_m > largest_m else "divided twice?"
+    raise FactoryError(
+        f"{key}={path}: is {size_m:,.4g} m long at scale {scale:g}, {unit} set "
+        f"{key.rpartition('.')[0]}.scale to metres per unit of the file, such as {wanted:g}"
+    )
 
 
 def stands_like_a_wall(parts: tuple[Part, ...]) -> bool:

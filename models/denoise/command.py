@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
 
@@ -83,20 +83,25 @@ def main(arguments: Sequence[str]) -> int:
                 print(line)
         _denoise_all(items, job)
 
-    for line in (*geometries.summary(), *denoising.summary(), *job.removed.summary()):
+    for line in _summary(job, options):
         print(line)
-    if options.strength > 0:
-        for line in job.unchanged.summary():
-            print(line)
-    if not options.invert:
-        for line in job.inverted.summary():
-            print(line)
-    names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
-    print(f"weights: {names or denoise.name}")
-    print(f"denoised: {job.used.total()} file(s) in {out}")
     if video is not None:
         print(f"compared: {video}")
     return 1 if job.failures else 0
+
+
+def _summary(job: Job, options: argparse.Namespace) -> Iterator[str]:
+    """What a run found and did, line by line."""
+    yield from job.geometries.summary()
+    yield from job.denoising.summary()
+    yield from job.removed.summary()
+    if options.strength > 0:
+        yield from job.unchanged.summary()
+    if not options.invert:
+        yield from job.inverted.summary()
+    names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
+    yield f"weights: {names or job.denoise.name}"
+    yield f"denoised: {job.used.total()} file(s) in {job.out}"
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:

@@ -69,22 +69,27 @@ def _denoise_images(items: Sequence[Item], job: Job) -> None:
         job.removed.add(str(item.relative), denoised.removed)
         job.unchanged.add(str(item.relative), image, denoised.image)
         job.inverted.add(str(item.relative), image, denoised.removed.noisy)
-        path = job.out / item.relative
         try:
-            if item.source.suffix.lower() == ARRAY_SUFFIX:
-                with ArrayFile(item.source) as array:
-                    write_frames(path, [TimedImage(denoised.image)], array)
-            else:
-                write_image(path, denoised.image)
-            if job.video is not None:
-                job.video.add(image, denoised.image)
-            if job.compare:
-                row = Compared(image, denoised.image, denoised.removed.shown())
-                write_compared(job.out / item.compared, [row])
+            _write_results(item, image, denoised, job)
             job.done(item, job.denoise.name)
         except FrameError as error:
             job.failures.append(str(error))
         job.bar.update()
+
+
+def _write_results(item: Item, image: Pixels, denoised: Denoised, job: Job) -> None:
+    """Write a denoised image in the form of its file, and what compares it with the noisy one."""
+    path = job.out / item.relative
+    if item.source.suffix.lower() == ARRAY_SUFFIX:
+        with ArrayFile(item.source) as array:
+            write_frames(path, [TimedImage(denoised.image)], array)
+    else:
+        write_image(path, denoised.image)
+    if job.video is not None:
+        job.video.add(image, denoised.image)
+    if job.compare:
+        row = Compared(image, denoised.image, denoised.removed.shown())
+        write_compared(job.out / item.compared, [row])
 
 
 def _denoise_recording(item: Item, job: Job) -> None:
@@ -99,23 +104,15 @@ def _denoise_recording(item: Item, job: Job) -> None:
         raise FrameError(f"{path}: exists already; remove it, or give another --out")
     shown: list[Compared] = []
     with _opened(item, job.topics) as recording:
-        before = job.bar.n
+        finished_before = job.bar.n
         job.bar.total += recording.count
-        topics: tuple[str, ...] = getattr(recording, "topics", ())
         frames = _frames(item, recording, job, shown)
-        rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
-        if item.kind in SEQUENCES:
-            images = (TimedImage(image, frame.time_s, frame.duration_s) for frame, image in frames)
-            note = write_frames(path, images, recording)
-            if note:
-                job.warnings.append(note)
-        elif rewrite is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            rewrite((samples for _, samples in frames), path)
-        else:
-            _write_pings(path, frames)
-        # How many frames a file says to have is often wrong.
-        job.bar.total += job.bar.n - before - recording.count
+        note = _write_recording(item, recording, frames, path)
+        if note:
+            job.warnings.append(note)
+        # The number of frames that a file states is often wrong.
+        job.bar.total += job.bar.n - finished_before - recording.count
+        topics: tuple[str, ...] = getattr(recording, "topics", ())
         if recording.warning:
             job.warnings.append(recording.warning)
         elif len(topics) > 1 and job.denoising.frames > 1:
@@ -126,6 +123,22 @@ def _denoise_recording(item: Item, job: Job) -> None:
     if shown:
         write_compared(job.out / item.compared, shown)
     job.done(item, job.denoise.name, of_points=False)
+
+
+def _write_recording(
+    item: Item, recording: Recording, frames: Iterator[tuple[Frame, Pixels]], path: Path
+) -> str:
+    """Write denoised frames in the form of their recording; returns a warning, or nothing."""
+    if item.kind in SEQUENCES:
+        images = (TimedImage(image, frame.time_s, frame.duration_s) for frame, image in frames)
+        return write_frames(path, images, recording)
+    rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
+    if rewrite is None:
+        _write_pings(path, frames)
+    else:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        rewrite((samples for _, samples in frames), path)
+    return ""
 
 
 def _write_pings(folder: Path, frames: Iterable[tuple[Frame, Pixels]]) -> None:

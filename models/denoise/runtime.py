@@ -210,8 +210,8 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
         planes = 2 * radius - 1, azimuth, 1 - sector
         if not is_grid:
             inside = _cells(sector, stride) > 0
-            beams = _numbers(_cells(azimuth, stride), inside, columns)
-            arcs = _numbers(_cells(radius, stride), inside, rows)
+            beams = _line_numbers(_cells(azimuth, stride), inside, columns)
+            arcs = _line_numbers(_cells(radius, stride), inside, rows)
     return {
         "noisy": np.ascontiguousarray(gray, np.float32)[None, None],
         "maps": np.stack(planes)[None].astype(np.float32),
@@ -229,7 +229,7 @@ def _cells(plane: Gray, stride: int) -> Gray:
     return padded[::2, ::2]
 
 
-def _numbers(values: Gray, inside: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.int64]:
+def _line_numbers(values: Gray, inside: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.int64]:
     """The index of each value among `count` even steps between the extremes inside."""
     least, most = (values[inside].min(), values[inside].max()) if inside.any() else (0, 1)
     extent = max(np.float32(most) - np.float32(least), np.float32(1e-6))

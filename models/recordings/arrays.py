@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -196,34 +196,44 @@ def _named(rows: list[list[Any]]) -> list[Listed]:
 def _array_of_numpy(path: Path) -> Listed:
     """The array of a .npy file; of one that is cut short, the whole images."""
     with path.open("rb") as file:
-        shape, is_fortran, dtype = _numpy_header(file)
+        header = _numpy_header(file)
         data_bytes = path.stat().st_size - file.tell()
-    return _whole_part(path, "", (shape, is_fortran, dtype), data_bytes)
+    return _whole_part(path, "", header, data_bytes)
 
 
-def _numpy_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Raises ValueError."""
+class _NumpyHeader(NamedTuple):
+    """The header of a .npy file."""
+
+    shape: tuple[int, ...]
+    is_fortran: bool
+    dtype: np.dtype[Any]
+
+    @property
+    def data_bytes(self) -> int:
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+def _numpy_header(file: IO[bytes]) -> _NumpyHeader:
+    """Read the header of a .npy file.  Raises ValueError."""
     version = _FORMAT.read_magic(file)
     name = "1_0" if version == (1, 0) else "2_0"
     shape, is_fortran, dtype = getattr(_FORMAT, f"read_array_header_{name}")(file)
     if dtype.hasobject:
         raise ValueError("it holds Python objects, which are never unpacked")
-    return shape, is_fortran, dtype
+    return _NumpyHeader(shape, is_fortran, dtype)
 
 
-def _whole_part(
-    path: Path, name: str, header: tuple[tuple[int, ...], bool, np.dtype[Any]], data_bytes: int
-) -> Listed:
-    """The array, of which so many bytes are there.  Raises FrameError where no image is whole."""
+def _whole_part(path: Path, name: str, header: _NumpyHeader, data_bytes: int) -> Listed:
+    """The array of which `data_bytes` are there.  Raises FrameError where no image is whole."""
     shape, is_fortran, dtype = header
-    if data_bytes >= math.prod(shape) * dtype.itemsize:
+    if data_bytes >= header.data_bytes:
         return Listed(name, shape, dtype)
     image_bytes = max(math.prod(shape[1:]) * dtype.itemsize, 1)
     parts = data_bytes // image_bytes
     if is_fortran or _is_single(shape) or len(shape) < 3 or parts < 1:
         raise FrameError(
             f"{path}: not a readable array: it is cut short ({max(data_bytes, 0):,} of "
-            f"{math.prod(shape) * dtype.itemsize:,} bytes) before its first whole image"
+            f"{header.data_bytes:,} bytes) before its first whole image"
         )
     return Listed(name, (parts, *shape[1:]), dtype, parts)
 
@@ -235,8 +245,8 @@ def _members(path: Path) -> Iterator[Listed]:
             for name in archive.namelist():
                 if name.endswith(ARRAY_SUFFIX):
                     with archive.open(name) as stream:
-                        shape, _, dtype = _numpy_header(stream)
-                    yield Listed(name.removesuffix(ARRAY_SUFFIX), shape, dtype)
+                        header = _numpy_header(stream)
+                    yield Listed(name.removesuffix(ARRAY_SUFFIX), header.shape, header.dtype)
     except BadZipFile:
         with path.open("rb") as file:
             if file.read(4) != _ZIP_HEAD:
@@ -282,7 +292,7 @@ def _first_member(path: Path) -> Listed:
         name, stream = _open_first_member(file)
         header = _numpy_header(stream)  # type: ignore[arg-type]
         read_bytes = 0
-        needed = math.prod(header[0]) * header[2].itemsize
+        needed = header.data_bytes
         ask_bytes(str(path), needed, path.stat().st_size)
         while read_bytes < needed and (piece := stream.read(1 << 20)):
             read_bytes += len(piece)

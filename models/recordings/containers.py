@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import IO
+from typing import IO, NamedTuple
 
 _BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
 _MATROSKA = b"\x1a\x45\xdf\xa3"
@@ -76,13 +76,12 @@ def _end_of_segment(file: IO[bytes], size: int) -> int:
     """Where the segment of a Matroska file ends (RFC 9559), or its last part of known length."""
     offset = _after_element(file, 0)
     element = _element_at(file, offset) if offset is not None else None
-    if offset is None or element is None or element[0] != _SEGMENT:
+    if element is None or element.identifier != _SEGMENT:
         return 0
-    _, content, length = element
-    if length is not None:
-        return content + length
+    if element.length is not None:
+        return element.content + element.length
     # A live stream: its parts may say how long they are.
-    part = content
+    part = element.content
     for _ in range(_MOST_PARTS):
         after = _after_element(file, part)
         if after is None or after > size:
@@ -94,13 +93,24 @@ def _end_of_segment(file: IO[bytes], size: int) -> int:
 def _after_element(file: IO[bytes], offset: int) -> int | None:
     """Where the element that begins at `offset` ends; None where it does not say."""
     element = _element_at(file, offset)
-    if element is None or element[2] is None:
+    if element is None or element.length is None:
         return None
-    return element[1] + element[2]
+    return element.content + element.length
 
 
-def _element_at(file: IO[bytes], offset: int) -> tuple[bytes, int, int | None] | None:
-    """(identifier, where its content begins, its length or None) of an EBML element."""
+class _Element(NamedTuple):
+    """An EBML element.
+
+    content: offset of its content in the file.  length: bytes of the content; None: not stated.
+    """
+
+    identifier: bytes
+    content: int
+    length: int | None
+
+
+def _element_at(file: IO[bytes], offset: int) -> _Element | None:
+    """The element at an offset; None where there is none."""
     header = _bytes_at(file, offset, 12)
     id_length = _vint_length(header[:1])
     if id_length is None or id_length > 4:
@@ -112,7 +122,7 @@ def _element_at(file: IO[bytes], offset: int) -> tuple[bytes, int, int | None] |
     mask = (1 << 7 * size_length) - 1
     length = int.from_bytes(field, "big") & mask
     content = offset + id_length + size_length
-    return header[:id_length], content, None if length == mask else length
+    return _Element(header[:id_length], content, None if length == mask else length)
 
 
 def _vint_length(first: bytes) -> int | None:

@@ -67,8 +67,8 @@ def find_geometry(image: npt.NDArray[Any]) -> FanGeometry | None:
     """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
 
     In pixels and shares of the largest range; metres cannot be seen.
-    None for an image without a sector on black or on a bright page: a photo, a polar image, a
-    full rectangle.  Raises ValueError for another shape.
+    None for an image without a sector on black or on a bright page, such as a camera image, a polar
+    image or a full rectangle.  Raises ValueError for another shape.
     """
     grey = grey_bytes(image)
     if min(grey.shape) < 32:
@@ -87,32 +87,51 @@ def find_geometry(image: npt.NDArray[Any]) -> FanGeometry | None:
     return _find_drawn(grey)
 
 
-def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
-    """The fan with far range on top."""
-    # The black level of the darker upper corner: no fan reaches the corners, but text may.
-    size = max(2, min(grey.shape) // 40)
-    corners = grey[:size, :size], grey[:size, -size:]
-    black = min(int(np.quantile(corner, 0.99)) for corner in corners)
+def _find_upright(image: Bytes, sure: float) -> FanGeometry | None:
+    """The fan with far range on top; None where none is found with confidence `sure`."""
+    black = _black_level(image)
     if black > _MOST_BLACK:
         return None
-    grey, top, left = _cropped(grey, black)
+    grey, top, left = _cropped(image, black)
     sector = fit_sector(grey > black)
     if sector is None:
         return None
-    # JPEG and MPEG ring on both sides of an edge: there the border is not quite black.
+
+    ringing = _ringing_level(grey, sector)
+    if ringing > black:
+        refitted = fit_sector(grey > ringing)
+        if refitted is not None:
+            black = ringing
+            sector = refitted
+    if not _is_plausible(sector):
+        return None
+
+    lit = grey > black
+    outside = _sector_mask(sector, *grey.shape) == 0
+    if (lit & outside).mean() > _MOST_OUTSIDE:
+        return None
+    fan = _fan_of_sector(sector)
+    if _confidence(lit, fan) < sure:
+        return None
+    return replace(fan, apex_x_px=fan.apex_x_px + left, apex_y_px=fan.apex_y_px + top)
+
+
+def _black_level(grey: Bytes) -> int:
+    """Grey value of the darker upper corner: no fan reaches the corners, but text may."""
+    size = max(2, min(grey.shape) // 40)
+    corners = grey[:size, :size], grey[:size, -size:]
+    return min(int(np.quantile(corner, 0.99)) for corner in corners)
+
+
+def _ringing_level(grey: Bytes, sector: Sector) -> int:
+    """Grey value of the border beside a sector, where JPEG and MPEG ring and it is not black."""
     inside = _sector_mask(sector, *grey.shape)
     near, wide = (cv2.dilate(inside, np.ones((side, side), np.uint8)) for side in (5, 17))
     beside = grey[(wide > 0) & (near == 0)]
-    ringing = min(int(np.quantile(beside, 0.97)), _MOST_BLACK) if beside.size else 0
-    if ringing > black and (again := fit_sector(grey > ringing)) is not None:
-        black = ringing
-        sector = again
-    lit = grey > black
-    if not _is_plausible(sector):
-        return None
-    if (lit & (_sector_mask(sector, *grey.shape) == 0)).mean() > _MOST_OUTSIDE:
-        return None
+    return min(int(np.quantile(beside, 0.97)), _MOST_BLACK) if beside.size else 0
 
+
+def _fan_of_sector(sector: Sector) -> FanGeometry:
     first_rad = math.atan(sector.left_tangent)
     last_rad = math.atan(sector.right_tangent)
     symmetric_fan = FanGeometry.fan(
@@ -123,10 +142,7 @@ def _find_upright(grey: Bytes, sure: float) -> FanGeometry | None:
         far_px=sector.far_px,
         x_scale=sector.squeeze,
     )
-    fan = replace(symmetric_fan, azimuth_min_rad=first_rad, azimuth_max_rad=last_rad)
-    if _confidence(lit, fan) < sure:
-        return None
-    return replace(fan, apex_x_px=sector.apex_x + left, apex_y_px=sector.apex_y + top)
+    return replace(symmetric_fan, azimuth_min_rad=first_rad, azimuth_max_rad=last_rad)
 
 
 def _is_plausible(sector: Sector) -> bool:
@@ -140,14 +156,22 @@ def _is_plausible(sector: Sector) -> bool:
     return abs(math.log(sector.squeeze)) <= math.log(_MOST_ACCEPTED_SQUEEZE)
 
 
-def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
-    """What is not border, with some border around it; its first row and column."""
+class _Crop(NamedTuple):
+    """A part of an image, and its first row and column."""
+
+    grey: Bytes
+    top: int
+    left: int
+
+
+def _cropped(grey: Bytes, black: int) -> _Crop:
+    """The part of an image that is not black, with a margin."""
     spans = []
     for share in ((grey > black).mean(axis=1), (grey > black).mean(axis=0)):
         some = np.flatnonzero(share > 0.02).tolist() or [0, len(share) - 1]
         spans.append(slice(max(some[0] - 16, 0), some[-1] + 17))
     rows, columns = spans
-    return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
+    return _Crop(np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start)
 
 
 def grey_bytes(image: npt.NDArray[Any]) -> Bytes:

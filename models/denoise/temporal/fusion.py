@@ -117,39 +117,31 @@ class Fusion:
             return Fused(frame, ones, ones)
         measured = self._neighbour_to_measure(len(neighbours))
         if measured is not None:
-            neighbour = neighbours[measured]
-            difference = (grey_of(neighbour.levels) - grey) * np.float32(np.sqrt(0.5))
-            self.noise.add(difference, grey * neighbour.visible)
+            self._measure_noise(grey, neighbours[measured])
 
         small, visible = _reduce(grey, neighbours)
         level = small.median if measured is None else small.median * visible[measured]
-        planes = (*small.neighbours, small.frame)
-        from_median = [plane - small.median for plane in planes]
-        *agreement, static = self._to_median(from_median, small.median, measured, level)
+        from_median = [plane - small.median for plane in (*small.neighbours, small.frame)]
+        *agrees_with_median, static = self._to_median(from_median, small.median, measured, level)
         from_frame = [plane - small.frame for plane in small.neighbours]
-        likeness = self._to_frame(from_frame, small.frame, measured, level)
+        agrees_with_frame = self._to_frame(from_frame, small.frame, measured, level)
 
-        scene_weights = [_smooth(weight) for weight in agreement]
         # Where the frame shows an object, a neighbour that agrees with the median shows the scene,
         # even if noise alone could explain its difference from the frame.
-        frame_weights = [
-            _smooth(alike * static + like_frame * (1 - alike) * (1 - static))
-            for alike, like_frame in zip(agreement, likeness, strict=True)
+        weights = [
+            _smooth(with_median * static + with_frame * (1 - with_median) * (1 - static))
+            for with_median, with_frame in zip(agrees_with_median, agrees_with_frame, strict=True)
         ]
-        fused, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, frame_weights)
-        static_share = _enlarge(static, grey.shape)
-        tracked = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
-        if len(tracked) + 1 >= _MIN_TRACKED_FRAMES:
-            targets = self._find_targets(small, from_median, neighbours)
-            if targets.gate.any():
-                scene, scene_count = _weighted_mean(frame, static_share, neighbours, scene_weights)
-                # Where too few frames show the scene there is none to add a target to.
-                gate = _enlarge(targets.gate, grey.shape) * (scene_count > 1)
-                target = _mean_target(frame, scene, neighbours, targets)
-                fused = fused + _like(gate, fused) * (scene + target - fused)
-                fused = np.clip(fused, 0, 1)
-                static_share = static_share * (1 - gate)
-        return Fused(fused, frame_count, static_share)
+        image, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, weights)
+        fused = Fused(image, frame_count, _enlarge(static, grey.shape))
+
+        trackable = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
+        if len(trackable) + 1 < _MIN_TRACKED_FRAMES:
+            return fused
+        targets = self._find_targets(small, from_median, neighbours)
+        if not targets.gate.any():
+            return fused
+        return _with_targets(fused, frame, neighbours, agrees_with_median, targets)
 
     def shows_same(self, fused: Fused, later: Grey, visible: Grey) -> npt.NDArray[np.bool_]:
         """Where another frame, (H, W), shows the static scene that was fused.
@@ -173,6 +165,11 @@ class Fusion:
         index = self._frames_seen % count if due else None
         self._frames_seen += 1
         return index
+
+    def _measure_noise(self, grey: Grey, neighbour: Neighbour) -> None:
+        """Learn the noise of a pixel from the difference of a frame and a neighbour."""
+        difference = (grey_of(neighbour.levels) - grey) * np.float32(np.sqrt(0.5))
+        self.noise.add(difference, grey * neighbour.visible)
 
     def _find_targets(
         self, small: _Reduced, from_median: Sequence[Grey], neighbours: Sequence[Neighbour]
@@ -289,6 +286,26 @@ def _weighted_mean(
     count = np.maximum(count, np.float32(1e-3))
     mean = total / _like(count, frame)
     return mean, count * count / np.maximum(squares, np.float32(1e-6))
+
+
+def _with_targets(
+    fused: Fused,
+    frame: Grey,
+    neighbours: Sequence[Neighbour],
+    agrees_with_median: Sequence[Grey],
+    targets: _Targets,
+) -> Fused:
+    """A fused frame that shows each moving target as its mean along its path.
+
+    agrees_with_median: (h, w) reduced, 1 where a neighbour shows the static scene.
+    """
+    weights = [_smooth(agreement) for agreement in agrees_with_median]
+    scene, scene_count = _weighted_mean(frame, fused.static_share, neighbours, weights)
+    # Where too few frames show the scene there is none to add a target to.
+    gate = _enlarge(targets.gate, frame.shape) * (scene_count > 1)
+    target = _mean_target(frame, scene, neighbours, targets)
+    image = fused.image + _like(gate, fused.image) * (scene + target - fused.image)
+    return Fused(np.clip(image, 0, 1), fused.frame_count, fused.static_share * (1 - gate))
 
 
 def _faint(deviation: Grey) -> Grey:
