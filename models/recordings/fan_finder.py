@@ -293,9 +293,10 @@ def _isolate_largest_area(grey: Bytes, spread: int) -> Bytes | None:
     shown = grey
     if has_bright_ground:
         # The ground is all of its level that is connected to the image's border.
-        alike = (np.abs(grey.astype(np.int16) - ground) <= spread).astype(np.uint8)
-        _, parts = cv2.connectedComponents(alike, connectivity=4)
-        shown = np.where(np.isin(parts, np.setdiff1d(parts[rim], 0)), 0, grey).astype(np.uint8)
+        has_ground_level = np.abs(grey.astype(np.int16) - ground) <= spread
+        _, parts = cv2.connectedComponents(has_ground_level.astype(np.uint8), connectivity=4)
+        border_parts = np.setdiff1d(parts[rim], 0)  # 0: pixels of other levels
+        shown = np.where(np.isin(parts, border_parts), 0, grey).astype(np.uint8)
     closed = cv2.morphologyEx(
         (shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8)
     )

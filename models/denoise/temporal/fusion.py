@@ -27,9 +27,9 @@ from .tracking import MAX_OFFSET, Tracks, find_tracks, mean_along
 _LEARNING_FRAMES = 30
 _LEARNING_INTERVAL = 8
 """Noise is measured on each of the first frames, later on every so many."""
-_SMALL_SIGMA_PX = 0.8
-_WIDE_SIDE_PX = 7
-"""Of the small window and of the wide one, reduced pixels."""
+# In reduced pixels, `motion.factors` times as large as those of the frames.
+_SMALL_SIGMA_PX = 0.8  # Gaussian of the small window
+_WIDE_SIDE_PX = 7  # side of the wide window
 _MAX_DEVIATION = 3.0  # in the wide window: an object nearby must not fill it
 _AGREEMENT_LIMIT = 3.3
 """Standard deviations up to which a frame agrees with the median, and a neighbour with a frame."""
@@ -104,8 +104,8 @@ class Fusion:
 
     def __init__(self) -> None:
         self._frames_seen = 0
-        self._to_median = _Agreement(_AGREEMENT_LIMIT)
-        self._to_frame = _Agreement(_AGREEMENT_LIMIT)
+        self._median_agreement = _Agreement(_AGREEMENT_LIMIT)
+        self._frame_agreement = _Agreement(_AGREEMENT_LIMIT)
         self._score_spread = RunningSpread()
         self.noise = NoiseByLevel()
 
@@ -115,16 +115,25 @@ class Fusion:
         if not neighbours:
             ones = np.ones(grey.shape, np.float32)
             return Fused(frame, ones, ones)
-        measured = self._neighbour_to_measure(len(neighbours))
-        if measured is not None:
-            self._measure_noise(grey, neighbours[measured])
+        measured_index = self._neighbour_to_measure(len(neighbours))
+        if measured_index is not None:
+            self._measure_noise(grey, neighbours[measured_index])
 
         small, visible = _reduce(grey, neighbours)
-        level = small.median if measured is None else small.median * visible[measured]
+        # Noise is not measured where the grey value is 0, so 0 where the neighbour is not visible.
+        measured_grey = small.median
+        if measured_index is not None:
+            measured_grey = small.median * visible[measured_index]
+
+        # Of the neighbours, then of the frame itself.
         from_median = [plane - small.median for plane in (*small.neighbours, small.frame)]
-        *agrees_with_median, static = self._to_median(from_median, small.median, measured, level)
+        agreement = self._median_agreement(from_median, small.median, measured_index, measured_grey)
+        agrees_with_median = agreement[:-1]
+        static = agreement[-1]
         from_frame = [plane - small.frame for plane in small.neighbours]
-        agrees_with_frame = self._to_frame(from_frame, small.frame, measured, level)
+        agrees_with_frame = self._frame_agreement(
+            from_frame, small.frame, measured_index, measured_grey
+        )
 
         # Where the frame shows an object, a neighbour that agrees with the median shows the scene,
         # even if noise alone could explain its difference from the frame.
@@ -151,7 +160,7 @@ class Fusion:
         """
         small = blurred(reduced(fused.image), _SMALL_SIGMA_PX)
         difference = np.abs(blurred(reduced(later), _SMALL_SIGMA_PX) - small)
-        agrees = difference / self._to_frame.noise.at(small) < _AGREEMENT_LIMIT
+        agrees = difference / self._frame_agreement.noise.at(small) < _AGREEMENT_LIMIT
         lit = small > _DARK
         height, width = fused.image.shape
         same = cv2.resize(
@@ -176,7 +185,7 @@ class Fusion:
     ) -> _Targets:
         """Find the objects that move along paths through the window."""
         lit = small.median > _DARK
-        sigma = self._to_median.noise.at(small.median)
+        sigma = self._median_agreement.noise.at(small.median)
         offsets = [*(neighbour.offset for neighbour in neighbours), 0]
         deviations = {
             offset: difference / sigma * lit
@@ -197,7 +206,7 @@ class Fusion:
 class _Agreement:
     """How far frames agree in a small window and in a wide one, up to a limit in deviations.
 
-    noise: standard deviation of a deviation in the small window, by grey level.
+    noise: standard deviation of a difference in the small window, by grey level.
     """
 
     def __init__(self, limit: float) -> None:
@@ -206,15 +215,20 @@ class _Agreement:
         self._wide_noise = NoiseByLevel()
 
     def __call__(
-        self, differences: Sequence[Grey], grey: Grey, measured: int | None, level: Grey
+        self,
+        differences: Sequence[Grey],
+        grey: Grey,
+        measured_index: int | None,
+        measured_grey: Grey,
     ) -> list[Grey]:
         """1 up to the limit in both windows, then falling to 0; (h, w) for each difference.
 
         differences: (h, w) each, from planes of grey values `grey`.
-        measured: index of the difference that noise is measured on, by grey values `level`.
+        measured_index: of the difference that noise is measured on; None: on none.
+        measured_grey: (h, w) grey values by which it is measured; a pixel of 0 is left out.
         """
-        if measured is not None:
-            self.noise.add(differences[measured], level)
+        if measured_index is not None:
+            self.noise.add(differences[measured_index], measured_grey)
         sigma = self.noise.at(grey)
         small = [difference / sigma for difference in differences]
         wide = [
@@ -223,8 +237,8 @@ class _Agreement:
             )
             for deviation in small
         ]
-        if measured is not None:
-            self._wide_noise.add(wide[measured], level)
+        if measured_index is not None:
+            self._wide_noise.add(wide[measured_index], measured_grey)
         wide_sigma = self._wide_noise.at(grey)
         agreement = []
         for near, around in zip(small, wide, strict=True):
@@ -235,7 +249,7 @@ class _Agreement:
 
 
 def median(planes: Sequence[Grey]) -> Grey:
-    """Of planes, pixel by pixel, by a network of minima and maxima."""
+    """Median of planes, pixel by pixel, by a network of minima and maxima."""
     values = list(planes)
     count = len(values)
     for sorted_count in range(count // 2 + 1):
@@ -320,7 +334,7 @@ def _mean_target(
     """Mean deviation from the scene along the path through each pixel, as the scene in shape."""
     shape = frame.shape[:2]
     down, right = factors(shape)
-    # Not interpolated: between two paths lies none.
+    # Not interpolated: the mean of two velocities is the path of no target.
     velocity_px = _enlarge(targets.tracks.velocity_px, shape, cv2.INTER_NEAREST)
     velocity_px = velocity_px * np.array([right, down], np.float32)
     deviations = {0: frame - scene}

@@ -25,10 +25,9 @@ FRAMES = 7
 MOST_FRAMES = 31
 
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
-_CALIBRATION_INTERVAL = 8
-_MAX_INTERVALS = 4
-"""Frames between the first two calibrations; later ones are up to so many times as far apart."""
-_FULL_WINDOW = 0.8  # of the highest frame count: a pixel of so many frames has a whole window
+_CALIBRATION_INTERVAL = 8  # frames between the first two calibrations
+_MAX_INTERVALS = 4  # later calibrations are up to so many intervals apart
+_FULL_WINDOW = 0.8  # share of the highest frame count from which on a pixel has a whole window
 
 Network = Callable[..., Grey]
 """Denoises an image, (H, W) float32 in 0..1, with its `FanGeometry` or None; see `Denoiser`.
@@ -80,7 +79,11 @@ class _FusedFrame:
 
 
 class InTime:
-    """Denoises the frames of one sequence.
+    """Denoises the frames of one sequence, each from a window of frames around it.
+
+    Frames are aligned and fused; the result is a weighted sum of the network's output and of
+    simpler predictors of the static scene, whose weights (`Strength`) are fitted to the recording.
+    An object serves for one sequence.
 
     network: denoises the fused frames; with None they are only fused.
     frames: length of the window, odd.
@@ -92,7 +95,7 @@ class InTime:
         number of frames averaged at a pixel and of the share of pixels that moved.
     at_once: frames that the network denoises at the same time; with 1 a frame comes out as soon as
         its window is complete.
-    strength: fitted so far.
+    strength: the weights of the predictors, as fitted so far.
     """
 
     def __init__(
@@ -139,7 +142,7 @@ class InTime:
             self._shots[self._newest] = shot
             if self._window > 1:
                 self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
-                # Motions over several frames start from those between neighbours.
+                # The aligner keeps this motion: those over several frames start from such ones.
                 self._aligner.motion(self._newest, self._newest - 1)
             while self._next <= self._newest - self._lookahead():
                 yield from self._denoise_next()
@@ -219,7 +222,7 @@ class InTime:
         return None if motion is None else laid_over(shot.levels, motion)
 
     def _geometry(self, number: int) -> FanGeometry | None:
-        """The geometry of a frame: that of the nearest frame before if it shows the same scene."""
+        """The geometry of a frame: that of the nearest known one if it shows the same scene."""
         shot = self._shots[number]
         if shot.is_tracked:
             return shot.place()
@@ -296,12 +299,12 @@ class InTime:
         That frame has noise of its own, so only the static scene can be predicted.  The fit is made
         for the frame alone and for the frame fused with its window.
         """
-        outside = number - self._before - 1 if self._causal else number + self._after + 1
-        if number < self._before or outside not in self._shots:
+        target_number = number - self._before - 1 if self._causal else number + self._after + 1
+        if number < self._before or target_number not in self._shots:
             return
         self._last_calibrated = number
         levels = self._shots[number].levels
-        target = self._aligned(number, outside)
+        target = self._aligned(number, target_number)
         frame = self._fuse(number)
         self._fused_early[number] = frame
         if target is None or levels.ndim != 2:
