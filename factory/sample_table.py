@@ -482,7 +482,7 @@ class Camera:
         size_text = "x".join(map(str, reversed(size)))
         first_size_text = "x".join(map(str, reversed(first_size)))
         raise FrameError(
-            f"{ref.name}: its picture is {size_text}, that of {first_ref.name} {first_size_text}; "
+            f"{ref.name}: its image is {size_text}, that of {first_ref.name} {first_size_text}; "
             "make one dataset of each size (scenes, frames.only), or leave "
             f"{', '.join(sorted(self._requested))} out of dataset.layers"
         )

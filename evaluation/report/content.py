@@ -158,7 +158,7 @@ def verdict(content: Mapping[str, Any]) -> str:
 
 
 def _evidence(margin: Mapping[str, Any]) -> str:
-    """The interval and the p value of a difference, as far as the frames suffice for them."""
+    """The interval and the p value of a difference, where there are frames enough for them."""
     parts = []
     if margin["low"] is not None:
         parts.append(interval(margin, 2))

@@ -47,7 +47,7 @@ _HALF_STEP = 0.5 / 255
 _MIXED = 2.0  # of 255: colours farther from a map than this were mixed
 _MIXED_SHARE = 0.1  # share of such pixels in an image whose colours were mixed
 _SPECK = 30  # pixels of what mixing leaves
-_STROKE = 7  # pixels: what is as wide as that is a page or a panel, not a line
+_STROKE = 7  # pixels: pages and panels are at least as wide, lines are thinner
 _GREY = 3.0  # of 255: maximum difference between the channels of a grey image
 _COLOURED = 6.0  # of 255: minimum difference between the channels of coloured marks
 # How near a known map half of the colours lie where others were drawn over it, and part of the

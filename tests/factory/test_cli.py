@@ -65,7 +65,7 @@ def test_a_partial_download_makes_what_there_is(tmp_path, flsea, capfd):
     printed = capfd.readouterr().out
     assert code == 0
     assert printed.strip().splitlines()[-1] == f"dataset: {out}"
-    assert "flatiron" in printed  # absent scenes are told
+    assert "flatiron" in printed  # absent scenes are listed
     assert samples(out) == {"test": 3, "train": 1}
     with h5py.File(out / "test/shard-00000.h5") as shard:
         assert shard["noisy"].shape == (3, 256, 256)

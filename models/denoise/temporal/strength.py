@@ -25,7 +25,7 @@ _BLUR_SIGMAS_PX = (0.7, 1.2, 2.5)
 _PREDICTORS = 2 + len(_BLUR_SIGMAS_PX)  # total variation, network, blurred
 _DEFAULT_FRAME_AWARE = (0.3, 0.7, *[0.0] * len(_BLUR_SIGMAS_PX))
 _DEFAULT_FRAME_BLIND = (0.5, 0.3, *[0.0] * len(_BLUR_SIGMAS_PX))
-"""Coefficients before anything is measured, for a network that is told the frame count, or not."""
+"""Coefficients before anything is measured, for networks that get the frame count and others."""
 _VARIATION_CLASSES = (0.45, 0.75, 1.1, 1.55, 2.2, 3.3, 5.0)
 """Middles of the classes of local variation, standard deviations of the image's noise."""
 _VARIATION_SIGMA_PX = 2.2  # of the window in which it is measured
@@ -108,7 +108,7 @@ class Strength:
     """
 
     def __init__(self, window_frames: int, *, frame_aware: bool) -> None:
-        """frame_aware: whether the network is told how many frames were averaged."""
+        """frame_aware: whether the network gets the number of averaged frames."""
         self._default = np.array(_DEFAULT_FRAME_AWARE if frame_aware else _DEFAULT_FRAME_BLIND)
         classes = len(_VARIATION_CLASSES)
         window = np.tile(self._default, (classes, 1))

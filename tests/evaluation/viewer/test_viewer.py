@@ -195,9 +195,9 @@ def test_a_recording_before_and_after(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(FactoryError, match="no such file or folder"):
+    with pytest.raises(FactoryError, match="no such file"):
         open_shown(tmp_path / "nowhere")
-    with pytest.raises(FactoryError, match="a dataset is shown alone"):
+    with pytest.raises(FactoryError, match="a dataset"):
         open_shown(dataset, dataset)
     (tmp_path / "a.png").write_bytes(b"no image")
     with served(open_shown(tmp_path)) as url:

@@ -540,7 +540,7 @@ def test_intrinsics_near_the_middle_are_taken(across: float, down: float) -> Non
 @pytest.mark.parametrize("focal", [0.0, -140.0, float("nan"), float("inf")])
 def test_a_focal_length_is_a_positive_number(focal: float) -> None:
     frame = Frame(FrameRef("", "", "one"), RGB, DEPTH, Intrinsics(focal, 20, 11.5, 7.5))
-    with pytest.raises(FrameError, match="focal lengths are positive"):
+    with pytest.raises(FrameError, match="focal lengths"):
         checked(frame)
 
 

@@ -42,7 +42,7 @@ def test_recordings_give_single_frames_and_means_towards_the_mean_of_others() ->
         assert sample.frames.min() >= 0
         assert sample.frames.max() <= averaged(7) + 1e-6
         numbers.add(round(float(2 ** (2 * sample.frames.max()))))
-        # What it is told is the noise that is left.
+        # Its condition is the noise that is left.
         even = sample.frames == sample.frames.max()
         left = float((sample.noisy - scene())[even].std())
         assert left < 1.3 * 0.05 / 2 ** float(sample.frames.max())

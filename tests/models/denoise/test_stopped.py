@@ -237,7 +237,7 @@ def test_no_input_is_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     use(monkeypatch, None)
     for out, compare in ((folder, []), (folder.parent, ["--compare"])):
         words = [*map(str, images), "--out", str(out), *compare]
-        with pytest.raises(FactoryError, match="would overwrite the input"):
+        with pytest.raises(FactoryError, match="overwrite"):
             command.main(words)
     assert [image.read_bytes() for image in images] == [before] * 2
     assert sorted(folder.iterdir()) == images

@@ -1,4 +1,4 @@
-"""SonarNet: what it is told, its mask, its weight, and the polar grid inside."""
+"""SonarNet: its conditions, its mask, its weight, and the polar grid inside."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def test_unusable_datasets_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FactoryError, match="no such folder"):
         train_small(tmp_path / "nowhere", tmp_path / "out")
     only_test = write_dataset(tmp_path / "test only", train=0, test=2)
-    with pytest.raises(FactoryError, match="train split is empty"):
+    with pytest.raises(FactoryError, match="train split"):
         train_small(only_test, tmp_path / "out")
     other_dataset = write_dataset(tmp_path / "other", train=4, test=0)
     with h5py.File(other_dataset / "train" / "shard-00000.h5", "r+") as file:

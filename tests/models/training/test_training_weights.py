@@ -149,7 +149,7 @@ def test_weights_of_the_hub_are_named_by_their_repository(
     with pytest.raises(FactoryError, match=r"weights=nobody/nothing: .*401") as refusal:
         pretrained.find_weights("nobody/nothing")
     assert "\n" not in str(refusal.value)
-    with pytest.raises(FactoryError, match="no such file; train one"):
+    with pytest.raises(FactoryError, match="no such file"):
         pretrained.find_weights("outputs/weights.safetensors")
 
 
