@@ -8,7 +8,7 @@ import numpy.typing as npt
 from scipy import fft
 
 from .metrics.fidelity import Values
-from .metrics.measure import Gray
+from .metrics.measure import Grey
 
 SIDE = 16
 """Edge of a window in cells of the polar grid."""
@@ -42,7 +42,7 @@ FEATURES = {
 """Name -> what tables call it; `docs/realism.md` defines each."""
 
 
-def features_of(polar: Gray, span_m: float | None = None) -> dict[str, float]:
+def features_of(polar: Grey, span_m: float | None = None) -> dict[str, float]:
     """The features of a polar image in 0..1; NaN where one does not exist.
 
     span_m: length of its range window in metres; without it there is no slope per metre.
@@ -104,7 +104,7 @@ def speckle(polar: npt.NDArray[np.floating]) -> tuple[float, float]:
     return float(np.median(1 / np.maximum(cv, 1e-6) ** 2)), float(np.median(index))
 
 
-def half_widths(polar: Gray) -> tuple[float, float]:
+def half_widths(polar: Grey) -> tuple[float, float]:
     """Lags along range and bearing, in cells, where the speckle's autocorrelation is one half.
 
     What is larger than 31 cells is taken out first: the local mean is subtracted and the local
@@ -115,7 +115,7 @@ def half_widths(polar: Gray) -> tuple[float, float]:
     return first, second
 
 
-def grain_of(polar: Gray) -> Gray:
+def grain_of(polar: Grey) -> Grey:
     """The speckle alone: the local mean subtracted, over the local standard deviation."""
     mean = cv2.blur(polar, (_SMOOTH, _SMOOTH))
     residual = polar - mean
@@ -123,7 +123,7 @@ def grain_of(polar: Gray) -> Gray:
     return np.asarray(np.where(spread > 1e-3, residual / np.maximum(spread, 1e-3), 0))
 
 
-def autocorrelation(grain: Gray, axis: int) -> Values:
+def autocorrelation(grain: Grey, axis: int) -> Values:
     """At lags 0, 1, ... along an axis, each over the pairs that exist."""
     size = grain.shape[axis]
     power = np.abs(fft.rfft(grain, 2 * size, axis=axis)) ** 2
@@ -142,7 +142,7 @@ def _half(correlation: Values) -> float:
     return float(lag - 1 + (values[lag - 1] - 0.5) / (values[lag - 1] - values[lag]))
 
 
-def spread_of_means(polar: Gray, axis: int) -> float:
+def spread_of_means(polar: Grey, axis: int) -> float:
     """Variance of the means along an axis over that of the image; NaN when all is equal.
 
     Axis 0 gives the beams' means (spokes), axis 1 the range rows' (arcs).
@@ -152,7 +152,7 @@ def spread_of_means(polar: Gray, axis: int) -> float:
     return float(values.mean(axis=axis).var()) / total if total > 1e-12 else float("nan")
 
 
-def range_slope_db(polar: Gray) -> float:
+def range_slope_db(polar: Grey) -> float:
     """Slope of the level along range: dB from the near to the far end of the window.
 
     Least squares on 20 log10 of the mean grey value of each range row.  For dB/m divide by the
@@ -163,7 +163,7 @@ def range_slope_db(polar: Gray) -> float:
     return float(np.polyfit(position, level_db, 1)[0])
 
 
-def contrasts_db(polar: Gray) -> tuple[float, float]:
+def contrasts_db(polar: Grey) -> tuple[float, float]:
     """Highlight over background and background over shadow, dB.
 
     Of means of 5x5 cells, so that speckle counts for less: the 99.5th percentile over the median,

@@ -23,7 +23,7 @@ from ..models.recordings.views import grey_of
 from .filters import REGISTRY
 from .methods import Method
 from .metrics.fidelity import MetricError, finite_psnr
-from .metrics.measure import Figures, Gray, PairImages, Scene, sector_of
+from .metrics.measure import Figures, Grey, PairImages, Scene, sector_of
 from .runner import Subject
 from .settings import ImagesFolder
 
@@ -59,7 +59,7 @@ class Item(Subject):
         """What shares one clean image: the unit of the bootstrap."""
         return f"{self.location}/{self.scene}/{self.frame}"
 
-    def noisy_image(self) -> Gray:
+    def noisy_image(self) -> Grey:
         """The noisy image (H, W)."""
         return pair_images(self.place).noisy
 
@@ -67,7 +67,7 @@ class Item(Subject):
         """Where range and bearing are, as the dataset says."""
         return geometry_of(self.place)
 
-    def read_denoised(self, method: Method) -> Gray:
+    def read_denoised(self, method: Method) -> Grey:
         """See `Subject`."""
         image = read_external_image(Path(method.images_source), names_of(self))
         if image.shape != (shape := self.noisy_image().shape):
@@ -76,7 +76,7 @@ class Item(Subject):
             raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
         return image
 
-    def measure(self, image: Gray) -> Figures:
+    def measure(self, image: Grey) -> Figures:
         """All metrics; identical images count as the PSNR of `finite_psnr`."""
         try:
             figures = _scene(self).figures(image)
@@ -181,7 +181,7 @@ def given_file(folder: Path, names: Sequence[str]) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def read_external_image(folder: Path, names: Sequence[str]) -> Gray:
+def read_external_image(folder: Path, names: Sequence[str]) -> Grey:
     """(H, W) float32 in 0..1 of that file.  FactoryError when it is none, or in colour."""
     path = given_file(folder, names)
     if path is None:
@@ -189,7 +189,7 @@ def read_external_image(folder: Path, names: Sequence[str]) -> Gray:
     image = read_image(path)
     if image.ndim == 3:
         if (image[..., :3] != image[..., :1]).any():
-            raise FactoryError(f"{path}: in colour; sonar images are gray, convert it first")
+            raise FactoryError(f"{path}: in colour; sonar images are grey, convert it first")
         image = image[..., 0]
     return grey_of(Frame(0, image))
 

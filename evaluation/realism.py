@@ -19,7 +19,7 @@ from ..factory.progress import progress_bar
 from ..factory.seeds import stream
 from ..factory.sonar.geometry import FanGeometry
 from .features import FEATURES, features_of
-from .metrics.measure import Gray
+from .metrics.measure import Grey
 from .metrics.statistics import evenly
 from .pairs import Place, geometry_of, items_of, pair_images
 from .recorded import GEOMETRY_FILE, Shot, open_real
@@ -186,7 +186,7 @@ class Source:
     geometry: FanGeometry
     place: Place | Shot
 
-    def polar(self, grid: Grid) -> Gray:
+    def polar(self, grid: Grid) -> Grey:
         """(range_bins, beams) float32 in 0..1.  Raises FactoryError."""
         place = self.place
         image = place.read()[0] if isinstance(place, Shot) else pair_images(place).noisy
@@ -206,22 +206,22 @@ class Collection:
         return Collection(self.name, tuple(evenly(self.sources, limit)), self.notes)
 
 
-def to_polar(image: npt.NDArray[Any], geometry: FanGeometry, grid: Grid) -> Gray:
+def to_polar(image: npt.NDArray[Any], geometry: FanGeometry, grid: Grid) -> Grey:
     """(H, W) grey values -> (range_bins, beams with data) float32, near range and left first.
 
     Inverse mapping: each cell of the grid looks up its place in the image, bilinear.  Only whole
     cells within `geometry.data_fraction` are kept.
     """
     columns, rows = _lookup(geometry, grid, image.shape[:2])
-    gray = np.ascontiguousarray(image, dtype=np.float32)
+    grey = np.ascontiguousarray(image, dtype=np.float32)
     return np.asarray(
-        cv2.remap(gray, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+        cv2.remap(grey, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
         dtype=np.float32,
     )
 
 
 @lru_cache(maxsize=16)
-def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[Gray, Gray]:
+def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[Grey, Grey]:
     """Column and row in the image of each cell of the grid."""
     start, end = geometry.data_fraction
     first = math.ceil(round(start * grid.beams, 6))

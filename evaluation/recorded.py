@@ -25,7 +25,7 @@ from ..models.recordings import DATASET, IMAGE_SUFFIXES, dataset_of, kind_of, op
 from ..models.recordings.fan_tracking import FanTracker
 from ..models.recordings.names import in_order
 from ..models.recordings.views import frame_image
-from .metrics.measure import Gray
+from .metrics.measure import Grey
 
 GEOMETRY_FILE = "geometry.csv"
 
@@ -66,7 +66,7 @@ class Shot:
     name: str
     known: FanGeometry | None = None
 
-    def read(self) -> tuple[Gray, FanGeometry | None]:
+    def read(self) -> tuple[Grey, FanGeometry | None]:
         """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where nothing says it.
 
         Raises FactoryError when it cannot be read.
@@ -78,7 +78,7 @@ class Shot:
 
 
 @lru_cache(maxsize=160)
-def frame_of(path: Path, number: int) -> tuple[Gray, FanGeometry | None]:
+def frame_of(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
     """See `frame_image`; frames are asked for again and again, and cost more to decode."""
     return frame_image(path, number)
 

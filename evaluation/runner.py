@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import checked, method_of
 from .methods import Method, network, reason
-from .metrics.measure import Figures, Gray
+from .metrics.measure import Figures, Grey
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,7 +32,7 @@ SECONDS = "cpu_s"
 class Subject:
     """An image that methods are judged on; it travels to the workers."""
 
-    def noisy_image(self) -> Gray:
+    def noisy_image(self) -> Grey:
         """(H, W) in 0..1.  Raises FactoryError for a damaged image."""
         raise NotImplementedError
 
@@ -40,11 +40,11 @@ class Subject:
         """Where range and bearing are; None where nothing says so."""
         return None
 
-    def read_denoised(self, method: Method) -> Gray:
+    def read_denoised(self, method: Method) -> Grey:
         """What another program made of it.  Raises FactoryError where there is nothing."""
         raise NotImplementedError
 
-    def measure(self, image: Gray) -> Figures:
+    def measure(self, image: Grey) -> Figures:
         """The figures of a denoised image.  Raises FactoryError for a damaged subject."""
         raise NotImplementedError
 
@@ -68,7 +68,7 @@ class Result:
     """What a method gave: figures and images by number of the image, or why it failed."""
 
     figures: dict[int, Figures] = field(default_factory=dict)
-    images: dict[int, Gray] = field(default_factory=dict)
+    images: dict[int, Grey] = field(default_factory=dict)
     lost: str | None = None
 
 
@@ -82,7 +82,7 @@ class Measured:
 
     figures: dict[str, dict[int, Figures]] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
-    images: dict[tuple[str, int], Gray] = field(default_factory=dict)
+    images: dict[tuple[str, int], Grey] = field(default_factory=dict)
 
     def table(self) -> pd.DataFrame:
         """A row for each method and image, in order: method, number of the image, figures."""
@@ -175,7 +175,7 @@ def measure_task(task: Task) -> list[Result]:
     Raises FactoryError for a damaged image.
     """
     results = []
-    outputs: dict[str, dict[int, tuple[Gray, float]] | str] = {}
+    outputs: dict[str, dict[int, tuple[Grey, float]] | str] = {}
     for method in task.methods:
         if method.output not in outputs:
             outputs[method.output] = _applied(method, task)
@@ -194,7 +194,7 @@ def measure_task(task: Task) -> list[Result]:
     return results
 
 
-def _applied(method: Method, task: Task) -> dict[int, tuple[Gray, float]] | str:
+def _applied(method: Method, task: Task) -> dict[int, tuple[Grey, float]] | str:
     """The method's image of each subject without levels, (H, W) in 0..1, and its seconds.
 
     Seconds are NaN where another program took them.  Or why the method failed.  Raises FactoryError
@@ -213,7 +213,7 @@ def _applied(method: Method, task: Task) -> dict[int, tuple[Gray, float]] | str:
     return results
 
 
-def _timed(method: Method, subject: Subject, image: Gray, device: str) -> tuple[Gray, float]:
+def _timed(method: Method, subject: Subject, image: Grey, device: str) -> tuple[Grey, float]:
     clock = time.process_time  # what other processes take does not count
     if method.weights is None:
         start = clock()

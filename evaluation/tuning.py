@@ -29,7 +29,7 @@ from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY, Baseline, Parameters, method_of
 from .methods import reason, shown
 from .metrics.fidelity import finite_psnr, psnr
-from .metrics.measure import Gray, Levels, fit_levels
+from .metrics.measure import Grey, Levels, fit_levels
 from .pairs import Item, items_of, pair_images
 from .settings import EvaluationSettings
 
@@ -48,8 +48,8 @@ class Sample:
     noisy, reference: (H, W) in 0..1.  mask: (H, W) bool, what counts; None: all.
     """
 
-    noisy: Gray
-    reference: Gray
+    noisy: Grey
+    reference: Grey
     mask: npt.NDArray[np.bool_] | None = None
 
 
@@ -147,7 +147,7 @@ def on_frames(task: Task) -> Parameters | str:
         return reason(error)
 
 
-def _mean_psnr(images: Sequence[Gray], samples: Sequence[Sample]) -> float:
+def _mean_psnr(images: Sequence[Grey], samples: Sequence[Sample]) -> float:
     return float(np.mean([
         finite_psnr(psnr(sample.reference, image, data_range=1.0, mask=sample.mask))
         for image, sample in zip(images, samples, strict=True)

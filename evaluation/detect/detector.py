@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
 from ..metrics.fidelity import Mask
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 from .targets import Frames, Track, blurred, ellipse
 
 Values = npt.NDArray[np.float64]
@@ -99,7 +99,7 @@ def responses_of(
     )
 
 
-def matched_filter(image: Gray, track: Track, y: float, x: float) -> float:
+def matched_filter(image: Grey, track: Track, y: float, x: float) -> float:
     """Mean inside a target minus the mean of the ring around it."""
     along, across = track.target.semi_axes_px
     reach = int(np.ceil(max(along, across))) + _REACH_PX
@@ -126,7 +126,7 @@ def changes(frames: Frames, insonified: Mask) -> Frames:
     return result
 
 
-def usual_change(change: Frames, insonified: Mask) -> Gray:
+def usual_change(change: Frames, insonified: Mask) -> Grey:
     """(H, W): robust standard deviation of the change in time, smoothed, with a floor."""
     deviation = np.float32(1.4826) * np.median(np.abs(change), axis=0)
     usual = np.sqrt(blurred(deviation**2, _USUAL_PX))

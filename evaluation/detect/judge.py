@@ -17,7 +17,7 @@ from ...factory.sonar.geometry import FanGeometry
 from ..learned import learned_notes
 from ..methods import baselines_of, networks_at, reason, shown
 from ..metrics.fidelity import Mask
-from ..metrics.measure import Figures, Gray, ratio_figures
+from ..metrics.measure import Figures, Grey, ratio_figures
 from ..metrics.statistics import evenly
 from ..recorded import Stretch
 from ..settings import DetectSettings
@@ -56,8 +56,8 @@ _RATIO_FRAMES = 5  # of a sequence, whose ratio images are measured
 class Images(NamedTuple):
     """A frame, (H, W) float32 in 0..1, with targets and without."""
 
-    with_targets: Gray
-    without: Gray
+    with_targets: Grey
+    without: Grey
 
 
 @dataclass(frozen=True, eq=False)

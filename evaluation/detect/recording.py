@@ -15,7 +15,7 @@ from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.static import find_groups
 from ...models.recordings.views import presentation_of
 from ..metrics.fidelity import Mask
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
 from ..real.groups import sector_of
 from ..recorded import Stretch
@@ -63,7 +63,7 @@ def open_static(stretch: Stretch, frame_limit: int) -> StaticRecording:
             f"{name}: has {len(shots)} frames; targets need a static recording of at least "
             f"{LEAST_FRAMES}"
         )
-    images: list[Gray] = []
+    images: list[Grey] = []
     for shot in shots:
         image, geometry = shot.read()
         if images and image.shape != images[0].shape:

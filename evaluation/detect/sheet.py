@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 from .judge import Example
 from .targets import Sighting, Track, ellipse
 
@@ -69,7 +69,7 @@ def _panels(example: Example, labels: Sequence[str]) -> tuple[list[Pixels], list
     )
 
 
-def _crop(image: Gray, sighting: Sighting) -> Gray:
+def _crop(image: Grey, sighting: Sighting) -> Grey:
     """The square around a target; beyond the frame it is black."""
     padded = np.pad(image, _REACH_PX)
     top = int(sighting.y)
@@ -77,7 +77,7 @@ def _crop(image: Gray, sighting: Sighting) -> Gray:
     return padded[top : top + 2 * _REACH_PX + 1, left : left + 2 * _REACH_PX + 1]
 
 
-def _grey(crop: Gray, low: float, high: float) -> Pixels:
+def _grey(crop: Grey, low: float, high: float) -> Pixels:
     scaled = np.clip((crop - low) / max(high - low, 1e-6), 0, 1)
     return np.asarray(np.rint(255 * scaled), np.uint8)
 

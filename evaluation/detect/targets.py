@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..metrics.fidelity import Mask
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 
 Frames = npt.NDArray[np.float32]
 """(N, H, W) in 0..1."""
@@ -108,14 +108,14 @@ def classes_of(
     return tuple(itertools.starmap(TargetClass, itertools.product(sizes, contrasts)))
 
 
-def blurred(image: Gray, sigma_px: float) -> Gray:
+def blurred(image: Grey, sigma_px: float) -> Grey:
     """By a Gaussian."""
     return np.asarray(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma_px))
 
 
 def ellipse(
     shape: tuple[int, ...], y: float, x: float, angle_rad: float, semi_axes_px: Sequence[float]
-) -> Gray:
+) -> Grey:
     """(H, W) in 0..1: a soft ellipse, half its height at about .9 of its semi-axes."""
     rows, columns = np.ogrid[: shape[0], : shape[1]]
     down = rows - y

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ...factory import extensions
 from ...factory.errors import FactoryError
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 from .bm3d import bm3d
 from .classical import (
     bilateral,
@@ -60,7 +60,7 @@ class Baseline:
         combinations = itertools.product(*self.grid.values())
         return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
 
-    def __call__(self, image: npt.NDArray[Any], parameters: Mapping[str, Number]) -> Gray:
+    def __call__(self, image: npt.NDArray[Any], parameters: Mapping[str, Number]) -> Grey:
         """The denoised image, (H, W) float32 clipped to 0..1.
 
         Raises FactoryError when the method gives another shape or a value that is no number.
@@ -69,7 +69,7 @@ class Baseline:
         return checked(self.name, np.asarray(self.function(image, **parameters)), image)
 
 
-def checked(name: str, result: npt.NDArray[Any], image: Gray) -> Gray:
+def checked(name: str, result: npt.NDArray[Any], image: Grey) -> Grey:
     """What a method made of an image, float32 clipped to 0..1.  Raises FactoryError."""
     if result.shape != image.shape or not np.isfinite(result).all():
         raise FactoryError(f"{name}: gave {result.shape} or NaN for an image of {image.shape}")

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 
 Floats = npt.NDArray[np.float32]
 
@@ -31,7 +31,7 @@ _LOUD = 40 / 255
 _COARSE = 2.0  # threshold in units of sigma before comparing blocks of a loud image
 
 
-def bm3d(image: Gray, sigma: float) -> Gray:
+def bm3d(image: Grey, sigma: float) -> Grey:
     """(H, W) float32 with noise of standard deviation `sigma` (fraction of full scale) removed."""
     height, width = image.shape
     # At least one block, and the far border is covered by reflection.

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
@@ -20,12 +20,12 @@ _WHITE = np.float32(255)
 _TINY = 1e-6  # of full scale: keeps black regions from dividing by zero
 
 
-def identity(image: Gray) -> Gray:
+def identity(image: Grey) -> Grey:
     """The noisy image itself: the row `Origin`."""
     return image
 
 
-def median(image: Gray, size: int) -> Gray:
+def median(image: Grey, size: int) -> Grey:
     """Median of size x size pixels.
 
     An image of 256 levels goes through OpenCV, which gives the same in a fraction of the time.
@@ -36,23 +36,23 @@ def median(image: Gray, size: int) -> Gray:
     return np.asarray(ndimage.median_filter(image, size=size, mode="nearest"))
 
 
-def gaussian(image: Gray, sigma_px: float) -> Gray:
+def gaussian(image: Grey, sigma_px: float) -> Grey:
     """Gaussian blur, cut at 4 sigma."""
     return np.asarray(ndimage.gaussian_filter(image, sigma_px, mode="nearest"))
 
 
-def grey_opening(image: Gray, size: int) -> Gray:
+def grey_opening(image: Grey, size: int) -> Grey:
     """Erosion, then dilation by a square (Serra 1982): removes bright specks smaller than it."""
     return np.asarray(ndimage.grey_opening(image, size=(size, size), mode="nearest"))
 
 
-def bilateral(image: Gray, sigma_px: float, sigma_gray: float) -> Gray:
+def bilateral(image: Grey, sigma_px: float, sigma_gray: float) -> Grey:
     """Bilateral filter (Tomasi and Manduchi 1998), OpenCV; window of 2 sigma to each side."""
     diameter = 2 * max(1, round(2 * sigma_px)) + 1
     return np.asarray(cv2.bilateralFilter(image, diameter, sigma_gray, sigma_px))
 
 
-def nlm(image: Gray, strength: float) -> Gray:
+def nlm(image: Grey, strength: float) -> Grey:
     """Non-local means (Buades et al. 2005), OpenCV: 7x7 patches in a 21x21 window.
 
     OpenCV's takes 8 bits, so the image is rounded to 255 levels first.
@@ -61,7 +61,7 @@ def nlm(image: Gray, strength: float) -> Gray:
     return np.asarray(result / _WHITE)
 
 
-def total_variation(image: Gray, weight: float) -> Gray:
+def total_variation(image: Grey, weight: float) -> Grey:
     """Total variation of Rudin, Osher and Fatemi (1992) by Chambolle's algorithm, scikit-image."""
     from skimage.restoration import denoise_tv_chambolle  # slow to import
 
@@ -69,12 +69,12 @@ def total_variation(image: Gray, weight: float) -> Gray:
     return np.asarray(result, dtype=np.float32)
 
 
-def _levels(image: Gray) -> npt.NDArray[np.uint8]:
+def _levels(image: Grey) -> npt.NDArray[np.uint8]:
     """The nearest of 256 levels."""
     return np.asarray(np.rint(np.clip(image, 0, 1) * 255), dtype=np.uint8)
 
 
-def wavelet(image: Gray, strength: float, levels: int) -> Gray:
+def wavelet(image: Grey, strength: float, levels: int) -> Grey:
     """Translation-invariant soft thresholding (Coifman and Donoho 1995) with the Haar wavelet.
 
     strength: the threshold as a grey value of the image.  A detail of level j averages 4^j
@@ -112,19 +112,19 @@ def _joined(low: Floats, high: Floats, step: int, axis: int) -> Floats:
     return ((low + high) + np.roll(low - high, -step, axis)) / 2
 
 
-def lee(image: Gray, size: int, noise_cv: float) -> Gray:
+def lee(image: Grey, size: int, noise_cv: float) -> Grey:
     """Lee (1980): mean + w (pixel - mean) with w = 1 - Cu^2 / Ci^2, at least 0."""
     mean, weight = _local(image, size, noise_cv)
     return _between(image, mean, weight)
 
 
-def kuan(image: Gray, size: int, noise_cv: float) -> Gray:
+def kuan(image: Grey, size: int, noise_cv: float) -> Grey:
     """Kuan et al. (1985): Lee's with w divided by 1 + Cu^2, the exact linear MMSE estimate."""
     mean, weight = _local(image, size, noise_cv)
     return _between(image, mean, weight / (1 + noise_cv**2))
 
 
-def frost(image: Gray, size: int, damping: float) -> Gray:
+def frost(image: Grey, size: int, damping: float) -> Grey:
     """Frost et al. (1982): mean of the window weighted by exp(-damping Ci^2 distance)."""
     _, squared_cv = _statistics(image, size)
     radius = size // 2
@@ -141,7 +141,7 @@ def frost(image: Gray, size: int, damping: float) -> Gray:
     return np.asarray(total / weights, dtype=np.float32)
 
 
-def srad(image: Gray, iterations: int, initial_cv: float, step: float, decay: float) -> Gray:
+def srad(image: Grey, iterations: int, initial_cv: float, step: float, decay: float) -> Grey:
     """Speckle-reducing anisotropic diffusion (Yu and Acton 2002).
 
     initial_cv: q0, the speckle's coefficient of variation at the start; it falls as
@@ -166,7 +166,7 @@ def srad(image: Gray, iterations: int, initial_cv: float, step: float, decay: fl
     return np.asarray(np.where(values <= 1e-3, 0, values), dtype=np.float32)
 
 
-def _statistics(image: Gray, size: int) -> tuple[Doubles, Doubles]:
+def _statistics(image: Grey, size: int) -> tuple[Doubles, Doubles]:
     """Local mean and squared coefficient of variation."""
     values = image.astype(np.float64)
     mean = ndimage.uniform_filter(values, size, mode="nearest")
@@ -174,14 +174,14 @@ def _statistics(image: Gray, size: int) -> tuple[Doubles, Doubles]:
     return mean, variance / np.maximum(mean, _TINY) ** 2
 
 
-def _local(image: Gray, size: int, noise_cv: float) -> tuple[Doubles, Doubles]:
+def _local(image: Grey, size: int, noise_cv: float) -> tuple[Doubles, Doubles]:
     """Local mean, and 1 - Cu^2 / Ci^2: 0 (all is noise) where nothing varies."""
     mean, squared_cv = _statistics(image, size)
     some = squared_cv > 1e-12
     return mean, np.asarray(1 - np.where(some, noise_cv**2 / np.where(some, squared_cv, 1), 1.0))
 
 
-def _between(image: Gray, mean: Doubles, weight: Doubles) -> Gray:
+def _between(image: Grey, mean: Doubles, weight: Doubles) -> Grey:
     mixed = mean + np.clip(weight, 0, 1) * (image - mean)
     return np.asarray(mixed, dtype=np.float32)
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 
 _BAND_PX = (1.0, 8.0)  # sigmas of the blurs whose difference is registered
 _UNKNOWN = -1.0  # where a registered frame shows nothing
 
 
-def mean_around(frames: Gray, number: int, reach: int) -> Gray:
+def mean_around(frames: Grey, number: int, reach: int) -> Grey:
     """(H, W): mean of the frames (N, H, W) up to `reach` before and after one."""
     return np.asarray(frames[max(0, number - reach) : number + reach + 1].mean(axis=0), np.float32)
 
 
-def registered_mean(frames: Gray, number: int, reach: int) -> Gray:
+def registered_mean(frames: Grey, number: int, reach: int) -> Grey:
     """The same after each frame is laid over the one at `number`.
 
     The shift of whole frames is the peak of their phase correlation (Kuglin and Hines 1975),
@@ -35,14 +35,14 @@ def registered_mean(frames: Gray, number: int, reach: int) -> Gray:
     return np.asarray(total / count, np.float32)
 
 
-def shift_px(fixed: Gray, moved: Gray) -> tuple[int, int]:
+def shift_px(fixed: Grey, moved: Grey) -> tuple[int, int]:
     """How far right and down the scene of `fixed` lies in `moved`, whole pixels."""
     fade = cv2.createHanningWindow(fixed.shape[::-1], cv2.CV_32F)
     (right, down), _ = cv2.phaseCorrelate(_band(fixed), _band(moved), fade)
     return round(right), round(down)
 
 
-def _band(image: Gray) -> Gray:
+def _band(image: Grey) -> Grey:
     """Without fine grain and without brightness."""
     fine, broad = _BAND_PX
     image = np.asarray(image, np.float32)
@@ -51,7 +51,7 @@ def _band(image: Gray) -> Gray:
     )
 
 
-def _moved(image: Gray, shift_px: tuple[int, int]) -> Gray:
+def _moved(image: Grey, shift_px: tuple[int, int]) -> Grey:
     """An image with its scene moved left and up by (right, down) pixels; -1 where it shows none."""
     right, down = shift_px
     matrix = np.array([[1, 0, right], [0, 1, down]], np.float64)

@@ -1,6 +1,6 @@
 """Full-reference metrics of (noisy or denoised) images against the clean one.
 
-The functions take two gray images of one shape and an explicit `data_range` (255 for uint8, 1 for
+The functions take two grey images of one shape and an explicit `data_range` (255 for uint8, 1 for
 floats in [0, 1]): guessed ranges are how an SSIM of .9995 gets published.  `mask`, where offered,
 restricts the average to those pixels, for example to the sonar's sector.  `Reference` compares many
 images with one clean image and does once what depends on that alone.
@@ -30,7 +30,7 @@ SSIM_SMALLEST = 2 * RADIUS_PX + 1
 """Pixels a side: the window of SSIM must fit once."""
 
 GMSD_C = 170.0
-"""Of Xue et al. 2014, for gray values 0..255."""
+"""Of Xue et al. 2014, for grey values 0..255."""
 GMSD_SMALLEST = 6
 """Pixels a side of the pooled GMSD: three blocks for Prewitt's kernel."""
 
@@ -58,7 +58,7 @@ def checked_pair(
     if a.shape != b.shape:
         raise MetricError(f"images differ in shape: {a.shape} against {b.shape}")
     if a.ndim != 2:
-        raise MetricError(f"expected a gray image (H, W), got shape {a.shape}")
+        raise MetricError(f"expected a grey image (H, W), got shape {a.shape}")
     if min(a.shape) < smallest:
         raise MetricError(
             f"image of {a.shape[0]}x{a.shape[1]} is too small; at least {smallest} a side"
@@ -153,11 +153,11 @@ class Reference:
 
     def _gradients(self, image: Values, pooled: bool) -> Values:
         """Length of the gradient by Prewitt's kernels divided by 3, zeros beyond the border."""
-        gray = image * (255.0 / self.data_range)
+        grey = image * (255.0 / self.data_range)
         if pooled:
-            gray = _mean_of_blocks(gray)
+            grey = _mean_of_blocks(grey)
         parts = [
-            cv2.sepFilter2D(gray, cv2.CV_64F, along, down, borderType=cv2.BORDER_CONSTANT)
+            cv2.sepFilter2D(grey, cv2.CV_64F, along, down, borderType=cv2.BORDER_CONSTANT)
             for along, down in ((_STEP, _THIRD), (_THIRD, _STEP))
         ]
         return np.asarray(cv2.magnitude(parts[0], parts[1]), dtype=np.float64)
@@ -229,7 +229,7 @@ def gmsd(
 ) -> float:
     """Gradient magnitude similarity deviation, 0 = identical (Xue et al. 2014).
 
-    Gray values are put on the 0..255 scale that the constant c = 170 belongs to.  `pooled` takes
+    Grey values are put on the 0..255 scale that the constant c = 170 belongs to.  `pooled` takes
     the mean of 2x2 blocks first, as the authors' program does; without it the formula is used as
     printed.  Beyond the border all is 0, as in conv2 'same'.
     """
@@ -299,9 +299,9 @@ def _halved(values: Values) -> Values:
     return _mean_of_blocks(values[:height, :width])
 
 
-def _mean_of_blocks(gray: Values) -> Values:
+def _mean_of_blocks(grey: Values) -> Values:
     """Mean of 2x2 blocks; an odd size is filled up with a row or column of zeros."""
-    height, width = gray.shape
-    even = np.pad(gray, ((0, height % 2), (0, width % 2)))
+    height, width = grey.shape
+    even = np.pad(grey, ((0, height % 2), (0, width % 2)))
     rows = even[0::2] + even[1::2]
     return np.asarray((rows[:, 0::2] + rows[:, 1::2]) * 0.25)

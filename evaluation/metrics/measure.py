@@ -14,7 +14,7 @@ import numpy.typing as npt
 from . import fidelity as metrics
 from .fidelity import Image, Mask, Values
 
-Gray = npt.NDArray[np.float32]
+Grey = npt.NDArray[np.float32]
 """(H, W) in 0..1, 0 = no echo."""
 Floats = npt.NDArray[np.floating]
 Zones = npt.NDArray[np.int64]
@@ -36,8 +36,8 @@ _NO_POWER = 1e-20  # of a ratio image: less is rounding
 class PairImages:
     """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool."""
 
-    noisy: Gray
-    clean: Gray
+    noisy: Grey
+    clean: Grey
     shadow: Mask
     sector: Mask
 
@@ -57,7 +57,7 @@ class Levels:
     gain: float
     offset: float
 
-    def __call__(self, image: Floats) -> Gray:
+    def __call__(self, image: Floats) -> Grey:
         """The corrected image, same shape, float32 in 0..1."""
         return np.clip(self.gain * image + self.offset, 0, 1).astype(np.float32)
 
@@ -184,9 +184,9 @@ def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
     Here `bright` is the insonified seabed and `dark` the true shadow.  NaN when a region is empty,
     inf when both are constant and differ.
     """
-    gray = np.asarray(image, dtype=np.float64)
-    bright_values = gray[bright]
-    dark_values = gray[dark]
+    grey = np.asarray(image, dtype=np.float64)
+    bright_values = grey[bright]
+    dark_values = grey[dark]
     if not bright_values.size or not dark_values.size:
         return math.nan
     difference = abs(float(bright_values.mean() - dark_values.mean()))

@@ -17,7 +17,7 @@ from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.repeats import CopyFinder
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
 from ..metrics.fidelity import Mask
-from ..metrics.measure import Gray
+from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
 from ..recorded import Shot, Stretch, outline
 
@@ -65,8 +65,8 @@ class Judged:
 
     group: int | None
     shot: Shot
-    noisy: Gray
-    reference: Gray | None
+    noisy: Grey
+    reference: Grey | None
     mask: Mask
     geometry: FanGeometry | None
 
@@ -180,7 +180,7 @@ def alone(shot: Shot) -> Judged:
     return Judged(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
 
 
-def sector_of(image: Gray, geometry: FanGeometry | None) -> Mask:
+def sector_of(image: Grey, geometry: FanGeometry | None) -> Mask:
     """(H, W) bool: the sector; where no geometry is known what lies within the lit outline."""
     return outline(image) if geometry is None else _sector(geometry, image.shape)
 
@@ -222,7 +222,7 @@ def _group(
     return Group(name, tuple(shots[n] for n in chosen), shifts, geometry, static_mask, still)
 
 
-class _Images(Sequence[Gray]):
+class _Images(Sequence[Grey]):
     """Images that are read when they are looked at."""
 
     def __init__(self, shots: Sequence[Shot]) -> None:

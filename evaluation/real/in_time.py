@@ -28,7 +28,7 @@ from ..filters import REGISTRY
 from ..filters.windows import mean_around, registered_mean
 from ..methods import Method, network
 from ..metrics.fidelity import Mask, psnr, ssim_map
-from ..metrics.measure import Gray, Levels, fit_levels
+from ..metrics.measure import Grey, Levels, fit_levels
 from ..metrics.statistics import estimate
 from ..settings import RealSettings
 from .groups import Group, nearest
@@ -67,8 +67,8 @@ class Judged:
     """
 
     name: str
-    frames: Gray
-    references: Gray
+    frames: Grey
+    references: Grey
     masks: Mask
     levels: bool = True
 
@@ -76,7 +76,7 @@ class Judged:
         """The frames that are judged: they have a whole window."""
         return range(AWAY + 1, len(self.frames) - AWAY - 1, step)
 
-    def score(self, number: int, image: Gray) -> dict[str, float]:
+    def score(self, number: int, image: Grey) -> dict[str, float]:
         """PSNR (dB) and SSIM of a frame that was made, where its mask is."""
         mask = self.masks[number]
         truth = self.references[number]
@@ -88,7 +88,7 @@ class Judged:
         }
 
 
-def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
+def kinds_of(frames: Grey, seed: int = 0) -> Iterator[Judged]:
     """The three kinds of one recording.
 
     frames: (N, H, W) float32 in 0..1, of a static scene; `LEAST_FRAMES` at least.
@@ -100,15 +100,15 @@ def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
     yield _ghost(static, np.random.default_rng([seed, 2]))
 
 
-def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callable[[int], Gray]]:
+def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callable[[int], Grey]]:
     """Row -> what it makes of a frame.  weight: of the total variation."""
     fused, denoised = (_in_time(judged.frames, model) for model in (None, network))
     tv = REGISTRY["tv"]
 
-    def mean(number: int) -> Gray:
+    def mean(number: int) -> Grey:
         return mean_around(judged.frames, number, AWAY)
 
-    def registered(number: int) -> Gray:
+    def registered(number: int) -> Grey:
         return registered_mean(judged.frames, number, AWAY)
 
     return {
@@ -141,13 +141,13 @@ def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
     return max(WEIGHTS, key=gain)
 
 
-def _in_time(frames: Gray, network: Network | None) -> list[Gray]:
+def _in_time(frames: Grey, network: Network | None) -> list[Grey]:
     """Fused, and denoised where there is a network."""
     shots = (Shot(number, frame) for number, frame in enumerate(frames))
     return [image for _, image in InTime(network)(shots)]
 
 
-def _references(frames: Gray) -> tuple[Gray, Mask]:
+def _references(frames: Grey) -> tuple[Grey, Mask]:
     """For each frame the mean of those far away, and where the scene is lit and static."""
     count = len(frames)
     lit = cv2.GaussianBlur(frames.mean(axis=0), (0, 0), 2) > _LIT
@@ -318,7 +318,7 @@ def _is_recording(group: Group) -> bool:
     return one_file and len(group.shots) >= LEAST_FRAMES
 
 
-def _frames(group: Group, most: int) -> Gray:
+def _frames(group: Group, most: int) -> Grey:
     """(N, H, W) frames of a recording in their order, those in its middle."""
     shots = sorted(group.shots, key=lambda shot: shot.number)
     chosen = nearest(len(shots), len(shots) // 2, max(most, LEAST_FRAMES))

@@ -24,7 +24,7 @@ from ..metrics.fidelity import Mask, edge_preservation, finite_psnr, psnr, ssim
 from ..metrics.measure import (
     SIDE,
     Figures,
-    Gray,
+    Grey,
     contrast_to_noise,
     enl,
     fit_levels,
@@ -306,7 +306,7 @@ _DARKEST = 0.1  # share of the sector
 _BRIGHTER = 0.5  # share of the sector
 
 
-def score(image: Gray, reference: Gray, mask: Mask) -> tuple[float, float]:
+def score(image: Grey, reference: Grey, mask: Mask) -> tuple[float, float]:
     """PSNR in dB and SSIM of an image against its reference, after one gain and offset."""
     fitted = fit_levels([(image[mask], reference[mask])])(image)
     return (
@@ -322,14 +322,14 @@ class Scene:
     sector, dark, bright: (H, W) bool.  zones: (N, 2) corners of even blocks.
     """
 
-    noisy: Gray
+    noisy: Grey
     sector: Mask
     dark: Mask
     bright: Mask
     zones: npt.NDArray[np.int64]
 
 
-def scene_of(noisy: Gray, sector: Mask, name: str) -> Scene:
+def scene_of(noisy: Grey, sector: Mask, name: str) -> Scene:
     """What is measured on an image, (H, W) in 0..1; sector: (H, W) bool.
 
     Raises FactoryError, which names it, when it is too small or black.
@@ -348,7 +348,7 @@ def scene_of(noisy: Gray, sector: Mask, name: str) -> Scene:
     )
 
 
-def figures_of(image: Gray, shared: Scene) -> Figures:
+def figures_of(image: Grey, shared: Scene) -> Figures:
     """The figures without a truth of (H, W) in 0..1; NaN where one does not exist."""
     return {
         "enl": enl(image, shared.zones),
@@ -364,7 +364,7 @@ class RealImage(Subject):
 
     judged: Judged
 
-    def noisy_image(self) -> Gray:
+    def noisy_image(self) -> Grey:
         """See `Subject`."""
         return self.judged.noisy
 
@@ -372,7 +372,7 @@ class RealImage(Subject):
         """See `Subject`."""
         return self.judged.geometry
 
-    def measure(self, image: Gray) -> Figures:
+    def measure(self, image: Grey) -> Figures:
         """Nearness to the reference after one gain and offset, and the figures without a truth."""
         judged = self.judged
         figures = figures_of(image, self._scene)

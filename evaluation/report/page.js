@@ -50,8 +50,8 @@
   const view = { zoom: 1, x: 0, y: 0 };
   const decoded = new Map();
 
-  // The gray values of an image, 0..255, decoded once.
-  function grayOf(pair, label) {
+  // The grey values of an image, 0..255, decoded once.
+  function greyOf(pair, label) {
     const key = `${pair} ${label}`;
     if (!decoded.has(key)) {
       decoded.set(key, new Promise((resolve, reject) => {
@@ -62,9 +62,9 @@
           const context = canvas.getContext("2d", { willReadFrequently: true });
           context.drawImage(image, 0, 0);
           const rgba = context.getImageData(0, 0, canvas.width, canvas.height).data;
-          const gray = new Uint8Array(rgba.length / 4);
-          for (let i = 0; i < gray.length; i += 1) gray[i] = rgba[4 * i];
-          resolve({ width: canvas.width, height: canvas.height, gray });
+          const grey = new Uint8Array(rgba.length / 4);
+          for (let i = 0; i < grey.length; i += 1) grey[i] = rgba[4 * i];
+          resolve({ width: canvas.width, height: canvas.height, grey });
         };
         image.onerror = () => reject(new Error(`cannot decode ${label}`));
         image.src = examples[pair].images[label];
@@ -103,14 +103,14 @@
     const example = examples[pair];
     const first = Object.keys(example.images)[0];
     const [own, truth, noisy] = await Promise.all(
-      [label, example.truth || first, first].map((name) => grayOf(pair, name)));
+      [label, example.truth || first, first].map((name) => greyOf(pair, name)));
     if (pair !== Number(choose.pair.value) || label !== choose[side].value || kind !== choose.map.value) return;
     const canvas = $("canvas", layers[side]);
     canvas.width = own.width; canvas.height = own.height;
     const context = canvas.getContext("2d");
     const pixels = context.createImageData(own.width, own.height);
-    for (let i = 0; i < own.gray.length; i += 1) {
-      const [r, g, b] = MAPS[kind](own.gray[i], truth.gray[i], noisy.gray[i]);
+    for (let i = 0; i < own.grey.length; i += 1) {
+      const [r, g, b] = MAPS[kind](own.grey[i], truth.grey[i], noisy.grey[i]);
       pixels.data.set([r, g, b, 255], 4 * i);
     }
     context.putImageData(pixels, 0, 0);

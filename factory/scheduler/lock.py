@@ -154,8 +154,8 @@ def publishing(
         # Some servers do not know the condition and overwrite.
         if store.create(publication.lock, publication.text()):
             raise FactoryError(
-                f"{url}: this storage overwrites objects although asked not to, so nothing would keep "
-                "two runs apart; make the dataset in a folder and copy it"
+                f"{url}: this storage overwrites objects although asked not to, so nothing would "
+                "keep two runs apart; make the dataset in a folder and copy it"
             )
         sizes = store.sizes()
         for rival in _rivals(publication.lock, sizes):

@@ -22,10 +22,10 @@ from ...factory.sonar.geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
-from .images import Gray
+from .images import Grey
 from .runtime import Maps, open_runtime
 
-Work = Callable[[Gray, Maps], Gray]
+Work = Callable[[Grey, Maps], Grey]
 
 _SEVERAL = 1.5
 """From so many frames on average on, grain is the scene's: the image is not halved first."""
@@ -67,11 +67,11 @@ class Denoiser:
 
     def __call__(
         self,
-        gray: Gray,
+        grey: Grey,
         geometry: FanGeometry | None = None,
         *,
-        frames: float | Gray | None = None,
-    ) -> Gray:
+        frames: float | Grey | None = None,
+    ) -> Grey:
         """(H, W) float32 in 0..1 -> the same, denoised.
 
         geometry: where range and bearing are, if that is known.  frames: how many were averaged in
@@ -79,14 +79,14 @@ class Denoiser:
         squared weights, where these add up to 1; None: a single frame.
         The weights get the image by its `presentation_of`, and one of wide grain `by_scales`.
         """
-        presentation = presentation_of(gray, geometry)
-        shape = gray.shape
-        gray = presentation.shown(gray)
+        presentation = presentation_of(grey, geometry)
+        shape = grey.shape
+        grey = presentation.shown(grey)
         extras = self.runtime.extras
         widest = self.runtime.wide_grain
-        maps: dict[str, Gray] = {}
+        maps: dict[str, Grey] = {}
         if presentation.geometry is not None and extras:
-            known_maps = presentation.geometry.maps(0, 0, *gray.shape)
+            known_maps = presentation.geometry.maps(0, 0, *grey.shape)
             maps = {name: known_maps[name] for name in extras if name in known_maps}
         if frames is not None and self.knows_frames:
             frame_counts = np.broadcast_to(np.asarray(frames, np.float32), shape)
@@ -94,38 +94,38 @@ class Denoiser:
             maps["frames"] = np.ascontiguousarray(frame_counts, np.float32)
             widest = 1.0 if frame_counts.mean() > averaged(_SEVERAL) else widest
         # Weights have seen black surroundings of a sector alone.
-        outside = maps.get("sector", np.ones_like(gray)) <= 0
-        bright = bool(outside.any()) and (gray[outside] > _LIT).mean() > _LIT_SHARE
-        shown = np.where(outside, np.float32(0), gray) if bright else gray
+        outside = maps.get("sector", np.ones_like(grey)) <= 0
+        bright = bool(outside.any()) and (grey[outside] > _LIT).mean() > _LIT_SHARE
+        shown = np.where(outside, np.float32(0), grey) if bright else grey
         denoised = by_scales(shown, maps, self._denoise_whole, widest)
         if bright:
-            denoised = np.where(outside, gray, denoised)
+            denoised = np.where(outside, grey, denoised)
         if self.strength != 1:
-            denoised = np.clip(gray + self.strength * (denoised - gray), 0, 1).astype(np.float32)
+            denoised = np.clip(grey + self.strength * (denoised - grey), 0, 1).astype(np.float32)
         return presentation.undone(denoised)
 
-    def _denoise_whole(self, gray: Gray, maps: Maps) -> Gray:
+    def _denoise_whole(self, grey: Grey, maps: Maps) -> Grey:
         tiles: list[tuple[float, int]] = []
 
-        def denoise_tile(part: Gray, maps: Maps) -> Gray:
+        def denoise_tile(part: Grey, maps: Maps) -> Grey:
             denoised, weight = self.runtime.run(part, maps)
             tiles.append((weight, part.size))
             return denoised
 
-        denoised = tiled(denoise_tile, gray, maps, self.tile, self.overlap)
+        denoised = tiled(denoise_tile, grey, maps, self.tile, self.overlap)
         # One weight for the whole image: single tiles with less change would be visible.
         weights, areas = zip(*tiles, strict=True)
         weight = np.float32(np.average(weights, weights=areas))
         if "frames" in maps and maps["frames"].mean() > averaged(_SEVERAL):
             # The head that weighs knows single frames; of means it takes too little.
             weight = np.float32(1)
-        result = np.asarray(np.clip(gray + weight * (denoised - gray), 0, 1), np.float32)
+        result = np.asarray(np.clip(grey + weight * (denoised - grey), 0, 1), np.float32)
         if not np.isfinite(result).all():
             raise FactoryError(f"weights={self.name}: make NaN of this image; train again")
         return result
 
 
-def by_scales(grey: Gray, maps: Maps, denoise: Work, widest: float) -> Gray:
+def by_scales(grey: Grey, maps: Maps, denoise: Work, widest: float) -> Grey:
     """`denoise` of an image, (H, W) in 0..1, first at smaller sizes while its grain is wide.
 
     maps: planes of the image for `denoise`, (H, W), some perhaps `sector`.
@@ -149,7 +149,7 @@ def by_scales(grey: Gray, maps: Maps, denoise: Work, widest: float) -> Gray:
     return denoise(np.clip(grey + part * enlarged, 0, 1).astype(np.float32), maps)
 
 
-def correlation(grey: Gray) -> float:
+def correlation(grey: Grey) -> float:
     """Of the grain of pixels that are neighbours along rows or columns, the lesser of both.
 
     0 where too few pixels are lit to tell, or where there is no grain.
@@ -166,14 +166,14 @@ def correlation(grey: Gray) -> float:
     return min(down, across) / power
 
 
-def halved(plane: Gray) -> Gray:
+def halved(plane: Grey) -> Grey:
     """(H, W) -> half of the size, means of 2 x 2; odd sides end in their last."""
     even = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
     four = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
     return np.asarray(four / np.float32(4), np.float32)
 
 
-def tiled(work: Work, image: Gray, maps: Maps, tile: int, overlap: int) -> Gray:
+def tiled(work: Work, image: Grey, maps: Maps, tile: int, overlap: int) -> Grey:
     """`work` on tiles of at most `tile` pixels a side, put together again.
 
     image, and each of maps: (H, W).  Where tiles overlap, their weights rise and fall linearly over

@@ -24,7 +24,7 @@ from .removed import Removed
 from .temporal.repeated import Unrepeated
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
 
-Gray = npt.NDArray[np.float32]
+Grey = npt.NDArray[np.float32]
 Pixels = npt.NDArray[Any]
 Place = Callable[[Pixels], FanGeometry | None]
 """Where range and bearing are in an image; None where that is not known."""
@@ -52,11 +52,11 @@ class _Source:
 
     key: Any
     shown: Pixels
-    levels: Gray
+    levels: Grey
     painted: Painted | None
     white: float | None
 
-    def result(self, levels: Gray) -> Denoised:
+    def result(self, levels: Grey) -> Denoised:
         """levels: (H, W) or (H, W, C), what became of its own."""
         painted = self.painted
         image = restored(levels, self.shown) if painted is None else painted.repainted(levels)
@@ -208,7 +208,7 @@ def check(image: Pixels) -> None:
             raise ValueError("float pixels must lie in 0..1; divide by full scale")
 
 
-def levels_of(image: Pixels) -> Gray:
+def levels_of(image: Pixels) -> Grey:
     """(H, W) or (H, W, C) float32 in 0..1, without alpha; colours that are equal as one plane."""
     levels = _colours(image).astype(np.float32) / np.float32(FULL_SCALE[str(image.dtype)])
     if levels.ndim == 3 and (levels == levels[..., :1]).all():
@@ -216,7 +216,7 @@ def levels_of(image: Pixels) -> Gray:
     return levels
 
 
-def restored(levels: Gray, image: Pixels) -> Pixels:
+def restored(levels: Grey, image: Pixels) -> Pixels:
     """The reverse of `levels_of`, with the dtype, shape and alpha of an image."""
     full = FULL_SCALE[str(image.dtype)]
     values = np.rint(levels.astype(np.float64) * full) if full > 1 else levels

@@ -20,10 +20,10 @@ from ...factory.errors import FactoryError
 from ..networks import DEFAULT, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
-from .images import Gray
+from .images import Grey
 
-Maps = Mapping[str, Gray]
-Positions = Sequence[Gray]
+Maps = Mapping[str, Grey]
+Positions = Sequence[Grey]
 _SMALLEST = np.float32(1e-6)
 _PROBE_SHAPE = (96, 128)
 _LEAST_RANGE = 1e-4
@@ -158,18 +158,18 @@ class OnnxNetwork:
         self._mask = bool(model["mask"])
         self._inputs = tuple(node.name for node in self._session.get_inputs())
 
-    def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
+    def run(self, grey: Grey, maps: Maps) -> tuple[Grey, float]:
         """Return the image (H, W) with its whole change, and the part of it to apply, 0 to 1.
 
-        gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
+        grey: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
         """
         grid = polar_grid(maps) if self.is_polar and "azimuth_rad" in maps else None
         if grid is None:
-            inputs = inputs_of(gray, maps, self._stride)
+            inputs = inputs_of(grey, maps, self._stride)
         else:
-            sector = _sampled(maps.get("sector", np.ones_like(gray)), grid.cells_in_fan)
+            sector = _sampled(maps.get("sector", np.ones_like(grey)), grid.cells_in_fan)
             cells = {**grid.cells, "sector": sector}
-            cell_values = _sampled(gray, grid.cells_in_fan)
+            cell_values = _sampled(grey, grid.cells_in_fan)
             inputs = inputs_of(cell_values, cells, self._stride, is_grid=True)
 
         changes, shadow_logits, weight = self._session.run(
@@ -181,15 +181,15 @@ class OnnxNetwork:
             change = _sampled(change, grid.pixels_in_grid)
             logits = _sampled(logits, grid.pixels_in_grid)
 
-        image = gray + change
+        image = grey + change
         if self._mask:
             image = image / (1 + np.exp(np.minimum(logits, _MOST)))
         if "sector" in maps:
-            image = np.where(maps["sector"] > 0, image, gray)
+            image = np.where(maps["sector"] > 0, image, grey)
         return np.asarray(image, np.float32), float(weight[0])
 
 
-def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:
+def inputs_of(grey: Grey, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:
     """Return the inputs of a graph of `--to runtime` for an image, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
@@ -198,13 +198,13 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     Returns `noisy` and `frames` (1, 1, H, W), `maps` (1, 3, H, W), `beams` and `arcs` (1, cells)
     int64, the line of each cell at half resolution, and `remove` (1, 6).
     """
-    rows, columns = (-(-side // stride) * stride // 2 for side in gray.shape)
+    rows, columns = (-(-side // stride) * stride // 2 for side in grey.shape)
     # Columns count as beams and rows as arcs where nothing else is known.
     arcs, beams = np.indices((rows, columns))
-    nothing = np.zeros_like(gray)
+    nothing = np.zeros_like(grey)
     planes = nothing, nothing, nothing - 1  # values that no known geometry has
     if "azimuth_rad" in maps:
-        sector = maps.get("sector", np.ones_like(gray))
+        sector = maps.get("sector", np.ones_like(grey))
         radius = maps["range_fraction"]
         azimuth = maps["azimuth_rad"]
         planes = 2 * radius - 1, azimuth, 1 - sector
@@ -213,7 +213,7 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
             beams = _line_numbers(_cells(azimuth, stride), inside, columns)
             arcs = _line_numbers(_cells(radius, stride), inside, rows)
     return {
-        "noisy": np.ascontiguousarray(gray, np.float32)[None, None],
+        "noisy": np.ascontiguousarray(grey, np.float32)[None, None],
         "maps": np.stack(planes)[None].astype(np.float32),
         "beams": beams.reshape(1, -1),
         "arcs": arcs.reshape(1, -1),
@@ -222,14 +222,14 @@ def inputs_of(gray: Gray, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     }
 
 
-def _cells(plane: Gray, stride: int) -> Gray:
+def _cells(plane: Grey, stride: int) -> Grey:
     """Every second pixel of a plane, padded to a multiple of the stride."""
     height, width = plane.shape
     padded = np.pad(plane, ((0, -height % stride), (0, -width % stride)), mode="edge")
     return padded[::2, ::2]
 
 
-def _line_numbers(values: Gray, inside: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.int64]:
+def _line_numbers(values: Grey, inside: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.int64]:
     """The index of each value among `count` even steps between the extremes inside."""
     least, most = (values[inside].min(), values[inside].max()) if inside.any() else (0, 1)
     extent = max(np.float32(most) - np.float32(least), np.float32(1e-6))
@@ -254,11 +254,11 @@ class TorchNetwork:
         self.extras = network.extras
         self.wide_grain = network.wide_grain
 
-    def run(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
+    def run(self, grey: Grey, maps: Maps) -> tuple[Grey, float]:
         """See `OnnxNetwork`."""
         import torch
 
-        planes = {"noisy": gray, **{name: maps[name] for name in self.extras if name in maps}}
+        planes = {"noisy": grey, **{name: maps[name] for name in self.extras if name in maps}}
         known = {
             name: torch.from_numpy(np.ascontiguousarray(plane))[None, None].to(self._device)
             for name, plane in planes.items()
@@ -336,7 +336,7 @@ def polar_grid(maps: Maps) -> PolarGrid | None:
     )
 
 
-def _in_pixels(positions: Positions, shape: tuple[int, ...]) -> list[Gray]:
+def _in_pixels(positions: Positions, shape: tuple[int, ...]) -> list[Grey]:
     """Turn positions from -1 to 1 over a side into pixels; rounds as `grid_sample` does."""
     return [
         ((position + 1) * np.float32(side) - 1) / 2
@@ -344,12 +344,12 @@ def _in_pixels(positions: Positions, shape: tuple[int, ...]) -> list[Gray]:
     ]
 
 
-def _extent(values: Gray) -> tuple[np.float32, np.float32]:
+def _extent(values: Grey) -> tuple[np.float32, np.float32]:
     least = values.min()
     return least, max(values.max(), least + _SMALLEST)
 
 
-def _sampled(image: Gray, positions: Positions) -> Gray:
+def _sampled(image: Grey, positions: Positions) -> Grey:
     """Interpolate an image at rows and columns in pixels, bilinear; its border is repeated."""
     height, width = image.shape
     row = np.clip(positions[0], 0, height - 1)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Gray = npt.NDArray[np.float32]
+Grey = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 _SIDE = 96  # of the small images that are compared with each other, pixels
@@ -34,7 +34,7 @@ class StaticGroup:
 
 
 def find_groups(
-    images: Sequence[Gray],
+    images: Sequence[Grey],
     sectors: Sequence[Mask],
     *,
     least: int = 6,
@@ -72,7 +72,7 @@ def find_groups(
     return groups
 
 
-def aligned(frames: Sequence[Gray], sector: Mask, *, furthest_px: float = 4.0) -> StaticGroup:
+def aligned(frames: Sequence[Grey], sector: Mask, *, furthest_px: float = 4.0) -> StaticGroup:
     """The frames that lie within `furthest_px` of the first, with their shifts below a pixel."""
     shift_of_frame = {0: (0.0, 0.0)}
     for number, frame in enumerate(frames[1:], start=1):
@@ -82,7 +82,7 @@ def aligned(frames: Sequence[Gray], sector: Mask, *, furthest_px: float = 4.0) -
     return StaticGroup(tuple(shift_of_frame), np.array(list(shift_of_frame.values())))
 
 
-def shift_px(fixed: Gray, moved: Gray, sector: Mask) -> tuple[float, float] | None:
+def shift_px(fixed: Grey, moved: Grey, sector: Mask) -> tuple[float, float] | None:
     """How far right and down the scene of `fixed` lies in `moved`; None when nothing fits.
 
     Maximises the enhanced correlation coefficient inside the sector (Evangelidis and Psarakis
@@ -100,8 +100,8 @@ def shift_px(fixed: Gray, moved: Gray, sector: Mask) -> tuple[float, float] | No
 
 
 def laid_over(
-    frames: Sequence[Gray], group: StaticGroup, reference: int, numbers: Sequence[int]
-) -> list[Gray]:
+    frames: Sequence[Grey], group: StaticGroup, reference: int, numbers: Sequence[int]
+) -> list[Grey]:
     """Return frames shifted so that their scene lies where the reference frame has it, (H, W) each.
 
     frames: those of the group, in its order.  reference, numbers: indices into them; the reference
@@ -116,7 +116,7 @@ def laid_over(
     ]
 
 
-def moving(frames: Sequence[Gray], sector: Mask, *, times: float = 4.0) -> Mask:
+def moving(frames: Sequence[Grey], sector: Mask, *, times: float = 4.0) -> Mask:
     """(H, W) bool: where something moved through the frames, with a margin.
 
     There the smoothed frames spread in time `times` as much as in the median of the sector.
@@ -128,7 +128,7 @@ def moving(frames: Sequence[Gray], sector: Mask, *, times: float = 4.0) -> Mask:
     return cv2.dilate(is_moving.astype(np.uint8), np.ones((15, 15), np.uint8)).astype(bool)
 
 
-def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
+def shifted(frame: Grey, shift_px: npt.NDArray[np.float64]) -> Grey:
     """The frame, (H, W) or (H, W, C), with its scene moved left and up by (right, down) pixels.
 
     Cubic, the border reflected.
@@ -142,7 +142,7 @@ def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
     return np.asarray(moved, np.float32)
 
 
-def _small(image: Gray, sector: Mask) -> npt.NDArray[np.float64]:
+def _small(image: Grey, sector: Mask) -> npt.NDArray[np.float64]:
     """(_SIDE * _SIDE,) of unit length: the scene without brightness, speckle and border."""
     weight = cv2.resize(sector.astype(np.float32), (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)
     small = cv2.resize(image * sector, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)

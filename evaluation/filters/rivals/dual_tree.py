@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from ...metrics.measure import Gray
+from ...metrics.measure import Grey
 from .logarithm import denoise_logarithm
 
 Floats = npt.NDArray[np.float32]
@@ -69,7 +69,7 @@ class Coefficients:
     rests: Floats
 
 
-def dual_tree(image: Gray, strength: float, levels: int) -> Gray:
+def dual_tree(image: Grey, strength: float, levels: int) -> Grey:
     """(H, W) in 0..1 denoised.  strength: multiple of the estimated noise's standard deviation."""
     return denoise_logarithm(image, lambda values: _denoise(values, strength, levels))
 

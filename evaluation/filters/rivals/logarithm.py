@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from ...metrics.measure import Gray
+from ...metrics.measure import Grey
 
 Floats = npt.NDArray[np.float32]
 
 _GREY_LEVEL = np.float32(1 / 255)
 
 
-def denoise_logarithm(image: Gray, denoise: Callable[[Floats], Floats]) -> Gray:
+def denoise_logarithm(image: Grey, denoise: Callable[[Floats], Floats]) -> Grey:
     """(H, W) in 0..1, denoised in the logarithm, with the mean it had before.
 
     denoise: maps logarithms (H, W) of grey levels to the same shape.  Black is exactly 0 there, so

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from ...metrics.measure import Gray
+from ...metrics.measure import Grey
 
 Floats = npt.NDArray[np.float32]
 
@@ -20,7 +20,7 @@ _WINDOW_PX = 5
 _NORMAL_MEDIAN = 0.6745  # median magnitude of a normal variable of deviation 1
 
 
-def lpmsde(image: Gray, strength: float, levels: int) -> Gray:
+def lpmsde(image: Grey, strength: float, levels: int) -> Grey:
     """(H, W) in 0..1 denoised.  strength: multiple of the estimated noise variance."""
     bands, coarse = build_pyramid(image, levels)
     for band in reversed(bands):
@@ -29,7 +29,7 @@ def lpmsde(image: Gray, strength: float, levels: int) -> Gray:
     return np.clip(coarse, 0, 1)
 
 
-def build_pyramid(image: Gray, levels: int) -> tuple[list[Floats], Floats]:
+def build_pyramid(image: Grey, levels: int) -> tuple[list[Floats], Floats]:
     """Band-pass levels, the finest first, and the coarse rest (Burt and Adelson 1983)."""
     bands: list[Floats] = []
     current = image

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ....factory.errors import FactoryError
-from ...metrics.measure import Gray
+from ...metrics.measure import Grey
 from .logarithm import denoise_logarithm
 
 Floats = npt.NDArray[np.float32]
@@ -40,7 +40,7 @@ class Basis(NamedTuple):
     scales: tuple[slice, ...]
 
 
-def ridgelet(image: Gray, strength: float, block_px: int) -> Gray:
+def ridgelet(image: Grey, strength: float, block_px: int) -> Grey:
     """(H, W) in 0..1 denoised.
 
     strength: multiple of the noise's estimated standard deviation.  block_px: side of a block.

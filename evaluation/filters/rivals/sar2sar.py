@@ -20,7 +20,7 @@ import numpy as np
 from scipy import ndimage
 
 from ....factory.errors import FactoryError
-from ...metrics.measure import Gray
+from ...metrics.measure import Grey
 
 _PACKAGE = "deepdespeckling"
 _STRIDE_PX = 32  # the network halves its input five times
@@ -31,7 +31,7 @@ _DARKEST = np.float32(1 / 255)  # radar images have no black, of which the netwo
 _BLACK_PX = 9  # squares of this side without any echo stay black
 
 
-def sar2sar(image: Gray, amplitude: float) -> Gray:
+def sar2sar(image: Grey, amplitude: float) -> Grey:
     """(H, W) in 0..1 denoised.
 
     amplitude: what white is taken for on the radar's scale, which reaches 24,000.

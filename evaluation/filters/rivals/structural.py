@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from ...metrics.measure import Gray
+from ...metrics.measure import Grey
 from ..bm3d import _alike, _all_blocks, _dct
 
 Floats = npt.NDArray[np.float32]
@@ -27,7 +27,7 @@ _LIKENESS = 6.0  # patches that differ by more than so many times their noise po
 _NOISE_WINDOW_PX = 25  # the noise is taken to be the same within such a window
 
 
-def structural(image: Gray, strength: float, patches: int) -> Gray:
+def structural(image: Grey, strength: float, patches: int) -> Grey:
     """(H, W) in 0..1 denoised.
 
     strength: multiple of the noise's estimated standard deviation.  patches: most similar patches
@@ -38,7 +38,7 @@ def structural(image: Gray, strength: float, patches: int) -> Gray:
     blocks = _all_blocks(padded)
     noise = np.float32(strength) * estimate_noise(blocks)
     total, weights = _filter_groups(blocks, noise, patches, _dct())
-    denoised: Gray = total / weights
+    denoised: Grey = total / weights
     return denoised[_SIDE_PX : _SIDE_PX + height, _SIDE_PX : _SIDE_PX + width]
 
 

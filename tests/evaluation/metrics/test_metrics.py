@@ -32,7 +32,7 @@ Array = npt.NDArray[Any]
 
 
 def waves(height: int, width: int) -> tuple[Array, Array]:
-    """The recipe of the golden images: whole gray values from a formula, no random numbers."""
+    """The recipe of the golden images: whole grey values from a formula, no random numbers."""
     y, x = np.mgrid[0:height, 0:width].astype(float)
     clean = 127.5 + 80 * np.sin(x / 5) * np.cos(y / 7) + 40 * ((x // 8 + y // 8) % 2)
     clean = np.clip(np.rint(clean), 0, 255)
@@ -62,11 +62,11 @@ def test_gmsd_is_the_formula(size: tuple[int, int], pooled: bool) -> None:
     prewitt = np.outer([1, 1, 1], [1, 0, -1]) / 3
 
     def gradient(image: Array) -> Array:
-        gray = image.astype(float)
+        grey = image.astype(float)
         if pooled:
-            gray = np.pad(gray, [(0, n % 2) for n in gray.shape])
-            gray = (gray[::2, ::2] + gray[1::2, ::2] + gray[::2, 1::2] + gray[1::2, 1::2]) / 4
-        across, down = (ndimage.convolve(gray, k, mode="constant") for k in (prewitt, prewitt.T))
+            grey = np.pad(grey, [(0, n % 2) for n in grey.shape])
+            grey = (grey[::2, ::2] + grey[1::2, ::2] + grey[::2, 1::2] + grey[1::2, 1::2]) / 4
+        across, down = (ndimage.convolve(grey, k, mode="constant") for k in (prewitt, prewitt.T))
         return np.asarray(np.hypot(across, down))
 
     clean, noisy = waves(*size)

@@ -25,7 +25,7 @@ from simnfnd.models.recordings.static import aligned, moving, shift_px
 from tests.evaluation.evaluation_settings import BROKEN
 
 Array = npt.NDArray[Any]
-Gray = npt.NDArray[np.float32]
+Grey = npt.NDArray[np.float32]
 SHAPE = (120, 96)
 SECTOR = np.ones(SHAPE, bool)
 SECTOR[:, :8] = SECTOR[:, -8:] = False
@@ -117,7 +117,7 @@ def test_the_report_of_a_folder_without_static_groups(
 # --- static scenes -------------------------------------------------------------------------------
 
 
-def scene(seed: int) -> Gray:
+def scene(seed: int) -> Grey:
     """Blobs of two sizes on a grey floor in 0..1, wider than a frame."""
     rng = np.random.default_rng(seed)
     wide = rng.normal(0, 1, (SHAPE[0] + 40, SHAPE[1] + 40)).astype(np.float32)
@@ -127,7 +127,7 @@ def scene(seed: int) -> Gray:
 
 def frame(
     seed: int, rng: np.random.Generator, noise: float, shift: tuple[float, float] = (0, 0)
-) -> Gray:
+) -> Grey:
     """The scene lies `shift` pixels right and down of the middle."""
     matrix = np.array([[1, 0, 20 - shift[0]], [0, 1, 20 - shift[1]]], np.float64)
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -258,8 +258,8 @@ def test_filters_are_tuned_on_other_frames_than_they_judge(tmp_path: Path) -> No
         assert 14 <= sum(len(part.tuning.get(fold, ())) for part in parts) <= 16
 
 
-def blurred(gray: Any, geometry: object = None, **more: object) -> Any:
-    return cv2.GaussianBlur(gray, (0, 0), 1.0)
+def blurred(grey: Any, geometry: object = None, **more: object) -> Any:
+    return cv2.GaussianBlur(grey, (0, 0), 1.0)
 
 
 def timed(groups: list[Group], networks: list[Method], most: int = 20) -> tuple[Any, list[str]]:

@@ -17,7 +17,7 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.stretches import find_lessons, read_clips
 from simnfnd.models.training.adapting import Lesson, psnr_after_levels
-from tests.models.adapt.scenes import Gray, noisy, scene, write
+from tests.models.adapt.scenes import Grey, noisy, scene, write
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared/data"
@@ -38,7 +38,7 @@ def weights(tmp_path: Path) -> Path:
     return path
 
 
-def write_static_scenes(folder: Path, scenes: int = 2, frames: int = 6) -> list[Gray]:
+def write_static_scenes(folder: Path, scenes: int = 2, frames: int = 6) -> list[Grey]:
     truth = [scene(number) for number in range(scenes)]
     for number, scene_ in enumerate(truth):
         for frame in range(frames):

@@ -80,9 +80,9 @@ def test_images_keep_name_size_and_dtype(
         assert result is not None
         assert (result.shape, result.dtype) == (image.shape, image.dtype)
         full = {"uint8": 255, "uint16": 65535, "float32": 1}[str(image.dtype)]
-        gray = image[..., 0] if image.ndim == 3 else image
+        grey = image[..., 0] if image.ndim == 3 else image
         shown = result[..., 0] if result.ndim == 3 else result
-        expected = through_network(weights, gray / full)
+        expected = through_network(weights, grey / full)
         assert np.abs(shown / full - expected).max() <= 0.51 / full + 1e-6
         assert not np.array_equal(result, image)
         is_png = name.lower().endswith(".png")
@@ -100,12 +100,12 @@ def test_images_keep_name_size_and_dtype(
 
 def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:
     weights = untrained_sonarnet(tmp_path)
-    gray = fan_images(40, np.random.default_rng(0))[0].astype(np.float32)
-    whole, half, none = (Denoiser(weights, "cpu", strength=part)(gray) for part in (1.0, 0.5, 0.0))
-    np.testing.assert_array_equal(none, gray)
-    assert np.abs(whole - gray).max() > 0.01
+    grey = fan_images(40, np.random.default_rng(0))[0].astype(np.float32)
+    whole, half, none = (Denoiser(weights, "cpu", strength=part)(grey) for part in (1.0, 0.5, 0.0))
+    np.testing.assert_array_equal(none, grey)
+    assert np.abs(whole - grey).max() > 0.01
     inside = (whole > 0) & (whole < 1)
-    np.testing.assert_allclose(half[inside], ((gray + whole) / 2)[inside], atol=1e-6)
+    np.testing.assert_allclose(half[inside], ((grey + whole) / 2)[inside], atol=1e-6)
 
 
 def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors, space, write_atomically
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command, writers
-from simnfnd.models.denoise.images import Gray
+from simnfnd.models.denoise.images import Grey
 from simnfnd.models.denoise.inputs import Item, items_below
 from simnfnd.models.denoise.journal import JOURNAL_NAME, opened_journal
 from tests.models.adapt.scenes import noisy, scene, write
@@ -33,21 +33,21 @@ class Stopping:
         self.number = number
         self.count = 0
 
-    def __call__(self, gray: Gray, geometry: FanGeometry | None = None) -> Gray:
+    def __call__(self, grey: Grey, geometry: FanGeometry | None = None) -> Grey:
         self.count += 1
         if self.count == self.at:
             os.kill(os.getpid(), self.number)
-        return self.denoised(gray)
+        return self.denoised(grey)
 
-    def denoised(self, gray: Gray) -> Gray:
-        return gray / 2
+    def denoised(self, grey: Grey) -> Grey:
+        return grey / 2
 
 
 class Smoothing(Stopping):
     """Smooths, so that the recording finds a strength for it."""
 
-    def denoised(self, gray: Gray) -> Gray:
-        return np.asarray(cv2.GaussianBlur(gray, (0, 0), 1.5), np.float32)
+    def denoised(self, grey: Grey) -> Grey:
+        return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.5), np.float32)
 
 
 def use(

@@ -64,8 +64,8 @@ def motion_between(first: Grey, second: Grey) -> Motion | None:
     return aligner.motion(1, 0)
 
 
-def as_it_is(gray: Grey, geometry: FanGeometry | None = None) -> Grey:
-    return gray
+def as_it_is(grey: Grey, geometry: FanGeometry | None = None) -> Grey:
+    return grey
 
 
 def shots(frames: list[Grey]) -> Iterator[Shot]:
@@ -108,8 +108,8 @@ def test_frames_are_laid_over_each_other_below_a_pixel(
 def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
     frames = [noisy(view(scene(seed=number)), number) for number in range(9)]
 
-    def halving(gray: Grey, geometry: FanGeometry | None = None) -> Grey:
-        return gray / 2
+    def halving(grey: Grey, geometry: FanGeometry | None = None) -> Grey:
+        return grey / 2
 
     denoising = Denoising(halving)
     shuffled = (denoising.shot(n, frame, lambda image: None) for n, frame in enumerate(frames))
@@ -280,7 +280,7 @@ def test_the_recording_chooses_the_strength() -> None:
             self.clean = clean
 
         def __call__(
-            self, gray: Grey, geometry: FanGeometry | None = None, *, frames: Grey | None = None
+            self, grey: Grey, geometry: FanGeometry | None = None, *, frames: Grey | None = None
         ) -> Grey:
             return self.clean
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from simnfnd.models.denoise.denoiser import Denoiser, tiled
-from simnfnd.models.denoise.images import Gray as Grey
+from simnfnd.models.denoise.images import Grey
 from tests.small_dataset import fan_images
 
 

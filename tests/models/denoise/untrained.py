@@ -12,16 +12,16 @@ import torch
 
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command
-from simnfnd.models.denoise.images import Gray
+from simnfnd.models.denoise.images import Grey
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 
 TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
 
 
-def half(gray: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
+def half(grey: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
     """A denoiser whose result is easy to foretell."""
-    return gray / 2
+    return grey / 2
 
 
 def untrained_sonarnet(folder: Path) -> Path:
@@ -57,7 +57,7 @@ class Halving:
     def __init__(self) -> None:
         self.geometries: list[FanGeometry | None] = []
 
-    def __call__(self, gray: Gray, geometry: FanGeometry | None = None) -> Gray:
-        assert gray.ndim == 2
+    def __call__(self, grey: Grey, geometry: FanGeometry | None = None) -> Grey:
+        assert grey.ndim == 2
         self.geometries.append(geometry)
-        return gray / 2
+        return grey / 2

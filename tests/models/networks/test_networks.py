@@ -141,7 +141,7 @@ def on_meta(config: dict[str, Any]) -> Network:
 def test_networks_are_as_large_as_published(
     kind: str, change: dict[str, Any], parameters: float, gmac: float
 ) -> None:
-    """Parameters and 1e9 multiply-accumulates for one gray image of 256x256."""
+    """Parameters and 1e9 multiply-accumulates for one grey image of 256x256."""
     network = on_meta({**SHIPPED[kind], **change})
     assert sum(p.numel() for p in network.parameters()) == pytest.approx(parameters, rel=0.005)
     assert count_macs(network, 256) / 1e9 == pytest.approx(gmac, rel=0.005)
