@@ -15,7 +15,7 @@ import pandas as pd
 
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
-from .metrics.statistics import Paired, holm, paired
+from .metrics.statistics import LEAST_FRAMES, Paired, holm, paired
 from .real_table import is_real_report, tabulate
 from .report.build import RESULTS_NAME
 from .report.tables import (
@@ -117,6 +117,8 @@ def text_of(result: dict[str, Any]) -> str:
         rows.append([metric.label, *cells, written_p(figures["p_holm"]), wins, figures["verdict"]])
     head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
     about = f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}"
+    if result["frames"] < LEAST_FRAMES:
+        about += f". There are no p values: a difference takes {LEAST_FRAMES} frames to show."
     return "\n\n".join([about, as_markdown(as_table(head, rows), "lrcrrl")])
 
 

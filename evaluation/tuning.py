@@ -109,6 +109,8 @@ def run_tasks(
     limit_s: Callable[[Task], float],
 ) -> Iterator[tuple[Task, dict[str, Any] | str]]:
     """Each task with what `function` found, or why it failed, as they are done."""
+    if not tasks:
+        return
     with progress_bar(total=len(tasks), unit="filter", desc="tuning") as bar:
         for task, outcome in pool.run(function, deque(tasks), limit_s):
             bar.update()

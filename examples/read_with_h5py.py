@@ -34,7 +34,9 @@ with h5py.File(folder / "index.h5") as index:
     for number in rng.integers(len(noisy), size=count):
         difference = noisy[number] / full - clean[number] / full
         squares.append(np.mean(difference**2))
-    print(f"index.h5: {count} of {len(noisy)} pairs, {noisy.shape[1]} x {noisy.shape[2]}")
+    print(
+        f"index.h5: {count} random reads of {len(noisy)} pairs, {noisy.shape[1]} x {noisy.shape[2]}"
+    )
     print(f"mean PSNR {np.mean(-10 * np.log10(np.maximum(squares, 1e-10))):.2f} dB")
     print(f"the first one shows {meta[0]['scene'].decode()}, frame {meta[0]['frame'].decode()}")
 
@@ -45,4 +47,4 @@ for _ in range(count):
     row = rng.integers(len(shard["noisy"]))
     if not shard["noisy"][row].any() or not shard["clean"][row].any():
         sys.exit(f"{shard.filename}: sample {row} is empty")
-print(f"shards: {count} pairs out of {len(shards)} files")
+print(f"shards: {count} random reads of {len(shards)} files")

@@ -109,6 +109,11 @@ def denoise(
         if geometry == "find" and image.geometry is not None:
             geometry = image.geometry
         image = image.noisy
+    if isinstance(image, str | Path):
+        raise ValueError(
+            f"{image}: expected an array; read the file first (cv2.imread, open_recording), or "
+            "run `simnfnd denoise FILE --out FOLDER`"
+        )
     values = np.asarray(image)
     if values.ndim not in (2, 3):
         raise ValueError(f"image has shape {values.shape}; expected (H, W), (N, H, W) or (H, W, 3)")

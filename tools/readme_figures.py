@@ -39,6 +39,8 @@ COMMANDS = {
     "groups": "simnfnd evaluate real mdd-groups models=[simnfnd]",
 }
 
+_KEPT_DIGITS = 7  # of which the lines show three at most: rounded once, as in the reports
+
 _PROBE_FRAMES = range(11, 26)  # of the example
 _PROBED = 18
 _AWAY = 3  # frames nearer than this are a denoiser's, not the reference's
@@ -172,7 +174,7 @@ def _in_time(report: Mapping[str, Any]) -> Figures:
     """Kind of input -> row -> PSNR and SSIM."""
     figures: Figures = {}
     for row in report["in_time"]:
-        scores = {name: round(row[name], 4) for name in ("psnr_db", "ssim")}
+        scores = {name: round(row[name], _KEPT_DIGITS) for name in ("psnr_db", "ssim")}
         figures.setdefault(row["kind"], {})[row["row"]] = scores
     return figures
 
@@ -184,7 +186,7 @@ def _single(report: Mapping[str, Any]) -> Figures:
     return {
         "best": best,
         **{
-            label: {name: round(rows[label][name], 4) for name in ("psnr_db", "ssim")}
+            label: {name: round(rows[label][name], _KEPT_DIGITS) for name in ("psnr_db", "ssim")}
             for label in (best, "simnfnd")
         },
     }
@@ -194,7 +196,8 @@ def _targets(report: Mapping[str, Any]) -> Figures:
     """Row -> AUC, contrast and detection."""
     return {
         row["label"]: {
-            name: round(row[name]["value"], 4) for name in ("auc", "contrast", "detection")
+            name: round(row[name]["value"], _KEPT_DIGITS)
+            for name in ("auc", "contrast", "detection")
         }
         for row in report["rows"]
     }

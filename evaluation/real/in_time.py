@@ -227,9 +227,14 @@ def judged_in_time(
         for number in range(len(recordings))
         for method in networks
     )
+    columns = ["number", *_Score._fields]
+    if not waiting:
+        return pd.DataFrame(columns=columns[1:]), []
+
     rows = []
     notes = []
     with progress_bar(total=len(waiting), unit="recording", desc="in time") as bar:
+        bar.refresh()  # the first recording may take minutes
         for (number, _, method, *_), result in pool.run(_judged, waiting, lambda _: _LIMIT_S):
             bar.update()
             if isinstance(result, TaskLost):
@@ -238,7 +243,6 @@ def judged_in_time(
             else:
                 rows += [(number, *score) for score in result.scores]
                 notes.append(result.note)
-    columns = ["number", *_Score._fields]
     table = pd.DataFrame(rows, columns=columns).drop_duplicates(["number", "kind", "row"])
     return table.drop(columns="number"), list(dict.fromkeys(notes))
 

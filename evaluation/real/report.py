@@ -69,19 +69,24 @@ def evaluate(settings: RealSettings) -> None:
 
 
 def write(settings: RealSettings, notes: Sequence[str], outcome: Outcome) -> str:
-    """Write the three files; returns what the terminal shows: the notes, table and verdicts.
+    """Write the three files; returns what the terminal shows: the notes, tables and verdict.
 
     FactoryError when the folder cannot be written to.
     """
-    about = "; ".join([f"{len(outcome.files)} images judged", *notes]) + "."
+    warnings = [note for note in notes if note.startswith("warning: ")]
+    others = [note for note in notes if note not in warnings]
+    judged = f"{len(outcome.files)} images judged"
+    about = " ".join(f"{'; '.join(lines)}." for lines in (warnings, [judged, *others]) if lines)
     rules = (TRUTH, RULE) if outcome.groups else (RULE,)
     table = table_of(outcome.rows)
     verdict = _verdict(outcome)
     title = "Figures" if outcome.groups else "Figures without a truth"
     sections = [Section(title, [table], [verdict])]
+    texts = [about, as_markdown(table), verdict]
     if not outcome.in_time.empty:
         in_time = wide(outcome.in_time, resamples=settings.bootstrap, seed=settings.seed)
         sections.append(Section("In time", [in_time], [IN_TIME]))
+        texts += ["In time:", as_markdown(in_time)]
     facts = {
         "schema": "simnfnd-real/2",
         "name": settings.name,
@@ -113,7 +118,7 @@ def write(settings: RealSettings, notes: Sequence[str], outcome: Outcome) -> str
         facts=facts,
         examples=_examples(outcome),
     )
-    return "\n\n".join(filter(None, [about, as_markdown(table), verdict]))
+    return "\n\n".join(filter(None, texts))
 
 
 def table_of(rows: Sequence[Row]) -> pd.DataFrame:

@@ -138,6 +138,11 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     options = parser.parse_args(list(arguments))
     if options.compare not in ("", SHEETS) and Path(options.compare).suffix.lower() != SUFFIX:
         # An input that follows `--compare`.
+        if options.inputs and not Path(options.compare).expanduser().exists():
+            raise FactoryError(
+                f"--compare {options.compare}: no input of that name; the name of a video to "
+                f"write ends in {SUFFIX}"
+            )
         options.inputs.insert(0, options.compare)
         options.compare = SHEETS
     if not options.inputs:
