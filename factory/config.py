@@ -109,6 +109,11 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
             "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
             "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
         )
+    if config.render.bounces and config.render.kind in ("analytic", "cycles"):
+        yield (
+            f"render.bounces={config.render.bounces}: render={config.render.kind} traces no "
+            "bounces; set render=embree, or render.bounces=0"
+        )
     for name in ("altitude_m", "tilt_deg"):
         drawn = isinstance(config.scenes, SeabedSettings) or (
             isinstance(config.scenes, MeshSettings) and config.scenes.poses is None

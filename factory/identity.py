@@ -58,7 +58,7 @@ _GONE_SCENES: dict[str, dict[str, Any]] = {
     "flsea": {"undistort": False},
     "csv_list": {"undistort": False, "distortion": []},
 }
-_GONE_RENDER = {"geometry": "auto", "stride": "auto", "samples": 1, "bounces": 0}
+_GONE_RENDER = {"geometry": "auto", "stride": "auto", "samples": 1}
 # The name of acoustics=coherent when hashes began.
 _COHERENT = "field"
 # Keys of groups that leave the samples as they are.
@@ -106,12 +106,16 @@ def extensions_of(config: FactoryConfig) -> list[tuple[extensions.Kind, str]]:
 
 def _render_identity(config: FactoryConfig) -> dict[str, Any]:
     render = renderer_of(config).settings
-    return {
+    values = {
         "kind": render.kind,
         "albedo": render.albedo,
         "edge_ratio": render.edge_ratio,
         **_GONE_RENDER,
+        "bounces": render.bounces,
     }
+    if render.bounces:
+        values["reflection_loss_db"] = render.reflection_loss_db
+    return values
 
 
 def _scenes_identity(config: FactoryConfig, values: Mapping[str, Any]) -> dict[str, Any]:

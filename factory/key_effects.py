@@ -328,9 +328,14 @@ _RULES = (
         "frames without labels are Background: use labelled scenes",
     ),
     Rule(
-        ("render.albedo", "render.edge_ratio"),
+        ("render.albedo", "render.edge_ratio", "render.bounces", "render.reflection_loss_db"),
         lambda config: config.scenes.kind != "pack",
         "the pack holds finished renders: use other scenes",
+    ),
+    Rule(
+        ("render.reflection_loss_db",),
+        lambda config: config.render.bounces > 0,
+        "nothing is mirrored: set render.bounces=1",
     ),
     Rule(
         ("scenes.frames_per_location",),

@@ -47,6 +47,10 @@ def renderer_of(config: FactoryConfig) -> RendererChoice:
         return _renderer_of_pack(config.scenes.root, render)
     if render.kind != "auto":
         return RendererChoice(render, f"render={render.kind}")
+    if render.bounces:
+        return RendererChoice(
+            replace(render, kind="embree"), "render=auto: render.bounces=1 needs rays"
+        )
     scenes = config.scenes
     if isinstance(scenes, MeshSettings) and Path(scenes.file).suffix.lower() == ".blend":
         return RendererChoice(

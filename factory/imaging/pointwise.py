@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from .. import seeds
 from ..sonar import polar, transfer
+from ..sonar.ghosts import ghost_echoes
 from ..sonar.polar import Echoes
 from ..sonar.surface import LitSurface
 from .contract import EffectCloud, Floats, Sample, effect_clouds
@@ -34,10 +36,15 @@ class PointwiseScene:
     resample: ResampleSettings
     static: PointwiseScene | None = None
 
-    @property
+    @cached_property
     def echoes(self) -> Echoes:
-        """Every insonified surface point in the window, strengths after time-varying gain."""
-        return self.surface.insonified.echoes
+        """Every insonified surface point in the window, then ghosts; with time-varying gain."""
+        echoes = self.surface.insonified.echoes
+        ghosts = ghost_echoes(self.surface)
+        if ghosts is None:
+            return echoes
+        pairs = zip(vars(echoes).values(), vars(ghosts).values(), strict=True)
+        return Echoes(*(np.concatenate(pair) for pair in pairs))
 
     @property
     def filled(self) -> npt.NDArray[np.bool_]:

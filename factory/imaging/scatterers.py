@@ -23,9 +23,11 @@ from ..errors import FrameError
 from ..frame import Frame
 from ..sonar import array
 from ..sonar.array import WaterSettings
+from ..sonar.ghosts import ghost_paths, lengths
 from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface, mount_weight
 from ..sonar.window import Window
+from .ghosts import GhostScatterers
 from .moving import MovingScatterers, moving_scatterers
 from .settings import CoherentSettings
 
@@ -51,6 +53,7 @@ class Scatterers:
     in_beam: (range_bins, beams) bool, whether one within vfov_deg does.
     loss: (range_bins,) float32 two-way absorption as a factor on intensity.
     world_from_camera: (4, 4) float64; the identity where the recording has no pose.
+    ghosts: what surfaces mirror once; its power is in `power`, too.
     """
 
     bins: npt.NDArray[np.int32]
@@ -64,6 +67,7 @@ class Scatterers:
     loss: Floats
     frame: Frame
     world_from_camera: npt.NDArray[np.float64]
+    ghosts: GhostScatterers | None = None
     _cells: dict[float, tuple[npt.NDArray[np.uint32], Floats]] = field(default_factory=dict)
 
     def world_cells(self, edge_m: float) -> tuple[npt.NDArray[np.uint32], Floats]:
@@ -155,13 +159,87 @@ def scatterers(
     )  # fmt: skip
     if not count:
         raise FrameError(f"{frame.ref.name}: no echo inside the sonar's sector; check sonar.mount")
+    pose = np.eye(4) if frame.world_from_camera is None else frame.world_from_camera
+    ghosts = _place_ghosts(surface, echo, pose)
+    if ghosts is not None:
+        power += np.bincount(ghosts.bins, ghosts.powers, power.size).reshape(shape)
     range_m = bin_centres_m(window, sonar).astype(np.float64)
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
     loss = (10 ** (-2 * absorption * range_m / 10)).astype(np.float32)
     power *= loss[:, None]
-    pose = np.eye(4) if frame.world_from_camera is None else frame.world_from_camera
     of_each = bins[:count], powers[:count], pixels[:count], parts[:count], row_ends
-    return Scatterers(*of_each, power, owner, in_beam, loss, frame, np.asarray(pose, np.float64))
+    world_from_camera = np.asarray(pose, np.float64)
+    return Scatterers(
+        *of_each, power, owner, in_beam, loss, frame, world_from_camera, ghosts=ghosts
+    )
+
+
+def _place_ghosts(
+    surface: LitSurface, echo: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
+) -> GhostScatterers | None:
+    """The ghosts of one bounce; None where there are none.
+
+    The second surface scatters by Lambert's law, whatever its exponent; a bundle of rays that is
+    mirrored with the loss R then echoes as R render mu dO b, render of the second surface and dO of
+    the mirror's pixel (docs/physics.md).  b is the one-way pattern towards either end.
+    echo: of each class, mu over the focal lengths in pixels.  pose: (4, 4) world from camera.
+    """
+    paths = ghost_paths(surface)
+    if paths is None:
+        return None
+    frame = surface.frame
+    sonar = surface.sonar
+    classes: npt.NDArray[Any] = np.zeros(len(paths.radiance), np.uint8)
+    if frame.segmentation is not None:
+        classes = frame.segmentation.reshape(-1)[paths.second_pixel]
+    pattern = vertical_table(sonar)
+    sine = np.linspace(-1, 1, len(pattern))
+    beam = np.ones(len(paths.radiance))
+    for end_m in (paths.image_m, paths.second_m):
+        beam *= np.interp(end_m[:, 2] / lengths(end_m), sine, pattern)
+    powers = paths.radiance * paths.solid_angle * echo[np.minimum(classes, len(echo) - 1)]
+    powers *= np.sqrt(beam)
+
+    bins = np.stack(
+        [polar_bins(points_m.T, surface.window, sonar) for points_m in paths.arrivals_m()]
+    )
+    # The sonar sends and hears in its sector alone.
+    chosen = np.flatnonzero((bins >= 0).all(axis=0))
+    if not len(chosen):
+        return None
+    turn = sonar.mount.rotation_sonar_from_camera()
+    camera_from_sonar = np.column_stack([turn.T, sonar.mount.position_camera_m()])
+    world_from_sonar = pose[:3, :3] @ camera_from_sonar
+    world_from_sonar[:, 3] += pose[:3, 3]
+    return GhostScatterers(
+        bins=bins[:, chosen].reshape(-1),
+        powers=np.tile(powers[chosen], 2).astype(np.float32),
+        image_m=np.tile(paths.image_m[chosen], (2, 1)),
+        second_m=np.tile(paths.second_m[chosen], (2, 1)),
+        direction=np.repeat([0, 1], len(chosen)),
+        world_from_sonar=world_from_sonar,
+    )
+
+
+def polar_bins(
+    sonar_m: npt.NDArray[np.float64], window: Window, sonar: SonarSettings
+) -> npt.NDArray[np.int32]:
+    """(N,) int32 flat polar bins of (3, N) places in sonar axes; -1 outside the window."""
+    ahead_m, left_m, up_m = sonar_m
+    ground_squared = ahead_m * ahead_m + left_m * left_m
+    range_m = np.sqrt(ground_squared + up_m * up_m)
+    distance_m = np.sqrt(ground_squared) if window.projection == "top_view" else range_m
+    bins_per_m = sonar.range_bins / window.range_span_m
+    row = np.floor((distance_m - window.range_min_m) * bins_per_m)
+    beam_edges, _ = beam_table(sonar)
+    beam = np.searchsorted(beam_edges, -left_m / range_m, side="right") - 1
+
+    in_rows = (row >= 0) & (row < sonar.range_bins)
+    in_beams = (beam >= 0) & (beam < sonar.beams)
+    is_inside = (ahead_m > 0) & in_rows & in_beams
+    bins = np.full(len(range_m), -1, np.int32)
+    bins[is_inside] = row[is_inside].astype(np.int32) * sonar.beams + beam[is_inside]
+    return bins
 
 
 class CameraRays(NamedTuple):

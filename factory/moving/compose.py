@@ -171,7 +171,11 @@ def compose(
         instance=instances.reshape(shape),
         moving=moving,
     )
-    lit = Rendered(radiance.reshape(shape), surface.reshape(shape))
+    bounces = rendered.bounces
+    if bounces is not None:
+        # Moving objects hide what is behind them, and mirror nothing themselves.
+        bounces = bounces.clear_of(owner >= 0)
+    lit = Rendered(radiance.reshape(shape), surface.reshape(shape), bounces)
     return Composed(composed, lit)
 
 

@@ -13,8 +13,9 @@ from ..distribution import AnyNumber, NonNegative, Positive
 from ..errors import FrameError
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected, interpolate_table
+from ..imaging.ghosts import GhostScatterers
 from ..imaging.moving import static_index
-from ..imaging.scatterers import beam_table, camera_rays
+from ..imaging.scatterers import camera_rays, polar_bins, shares
 from ..imaging.signal import (
     Floats,
     Ping,
@@ -75,11 +76,27 @@ def _scatter_cells(ping: Ping, rng: Rng, looks: float, scatterer_m: float) -> Si
     scene = ping.scatterers
     # A cell that reaches over several bins or resolution lengths would lose power.
     finest_m = min(ping.bin_m, ping.resolution_m)
-    cells, amplitude_factors = scene.world_cells(scatterer_m or _CELL_OF_RESOLUTION * finest_m)
+    cell_m = scatterer_m or _CELL_OF_RESOLUTION * finest_m
+    cells, amplitude_factors = scene.world_cells(cell_m)
     no_phases = np.empty(0, np.uint16)
-    amplitudes = np.sqrt(scene.powers)
-    echoes = PointEchoes(scene.bins, amplitudes, cells, amplitude_factors, no_phases)
+    echoes = PointEchoes(scene.bins, np.sqrt(scene.powers), cells, amplitude_factors, no_phases)
+    if scene.ghosts is not None:
+        echoes = _with_ghosts(echoes, scene.ghosts, cell_m)
     return scattered(ping, rng, looks, echoes)
+
+
+def _with_ghosts(echoes: PointEchoes, ghosts: GhostScatterers, cell_m: float) -> PointEchoes:
+    """Return the echoes, then those of the ghosts."""
+    from ..imaging import kernels  # loads numba
+
+    names = ghosts.names(cell_m)
+    return PointEchoes(
+        np.concatenate([echoes.bins, ghosts.bins]),
+        np.concatenate([echoes.amplitudes, np.sqrt(ghosts.powers)]),
+        np.concatenate([echoes.cells, names]),
+        np.concatenate([echoes.shares, shares(names, kernels.scrambled(names))]),
+        echoes.phases,
+    )
 
 
 def expect_speckle(
@@ -158,30 +175,19 @@ def path_speckle(
     """
     cell_m = scatterer_m or default_cell_m(ping)
     static_points = _place_static_points(ping, cell_m)
-    points = _join([static_points, *_place_moving_points(ping, cell_m)])
+    moving_points = _place_moving_points(ping, cell_m)
+    points = _join([static_points, *moving_points, *_place_ghost_points(ping, cell_m)])
 
-    ahead_m, left_m, up_m = points.sonar_m
-    ground_squared = ahead_m * ahead_m + left_m * left_m
-    range_m = np.sqrt(ground_squared + up_m * up_m)
-
-    is_top_view = ping.window.projection == "top_view"
-    distance_m = np.sqrt(ground_squared) if is_top_view else range_m
-    bins_per_m = ping.sonar.range_bins / ping.window.range_span_m
-    row = np.floor((distance_m - ping.window.range_min_m) * bins_per_m)
-    beam_edges, _ = beam_table(ping.sonar)
-    beam = np.searchsorted(beam_edges, -left_m / range_m, side="right") - 1
-
-    rows, beams = ping.shape
-    in_rows = (row >= 0) & (row < rows)
-    in_beams = (beam >= 0) & (beam < beams)
-    in_window = (ahead_m > 0) & in_rows & in_beams
-    bins = (row[in_window].astype(np.int32) * beams + beam[in_window]).astype(np.int32)
+    bins = polar_bins(points.sonar_m, ping.window, ping.sonar)
+    in_window = bins >= 0
+    ahead_m, left_m, up_m = points.sonar_m[:, in_window]
+    range_m = np.sqrt(ahead_m * ahead_m + left_m * left_m + up_m * up_m)
     echoes = PointEchoes(
-        bins,
+        bins[in_window],
         np.sqrt(points.powers[in_window]),
         points.cells[in_window],
         np.empty(0, np.float32),
-        _two_way_phases(range_m[in_window], ping),
+        _two_way_phases(range_m, ping),
     )
     return scattered(ping, rng, looks, echoes)
 
@@ -216,6 +222,15 @@ def _place_moving_points(ping: Ping, cell_m: float) -> list[CellPoints]:
         sonar_m = _in_sonar_axes(ping, points.camera_m)
         points_by_object.append(CellPoints(points.names, points.powers, sonar_m))
     return points_by_object
+
+
+def _place_ghost_points(ping: Ping, cell_m: float) -> list[CellPoints]:
+    """Return the cells of mirror images as one point each; see `GhostScatterers`."""
+    ghosts = ping.scatterers.ghosts
+    if ghosts is None:
+        return []
+    points = ghosts.points(cell_m)
+    return [CellPoints(points.names, points.powers, points.sonar_m)]
 
 
 def _place_static_points(ping: Ping, cell_m: float) -> CellPoints:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass as plain_dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, Protocol
 
@@ -94,11 +95,16 @@ class RenderSettings:
         takes out the water's haze and colour), or constant.
     edge_ratio: neighbouring pixels whose depths differ by more than this fraction are different
         surfaces and are never joined.
+    bounces: 1 traces the paths by way of a second surface, for ghosts; needs Embree.
+    reflection_loss_db: intensity lost where a surface mirrors sound, dB; smooth steel or concrete
+        1, rock 3, sand 8, mud 15.
     """
 
     kind: Literal["auto", "cycles", "embree", "analytic"] = "auto"
     albedo: Literal["rgb", "flattened", "constant"] = "flattened"
     edge_ratio: Annotated[float, Field(gt=0, le=1)] = 0.1
+    bounces: Annotated[int, Field(ge=0, le=1)] = 0
+    reflection_loss_db: Annotated[float, Field(ge=0, le=100)] = 8.0
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -120,16 +126,45 @@ class CacheSettings:
 
 
 @plain_dataclass(frozen=True, eq=False)
+class Bounces:
+    """N paths from the sonar by way of a mirroring surface to a second one.
+
+    mirror, second: (N,) int32 flat camera pixels of both surfaces; the sonar insonifies both.
+    distance_m: (N,) float32 from the one to the other.
+    reflection_loss_db: intensity lost at the mirror, dB.
+    pixels_each: camera pixels for which a path stands.
+    """
+
+    mirror: npt.NDArray[np.int32]
+    second: npt.NDArray[np.int32]
+    distance_m: npt.NDArray[np.float32]
+    reflection_loss_db: float
+    pixels_each: int
+
+    def clear_of(self, covered: npt.NDArray[np.bool_]) -> Bounces:
+        """The paths that touch no covered pixel; covered: (pixels,)."""
+        is_clear = ~(covered[self.mirror] | covered[self.second])
+        return replace(
+            self,
+            mirror=self.mirror[is_clear],
+            second=self.second[is_clear],
+            distance_m=self.distance_m[is_clear],
+        )
+
+
+@plain_dataclass(frozen=True, eq=False)
 class Rendered:
     """The render of one frame, pixel by pixel of the camera.
 
     radiance: (H, W) float32, albedo * cos(incidence) / range^2 with the light at the sonar, range
         in metres; 0 where nothing is or where the sonar's sound does not reach (shadow).
     surface: (H, W) bool, pixels whose ray meets the scene, lit or in shadow.
+    bounces: paths by way of a second surface; None where none were traced or found.
     """
 
     radiance: npt.NDArray[np.float32]
     surface: npt.NDArray[np.bool_]
+    bounces: Bounces | None = None
 
 
 class Renderer(Protocol):

@@ -23,6 +23,8 @@ from ..frame import Frame, Intrinsics
 from ..quiet import quiet
 from ..small_files import one_line
 from .base import Mount, Rendered, RenderSettings
+from .bounce import trace_bounces
+from .ray_caster import RayCaster
 from .surface import SHADOW_BIAS, Pixels, Surface, pixels_of, surface_mesh
 
 
@@ -55,22 +57,18 @@ class ClosedFormRenderer:
         radiance = pixels.radiance(sonar_m)
         if self._open3d and not mount.colocated and pixels.mask.any():
             radiance[self._shadow(pixels, sonar_m)] = 0
-        return Rendered(radiance, pixels.mask)
+        bounces = None
+        if self._open3d and self._settings.bounces:
+            bounces = trace_bounces(self._open3d, frame, self._settings, radiance, sonar_m)
+        return Rendered(radiance, pixels.mask, bounces)
 
     def _shadow(self, pixels: Pixels, sonar_m: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         """(H, W) bool: surface pixels that the mesh hides from the sonar."""
-        surface = pixels.surface()
-        open3d = self._open3d
-        mesh = surface_mesh(pixels, surface)
-        scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-        scene.add_triangles(
-            mesh.vertices_m * np.float32(1 + SHADOW_BIAS), mesh.triangles.astype(np.uint32)
-        )
-        points_m = surface.points_m[surface.mask]
-        rays = np.concatenate([points_m, sonar_m.astype(np.float32) - points_m], axis=-1)
-        hidden = scene.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
+        caster = RayCaster(self._open3d, pixels)
+        surface = caster.surface
         shadow = np.zeros(surface.mask.shape, np.bool_)
-        shadow[surface.mask] = hidden.numpy()
+        points_m = surface.points_m[surface.mask]
+        shadow[surface.mask] = caster.hidden(points_m, sonar_m.astype(np.float32))
         return shadow
 
 

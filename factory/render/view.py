@@ -14,6 +14,7 @@ import json
 import math
 import struct
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -23,7 +24,7 @@ import numpy.typing as npt
 
 from ..frame import BOX_FIELDS, Frame, FrameRef, Intrinsics, Surroundings
 from ..small_files import parse_json
-from .base import Mount, Rendered
+from .base import Bounces, Mount, Rendered
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -61,19 +62,21 @@ class View:
     unnamed_frame: the frame without its names, black (the albedo has used its colour already), with
         depth 0 where there is no surface.
     radiance: (H, W) float32, see `simnfnd.factory.render.base.Rendered`; 0 in the sonar's shadow.
+    bounces: see there.
     """
 
     unnamed_frame: Frame
     radiance: npt.NDArray[np.float32]
     mount: Mount
+    bounces: Bounces | None = None
 
     def frame(self, ref: FrameRef) -> Frame:
         """The frame as noise needs it."""
         return replace(self.unnamed_frame, ref=ref)
 
     def rendered(self) -> Rendered:
-        """Radiance and surface."""
-        return Rendered(self.radiance, self.unnamed_frame.valid)
+        """Radiance, surface and bounces."""
+        return Rendered(self.radiance, self.unnamed_frame.valid, self.bounces)
 
 
 def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
@@ -87,7 +90,11 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
     stored_frame = replace(
         frame, rgb=_black(depth_m.shape), depth_m=depth_m, boxes=boxes, surroundings=around
     )
-    return View(stored_frame, rounded(rendered.radiance, RADIANCE)[1], mount)
+    bounces = rendered.bounces
+    if bounces is not None:
+        _, distance_m = rounded(bounces.distance_m[None], DEPTH)
+        bounces = replace(bounces, distance_m=distance_m[0])
+    return View(stored_frame, rounded(rendered.radiance, RADIANCE)[1], mount, bounces)
 
 
 def _black(shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
@@ -100,6 +107,10 @@ def encode(view: View) -> bytes:
     planes = [fold(rounded(frame.depth_m, DEPTH)[0]), fold(rounded(view.radiance, RADIANCE)[0])]
     if frame.segmentation is not None and frame.instance is not None:
         planes += [frame.segmentation.tobytes(), frame.instance.astype("<u2").tobytes()]
+    bounces = view.bounces
+    if bounces is not None:
+        planes += [pixel.astype("<i4").tobytes() for pixel in (bounces.mirror, bounces.second)]
+        planes += [fold(rounded(bounces.distance_m[None], DEPTH)[0])]
     # Level 1 is twice as fast as 3 and, on such planes, no larger.  Differences are noise: what
     # repeats is near, so the least table of places (2^6) is faster, and its output smaller.
     options: dict[int, int] = {_ZSTD.compression_level: 1, _ZSTD.hash_log: 6}
@@ -113,9 +124,10 @@ def encode(view: View) -> bytes:
         "world_from_camera": None if pose is None else pose.tolist(),
         **{name: getattr(frame, name) for name in _NUMBERS if getattr(frame, name) is not None},
         "precision": _PRECISION,
-        "labelled": len(planes) > 2,
+        "labelled": frame.segmentation is not None and frame.instance is not None,
         **({} if frame.boxes is None else {"boxes": frame.boxes.tolist()}),
         **({} if frame.surroundings is None else _head_of(frame.surroundings)),
+        **({} if bounces is None else _head_of_bounces(bounces)),
         "parts": [len(part) for part in parts],
     }
     text = json.dumps(head).encode()
@@ -142,6 +154,10 @@ def decode(content: bytes) -> View:
         parts = []
         start = start + length
         sizes = [2 * pixels, 2 * pixels, *([pixels, 2 * pixels] if head["labelled"] else [])]
+        paths = int(head["bounces"]["paths"]) if "bounces" in head else 0
+        if not 0 <= paths <= pixels:
+            raise ValueError(f"{paths} bounces")
+        sizes += [4 * paths, 4 * paths, 2 * paths] if "bounces" in head else []
         for packed, size in zip(head["parts"], sizes, strict=True):
             parts.append(_decompressed(content[start : start + packed], size))
             start += packed
@@ -164,7 +180,9 @@ def decode(content: bytes) -> View:
         if not min(camera.fx, camera.fy) > 0:
             raise ValueError("no camera")
         frame = Frame(FrameRef("", "", ""), _black(shape), depth_m, camera, **more)
-        return View(frame, unfold(parts[1], shape, RADIANCE), mount_of(head["mount"]))
+        radiance = unfold(parts[1], shape, RADIANCE)
+        bounces = _bounces(head["bounces"], parts[-3:], pixels) if "bounces" in head else None
+        return View(frame, radiance, mount_of(head["mount"]), bounces)
     except (KeyError, TypeError, zstd.ZstdError, struct.error) as error:
         raise ValueError(f"damaged ({error})") from error
 
@@ -177,6 +195,31 @@ def _head_of(surroundings: Surroundings) -> dict[str, Any]:
             "step_m": surroundings.step_m,
         }
     }
+
+
+def _head_of_bounces(bounces: Bounces) -> dict[str, Any]:
+    return {
+        "bounces": {
+            "paths": len(bounces.mirror),
+            "reflection_loss_db": bounces.reflection_loss_db,
+            "pixels_each": bounces.pixels_each,
+        }
+    }
+
+
+def _bounces(values: dict[str, Any], parts: Sequence[bytes], pixels: int) -> Bounces:
+    """The paths that `encode` wrote.  parts: mirror, second and distance of each."""
+    mirror, second = (np.frombuffer(part, "<i4").astype(np.int32) for part in parts[:2])
+    for pixel in (mirror, second):
+        if len(pixel) and not 0 <= pixel.min() <= pixel.max() < pixels:
+            raise ValueError("a bounce off the image")
+    return Bounces(
+        mirror=mirror,
+        second=second,
+        distance_m=unfold(parts[2], (1, len(mirror)), DEPTH)[0],
+        reflection_loss_db=float(_finite(values["reflection_loss_db"])),
+        pixels_each=int(_finite(values["pixels_each"])),
+    )
 
 
 def _surroundings(values: dict[str, Any]) -> Surroundings:

@@ -1,0 +1,99 @@
+"""The scatterers of ghosts: what the surfaces of a frame mirror once.
+
+The grain of a ghost belongs to the mirror image of the surface that echoes: for a flat mirror that
+stays where it is in the world while the sonar moves.  Both directions of a path have grain of
+their own; real ones are equal, and would add in phase where both lie in one beam.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..sonar.ghosts import arrivals_m, lengths
+
+Words = npt.NDArray[np.uint32]
+Doubles = npt.NDArray[np.float64]
+
+# Of the cells of mirror images, for each direction of their paths.
+_DIRECTION_SALTS = np.array([0x3C6EF372, 0xA54FF53A], np.uint32)
+# For the three places of a cell's point in it.
+_PLACE_SALTS = np.array([0x68BC21EB, 0x02E5BE93, 0x967A889B], np.uint32)
+_STEPS = np.array([73856093, 19349663, 83492791], np.uint32)
+
+
+class GhostPoints(NamedTuple):
+    """names: (M,) uint32.  powers: (M,) float32.  sonar_m: (3, M) places in sonar axes."""
+
+    names: Words
+    powers: npt.NDArray[np.float32]
+    sonar_m: Doubles
+
+
+@dataclass(frozen=True, eq=False)
+class GhostScatterers:
+    """K ghosts in the bins of an image.
+
+    bins: (K,) int32 flat polar bin.  powers: (K,) float32 intensity over the source level, without
+    absorption.  image_m, second_m: (K, 3), see `GhostPaths`.
+    direction: (K,) int64, 0 where the echo arrives from the mirror, 1 from the second surface.
+    world_from_sonar: (3, 4).
+    """
+
+    bins: npt.NDArray[np.int32]
+    powers: npt.NDArray[np.float32]
+    image_m: Doubles
+    second_m: Doubles
+    direction: npt.NDArray[np.int64]
+    world_from_sonar: Doubles
+
+    def names(self, edge_m: float) -> Words:
+        """(K,) uint32 names of the world cells of this edge in which the mirror images lie."""
+        return self._names(self._cells(edge_m))
+
+    def points(self, edge_m: float) -> GhostPoints:
+        """The cells as one point each, at a place of the cell that stays the same."""
+        from . import kernels  # loads numba
+
+        cells = self._cells(edge_m)
+        names, first, cell_of = np.unique(
+            self._names(cells), return_index=True, return_inverse=True
+        )
+        powers = np.bincount(cell_of.reshape(-1), self.powers, len(names)).astype(np.float32)
+        shares = np.stack(
+            [(kernels.scrambled(names ^ salt) >> np.uint32(8)) * 2.0**-24 for salt in _PLACE_SALTS],
+            axis=-1,
+        )
+        turn = self.world_from_sonar[:, :3]
+        image_m = _turned(turn.T, (cells[first] + shares) * edge_m - self.world_from_sonar[:, 3])
+        second_m = self._beside_second_m(first, image_m)
+        arrivals = np.stack(arrivals_m(image_m, second_m))
+        return GhostPoints(names, powers, arrivals[self.direction[first], np.arange(len(first))].T)
+
+    def _cells(self, edge_m: float) -> npt.NDArray[np.int64]:
+        world_m = _turned(self.world_from_sonar[:, :3], self.image_m) + self.world_from_sonar[:, 3]
+        return np.asarray(np.floor(world_m / edge_m), np.int64)
+
+    def _names(self, cells: npt.NDArray[np.int64]) -> Words:
+        from . import kernels  # loads numba
+
+        corners = (cells.astype(np.uint32) * _STEPS).sum(axis=1, dtype=np.uint32)
+        salted = corners ^ _DIRECTION_SALTS[self.direction]
+        return np.asarray(kernels.scrambled(salted), np.uint32)
+
+    def _beside_second_m(self, index: npt.NDArray[np.int64], image_m: Doubles) -> Doubles:
+        """(M, 3) the points whose mirror images are `image_m`, near those of the ghosts `index`."""
+        across_m = self.image_m[index] - self.second_m[index]
+        normal = across_m / lengths(across_m)[:, None]
+        step_m = image_m - self.image_m[index]
+        along_normal_m = (step_m * normal).sum(axis=1, keepdims=True)
+        return np.asarray(self.second_m[index] + step_m - 2 * along_normal_m * normal)
+
+
+def _turned(matrix: Doubles, points: Doubles) -> Doubles:
+    """(N, 3) points times a (3, 3) matrix, summed in one order on every machine."""
+    x, y, z = points.T
+    return np.stack([line[0] * x + line[1] * y + line[2] * z for line in matrix], axis=-1)
