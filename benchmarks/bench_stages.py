@@ -9,6 +9,7 @@ what differs between machines.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -44,6 +45,7 @@ def _table(options: Options) -> Table:
     sonar = config.sonar
     reader = open_reader(config.scenes)
     renderer = open_renderer(config.render)
+    mirroring = open_renderer(replace(config.render, bounces=1))
     ref = reader.discover().frames[0]
     frame = reader.load(ref)
     rendered = renderer.render(frame, sonar.mount)
@@ -66,6 +68,7 @@ def _table(options: Options) -> Table:
     stages: dict[str, Callable[[], Any]] = {
         "load the frame (decode, or build the scene)": lambda: reader.load(ref),
         "render, embree": lambda: renderer.render(frame, sonar.mount),
+        "render, embree, with one bounce": lambda: mirroring.render(frame, sonar.mount),
         "cached render: encode": lambda: encode(view),
         "cached render: decode": lambda: decode(packed),
         "observe: pixels to echoes, window, shadow": lambda: pairs.observe(frame, rendered, config),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -22,7 +23,6 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.key_effects import reason_without_effect
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render import open_renderer
-from simnfnd.factory.render.base import RenderSettings
 from simnfnd.factory.render.view import View, view_of
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scheduler.plan import plan_shards
@@ -232,8 +232,8 @@ class SmallViews(Views):
         if key not in _rendered:
             render = self._config.render
             mount = self._config.sonar.mount
-            kind = "analytic" if mount.colocated else "embree"
-            settings = RenderSettings(kind, render.albedo, render.edge_ratio)  # type: ignore[arg-type]
+            needs_rays = render.bounces or not mount.colocated
+            settings = replace(render, kind="embree" if needs_rays else "analytic")
             frame = reader(json.dumps(plain(self._config)["scenes"])).load(ref)
             _rendered[key] = view_of(frame, open_renderer(settings).render(frame, mount), mount)
         return _rendered[key]
