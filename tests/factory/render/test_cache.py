@@ -155,7 +155,7 @@ def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> 
     assert len(hashes) == 2
     card = (dataset / "README.md").read_text()
     assert "closed form (as the pack says)" in card
-    assert "bounces" not in card, "a setting of an earlier version"
+    assert "stride: auto" not in card, "a setting of an earlier version"
     with pytest.raises(FactoryError, match=r"scenes\.digest"):
         generate(packed, [])
     cycles = config(tmp_path, scenes={"kind": "pack", "root": str(pack)}, render={"kind": "cycles"})
