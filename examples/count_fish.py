@@ -30,7 +30,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from simnfnd import PairDataset, open_recording
+from simnfnd import FactoryError, PairDataset, open_recording
 
 EXAMPLE = Path(__file__).resolve().parent / "didson" / "lamprey1.avi"
 LABELS = EXAMPLE.with_name("lamprey1-fish.csv")
@@ -372,4 +372,9 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    try:
+        main()
+    except FactoryError as error:
+        sys.exit(str(error))

@@ -38,11 +38,16 @@ def maps(row, height, width):
 if len(sys.argv) < 4:
     sys.exit(__doc__)
 model, source, target, *table = sys.argv[1:]
+for name in (model, source, *table):
+    if not Path(name).is_file():
+        sys.exit(f"{name}: no such file; give it as the first lines of this program say")
 image = np.asarray(Image.open(source).convert("L"))
 inputs = {"noisy": image / 255}
 if table:
     with open(table[0], newline="", encoding="utf-8") as file:
         rows = {row["file"]: row for row in csv.DictReader(file)}
+    if Path(source).name not in rows:
+        sys.exit(f"{table[0]}: no line of {Path(source).name}")
     inputs |= maps(rows[Path(source).name], *image.shape)
 inputs = {name: values[None, None].astype(np.float32) for name, values in inputs.items()}
 session = onnxruntime.InferenceSession(model)
