@@ -31,6 +31,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _EXAMPLES = 8
+_RULE = (
+    "Kolmogorov-Smirnov distances of the images' features, 0 to 1. `real` is that of two "
+    "halves of the real images, which a perfect simulation would reach. Overall: geometric "
+    "mean of the earth mover's distances over those of the halves, each at least 1."
+)
 
 
 def evaluate(settings: RealismSettings) -> None:
@@ -41,7 +46,7 @@ def evaluate(settings: RealismSettings) -> None:
         name: described(collection, settings.grid) for name, collection in collections.items()
     }
     table, overall = distances(measured.pop(REAL), measured, settings.seed)
-    out = Path(settings.out or Path("outputs", "realism", next(iter(measured))))
+
     rows = [
         [FEATURES[str(name)], *(written(value, 2) for value in row)]
         for name, row in zip(table.index, table.to_numpy(), strict=True)
@@ -50,30 +55,12 @@ def evaluate(settings: RealismSettings) -> None:
     shown = as_table(["real against", *table], rows)
     counts = {name: len(collection.sources) for name, collection in collections.items()}
     notes = [note for collection in collections.values() for note in collection.notes]
-    grid = settings.grid
-    rule = (
-        "Kolmogorov-Smirnov distances of the images' features, 0 to 1. `real` is that of two "
-        "halves of the real images, which a perfect simulation would reach. Overall: geometric "
-        "mean of the earth mover's distances over those of the halves, each at least 1."
-    )
-    about = ", ".join(f"{count} images of {name}" for name, count in counts.items())
-    images = {
-        name: collection.at_most(_EXAMPLES).sources for name, collection in collections.items()
-    }
-    examples = [
-        # Far range on top.
-        Example(
-            f"images {number + 1}",
-            {name: sources[number].polar(grid)[::-1] for name, sources in images.items()},
-        )
-        for number in range(min(map(len, images.values())))
-    ]
     facts = {
         "schema": "simnfnd-realism/2",
         "real": real.name,
         "images": counts,
         "notes": notes,
-        "grid": asdict(grid),
+        "grid": asdict(settings.grid),
         "seed": settings.seed,
         "overall": overall,
         "distances": {
@@ -81,10 +68,28 @@ def evaluate(settings: RealismSettings) -> None:
             for name, column in table.to_dict().items()
         },
     }
-    sections = [Section("Distances", [shown], [rule, *notes])]
+
+    out = Path(settings.out or Path("outputs", "realism", next(iter(measured))))
     title = f"Simulated against real: {real.name}"
+    about = ", ".join(f"{count} images of {name}" for name, count in counts.items())
+    sections = [Section("Distances", [shown], [_RULE, *notes])]
+    examples = _examples_of(collections, settings.grid)
     write_report(out, "realism", title, f"{about}.", sections, facts=facts, examples=examples)
     print(*notes, as_markdown(shown), f"report: {out / 'realism.html'}", sep="\n")
+
+
+def _examples_of(collections: Mapping[str, Collection], grid: Grid) -> list[Example]:
+    """Polar images of all collections beside each other, far range on top."""
+    sources_by_name = {
+        name: collection.at_most(_EXAMPLES).sources for name, collection in collections.items()
+    }
+    examples = []
+    for number in range(min(map(len, sources_by_name.values()))):
+        images = {
+            name: sources[number].polar(grid)[::-1] for name, sources in sources_by_name.items()
+        }
+        examples.append(Example(f"images {number + 1}", images))
+    return examples
 
 
 def _simulations(settings: RealismSettings) -> dict[str, Collection]:

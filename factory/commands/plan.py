@@ -73,10 +73,7 @@ def main(words: list[str]) -> int:
     seconds = renders * cost.render_s / min(max(worker_counts.render, 1), usable_cores())
     seconds += pairs * cost.pair_s / min(worker_counts.total, usable_cores())
     disk_gb = (pairs * cost.pair_bytes + renders * cost.render_bytes) / 1e9
-    folder = job.directory.absolute()
-    while not folder.exists():
-        folder = folder.parent
-    free_gb = shutil.disk_usage(folder).free / 1e9
+    free_gb = _free_gb(job.directory)
     memory_gb = worker_counts.render * RENDERER_GB + worker_counts.noise * WORKER_GB
     available_gb = available_memory_bytes() / 1e9
     print(
@@ -88,6 +85,14 @@ def main(words: list[str]) -> int:
     for resource in short:
         print(f"TOO LITTLE {resource}; set frames.total or scheduler.workers lower")
     return 1 if short else 0
+
+
+def _free_gb(directory: Path) -> float:
+    """Free space where a folder will be made."""
+    folder = directory.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    return shutil.disk_usage(folder).free / 1e9
 
 
 class _Cost(NamedTuple):

@@ -8,7 +8,7 @@ a frame depends on the frame, the objects and the time alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -113,21 +113,23 @@ def compose(
     echoes: Sequence[Echo],
     frequency_khz: float,
 ) -> Composed:
-    """The frame with the bodies in it.
+    """Put the bodies into a frame, in front of what lies behind them.
 
     echoes: of each class.  frequency_khz: of the sonar, for target strengths.
     """
-    height, width = frame.depth_m.shape
+    shape = frame.depth_m.shape
     depth_m = frame.depth_m.reshape(-1).copy()
     radiance = rendered.radiance.reshape(-1).copy()
     surface = rendered.surface.reshape(-1).copy()
-    labels = np.zeros(height * width, np.uint8)
+    labels = np.zeros(depth_m.size, np.uint8)
     if frame.segmentation is not None:
         labels = frame.segmentation.reshape(-1).copy()
-    instances = np.zeros(height * width, np.uint16)
+    instances = np.zeros(depth_m.size, np.uint16)
     if frame.instance is not None:
         instances = frame.instance.reshape(-1).copy()
-    owner = np.full(height * width, -1, np.int32)
+    # Number of the body that each pixel shows, or -1.
+    owner = np.full(depth_m.size, -1, np.int32)
+
     drawn_bodies: dict[int, _Drawn] = {}
     for number, body in enumerate(bodies):
         drawn = _draw(body, frame, mount, echoes[body.actor.label], frequency_khz)
@@ -145,8 +147,30 @@ def compose(
         labels[shown] = body.actor.label
         instances[shown] = FIRST_INSTANCE + body.actor.number
         owner[shown] = number
+
+    composed = replace(
+        frame,
+        depth_m=depth_m.reshape(shape),
+        segmentation=labels.reshape(shape),
+        instance=instances.reshape(shape),
+        moving=_moving_pixels(owner, drawn_bodies, bodies),
+    )
+    bounces = rendered.bounces
+    if bounces is not None:
+        # Moving objects hide what is behind them, and mirror nothing themselves.
+        bounces = bounces.clear_of(owner >= 0)
+    lit = Rendered(radiance.reshape(shape), surface.reshape(shape), bounces)
+    return Composed(composed, lit)
+
+
+def _moving_pixels(
+    owner: npt.NDArray[np.int32], drawn_bodies: Mapping[int, _Drawn], bodies: Sequence[PosedBody]
+) -> MovingPixels:
+    """The pixels that show bodies, and how much of each body they hide.
+
+    owner: (pixels,) number of the body that each pixel shows, or -1.
+    """
     pixel = np.flatnonzero(owner >= 0)
-    body_of = owner[pixel]
     own_m = np.zeros((len(pixel), 3))
     alone_px, hidden_px = np.zeros((2, len(bodies)), np.int64)
     for number, drawn in drawn_bodies.items():
@@ -155,28 +179,14 @@ def compose(
         own_m[np.searchsorted(pixel, drawn.pixel[visible])] = drawn.own_m[visible]
         alone_px[number] = len(drawn.pixel)
         hidden_px[number] = len(inside) - len(visible)
-    moving = MovingPixels(
+    return MovingPixels(
         pixel=pixel.astype(np.int32),
-        body=body_of,
+        body=owner[pixel],
         own_m=own_m,
         bodies=tuple(bodies),
         alone_px=alone_px,
         hidden_px=hidden_px,
     )
-    shape = height, width
-    composed = replace(
-        frame,
-        depth_m=depth_m.reshape(shape),
-        segmentation=labels.reshape(shape),
-        instance=instances.reshape(shape),
-        moving=moving,
-    )
-    bounces = rendered.bounces
-    if bounces is not None:
-        # Moving objects hide what is behind them, and mirror nothing themselves.
-        bounces = bounces.clear_of(owner >= 0)
-    lit = Rendered(radiance.reshape(shape), surface.reshape(shape), bounces)
-    return Composed(composed, lit)
 
 
 def _draw(

@@ -144,12 +144,7 @@ def publishing(
                     store.put(publication.lock, publication.text())
 
     beating = threading.Thread(target=beat, daemon=True)
-    if not store.create(publication.lock, publication.text()):
-        dead = _refuse_if_held(store, publication.lock)
-        if _read_lock(store, publication.lock) == dead:
-            store.remove(publication.lock)
-        if not store.create(publication.lock, publication.text()):
-            raise FactoryError(f"{url}: another run takes its lock; try later")
+    _take_lock(publication)
     try:
         # Some servers do not know the condition and overwrite.
         if store.create(publication.lock, publication.text()):
@@ -161,13 +156,7 @@ def publishing(
         for rival in _rivals(publication.lock, sizes):
             _refuse_if_held(store, rival)
         beating.start()
-        # Slices begin side by side.
-        foreign = sorted(name for name in sizes if not name.startswith(LOCK_NAME))
-        if foreign and not {"config.yaml", "manifest.json"} & set(foreign):
-            raise FactoryError(
-                f"dataset.dir: {url} holds other files ({', '.join(foreign[:3])}) and no dataset; "
-                "give an empty or new place with dataset.dir="
-            )
+        _refuse_foreign_files(url, sizes)
         take_copy(folder, sizes, fresh=True)
         with forward_writes(publication.folder, publication.forward):
             yield publication
@@ -180,6 +169,29 @@ def publishing(
         with suppress(FactoryError):
             if publication.holds():
                 store.remove(publication.lock)
+
+
+def _take_lock(publication: Publication) -> None:
+    """Create the lock; that of a dead run is removed first.  FactoryError when a run holds it."""
+    store = publication.store
+    if store.create(publication.lock, publication.text()):
+        return
+    dead = _refuse_if_held(store, publication.lock)
+    if _read_lock(store, publication.lock) == dead:
+        store.remove(publication.lock)
+    if not store.create(publication.lock, publication.text()):
+        raise FactoryError(f"{store.url}: another run takes its lock; try later")
+
+
+def _refuse_foreign_files(url: str, names: Iterable[str]) -> None:
+    """Raise FactoryError for a place with files other than a dataset's."""
+    # Slices of one dataset begin at the same time, and locks are all there is then.
+    foreign = sorted(name for name in names if not name.startswith(LOCK_NAME))
+    if foreign and not {"config.yaml", "manifest.json"} & set(foreign):
+        raise FactoryError(
+            f"dataset.dir: {url} holds other files ({', '.join(foreign[:3])}) and no dataset; "
+            "give an empty or new place with dataset.dir="
+        )
 
 
 def _name(part: str) -> str:

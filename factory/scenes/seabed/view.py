@@ -245,20 +245,26 @@ def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
             np.where(left, left_plane[row, column], right_plane[row, column])
             for left_plane, right_plane in zip(*images, strict=True)
         )
-        met = inverse * ahead > 0
-        depth = 1 / np.where(met, inverse * ahead, 1e-9)
-        range_m = depth * length
-        named = (thing > 0) & (range_m < 0.8 * clear_m)
-        shown = np.unique(thing[named])
-        lost = (range_m > clear_m).mean()
-        near = (depth < 0.9).mean()
-        share = named.mean()
-        middle = float(np.median(depth[met])) if met.any() else 99.0
-        bad = 8 * max(lost - 0.34, 0) + 60 * max(lost - 0.42 + 0.06, 0)
-        bad += 30 * max(0.03 - lost, 0)
-        bad += 12 * max(near - 0.02, 0) + max(1.4 - middle, 0) + 0.4 * max(middle - 4, 0)
-        bad += 4 * max(share - 0.42, 0) - min(share, 0.25) * 4 - 0.05 * min(len(shown), 14)
-        own = np.count_nonzero(shown >= world.first_own)
-        return float(bad) - 1.2 * min(own, 2)
+        has_surface = inverse * ahead > 0
+        depth_m = 1 / np.where(has_surface, inverse * ahead, 1e-9)
+        range_m = depth_m * length
+        has_object = (thing > 0) & (range_m < 0.8 * clear_m)
+        shown = np.unique(thing[has_object])
+        own_count = np.count_nonzero(shown >= world.first_own)
+
+        missing_share = (range_m > clear_m).mean()
+        near_share = (depth_m < 0.9).mean()
+        object_share = has_object.mean()
+        middle_m = float(np.median(depth_m[has_surface])) if has_surface.any() else 99.0
+        # Up to a third out of sight is fine; none at all is not.
+        penalty = 8 * max(missing_share - 0.34, 0) + 60 * max(missing_share - 0.42 + 0.06, 0)
+        penalty += 30 * max(0.03 - missing_share, 0)
+        # Little right before the lens, and most at middle range.
+        penalty += 12 * max(near_share - 0.02, 0)
+        penalty += max(1.4 - middle_m, 0) + 0.4 * max(middle_m - 4, 0)
+        # Objects on up to a quarter of the image, of many kinds, one's own first.
+        penalty += 4 * max(object_share - 0.42, 0) - min(object_share, 0.25) * 4
+        penalty -= 0.05 * min(len(shown), 14)
+        return float(penalty) - 1.2 * min(own_count, 2)
 
     return min(views, key=lambda view: cost(view[0]) + view[1])[0]
