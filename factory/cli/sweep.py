@@ -27,6 +27,8 @@ _RESULT = "result.json"
 # Of noisy against clean: mean and spread over the pairs.
 _FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
 _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
+# Settings that points of one dataset may differ in.
+_NO_OTHER_DATASET = ("shard.", "scheduler", "cache.", "hydra", "debug")
 # Stands for all images of a point; kept out of the table.
 _IMAGES = "images"
 # Folder and points (the words of each) of the sweep of this process, until its table is written.
@@ -36,15 +38,38 @@ _said: set[str] = set()
 
 
 def each_its_folder(composed: DictConfig) -> None:
-    """Within a sweep, drop the folder that a recipe names: every point would write there."""
+    """Within a sweep, drop the folder that a recipe names: every point would write there.
+
+    Raises FactoryError where the words themselves name one folder for points that differ.
+    """
     from hydra.core.hydra_config import HydraConfig
     from omegaconf import OmegaConf
 
-    if not in_sweep() or "dataset.dir" in _settings(HydraConfig.get().overrides.task):
+    if not in_sweep():
+        return
+    if "dataset.dir" in _settings(HydraConfig.get().overrides.task):
+        _refuse_shared_folder()
         return
     folder = OmegaConf.to_container(composed.dataset, resolve=False)["dir"]  # type: ignore[call-overload, index]
     if folder and "${" not in folder:
         composed.dataset.dir = None
+
+
+def _refuse_shared_folder() -> None:
+    for _, points in _open:
+        settings = [_settings(words) for words in points]
+        folders = {point["dataset.dir"] for point in settings}
+        differing = [
+            key
+            for key in settings[0]
+            if not key.startswith(_NO_OTHER_DATASET)
+            and len({point.get(key) for point in settings}) > 1
+        ]
+        if len(folders) == 1 and "${" not in min(folders) and differing:
+            raise FactoryError(
+                f"dataset.dir={min(folders)}: {len(points)} points of the sweep would write "
+                f"there; leave it out, or give {differing[0]} one value"
+            )
 
 
 def reporter() -> RunReporter:

@@ -368,6 +368,13 @@ def test_a_sweep_over_names_separates_them_by_commas():
     assert [point.dataset.name for point in points] == ["a", "b"]
 
 
+def test_points_of_a_sweep_do_not_share_a_folder(tmp_path, capfd):
+    folder = f"dataset.dir={tmp_path / 'out'}"
+    assert run("-m", "seed=1,2", folder, f"hydra.sweep.dir={tmp_path / 'sweep'}", *FAST) == 2
+    assert "error: dataset.dir=" in capfd.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_recipe_may_sweep_by_itself():
     sonars = [point.sonar.name for point in compose_points(["experiment=fish"])]
     assert sonars == ["didson_hf", "aris_1800_hf"]
