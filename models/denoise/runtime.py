@@ -48,9 +48,11 @@ def check_network(weights: Path, network: OnnxNetwork | TorchNetwork) -> None:
     rng = np.random.default_rng(0)
     speckle = np.clip(rng.rayleigh(0.2, _PROBE_SHAPE), 0, 1).astype(np.float32)
     with np.errstate(all="ignore"):
-        image, weight = network.run(speckle, {})
-        denoised = np.clip(speckle + np.float32(weight) * (image - speckle), 0, 1)
-    if not np.isfinite(denoised).all() or np.ptp(denoised) < _LEAST_RANGE:
+        estimate, weight = network.run(speckle, {})
+        denoised = speckle + np.float32(weight) * (estimate - speckle)
+    # The estimate itself, for a small weight would hide that it is a single grey value.
+    estimated_range = np.ptp(np.clip(estimate, 0, 1))
+    if not np.isfinite(denoised).all() or estimated_range < _LEAST_RANGE:
         raise FactoryError(
             f"weights={weights}: make every image NaN or a single grey value; train again, or take "
             "another file"
