@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -53,7 +54,12 @@ class Session:
         composition = compose(words)
         self.words = tuple(words)
         self.config = composition.config
-        require(needs_of(self.config))
+        needs = list(needs_of(self.config))
+        require(needs)
+        if any(need.module == "bpy" for need in needs):
+            # A thread of the server would load it, and a process crashes at its end unless its main
+            # thread has loaded Blender.
+            importlib.import_module("bpy")
         self.parameters: list[Parameter] = parameters_of(self.config)
         self.frames = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
         self._pins = composition.pins
