@@ -8,6 +8,7 @@ import re
 import pytest
 import yaml
 
+from tests.project_files import ROOT
 from tools import readme_figures
 
 WITHIN_DB = 0.1
@@ -38,6 +39,43 @@ def test_the_paper_has_the_same_figures_and_at_most_a_thousand_words() -> None:
     )
     cited = set(re.findall(r"@(\w+)", body))
     assert cited == set(entries)
+
+
+def test_the_other_figures_are_those_of_their_tables() -> None:
+    lines = readme_figures.README.read_text(encoding="utf-8").splitlines()
+    (alone,) = (line for line in lines if line.startswith("- **Simulation alone**"))
+    simulation = last_figures("docs/models.md", "`simulation`")
+    recordings = last_figures("docs/models.md", "`recordings`")
+    best_filter = last_figures("docs/models.md", "best filter")
+    for groups_db, lamprey_db in (simulation, recordings, best_filter):
+        assert re.search(rf"\b{groups_db}\b.* {lamprey_db} dB", alone)
+
+    (speed,) = (line for line in lines if line.startswith("- **Speed**"))
+    median_times_less = last_figures("docs/speed.md", "FLSea, closed form, cold")[-1]
+    assert f"about {round(float(median_times_less), -1):.0f} times" in speed
+
+    for name in ("simnfnd", "simnfnd-paper"):
+        size_mb = (ROOT / f"models/pretrained/{name}.safetensors").stat().st_size / 1e6
+        assert f"`{name}` ({size_mb:.1f} MB)" in "\n".join(lines)
+
+
+def last_figures(page: str, label: str) -> list[str]:
+    """The last two figures of a row, of each of its cells the first; a page's last such row."""
+    rows = re.findall(
+        rf"^\| {re.escape(label)} \|(.*)\|$", (ROOT / page).read_text(encoding="utf-8"), re.M
+    )
+    cells = [cell.split("(")[0].split("/")[0].strip() for cell in rows[-1].split("|")]
+    return [cell for cell in cells if re.fullmatch(r"\d+(\.\d+)?", cell)][-2:]
+
+
+def test_the_paper_says_how_far_the_network_leads_single_frames() -> None:
+    figures = json.loads(readme_figures.FIGURES.read_text(encoding="utf-8"))["figures"]
+    lead_db = [
+        figures[name]["simnfnd"]["psnr_db"] - figures[name][figures[name]["best"]]["psnr_db"]
+        for name in ("groups", "real")
+    ]
+    paper = readme_figures.PAPER.read_text(encoding="utf-8")
+    assert f"by {lead_db[0]:.2f} dB (ARIS) and {lead_db[1]:.2f} dB (DIDSON)" in paper
 
 
 def test_the_denoiser_is_the_one_that_was_measured() -> None:
