@@ -64,7 +64,7 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
         # Also when nothing is left to do: a run may have been killed after its last shard.
         _tidy(job)
         if todo:
-            job.reporter.stage(f"{_makers_text(job, worker_counts)} {left} pairs")
+            job.reporter.stage(_starting_text(job, worker_counts, left))
             try:
                 with closing(
                     _backend(job, worker_counts, max(len(task.items) for task in todo))
@@ -82,13 +82,13 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
     return results.report()
 
 
-def _makers_text(job: Job, worker_counts: WorkerCounts) -> str:
-    """Who makes the pairs, as the first words of a line."""
+def _starting_text(job: Job, worker_counts: WorkerCounts, pairs: int) -> str:
+    """The line that says who makes the pairs."""
     if job.scheduler.backend == "serial":
-        return "making, in this process,"
+        return f"making {pairs} pairs in this process"
     count = f"{worker_counts.total} worker{'s' if worker_counts.total > 1 else ''}"
     renders = f" ({worker_counts.render} of them for renders)" if worker_counts.render else ""
-    return f"starting {count}{renders} for"
+    return f"starting {count}{renders} for {pairs} pairs"
 
 
 def _backend(job: Job, worker_counts: WorkerCounts, frames_per_shard: int) -> Backend:

@@ -303,7 +303,7 @@ COUNTS = re.compile(r"frames (\d+)/16.*, pairs (\d+)/32; \d+:\d\d elapsed(?:, \d
 def test_a_run_counts_frames_and_pairs_from_the_first_one_on(tmp_path, capfd):
     staged(tmp_path / "dataset", FakeConfig(delay_s=0.01), scheduler={"backend": "serial"})
     lines = capfd.readouterr().err.splitlines()
-    assert lines[0] == "starting 2 workers (2 of them for renders) for 32 pairs"
+    assert "32 pairs" in lines[0]
     counted = [COUNTS.fullmatch(line) for line in lines if line.startswith("frames")]
     assert counted[0] is not None
     assert counted[0].groups() == ("1", "0")
