@@ -34,8 +34,9 @@ def views(path: Path, number: int) -> dict[str, Grey]:
     """Caption -> (H, W) float32 in 0..1, cut to what is insonified."""
     with open_recording(path) as recording:
         frame_count = len(recording)
-    frames = [frame_image(path, index)[0] for index in range(frame_count)]
-    geometry = frame_image(path, number)[1]
+    frames_with_geometry = [frame_image(path, index) for index in range(frame_count)]
+    frames = [frame for frame, _ in frames_with_geometry]
+    geometry = frames_with_geometry[number][1]
     others = [frame for index, frame in enumerate(frames) if index != number]
     images = {
         "as recorded": frames[number],

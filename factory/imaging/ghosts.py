@@ -14,15 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..sonar.ghosts import arrivals_m, lengths
+from .cells import cell_names, occupied_cells
 
 Words = npt.NDArray[np.uint32]
 Doubles = npt.NDArray[np.float64]
 
 # Of the cells of mirror images, for each direction of their paths.
 _DIRECTION_SALTS = np.array([0x3C6EF372, 0xA54FF53A], np.uint32)
-# For the three places of a cell's point in it.
-_PLACE_SALTS = np.array([0x68BC21EB, 0x02E5BE93, 0x967A889B], np.uint32)
-_STEPS = np.array([73856093, 19349663, 83492791], np.uint32)
 
 
 class GhostPoints(NamedTuple):
@@ -56,33 +54,22 @@ class GhostScatterers:
 
     def points(self, edge_m: float) -> GhostPoints:
         """The cells as one point each, at a place of the cell that stays the same."""
-        from . import kernels  # loads numba
-
         cells = self._cells(edge_m)
-        names, first, cell_of = np.unique(
-            self._names(cells), return_index=True, return_inverse=True
-        )
-        powers = np.bincount(cell_of.reshape(-1), self.powers, len(names)).astype(np.float32)
-        shares = np.stack(
-            [(kernels.scrambled(names ^ salt) >> np.uint32(8)) * 2.0**-24 for salt in _PLACE_SALTS],
-            axis=-1,
-        )
+        occupied = occupied_cells(cells, self._names(cells), self.powers, edge_m)
         turn = self.world_from_sonar[:, :3]
-        image_m = _turned(turn.T, (cells[first] + shares) * edge_m - self.world_from_sonar[:, 3])
-        second_m = self._beside_second_m(first, image_m)
+        image_m = _turned(turn.T, occupied.points_m - self.world_from_sonar[:, 3])
+        second_m = self._beside_second_m(occupied.first, image_m)
         arrivals = np.stack(arrivals_m(image_m, second_m))
-        return GhostPoints(names, powers, arrivals[self.direction[first], np.arange(len(first))].T)
+        direction = self.direction[occupied.first]
+        sonar_m = arrivals[direction, np.arange(len(direction))].T
+        return GhostPoints(occupied.names, occupied.powers, sonar_m)
 
     def _cells(self, edge_m: float) -> npt.NDArray[np.int64]:
         world_m = _turned(self.world_from_sonar[:, :3], self.image_m) + self.world_from_sonar[:, 3]
         return np.asarray(np.floor(world_m / edge_m), np.int64)
 
     def _names(self, cells: npt.NDArray[np.int64]) -> Words:
-        from . import kernels  # loads numba
-
-        corners = (cells.astype(np.uint32) * _STEPS).sum(axis=1, dtype=np.uint32)
-        salted = corners ^ _DIRECTION_SALTS[self.direction]
-        return np.asarray(kernels.scrambled(salted), np.uint32)
+        return cell_names(cells, _DIRECTION_SALTS[self.direction])
 
     def _beside_second_m(self, index: npt.NDArray[np.int64], image_m: Doubles) -> Doubles:
         """(M, 3) the points whose mirror images are `image_m`, near those of the ghosts `index`."""

@@ -12,13 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..frame import Body, Frame, MovingPixels
+from .cells import cell_names, occupied_cells
 
 Words = npt.NDArray[np.uint32]
 Points = npt.NDArray[np.float64]
-
-# For the three places of a cell's point in it.
-_SALTS = np.array([0x68BC21EB, 0x02E5BE93, 0x967A889B], np.uint32)
-_STEPS = np.array([73856093, 19349663, 83492791], np.uint32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,25 +42,12 @@ class MovingScatterers:
 
         powers: (K,) of the scatterers.
         """
-        from . import kernels  # loads numba
-
         cells = np.floor(self.own_m / edge_m).astype(np.int64)
-        names, first, cell_of = np.unique(
-            self._names(cells), return_index=True, return_inverse=True
-        )
-        power = np.bincount(cell_of.reshape(-1), powers, len(names)).astype(np.float32)
-        shares = np.stack(
-            [(kernels.scrambled(names ^ salt) >> np.uint32(8)) * 2.0**-24 for salt in _SALTS],
-            axis=-1,
-        )
-        own_m = (cells[first] + shares) * edge_m
-        return MovingPoints(names, power, self.body.camera_m(own_m))
+        occupied = occupied_cells(cells, self._names(cells), powers, edge_m)
+        return MovingPoints(occupied.names, occupied.powers, self.body.camera_m(occupied.points_m))
 
     def _names(self, cells: npt.NDArray[np.int64]) -> Words:
-        from . import kernels  # loads numba
-
-        corners = (cells.astype(np.uint32) * _STEPS).sum(axis=1, dtype=np.uint32)
-        return np.asarray(kernels.scrambled(corners ^ np.uint32(self.body.salt)), np.uint32)
+        return cell_names(cells, np.uint32(self.body.salt))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from ..distribution import AnyNumber, NonNegative, Positive
 from ..errors import FrameError
+from ..imaging.cells import places_in_cells
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected, interpolate_table
 from ..imaging.ghosts import GhostScatterers
@@ -40,8 +41,6 @@ _MOST_POINTS = 1 << 25
 _CELL_WIDE_FROM = 0.25
 _QUANTILE_COUNT = 1024
 _QUANTILE_REACH = 5.5  # standard deviations on either side
-# One word for each axis, to draw the place of a cell's point in the cell.
-_AXIS_SALTS = np.array([0x68BC21EB, 0x02E5BE93, 0x967A889B], np.uint32)
 _NEPERS_PER_DB = np.log(10) / 10  # of intensity
 
 
@@ -264,10 +263,7 @@ def _place_static_points(ping: Ping, cell_m: float) -> CellPoints:
     names, all_powers, corners = table
     has_echo = np.flatnonzero(all_powers > 0)
     cells = names[has_echo]
-    x, y, z = (
-        (corners[has_echo, axis] + _place_in_cell(cells, salt)) * cell_m
-        for axis, salt in enumerate(_AXIS_SALTS)
-    )
+    x, y, z = (corners[has_echo].T + places_in_cells(cells)) * cell_m
     mount = ping.sonar.mount
     sonar_from_camera = mount.rotation_sonar_from_camera()
     sonar_from_world = sonar_from_camera @ np.linalg.inv(scene.world_from_camera)[:3]
@@ -282,13 +278,6 @@ def _cell_table(slots: int) -> tuple[Words, Floats, npt.NDArray[np.int32]]:
     names = np.zeros(slots, np.uint32)
     powers = np.zeros(slots, np.float32)
     return names, powers, np.empty((slots, 3), np.int32)
-
-
-def _place_in_cell(cells: Words, salt: np.uint32) -> Doubles:
-    """Return where each cell's point lies along one axis, 0 to 1: the top 24 bits of a hash."""
-    from ..imaging import kernels  # loads numba
-
-    return np.asarray((kernels.scrambled(cells ^ salt) >> np.uint32(8)) * 2.0**-24)
 
 
 def _in_sonar_axes(ping: Ping, camera_m: Doubles) -> Doubles:
