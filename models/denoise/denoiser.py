@@ -4,6 +4,7 @@ Large ones go in overlapping tiles, and those with wide grain at half their size
 that enlarges makes grain wider than any that a network has learned from, which then takes it for
 ground.  At half the size the grain is as it should be.  The change found there is enlarged and
 added, and the image with less noise denoised as it is, which finds edges and what is left.
+Weights for the polar grid have another way, `wide_cells`.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from ...factory.sonar.geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
-from .images import Grey
-from .runtime import Maps, open_runtime
+from .images import Grey, block_means
+from .polar import Maps
+from .runtime import open_runtime
+from .wide_cells import by_cells
 
 Work = Callable[[Grey, Maps], Grey]
 
@@ -77,7 +80,8 @@ class Denoiser:
         geometry: where range and bearing are, if that is known.  frames: how many were averaged in
         the image, 1 or more, or (H, W) float32 of how many in each pixel: one over the sum of the
         squared weights, where these add up to 1; None: a single frame.
-        The weights get the image by its `presentation_of`, and one of wide grain `by_scales`.
+        The weights get the image by its `presentation_of`, and where their model says so, one of
+        wide grain `by_scales` and one of wide cells `by_cells`.
         """
         presentation = presentation_of(grey, geometry)
         shape = grey.shape
@@ -97,7 +101,10 @@ class Denoiser:
         outside = maps.get("sector", np.ones_like(grey)) <= 0
         bright = bool(outside.any()) and (grey[outside] > _LIT).mean() > _LIT_SHARE
         shown = np.where(outside, np.float32(0), grey) if bright else grey
-        denoised = by_scales(shown, maps, self._denoise_whole, widest)
+        if self.runtime.average_cells:
+            denoised = by_cells(shown, maps, self._denoise_whole)
+        else:
+            denoised = by_scales(shown, maps, self._denoise_whole, widest)
         if bright:
             denoised = np.where(outside, grey, denoised)
         if self.strength != 1:
@@ -136,8 +143,8 @@ def by_scales(grey: Grey, maps: Maps, denoise: Work, widest: float) -> Grey:
         part = np.float32(np.clip((correlation(grey) - widest) / _RAMP, 0, 1))
     if part == 0:
         return denoise(grey, maps)
-    small = halved(grey)
-    below = {name: halved(plane) for name, plane in maps.items()}
+    small = block_means(grey, 2)
+    below = {name: block_means(plane, 2) for name, plane in maps.items()}
     if "sector" in below:
         below["sector"] = (below["sector"] > 0.5).astype(np.float32)
     change = by_scales(small, below, denoise, widest) - small
@@ -164,13 +171,6 @@ def correlation(grey: Grey) -> float:
     down = float(np.einsum("ij,ij->", grain[1:], grain[:-1]))
     across = float(np.einsum("ij,ij->", grain[:, 1:], grain[:, :-1]))
     return min(down, across) / power
-
-
-def halved(plane: Grey) -> Grey:
-    """(H, W) -> half of the size, means of 2 x 2; odd sides end in their last."""
-    even = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
-    four = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
-    return np.asarray(four / np.float32(4), np.float32)
 
 
 def tiled(work: Work, image: Grey, maps: Maps, tile: int, overlap: int) -> Grey:

@@ -253,3 +253,17 @@ def _colours(image: Pixels) -> Pixels:
     if image.ndim == 2:
         return image
     return image[..., : 3 if image.shape[2] in (3, 4) else 1]
+
+
+def block_means(plane: Grey, times: int) -> Grey:
+    """Means of `times` x `times` pixels, (H, W) -> (ceil(H / times), ceil(W / times)).
+
+    The last row and column are repeated where a side is no multiple.
+    """
+    padded = np.pad(plane, [(0, -side % times) for side in plane.shape], mode="edge")
+    total = padded[::times, ::times].copy()
+    for column in range(times):
+        for row in range(times):
+            if row or column:
+                total += padded[row::times, column::times]
+    return np.asarray(total / np.float32(times * times), np.float32)

@@ -2,13 +2,13 @@
 
 torch is not imported for a network whose graph ships (`models.pretrained`).  NumPy computes what
 is fast enough there and is not part of the graph: the beam and the arc of each cell, the polar
-grid, the sector.
+grid (`polar`), the sector.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,10 +21,8 @@ from ..networks import DEFAULT, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
 from .images import Grey
+from .polar import Maps, polar_grid, sampled
 
-Maps = Mapping[str, Grey]
-Positions = Sequence[Grey]
-_SMALLEST = np.float32(1e-6)
 _PROBE_SHAPE = (96, 128)
 _LEAST_RANGE = 1e-4
 _MOST = np.float32(80)  # of a logit, so that its exponential is a number
@@ -82,10 +80,13 @@ def _on_gpu(device: str, is_available: bool) -> bool:
     return is_available and device != "cpu"
 
 
+_NOT_IN_GRAPH = "forget", "wide_grain", "average_cells"
+
+
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of a `model` configuration that determine the graph."""
     every = {"told": True, "frames": False, "mirror": False, "channels": 1, **model}
-    return {key: value for key, value in every.items() if key not in ("forget", "wide_grain")}
+    return {key: value for key, value in every.items() if key not in _NOT_IN_GRAPH}
 
 
 def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[Any]:
@@ -128,7 +129,8 @@ class OnnxNetwork:
     """A network in onnxruntime, in 32 bits, ready to denoise.
 
     extras: names of its optional inputs (see `models.networks`).
-    wide_grain: see `denoiser.by_scales`.  on_gpu: whether it runs on a GPU.
+    wide_grain: see `denoiser.by_scales`.  average_cells: see `wide_cells`.
+    on_gpu: whether it runs on a GPU.
     """
 
     def __init__(self, path: Path, graph: Path, device: str) -> None:
@@ -156,6 +158,7 @@ class OnnxNetwork:
         self.extras = tuple(facts["extras"].split(","))
         self._stride = max(int(facts["stride"]), 1)
         self.wide_grain = float(model.get("wide_grain", 1.0))
+        self.average_cells = bool(model.get("average_cells", False))
         self.is_polar = bool(model["polar"])
         self._mask = bool(model["mask"])
         self._inputs = tuple(node.name for node in self._session.get_inputs())
@@ -169,9 +172,9 @@ class OnnxNetwork:
         if grid is None:
             inputs = inputs_of(grey, maps, self._stride)
         else:
-            sector = _sampled(maps.get("sector", np.ones_like(grey)), grid.cells_in_fan)
+            sector = sampled(maps.get("sector", np.ones_like(grey)), grid.cells_in_fan)
             cells = {**grid.cells, "sector": sector}
-            cell_values = _sampled(grey, grid.cells_in_fan)
+            cell_values = sampled(grey, grid.cells_in_fan)
             inputs = inputs_of(cell_values, cells, self._stride, is_grid=True)
 
         changes, shadow_logits, weight = self._session.run(
@@ -180,8 +183,8 @@ class OnnxNetwork:
         change = changes[0, 0]
         logits = shadow_logits[0, 0]
         if grid is not None:
-            change = _sampled(change, grid.pixels_in_grid)
-            logits = _sampled(logits, grid.pixels_in_grid)
+            change = sampled(change, grid.pixels_in_grid)
+            logits = sampled(logits, grid.pixels_in_grid)
 
         image = grey + change
         if self._mask:
@@ -255,6 +258,7 @@ class TorchNetwork:
         self._network = network.to(self._device)
         self.extras = network.extras
         self.wide_grain = network.wide_grain
+        self.average_cells = network.average_cells
 
     def run(self, grey: Grey, maps: Maps) -> tuple[Grey, float]:
         """See `OnnxNetwork`."""
@@ -275,93 +279,3 @@ class TorchNetwork:
             else:
                 image = self._network(noisy, **known)
         return np.asarray(image[0, 0].float().cpu().numpy(), np.float32), weight
-
-
-class PolarGrid(NamedTuple):
-    """Cells of range by bearing, near range first, as many as a fan image has pixels.
-
-    cells_in_fan: rows and columns, (H, W) each, of the cells in the fan image, pixels.
-    pixels_in_grid: rows and columns, (H, W) each, of the fan image's pixels in the grid, cells.
-    cells: `range_fraction` and `azimuth_rad` of the cells, (H, W) each.
-    """
-
-    cells_in_fan: Positions
-    pixels_in_grid: Positions
-    cells: Maps
-
-
-def polar_grid(maps: Maps) -> PolarGrid | None:
-    """Return the polar grid of a fan image, in NumPy, as `models.networks.sonarnet` computes it.
-
-    None for images that are polar already, or too small to tell.
-    """
-    radius = maps["range_fraction"]
-    azimuth = maps["azimuth_rad"]
-    height, width = radius.shape
-    if min(height, width) < 2 or (radius == radius[:, :1]).all():
-        return None
-    inside = maps["sector"] > 0 if "sector" in maps else np.ones(radius.shape, bool)
-    if not inside.any():
-        inside = np.ones_like(inside)
-
-    # Where the pixels lie: right of the sonar and ahead of it, as shares of the largest range.
-    right = radius * np.sin(azimuth)
-    ahead = radius * np.cos(azimuth)
-    first_right = right[:, 0].mean()
-    first_ahead = ahead[0].mean()
-    right_step = (right[:, -1].mean() - first_right) / np.float32(width - 1)
-    ahead_step = (ahead[-1].mean() - first_ahead) / np.float32(height - 1)
-
-    # Range and bearing of the centres of cells.
-    near, far = _extent(radius[inside])
-    left, right_end = _extent(azimuth[inside])
-    down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(height)
-    across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(width)
-    cell_range = np.broadcast_to((near + (far - near) * down)[:, None], radius.shape)
-    cell_azimuth = np.broadcast_to(left + (right_end - left) * across, radius.shape)
-
-    # Positions from -1 to 1 over a side, as torch's `grid_sample` has them.
-    row = (cell_range * np.cos(cell_azimuth) - first_ahead) / ahead_step
-    column = (cell_range * np.sin(cell_azimuth) - first_right) / right_step
-    cells_in_fan = [
-        (2 * row + 1) / np.float32(height) - 1,
-        (2 * column + 1) / np.float32(width) - 1,
-    ]
-    pixels_in_grid = [
-        2 * (radius - near) / (far - near) - 1,
-        2 * (azimuth - left) / (right_end - left) - 1,
-    ]
-    return PolarGrid(
-        _in_pixels(cells_in_fan, radius.shape),
-        _in_pixels(pixels_in_grid, radius.shape),
-        {"range_fraction": cell_range, "azimuth_rad": cell_azimuth},
-    )
-
-
-def _in_pixels(positions: Positions, shape: tuple[int, ...]) -> list[Grey]:
-    """Turn positions from -1 to 1 over a side into pixels; rounds as `grid_sample` does."""
-    return [
-        ((position + 1) * np.float32(side) - 1) / 2
-        for position, side in zip(positions, shape, strict=True)
-    ]
-
-
-def _extent(values: Grey) -> tuple[np.float32, np.float32]:
-    least = values.min()
-    return least, max(values.max(), least + _SMALLEST)
-
-
-def _sampled(image: Grey, positions: Positions) -> Grey:
-    """Interpolate an image at rows and columns in pixels, bilinear; its border is repeated."""
-    height, width = image.shape
-    row = np.clip(positions[0], 0, height - 1)
-    column = np.clip(positions[1], 0, width - 1)
-    top = row.astype(np.int64)
-    left = column.astype(np.int64)
-    lower_share = row - top
-    right_share = column - left
-    bottom = np.minimum(top + 1, height - 1)
-    right = np.minimum(left + 1, width - 1)
-    above = image[top, left] * (1 - right_share) + image[top, right] * right_share
-    below = image[bottom, left] * (1 - right_share) + image[bottom, right] * right_share
-    return np.asarray(above * (1 - lower_share) + below * lower_share, np.float32)

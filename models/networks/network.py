@@ -28,6 +28,8 @@ class Network(nn.Module):
     has_heads: ClassVar[bool] = False
     wide_grain: float = 1.0
     """See `models.denoise.denoiser`."""
+    average_cells: bool = False
+    """See `models.denoise.wide_cells`."""
 
     def __init__(self, stride: int) -> None:
         """stride: images are padded until their sizes divide by it."""

@@ -54,10 +54,13 @@ class SonarNetSettings:
     mask: bool
     forget: Annotated[float, Field(ge=0, le=1)]
     wide_grain: Annotated[float, Field(ge=0, le=1)] = 1.0
+    average_cells: bool = False
     told: bool = True
     frames: bool = False
 
     def __post_init__(self) -> None:
+        if self.average_cells and not self.polar:
+            raise ValueError("average_cells: needs the polar grid; set polar=true")
         if self.frames and self.polar:
             raise ValueError("frames: is not possible with polar=true; set polar=false")
         if not self.widths or len(self.widths) != len(self.blocks):
@@ -89,6 +92,7 @@ class SonarNet(Network):
         super().__init__(stride=1)
         self.settings = settings
         self.wide_grain = settings.wide_grain
+        self.average_cells = settings.average_cells
         # Whether known geometries are those of fans; None: seen from the maps.
         self.fan: bool | None = None
         widths = settings.widths

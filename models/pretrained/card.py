@@ -25,6 +25,8 @@ _CURVE_ROWS = 20  # of the learning curve, at most
 _RECIPE_GROUPS = ("model.", "loss.", "data.", "train.")
 # Known by their content alone, or chosen by the device.
 _NO_SETTINGS = ("data.recordings", "train.precision", "train.teacher")
+# Settings that weights which ship are older than, by the value that changes nothing.
+_ADDED_LATER = {"model.average_cells": False}
 
 _CARD = """---
 license: apache-2.0
@@ -89,6 +91,9 @@ def recipe_digest(training: Mapping[str, Any]) -> str:
         for key, value in training.items()
         if key == "seed" or (key.startswith(_RECIPE_GROUPS) and key not in _NO_SETTINGS)
     }
+    for key, earlier in _ADDED_LATER.items():
+        if settings.get(key) == earlier:
+            del settings[key]
     text = json.dumps(settings, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -181,7 +186,7 @@ def _figures_of(path: Path) -> str:
     """Noisy, the best filter and the networks of a report."""
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
-        name = report["name"] if "name" in report else report["dataset"]["name"]
+        name = report["name"] if "name" in report else report["facts"]["dataset"]
         rows = _rows_of_real(report) if "best_filter" in report else _rows_of_pairs(report)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FactoryError(

@@ -123,6 +123,12 @@ def test_one_command_writes_the_whole_report(
     assert content["best_classical"]["chosen_on"] == "validation pairs"
     levels = next(row for row in content["rows"] if row["label"] == "median + levels")
     assert levels["against_noisy"]["psnr"]["low"] > 0, "the haze is an offset"
+
+    # A card takes figures from the report.
+    weights = tmp_path / "own.safetensors"
+    card_words = [network["name"], "--out", str(weights), "--figures", str(out / "report.json")]
+    assert main(["export-weights", *card_words]) == 0
+    assert f"| noisy | {psnr['mean']:.2f} |" in weights.with_suffix(".md").read_text("utf-8")
     markdown = (out / "report.md").read_text(encoding="utf-8")
     assert "| Median | 17.76 / 0.690 / 0.190 |" in markdown
     # One row a method, its other forms below.

@@ -33,7 +33,7 @@ _MAY_LOSE = 0.03
 
 GOLDEN = {
     "simnfnd": {"frame": 3.409, "mean of 4": 1.110, "sonar": 4.345, "points": 0.813},
-    "simnfnd-paper": {"points": 9.554},
+    "simnfnd-paper": {"points": 8.656},
 }
 """What each gains, dB."""
 

@@ -1,0 +1,114 @@
+"""Fan images whose cells are wider than a pixel, for a network that learned from narrow ones.
+
+A sonar of 256 beams fills an image of 512x512 pixels with cells of two pixels.  On a polar grid
+with a place for every pixel (`polar`) its grain is twice as wide as any that the network learned
+from.  Such an image is given to the network on a grid with one place for each cell, the mean of
+what the finer grid has there.  What comes back is enlarged to the fan's pixels.
+
+The width of cells is measured in the image: a display may enlarge them, and files rarely tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .images import Grey
+from .polar import Maps, polar_grid, sampled
+
+_LEAST_SIDE = 192
+"""Places along a side of a coarser grid: networks have seen few of fewer."""
+_WIDE = 1.3
+"""From this width on, in places, cells are wide; grain of one pixel measures 1.0 to 1.25."""
+_LAG_OF_PIXELS = 2.0
+"""Lag at which second differences are most unlike where cells are one pixel wide."""
+_MOST_LAGS = 12
+_AROUND = 9  # places along a side of the surroundings that grain is measured against
+_DARK = 0.02  # mean grey value of surroundings without echoes
+_LEAST_POWER = 1e-6
+_LEAST_GREY = np.float32(1e-4)
+
+
+def by_cells(grey: Grey, maps: Maps, denoise: Callable[[Grey, Maps], Grey]) -> Grey:
+    """`denoise` of an image, (H, W) in 0..1, on a grid of its cells where these are wide.
+
+    maps: planes of the image, (H, W), among them `range_fraction` and `azimuth_rad` where known.
+    """
+    grid = polar_grid(maps) if "azimuth_rad" in maps else None
+    if grid is None:
+        return denoise(grey, maps)
+    fine = sampled(grey, grid.cells_in_fan)
+    width = cell_width(fine)
+    rows, columns = (max(round(side / width), _LEAST_SIDE) for side in grey.shape)
+    if width < _WIDE or rows >= grey.shape[0] or columns >= grey.shape[1]:
+        return denoise(grey, maps)
+
+    def of_cells(plane: Grey) -> Grey:
+        return np.asarray(cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA))
+
+    cells = of_cells(fine)
+    # All cells of a row have one range exactly: so a network knows that they are no fan's.
+    ranges = of_cells(grid.cells["range_fraction"])[:, :1]
+    bearings = of_cells(grid.cells["azimuth_rad"])[:1]
+    cell_maps = {
+        "range_fraction": np.repeat(ranges, columns, axis=1),
+        "azimuth_rad": np.repeat(bearings, rows, axis=0),
+    }
+    inside = np.ones(grey.shape, bool)
+    if "sector" in maps:
+        inside = maps["sector"] > 0
+        sector = of_cells(sampled(maps["sector"], grid.cells_in_fan))
+        cell_maps["sector"] = (sector > 0.5).astype(np.float32)
+    denoised = denoise(cells, cell_maps)
+    shares = (rows / grey.shape[0], columns / grey.shape[1])
+    pixels_in_cells = [
+        (position + 0.5) * np.float32(share) - 0.5
+        for position, share in zip(grid.pixels_in_grid, shares, strict=True)
+    ]
+    enlarged = sampled(denoised, pixels_in_cells)
+    before = sampled(cells, pixels_in_cells)
+    # Detail within cells stays where they do, and goes where they become dark.
+    kept = np.clip(enlarged / np.maximum(before, _LEAST_GREY), 0, 1)
+    changed = enlarged + kept * (grey - before)
+    return np.asarray(np.clip(np.where(inside, changed, grey), 0, 1), np.float32)
+
+
+def cell_width(grid_values: Grey) -> float:
+    """Width of a sonar's cells in places of a polar grid, (H, W), from its far half; 1 or more.
+
+    Grain that is interpolated bends where its cells meet, and is nearly straight between.  Its
+    second differences are most unlike one another at a distance in proportion to a cell's width: at
+    two places where cells of the paper's noise are one pixel wide (docs/research/paper-noise.md).
+    """
+    # Near the sonar, many places of the grid lie in one pixel of the fan.
+    far = grid_values[grid_values.shape[0] // 2 :]
+    similarity = (_bend_similarity(far) + _bend_similarity(np.ascontiguousarray(far.T))) / 2
+    lag = int(np.argmin(similarity))
+    if similarity[lag] >= 0 or not 0 < lag < len(similarity) - 1:
+        return 1.0
+    before, least, after = similarity[lag - 1 : lag + 2]
+    # The vertex of a parabola through the three; lags begin at 1.
+    vertex = lag + 1 + (before - after) / (2 * (before - 2 * least + after))
+    return max(1.0, float(vertex) / _LAG_OF_PIXELS)
+
+
+def _bend_similarity(lines: Grey) -> npt.NDArray[np.float64]:
+    """Autocorrelation of second differences along columns at lags 1 to `_MOST_LAGS`.
+
+    Zeros where the lines are dark, or without grain.
+    """
+    bend = lines[:-2] + lines[2:] - 2 * lines[1:-1]
+    power = cv2.blur(bend * bend, (_AROUND, _AROUND))
+    lit = cv2.blur(lines, (_AROUND, _AROUND))[1:-1] > _DARK
+    # Each place counts alike, however bright: echoes must not outweigh grain.
+    bend = np.where(lit, bend / np.sqrt(np.maximum(power, _LEAST_POWER)), 0)
+    total = float(np.einsum("ij,ij->", bend, bend))
+    if total <= 0:
+        return np.zeros(_MOST_LAGS)
+    products = [
+        float(np.einsum("ij,ij->", bend[lag:], bend[:-lag])) for lag in range(1, _MOST_LAGS + 1)
+    ]
+    return np.array(products) / total
