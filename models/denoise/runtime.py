@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
-from ..networks import DEFAULT, vector
+from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
 from .images import Grey
@@ -155,7 +155,9 @@ class OnnxNetwork:
                 f"{graph}: was not made by `simnfnd export-weights --to runtime`; make it again"
             )
         model = header["model"]
-        self.extras = tuple(facts["extras"].split(","))
+        # Graphs serve all that share their layers, also those that always forgot the geometry.
+        unknown = GEOMETRY if model.get("forget", 0) == 1 else ()
+        self.extras = tuple(name for name in facts["extras"].split(",") if name not in unknown)
         self._stride = max(int(facts["stride"]), 1)
         self.wide_grain = float(model.get("wide_grain", 1.0))
         self.average_cells = bool(model.get("average_cells", False))

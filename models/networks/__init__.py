@@ -42,6 +42,8 @@ RIVALS = {
 }
 """The same of the modules in `rivals`."""
 
+GEOMETRY = ("range_fraction", "azimuth_rad", "sector")
+"""Inputs that say where a pixel lies."""
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
 """Of `ARTEFACTS`, what networks remove: the ground and the brightness of an image stay."""
 _MOST_FRAMES = 16.0  # more are too few to tell from this many by the noise that is left

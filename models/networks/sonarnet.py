@@ -30,10 +30,9 @@ from torch.nn import functional
 
 from ...factory.imaging.effect import ARTEFACTS
 from ...factory.settings import STRICT
-from . import DEFAULT, vector
+from . import DEFAULT, GEOMETRY, vector
 from .network import Network, NetworkOutput, Step, down_and_up, padded
 
-_MAPS = ("range_fraction", "azimuth_rad", "sector")
 _TOLD = 32  # features of what is to be removed
 _FRAMES = 4.0  # log2 of the most frames that are averaged
 _HALVED = -math.log(2) / 2  # noise falls by the root of two with twice as many frames
@@ -98,11 +97,11 @@ class SonarNet(Network):
         widths = settings.widths
         blocks = settings.blocks
         self.core_stride = 2 ** len(widths)
-        planes = 1 + len(_MAPS) + settings.frames
+        planes = 1 + len(GEOMETRY) + settings.frames
         self.intro = nn.Conv2d(4 * planes, widths[0], 3, padding=1)
         remove_inputs = ("remove",) if settings.told else ()
         # What is always forgotten is no input.
-        maps = _MAPS if settings.forget < 1 else ()
+        maps = GEOMETRY if settings.forget < 1 else ()
         self.extras = (*maps, *remove_inputs, *(("frames",) if settings.frames else ()))
         if settings.told:
             self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())

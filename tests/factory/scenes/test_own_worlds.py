@@ -342,7 +342,7 @@ def test_equal_bytes_on_one_and_many_workers(folder: Path, tmp_path: Path) -> No
         words = [
             *("make", f"scenes.own_objects=[{{file: {folder}/cube.ply, class: crate}}]", *SMALL),
             *("scenes.locations=2", "scenes.frames_per_location=2", f"scheduler={backend}"),
-            *("scheduler.workers=3", "scheduler.shard_size=1"),
+            *("scheduler.workers=3", "scheduler.shard_size=1", "render=embree"),
             *("dataset.layers=[segmentation]", "dataset.columns=[boxes]"),
             *(f"dataset.dir={tmp_path}/{name}", f"cache.dir={tmp_path}/cache-{name}"),
         ]

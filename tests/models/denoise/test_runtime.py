@@ -184,6 +184,14 @@ def test_metadata_of_a_wrong_type_cost_a_line(key: str, value: object, tmp_path:
         open_runtime(path, "cpu")
 
 
+def test_weights_that_always_forgot_the_geometry_get_none(tmp_path: Path) -> None:
+    header, arrays = read_weights(find_weights("simnfnd"))
+    changed = {**header, "model": {**header["model"], "forget": 1.0}}
+    path = write_arrays(tmp_path / "own.safetensors", changed, arrays)
+    assert open_runtime(path, "cpu").extras == ("frames",)
+    assert TorchNetwork(path, "cpu").extras == ("frames",)
+
+
 def write_arrays(path: Path, header: Any, arrays: Arrays) -> Path:
     contiguous = {name: np.ascontiguousarray(tensor) for name, tensor in arrays.items()}
     save_file(contiguous, path, {KEY: json.dumps(header)})
