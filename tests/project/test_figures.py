@@ -44,14 +44,13 @@ def test_the_paper_has_the_same_figures_and_at_most_a_thousand_words() -> None:
 def test_the_other_figures_are_those_of_their_tables() -> None:
     lines = readme_figures.README.read_text(encoding="utf-8").splitlines()
     (alone,) = (line for line in lines if line.startswith("- **Simulation alone**"))
-    simulation = last_figures("docs/models.md", "`simulation`")
-    recordings = last_figures("docs/models.md", "`recordings`")
-    best_filter = last_figures("docs/models.md", "best filter")
-    for groups_db, lamprey_db in (simulation, recordings, best_filter):
+    for label in ("`simulation`", "`recordings`", "best filter"):
+        groups_db, lamprey_db = figures("docs/models.md", "| | steps | MDD | lamprey2 |", label)
         assert re.search(rf"\b{groups_db}\b.* {lamprey_db} dB", alone)
 
     (speed,) = (line for line in lines if line.startswith("- **Speed**"))
-    median_times_less = last_figures("docs/speed.md", "FLSea, closed form, cold")[-1]
+    heading = "| | CPU s | times less | three runs |"
+    median_times_less = figures("docs/speed.md", heading, "FLSea, closed form, cold")[-1]
     assert f"about {round(float(median_times_less), -1):.0f} times" in speed
 
     for name in ("simnfnd", "simnfnd-paper"):
@@ -59,13 +58,13 @@ def test_the_other_figures_are_those_of_their_tables() -> None:
         assert f"`{name}` ({size_mb:.1f} MB)" in "\n".join(lines)
 
 
-def last_figures(page: str, label: str) -> list[str]:
-    """The last two figures of a row, of each of its cells the first; a page's last such row."""
-    rows = re.findall(
-        rf"^\| {re.escape(label)} \|(.*)\|$", (ROOT / page).read_text(encoding="utf-8"), re.M
-    )
-    cells = [cell.split("(")[0].split("/")[0].strip() for cell in rows[-1].split("|")]
-    return [cell for cell in cells if re.fullmatch(r"\d+(\.\d+)?", cell)][-2:]
+def figures(page: str, heading: str, label: str) -> list[str]:
+    """The last two figures of a row of the table under a heading; of a cell the first."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    table = text.split(f"\n{heading}\n")[1].split("\n\n")[0]
+    (row,) = re.findall(rf"^\| {re.escape(label)} \|(.*)\|$", table, re.M)
+    cells = [cell.split("(")[0].split("/")[0].strip() for cell in row.split("|")]
+    return [cell for cell in cells if re.fullmatch(r"\d*\.\d+|\d+", cell)][-2:]
 
 
 def test_the_paper_says_how_far_the_network_leads_single_frames() -> None:
