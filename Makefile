@@ -4,7 +4,8 @@
 #   make setup PIP_ARGS="--index-url URL" adds options to the one pip call
 
 VENV ?= .venv
-WORKERS ?= 2
+# One more than cores: some tests wait more than they compute.
+WORKERS ?= 3
 PIP_ARGS ?=
 ARGS ?=
 export VENV PYTHON311

@@ -203,7 +203,7 @@ class Geometries:
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
         # By the size of the images, too: a bag may have several topics.
         self._trackers: dict[tuple[Path, tuple[int, ...]], FanTracker] = {}
-        self._fans_found: dict[Path, list[bool]] = {}  # in the images of a folder
+        self._fans_found: dict[Path, dict[Path, bool]] = {}  # by folder, then by image
 
     def of(self, item: Item, image: npt.NDArray[Any]) -> FanGeometry | None:
         """The geometry of an image of `item`; None where it is not known.
@@ -218,14 +218,16 @@ class Geometries:
             key = item.source, image.shape
             return self._trackers.setdefault(key, FanTracker()).geometry(image)
         geometry = find_geometry(image)
-        self._fans_found.setdefault(item.source.parent, []).append(geometry is not None)
+        found = self._fans_found.setdefault(item.source.parent, {})
+        found[item.source] = geometry is not None
         return geometry
 
     def summary(self) -> Iterator[str]:
-        """One line a folder, video or bag whose images were searched."""
+        """One line a folder, image, video or bag that was searched."""
         said = "geometry: fan found in {} of {} images searched ({})"
-        for folder, results in self._fans_found.items():
-            yield said.format(sum(results), len(results), folder)
+        for folder, found in self._fans_found.items():
+            first, *others = found
+            yield said.format(sum(found.values()), len(found), folder if others else first)
         for (source, _), tracker in self._trackers.items():
             line = said.format(tracker.fans_found, tracker.searched, source)
             times = "once" if tracker.changes == 1 else f"{tracker.changes} times"

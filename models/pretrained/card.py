@@ -142,7 +142,8 @@ def _read_cost(run: Path) -> dict[str, str]:
     try:
         cost = json.loads(path.read_text(encoding="utf-8"))
         hours = f"{cost['cpu_s'] / 3600:.2f}"
-        elapsed = f"{cost['elapsed_s'] / 3600:.2f} h elapsed in {cost['sittings']} sittings"
+        sittings = "one sitting" if cost["sittings"] == 1 else f"{cost['sittings']} sittings"
+        elapsed = f"{cost['elapsed_s'] / 3600:.2f} h elapsed in {sittings}"
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FactoryError(f"{path}: damaged; delete it to leave the cost out") from error
     return {"CPU hours": f"{hours}, {elapsed}"}
