@@ -12,7 +12,7 @@ from simnfnd.models.data.pairs import Sample, Source
 from simnfnd.models.data.time_stacks import MixedSource, Stack, standing, with_loud_beam
 from simnfnd.models.networks import averaged
 from simnfnd.models.settings import MixedData
-from simnfnd.models.training.train import completed
+from simnfnd.models.training.objective import completed
 from tests.models.data.small_renders import composed
 
 SHAPE = (64, 80)

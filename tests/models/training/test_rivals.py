@@ -17,7 +17,8 @@ from simnfnd.models.networks.rivals.log_residual import LogResidual, median_of, 
 from simnfnd.models.networks.rivals.sid_tgan import hinge
 from simnfnd.models.training.adversarial import Opponent
 from simnfnd.models.training.loop import Loop
-from simnfnd.models.training.train import taught_loss, train
+from simnfnd.models.training.objective import taught_loss
+from simnfnd.models.training.train import train
 from tests.models.networks.tiny_networks import TINY, stirred, tiny
 from tests.models.training.small_training import config_for
 from tests.small_dataset import write_dataset

@@ -27,9 +27,12 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.pretrained.card import recipe_digest
 from simnfnd.models.training import loop as device
+from simnfnd.models.training.checkpoints import read_checkpoint
 from simnfnd.models.training.cost import read_cost
 from simnfnd.models.training.loop import Loop, Stopped
-from simnfnd.models.training.train import completed, read_checkpoint, recipe_of, train
+from simnfnd.models.training.objective import completed
+from simnfnd.models.training.recipe import recipe_of
+from simnfnd.models.training.train import train
 from tests.models.training.small_training import SMALL, TINY, config_for, train_small
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
@@ -324,7 +327,7 @@ def test_the_best_weights_are_kept_not_the_last(
         calls.append(1)
         return 50.0 - len(calls)
 
-    monkeypatch.setattr("simnfnd.models.training.train.psnr_db", worse_and_worse)
+    monkeypatch.setattr("simnfnd.models.training.validation.psnr_db", worse_and_worse)
     best = train_small(dataset, tmp_path, "train.steps=6", "train.check_every=2")
     assert best["step"] == 2
     loaded = load_weights(tmp_path / "weights.safetensors")

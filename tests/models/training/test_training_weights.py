@@ -15,7 +15,7 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.pretrained.card import recipe_digest
 from simnfnd.models.pretrained.export import export, main
-from simnfnd.models.training.train import recipe_of
+from simnfnd.models.training.recipe import recipe_of
 from tests.models.data.small_renders import composed
 
 TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
