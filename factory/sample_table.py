@@ -383,15 +383,13 @@ def _box_in_sonar_axes(box: npt.NDArray[np.float64], lit: LitSurface) -> dict[st
 
     box: (7,) centre, size (metres) and yaw (radians); see `Frame.boxes`.
     """
-    mount = lit.sonar.mount
     cosine = np.cos(box[6])
     sine = np.sin(box[6])
     yaw_rotation = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
     corner_signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners_level_m = box[:3] + (corner_signs * box[3:6] / 2) @ yaw_rotation.T
 
-    corners_camera_m = corners_level_m @ _LEVEL - mount.position_camera_m()
-    corners_sonar_m = corners_camera_m @ mount.rotation_sonar_from_camera().T
+    corners_sonar_m = lit.sonar.mount.in_sonar_axes(corners_level_m @ _LEVEL)
     *centre_and_size_m, yaw_rad = oriented(corners_sonar_m)
     rounded_m = [round(float(length_m), 3) for length_m in centre_and_size_m]
     return {

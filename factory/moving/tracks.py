@@ -92,8 +92,7 @@ def _heard(lit: LitSurface, moving: MovingPixels) -> _Heard:
     row, column = np.divmod(moving.pixel, rays.depth_m.shape[1])
     z = rays.depth_m.reshape(-1)[moving.pixel].astype(np.float64)
     camera_m = np.stack([rays.across[column] * z, rays.down[row] * z, z], axis=-1)
-    turn = sonar.mount.rotation_sonar_from_camera()
-    sonar_m = (camera_m - sonar.mount.position_camera_m()) @ turn.T
+    sonar_m = sonar.mount.in_sonar_axes(camera_m)
     strength = lit.rendered.radiance.reshape(-1)[moving.pixel].astype(np.float64)
     echoes = polar.from_xyz(sonar_m, strength)
     pattern = (np.abs(echoes.elevation_rad) <= np.deg2rad(sonar.vfov_deg) / 2).astype(np.float64)

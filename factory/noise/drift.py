@@ -10,7 +10,7 @@ from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
 from ..imaging.signal import Floats, Ping, Signal, gaussian_table
 from ..settings import STRICT
-from .speckle import expect_volume, haze_intensity
+from .volume import expect_volume, haze_intensity
 
 _GOLDEN = 0x9E3779B9
 

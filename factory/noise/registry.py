@@ -1,8 +1,8 @@
 """All effects of noise, and the `noise` group of the configuration.
 
-An effect is a settings class, a pure function and an `Effect` that joins them: in `points` (paper
-section 3.3), or in `speckle`, `receiver` and `paths` (on the complex field).  To add one: these
-three, a line in `NoiseSettings`, a block in conf/noise/*.yaml and a test of its statistics.
+An effect is a settings class, a pure function and an `Effect` that joins them.  Those of `points`
+are the paper's (section 3.3); the other modules act on the complex field.  To add an effect, write
+these three, a line in `NoiseSettings`, a block in conf/noise/*.yaml and a test of its statistics.
 Effects of other packages (`simnfnd.factory.extensions`) come after them, in blocks of their own.
 """
 
@@ -30,7 +30,11 @@ from ..imaging.effect import Effect, EffectSettings
 from ..settings import STRICT, build
 from . import drift, paths, points
 from . import receiver as device
-from . import speckle as grain
+from .path_speckle import PATH_SPECKLE, PathSpeckleSettings
+from .scintillation import SCINTILLATION, ScintillationSettings
+from .speckle import SPECKLE, SpeckleSettings
+from .texture import TEXTURE, TextureSettings
+from .volume import VOLUME, VolumeSettings
 
 
 @plain_dataclass(frozen=True)
@@ -64,20 +68,20 @@ class NoiseSettings:
     background: Annotated[points.BackgroundSettings, points.BACKGROUND] = (
         points.BackgroundSettings()
     )
-    speckle: Annotated[grain.SpeckleSettings | None, grain.SPECKLE] = None
-    path_speckle: Annotated[grain.PathSpeckleSettings | None, grain.PATH_SPECKLE] = None
-    volume: Annotated[grain.VolumeSettings | None, grain.VOLUME] = None
+    speckle: Annotated[SpeckleSettings | None, SPECKLE] = None
+    path_speckle: Annotated[PathSpeckleSettings | None, PATH_SPECKLE] = None
+    volume: Annotated[VolumeSettings | None, VOLUME] = None
     drifting_volume: Annotated[drift.DriftingVolumeSettings | None, drift.DRIFTING_VOLUME] = None
     surface_multipath: Annotated[paths.SurfaceMultipathSettings | None, paths.SURFACE_MULTIPATH] = (
         None
     )
     bottom_multipath: Annotated[paths.BottomMultipathSettings | None, paths.BOTTOM_MULTIPATH] = None
-    texture: Annotated[grain.TextureSettings | None, grain.TEXTURE] = None
+    texture: Annotated[TextureSettings | None, TEXTURE] = None
     sidelobe_arcs: Annotated[paths.SidelobeArcsSettings | None, paths.SIDELOBE_ARCS] = None
     crosstalk: Annotated[paths.CrosstalkSettings | None, paths.CROSSTALK] = None
     receiver: Annotated[device.ReceiverSettings | None, device.RECEIVER] = None
     tvg_error: Annotated[device.TvgErrorSettings | None, device.TVG_ERROR] = None
-    scintillation: Annotated[grain.ScintillationSettings | None, grain.SCINTILLATION] = None
+    scintillation: Annotated[ScintillationSettings | None, SCINTILLATION] = None
     beam_gain: Annotated[device.BeamGainSettings | None, device.BEAM_GAIN] = None
     sector_edges: Annotated[device.SectorEdgesSettings | None, device.SECTOR_EDGES] = None
     spokes: Annotated[paths.SpokesSettings | None, paths.SPOKES] = None

@@ -77,6 +77,14 @@ class Mount:
         """(3,) position of the sonar in camera axes, metres."""
         return np.asarray(_SONAR_FROM_CAMERA_AXES.T @ np.asarray(self.translation_m))
 
+    def in_sonar_axes(self, camera_m: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """(N, 3) places in sonar axes, metres, for (N, 3) places in camera axes."""
+        x, y, z = (camera_m - self.position_camera_m()).T
+        # Spelled out, for a matrix product of many points may round differently on other
+        # processors.
+        rows = self.rotation_sonar_from_camera()
+        return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rows], axis=-1)
+
     def axes(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Both of them in single precision, as compiled loops want them."""
         turn = self.rotation_sonar_from_camera()

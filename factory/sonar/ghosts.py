@@ -73,10 +73,7 @@ def ghost_paths(surface: LitSurface) -> GhostPaths | None:
     def place_m(pixel: npt.NDArray[np.int32]) -> Doubles:
         row, column = np.divmod(pixel, width)
         ray = np.stack([across[column], down[row], np.ones(len(pixel))], axis=-1)
-        camera_m = ray * depth_m[pixel][:, None] - mount.position_camera_m()
-        x, y, z = camera_m.T
-        turn = mount.rotation_sonar_from_camera()
-        return np.stack([line[0] * x + line[1] * y + line[2] * z for line in turn], axis=-1)
+        return mount.in_sonar_axes(ray * depth_m[pixel][:, None])
 
     mirror_m = place_m(bounces.mirror)
     mirror_range_m = lengths(mirror_m)

@@ -22,7 +22,8 @@ from simnfnd.factory.imaging.effect import DrawnEffect
 from simnfnd.factory.imaging.scatterers import scatterers
 from simnfnd.factory.imaging.signal import Ping, Signal, beamform, beamform_power, mixing
 from simnfnd.factory.noise.receiver import receiver
-from simnfnd.factory.noise.speckle import SPECKLE, volume
+from simnfnd.factory.noise.speckle import SPECKLE
+from simnfnd.factory.noise.volume import volume
 from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render.base import Mount, Rendered
 from simnfnd.factory.sonar import array

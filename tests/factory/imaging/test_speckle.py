@@ -22,7 +22,8 @@ from simnfnd.factory.imaging.signal import (
     mixing,
     white_noise,
 )
-from simnfnd.factory.noise.speckle import PATH_SPECKLE, default_cell_m, gamma_of_normal
+from simnfnd.factory.noise.path_speckle import PATH_SPECKLE, default_cell_m
+from simnfnd.factory.noise.texture import gamma_of_normal
 from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
 from tests.constant_field import (
     config,

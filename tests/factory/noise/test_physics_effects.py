@@ -30,7 +30,7 @@ from simnfnd.factory.noise.receiver import (
     saturation,
 )
 from simnfnd.factory.noise.registry import BUILT_IN, EFFECTS, NoiseSettings, blocks
-from simnfnd.factory.noise.speckle import scintillation
+from simnfnd.factory.noise.scintillation import scintillation
 from simnfnd.factory.pairs import ObservedFrame, make_pair
 from tests.constant_field import config, observed, ping_of
 

@@ -19,7 +19,8 @@ from simnfnd.factory.frame import Frame, Intrinsics
 from simnfnd.factory.identity import identity
 from simnfnd.factory.imaging.coherent import CoherentScene, received
 from simnfnd.factory.imaging.effect import DrawnEffect, Effect
-from simnfnd.factory.noise.speckle import PATH_SPECKLE, SPECKLE
+from simnfnd.factory.noise.path_speckle import PATH_SPECKLE
+from simnfnd.factory.noise.speckle import SPECKLE
 from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render import Rendered, RenderSettings, open_renderer
 from simnfnd.factory.render.base import Bounces, Mount
