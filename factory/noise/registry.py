@@ -28,11 +28,31 @@ from .. import extensions
 from ..errors import FactoryError
 from ..imaging.effect import Effect, EffectSettings
 from ..settings import STRICT, build
-from . import drift, paths, points
-from . import receiver as device
+from . import points
+from .crosstalk import CROSSTALK, CrosstalkSettings
+from .drift import DRIFTING_VOLUME, DriftingVolumeSettings
+from .gains import (
+    BEAM_GAIN,
+    SECTOR_EDGES,
+    TVG_ERROR,
+    BeamGainSettings,
+    SectorEdgesSettings,
+    TvgErrorSettings,
+)
+from .multipath import (
+    BOTTOM_MULTIPATH,
+    SURFACE_MULTIPATH,
+    BottomMultipathSettings,
+    SurfaceMultipathSettings,
+)
 from .path_speckle import PATH_SPECKLE, PathSpeckleSettings
+from .receiver import RECEIVER, ReceiverSettings
+from .ringing import COMB_LINES, RING_DOWN, CombLinesSettings, RingDownSettings
+from .saturation import SATURATION, SaturationSettings
 from .scintillation import SCINTILLATION, ScintillationSettings
+from .sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
 from .speckle import SPECKLE, SpeckleSettings
+from .spokes import SPOKES, SpokesSettings
 from .texture import TEXTURE, TextureSettings
 from .volume import VOLUME, VolumeSettings
 
@@ -71,23 +91,21 @@ class NoiseSettings:
     speckle: Annotated[SpeckleSettings | None, SPECKLE] = None
     path_speckle: Annotated[PathSpeckleSettings | None, PATH_SPECKLE] = None
     volume: Annotated[VolumeSettings | None, VOLUME] = None
-    drifting_volume: Annotated[drift.DriftingVolumeSettings | None, drift.DRIFTING_VOLUME] = None
-    surface_multipath: Annotated[paths.SurfaceMultipathSettings | None, paths.SURFACE_MULTIPATH] = (
-        None
-    )
-    bottom_multipath: Annotated[paths.BottomMultipathSettings | None, paths.BOTTOM_MULTIPATH] = None
+    drifting_volume: Annotated[DriftingVolumeSettings | None, DRIFTING_VOLUME] = None
+    surface_multipath: Annotated[SurfaceMultipathSettings | None, SURFACE_MULTIPATH] = None
+    bottom_multipath: Annotated[BottomMultipathSettings | None, BOTTOM_MULTIPATH] = None
     texture: Annotated[TextureSettings | None, TEXTURE] = None
-    sidelobe_arcs: Annotated[paths.SidelobeArcsSettings | None, paths.SIDELOBE_ARCS] = None
-    crosstalk: Annotated[paths.CrosstalkSettings | None, paths.CROSSTALK] = None
-    receiver: Annotated[device.ReceiverSettings | None, device.RECEIVER] = None
-    tvg_error: Annotated[device.TvgErrorSettings | None, device.TVG_ERROR] = None
+    sidelobe_arcs: Annotated[SidelobeArcsSettings | None, SIDELOBE_ARCS] = None
+    crosstalk: Annotated[CrosstalkSettings | None, CROSSTALK] = None
+    receiver: Annotated[ReceiverSettings | None, RECEIVER] = None
+    tvg_error: Annotated[TvgErrorSettings | None, TVG_ERROR] = None
     scintillation: Annotated[ScintillationSettings | None, SCINTILLATION] = None
-    beam_gain: Annotated[device.BeamGainSettings | None, device.BEAM_GAIN] = None
-    sector_edges: Annotated[device.SectorEdgesSettings | None, device.SECTOR_EDGES] = None
-    spokes: Annotated[paths.SpokesSettings | None, paths.SPOKES] = None
-    ring_down: Annotated[device.RingDownSettings | None, device.RING_DOWN] = None
-    comb_lines: Annotated[device.CombLinesSettings | None, device.COMB_LINES] = None
-    saturation: Annotated[device.SaturationSettings | None, device.SATURATION] = None
+    beam_gain: Annotated[BeamGainSettings | None, BEAM_GAIN] = None
+    sector_edges: Annotated[SectorEdgesSettings | None, SECTOR_EDGES] = None
+    spokes: Annotated[SpokesSettings | None, SPOKES] = None
+    ring_down: Annotated[RingDownSettings | None, RING_DOWN] = None
+    comb_lines: Annotated[CombLinesSettings | None, COMB_LINES] = None
+    saturation: Annotated[SaturationSettings | None, SATURATION] = None
 
     own: Annotated[tuple[Any, ...], Field(exclude=True)] = ()
 

@@ -12,25 +12,17 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.imaging.scatterers import vertical_table
 from simnfnd.factory.imaging.signal import Ping, Signal
+from simnfnd.factory.noise.crosstalk import crosstalk
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
-from simnfnd.factory.noise.paths import (
-    BOTTOM_MULTIPATH,
-    SURFACE_MULTIPATH,
-    crosstalk,
-    sidelobe_arcs,
-    spokes,
-)
-from simnfnd.factory.noise.receiver import (
-    BEAM_GAIN,
-    SECTOR_EDGES,
-    TVG_ERROR,
-    comb_lines,
-    receiver,
-    ring_down,
-    saturation,
-)
+from simnfnd.factory.noise.gains import BEAM_GAIN, SECTOR_EDGES, TVG_ERROR
+from simnfnd.factory.noise.multipath import BOTTOM_MULTIPATH, SURFACE_MULTIPATH
+from simnfnd.factory.noise.receiver import receiver
 from simnfnd.factory.noise.registry import BUILT_IN, EFFECTS, NoiseSettings, blocks
+from simnfnd.factory.noise.ringing import comb_lines, ring_down
+from simnfnd.factory.noise.saturation import saturation
 from simnfnd.factory.noise.scintillation import scintillation
+from simnfnd.factory.noise.sidelobe_arcs import sidelobe_arcs
+from simnfnd.factory.noise.spokes import spokes
 from simnfnd.factory.pairs import ObservedFrame, make_pair
 from tests.constant_field import config, observed, ping_of
 
