@@ -1,4 +1,4 @@
-"""The polar grid of a fan image, in NumPy, as `models.networks.sonarnet` computes it in torch."""
+"""The polar grid of a fan image, in NumPy, as `models.networks.polar_grid` computes it in torch."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class PolarGrid(NamedTuple):
 
 
 def polar_grid(maps: Maps) -> PolarGrid | None:
-    """Return the polar grid of a fan image, in NumPy, as `models.networks.sonarnet` computes it.
+    """Return the polar grid of a fan image, in NumPy, as `models.networks.polar_grid` computes it.
 
     None for images that are polar already, or too small to tell.
     """

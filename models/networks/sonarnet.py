@@ -18,9 +18,8 @@ Without geometry it works on the image as it is; in training the geometry is wit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, NamedTuple, TypeVar, cast
+from typing import Annotated, ClassVar, Literal, NamedTuple, cast
 
 import torch
 from pydantic import Field
@@ -31,7 +30,11 @@ from torch.nn import functional
 from ...factory.imaging.effect import ARTEFACTS
 from ...factory.settings import STRICT
 from . import DEFAULT, GEOMETRY, vector
+from .blend_head import BlendHead
+from .blocks import residual_blocks, zeroed
+from .line_context import GridLines, LineContext, Lines, MapLines
 from .network import Network, NetworkOutput, Step, down_and_up, padded
+from .polar_grid import PolarGrid, polar_grid, sampled
 
 _TOLD = 32  # features of what is to be removed
 _FRAMES = 4.0  # log2 of the most frames that are averaged
@@ -146,9 +149,7 @@ class SonarNet(Network):
         if self.training and has_geometry and self.settings.forget:
             has_geometry = bool(torch.rand(()) >= self.settings.forget)
         if not has_geometry:
-            core = self.core(remove, frames, GridLines(), noisy, *_unknown(noisy))
-            image = self.gated(noisy + core.change, core.shadow_logits)
-            return _output(image, core.shadow_logits, core.weight)
+            return self._without_geometry(noisy, remove, frames)
         range_fraction = extras["range_fraction"]
         azimuth_rad = extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
@@ -156,22 +157,47 @@ class SonarNet(Network):
         if self.settings.polar:
             grid = polar_grid(range_fraction, azimuth_rad, sector, fan=self.fan)
         if grid is None:
-            planes = (padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector))
-            maps = _known(range_fraction, azimuth_rad, sector)
-            core = self.core(remove, frames, MapLines.of(*planes), noisy, *maps)
-            change = core.change
-            logits = core.shadow_logits
+            maps = range_fraction, azimuth_rad, sector
+            change, logits, weight = self._on_image(noisy, remove, frames, *maps)
         else:
-            polar = sampled(torch.cat([noisy, sector], dim=1), grid.to_polar)
-            maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
-            core = self.core(remove, None, GridLines(), polar[:, :1], *maps)
-            cells = torch.cat([core.change, core.shadow_logits], dim=1)
-            change, logits = sampled(cells, grid.to_fan).chunk(2, dim=1)
+            change, logits, weight = self._on_polar_grid(noisy, remove, grid, sector)
         # Outside the sector there is nothing to denoise and no shadow.
         outside = sector <= 0
         image = self.gated(noisy + change.masked_fill(outside, 0.0), logits)
         image = torch.where(outside, noisy, image)
-        return _output(image, logits.masked_fill(outside, _OUTSIDE), core.weight)
+        return _output(image, logits.masked_fill(outside, _OUTSIDE), weight)
+
+    def _without_geometry(
+        self, noisy: Tensor, remove: Tensor, frames: Tensor | None
+    ) -> NetworkOutput:
+        core = self.core(remove, frames, GridLines(), noisy, *_unknown(noisy))
+        image = self.gated(noisy + core.change, core.shadow_logits)
+        return _output(image, core.shadow_logits, core.weight)
+
+    def _on_image(
+        self,
+        noisy: Tensor,
+        remove: Tensor,
+        frames: Tensor | None,
+        range_fraction: Tensor,
+        azimuth_rad: Tensor,
+        sector: Tensor,
+    ) -> CoreOutput:
+        """What the core computes on the image as it is."""
+        planes = (padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector))
+        maps = _known(range_fraction, azimuth_rad, sector)
+        return self.core(remove, frames, MapLines.of(*planes), noisy, *maps)
+
+    def _on_polar_grid(
+        self, noisy: Tensor, remove: Tensor, grid: PolarGrid, sector: Tensor
+    ) -> CoreOutput:
+        """What the core computes on the polar grid, resampled to the pixels of the fan."""
+        polar = sampled(torch.cat([noisy, sector], dim=1), grid.to_polar)
+        maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
+        core = self.core(remove, None, GridLines(), polar[:, :1], *maps)
+        cells = torch.cat([core.change, core.shadow_logits], dim=1)
+        change, logits = sampled(cells, grid.to_fan).chunk(2, dim=1)
+        return CoreOutput(change, logits, core.weight)
 
     def gated(self, image: Tensor, logits: Tensor) -> Tensor:
         """The image, darker where the logits say shadow; (N, 1, H, W) both."""
@@ -233,16 +259,6 @@ def _output(image: Tensor, logits: Tensor, weight: Tensor) -> NetworkOutput:
     return NetworkOutput(image, logits.mean(dim=1, keepdim=True), weight)
 
 
-Layer = TypeVar("Layer", nn.Linear, nn.Conv2d)
-
-
-def zeroed(layer: Layer) -> Layer:
-    """The layer with weights that give nothing before anything is learned."""
-    for weights in layer.parameters():
-        nn.init.zeros_(weights)
-    return layer
-
-
 def _after(film: Tensor, blocks: Step) -> Step:
     """The blocks on features that were scaled and shifted before."""
     scale, shift = film.chunk(2, dim=1)
@@ -258,295 +274,3 @@ def _unknown(noisy: Tensor) -> tuple[Tensor, ...]:
     """The same for unknown geometry; the last value occurs in no known one."""
     nothing = torch.zeros_like(noisy)
     return nothing, nothing, nothing - 1
-
-
-class ResidualBlock(nn.Module):
-    """Two convolutions, added to what came in; it starts as the identity."""
-
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        self.first = nn.Conv2d(channels, channels, 3, padding=1)
-        self.second = zeroed(nn.Conv2d(channels, channels, 3, padding=1))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W) -> the same shape."""
-        changed: Tensor = self.second(functional.relu(self.first(x), inplace=True))
-        return changed.add_(x)
-
-
-def residual_blocks(channels: int, count: int) -> nn.Sequential:
-    """So many of them, one after another."""
-    return nn.Sequential(*(ResidualBlock(channels) for _ in range(count)))
-
-
-class LineContext(nn.Module):
-    """Adds to features what their beams and arcs have in common, beside neighbouring ones.
-
-    channels: of the features.  width: channels that are pooled.  It starts as the identity.
-    """
-
-    def __init__(self, channels: int, width: int = 12) -> None:
-        super().__init__()
-        self.pooled = nn.Conv2d(channels, width, 1)
-        self.beams, self.arcs = (
-            nn.Sequential(
-                nn.Conv1d(width, 2 * width, 9, padding=4),
-                nn.ReLU(),
-                nn.Conv1d(2 * width, width, 9, padding=4),
-            )
-            for _ in range(2)
-        )
-        self.added = zeroed(nn.Conv2d(2 * width, channels, 1))
-
-    def forward(self, x: Tensor, lines: Lines) -> Tensor:
-        """(N, C, h, w) -> the same shape."""
-        pooled = self.pooled(x)
-        beams = self.beams(lines.means(pooled, 2))
-        return lines.add(x, beams, self.arcs(lines.means(pooled, 3)), self.added)
-
-
-class GridLines:
-    """Columns are beams and rows are arcs: of a polar image, or of unknown geometry."""
-
-    def means(self, x: Tensor, along: int) -> Tensor:
-        """(N, C, h, w) -> (N, C, beams) for along=2, (N, C, arcs) for 3: means along each."""
-        return x.float().mean(along)
-
-    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
-        """The features and `added` of what the beam and the arc of each cell have.
-
-        x: (N, C, h, w).  beams: (N, D, beams).  arcs: (N, D, arcs).  added: 1x1, of 2 D channels;
-        each line is convolved once, and not each of its cells.
-        """
-        weight = added.weight[..., 0]
-        depth = beams.shape[1]
-        along = functional.conv1d(beams, weight[:, :depth], added.bias)
-        across = functional.conv1d(arcs, weight[:, depth:])
-        return x + along[:, :, None, :] + across[:, :, :, None]
-
-
-@dataclass(frozen=True, eq=False)
-class MapLines:
-    """The beams and arcs of a fan, for features of `shape` (h, w).
-
-    beam, arc: (N, h * w) int64 numbers below w and h.  weight: (N, 1, h * w), 0 outside the sector.
-    """
-
-    beam: Tensor
-    arc: Tensor
-    weight: Tensor
-    shape: tuple[int, int]
-
-    @classmethod
-    def of(cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor) -> MapLines:
-        """From maps of the image, (N, 1, H, W) each, for features of half its size.
-
-        The sector's bearings and ranges are divided evenly into w beams and h arcs.
-        """
-        shape = sector.shape[-2] // 2, sector.shape[-1] // 2
-        planes = functional.interpolate(torch.cat([azimuth_rad, range_fraction, sector], 1), shape)
-        bearing, radius, inside = (planes[:, n].flatten(1) for n in range(3))
-
-        def numbered(values: Tensor, count: int) -> Tensor:
-            least, most = _extent(values, inside > 0)
-            return ((values - least) / (most - least) * count).clamp(0, count - 1).long()
-
-        beam = numbered(bearing, shape[1])
-        arc = numbered(radius, shape[0])
-        return cls(beam, arc, (inside > 0).to(planes.dtype)[:, None], shape)
-
-    def means(self, x: Tensor, along: int) -> Tensor:
-        """See `GridLines`."""
-        numbers, count = (self.beam, self.shape[1]) if along == 2 else (self.arc, self.shape[0])
-        flat = x.float().flatten(2)
-        channels = x.shape[1]
-        weight = self.weight.float()
-        index = numbers[:, None]
-        zeros = torch.zeros(x.shape[0], channels, count, device=x.device)
-        total = zeros.scatter_add(2, index.expand(-1, channels, -1), flat * weight)
-        cells = zeros[:, :1].scatter_add(2, index, weight)
-        return total / cells.clamp_min(1)
-
-    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
-        """See `GridLines`."""
-        spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
-        total: Tensor = x + added(torch.cat(spread, dim=1))
-        return total
-
-    def _spread(self, along: Tensor, numbers: Tensor) -> Tensor:
-        """(N, C, beams or arcs) -> (N, C, h, w): every cell gets what its line has."""
-        index = numbers[:, None].expand(-1, along.shape[1], -1)
-        return along.gather(2, index).reshape(*along.shape[:2], *self.shape)
-
-
-Lines = GridLines | MapLines
-"""The beams and arcs of the cells of a feature map."""
-
-
-class PolarGrid(NamedTuple):
-    """Where the cells of a polar grid lie in fan images, and the pixels of these in the grid.
-
-    to_polar, to_fan: (N, H, W, 2) positions for `sampled`.
-    range_fraction, azimuth_rad: (N, 1, H, W) of the cells, near range first.
-    The grid has as many cells as the image has pixels, from the least to the largest range and
-    bearing of the sector (of the whole image where it shows none of the sector).
-    """
-
-    to_polar: Tensor
-    to_fan: Tensor
-    range_fraction: Tensor
-    azimuth_rad: Tensor
-
-
-def polar_grid(
-    range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor, fan: bool | None = None
-) -> PolarGrid | None:
-    """The grid for fan images whose pixels have these maps, each (N, 1, H, W), H and W 2 or more.
-
-    fan: whether they are fans; None: seen from the maps.
-    None for images that are polar already, or too small to tell.
-    """
-    if fan is None:
-        columns = range_fraction[..., :1] if min(range_fraction.shape[-2:]) > 1 else range_fraction
-        fan = not bool((range_fraction == columns).all())
-    if not fan:
-        return None
-    height, width = range_fraction.shape[-2:]
-    radius = range_fraction[:, 0]
-    azimuth = azimuth_rad[:, 0]
-    # In a fan, right and ahead of the sonar are linear in column and row (see `sonar.fan`).
-    right = radius * torch.sin(azimuth)
-    ahead = radius * torch.cos(azimuth)
-    first_right, last_right, first_ahead, last_ahead = (
-        edge.mean(1)[:, None, None]
-        for edge in (right[:, :, 0], right[:, :, -1], ahead[:, 0, :], ahead[:, -1, :])
-    )
-    right_step = (last_right - first_right) / (width - 1)
-    ahead_step = (last_ahead - first_ahead) / (height - 1)
-    inside = sector[:, 0] > 0
-    near, far = _extent(radius, inside)
-    left, right_end = _extent(azimuth, inside)
-    down = (torch.arange(height, device=radius.device) + 0.5) / height
-    across = (torch.arange(width, device=radius.device) + 0.5) / width
-    cell_range = (near + (far - near) * down[None, :, None]).expand_as(radius)
-    cell_azimuth = (left + (right_end - left) * across[None, None, :]).expand_as(radius)
-    column = (cell_range * torch.sin(cell_azimuth) - first_right) / right_step
-    row = (cell_range * torch.cos(cell_azimuth) - first_ahead) / ahead_step
-    to_polar = torch.stack([(2 * column + 1) / width - 1, (2 * row + 1) / height - 1], dim=-1)
-    across_grid = 2 * (azimuth - left) / (right_end - left) - 1
-    down_grid = 2 * (radius - near) / (far - near) - 1
-    to_fan = torch.stack([across_grid, down_grid], dim=-1)
-    return PolarGrid(to_polar, to_fan, cell_range[:, None], cell_azimuth[:, None])
-
-
-def _extent(values: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Least and largest of each (N, ...) where `inside`, or of all of it; never equal."""
-    dims = tuple(range(1, values.ndim))
-    inside = inside | ~inside.flatten(1).any(1).view(-1, *[1] * len(dims))
-    least = values.masked_fill(~inside, torch.inf).amin(dim=dims, keepdim=True)
-    largest = values.masked_fill(~inside, -torch.inf).amax(dim=dims, keepdim=True)
-    return least, largest.clamp_min(least + 1e-6)
-
-
-def sampled(images: Tensor, at: Tensor) -> Tensor:
-    """(N, C, H, W) at positions (N, h, w, 2) as of `grid_sample`, bilinear; edges are repeated."""
-    # In 32 bits: halves of a pixel would be lost in 16 at the far side of a large image.
-    with torch.autocast(images.device.type, enabled=False):
-        return functional.grid_sample(
-            images.float(), at, padding_mode="border", align_corners=False
-        )
-
-
-_FIRST_WEIGHT = 3.0  # logit of the weight before anything is learned: 95 % of the change
-_DARK = 1 / 512  # a cell below this holds no echo: half a grey value of 8 bits
-_CENTRE = 1.5  # centres the logarithms of grey values between _DARK and 1
-_LEAST = 1e-7  # added to mean squares of grey values (70 dB), so that 0 has a logarithm
-_STATISTICS = 5
-
-
-class BlendHead(nn.Module):
-    """Weighs the change of a whole image, 0 to 1, from the image, the change and its features.
-
-    features: channels of the last features.  width: channels of the head itself.
-    A network that has learned to remove strong noise harms an image with hardly any; the weight
-    falls smoothly to zero there.  The head gets the logarithm of the image, in which a blur looks
-    the same in bright and in dim places, and pools with a weight for every place (gated attention,
-    Ilse et al., ICML 2018), because shadow carries no information, and maxima, because a single
-    defect matters.  Statistics give at once what many layers would have to find out.
-
-    No gradient goes back into the network, so the head cannot harm the images.
-    """
-
-    def __init__(self, features: int, width: int = 32) -> None:
-        super().__init__()
-        self.near = nn.Conv2d(features + 4 * 3, width, 3, stride=2, padding=1)
-        self.far = nn.Conv2d(width, width, 3, padding=1)
-        self.weight = nn.Conv2d(width, width, 1)
-        self.mixed = nn.Linear(3 * width + _STATISTICS, width)
-        self.logit = zeroed(nn.Linear(width, 1))
-        nn.init.constant_(self.logit.bias, _FIRST_WEIGHT)
-
-    def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
-        """(N, F, h, w) at half resolution, three times (N, 1, H, W) -> (N,) weight, 0 to 1.
-
-        h and w may be half the size of the images after padding.
-        sector: 1 where insonified, else 0.
-        """
-        features = features.detach()
-        noisy = noisy.detach()
-        change = change.detach()
-        height, width = (2 * size for size in features.shape[-2:])
-        padding = (0, width - noisy.shape[-1], 0, height - noisy.shape[-2])
-        logarithm = torch.log10(noisy.clamp_min(0) + _DARK) + _CENTRE
-        planes = functional.pad(torch.cat([noisy, change, logarithm], dim=1), padding)
-        planes = functional.pixel_unshuffle(planes, 2)
-        x = functional.relu(self.near(torch.cat([features, planes], dim=1)))
-        x = functional.relu(self.far(x))
-        inside = functional.avg_pool2d(padded(functional.pad(sector, padding), 4), 4)
-        weight = torch.sigmoid(self.weight(x)).float() * inside
-        x = x.float() * inside
-        pooled = [
-            (weight * x).sum(dim=(2, 3)) / weight.sum(dim=(2, 3)).clamp_min(1e-3),
-            x.sum(dim=(2, 3)) / inside.sum(dim=(2, 3)).clamp_min(1),
-            x.amax(dim=(2, 3)),
-            _statistics(noisy, change, sector),
-        ]
-        logit: Tensor = self.logit(functional.relu(self.mixed(torch.cat(pooled, dim=1))))
-        return torch.sigmoid(logit[:, 0].float())
-
-
-def _statistics(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
-    """(N, 1, H, W) each -> (N, 5): four decimal logarithms and the dark fraction."""
-    noisy = noisy.float()
-    change = change.float()
-    area = sector.sum(dim=(1, 2, 3)).clamp_min(1)
-
-    def mean(x: Tensor) -> Tensor:
-        return (x * sector).sum(dim=(1, 2, 3)) / area
-
-    power = mean(noisy.square()) + _LEAST
-    changed = mean(change.square()) + _LEAST
-    range_step = _step(noisy, sector, 2) / area + _LEAST
-    bearing_step = _step(noisy, sector, 3) / area + _LEAST
-    return torch.stack(
-        [
-            torch.log10(changed),
-            torch.log10(changed / power),
-            torch.log10(range_step / power),
-            torch.log10(range_step / bearing_step),
-            mean((noisy < _DARK).float()),
-        ],
-        dim=1,
-    )
-
-
-def _step(x: Tensor, sector: Tensor, dim: int) -> Tensor:
-    """(N,) sum of the squared differences to the next pixel where both are insonified.
-
-    Of slices, which a trace follows at any size.
-    """
-    size = x.shape[dim] - 1
-    pixels = x.narrow(dim, 0, size)
-    neighbours = x.narrow(dim, 1, size)
-    both = (sector.narrow(dim, 0, size) > 0) & (sector.narrow(dim, 1, size) > 0)
-    return ((neighbours - pixels).square() * both).sum(dim=(1, 2, 3))

@@ -23,8 +23,9 @@ from ...factory.files import check_writable, sha256_of, write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
 from ..networks import DEFAULT, vector
+from ..networks.line_context import MapLines
 from ..networks.network import Network, padded
-from ..networks.sonarnet import MapLines, SonarNet
+from ..networks.sonarnet import SonarNet
 from ..networks.weights import load_weights
 
 OPSET = 18  # GridSample and sums by ScatterElements came with 16, LayerNormalization with 17

@@ -21,8 +21,8 @@ from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
 from ....factory.settings import STRICT
+from ..blocks import residual_blocks
 from ..network import LayerNorm, Pointwise, down_and_up
-from ..sonarnet import residual_blocks
 from .adversary import AdversarialNetwork
 
 NotNegative = Annotated[float, Field(ge=0)]

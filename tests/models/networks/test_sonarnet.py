@@ -13,7 +13,8 @@ from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.models.networks import DEFAULT, vector
 from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.sonarnet import SonarNet, polar_grid, sampled
+from simnfnd.models.networks.polar_grid import polar_grid, sampled
+from simnfnd.models.networks.sonarnet import SonarNet
 from tests.models.networks.tiny_networks import stirred, tiny
 
 
