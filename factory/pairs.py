@@ -17,10 +17,12 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from .camera_layers import Camera, CameraLayers
 from .compiled import compile_needed
 from .dataset.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
+from .image_axes import image_axes
 from .imaging import layers as truth
 from .imaging.coherent import CoherentScene
 from .imaging.contract import Floats
@@ -31,15 +33,8 @@ from .labels import class_names
 from .moving.compose import Echo, compose
 from .moving.recordings import Moment, Recordings
 from .noise.draws import StreamNames, draw
-from .sample_table import (
-    Camera,
-    CameraLayers,
-    columns,
-    image_axes,
-    record,
-    requested,
-    requested_row,
-)
+from .requested_columns import requested, requested_row
+from .sample_table import columns, record
 from .selection import choose_frames
 from .sonar import polar, surface, transfer
 from .sonar.fan import lay_out, lay_out_nearest, rasterised

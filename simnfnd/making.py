@@ -117,6 +117,7 @@ def make_pair(
     usable depth or the sonar would see nothing of it, and FactoryError for wrong words and modules
     that are not installed.
     """
+    from .factory.camera_layers import FrameCamera
     from .factory.cli.extras import needs_of, require
     from .factory.frame import FrameRef, Intrinsics
     from .factory.memory_frame import frame_from_arrays
@@ -124,7 +125,6 @@ def make_pair(
     from .factory.pairs import PairMaker
     from .factory.render.view import view_of
     from .factory.renderer_choice import renderer_of
-    from .factory.sample_table import FrameCamera
     from .factory.views import Views
 
     words = shlex.split(config) if isinstance(config, str) else [*config]

@@ -6,7 +6,7 @@ import pytest
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.errors import FrameError
-from simnfnd.factory.sample_table import image_axes
+from simnfnd.factory.image_axes import image_axes
 from tests.frames import POST_M, ground_and_post, plain_render
 
 OFF = {

@@ -13,7 +13,7 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.dataset.card import source_terms, stated_licence
 from simnfnd.factory.dataset.meaning import grey_meaning, pixel_meaning
 from simnfnd.factory.identity import identity
-from simnfnd.factory.sample_table import image_axes
+from simnfnd.factory.image_axes import image_axes
 from simnfnd.factory.sonar import transfer
 
 PROFILES = {"pointwise": "experiment=demo", "coherent": "experiment=demo_physical"}

@@ -17,7 +17,8 @@ from simnfnd.factory.dataset.schema import OPTIONAL_LAYERS, ROOT_ATTRIBUTES, lay
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.sample_table import columns, requested
+from simnfnd.factory.requested_columns import requested
+from simnfnd.factory.sample_table import columns
 from tests.factory.dataset.hostile import whole
 from tests.factory.dataset.some_shards import PROVENANCE, SOURCE, some_pairs, write
 from tests.project.page_steps import run, steps

@@ -23,7 +23,7 @@ from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.base import Mount
 from simnfnd.factory.render.view import view_of
-from simnfnd.factory.sample_table import pose_row
+from simnfnd.factory.requested_columns import pose_row
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.views import Views
 from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, labelled, plain_render

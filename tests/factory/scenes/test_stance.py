@@ -13,7 +13,7 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.insonified import insonified_share
 from simnfnd.factory.pairs import observe
 from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.sample_table import pose_row
+from simnfnd.factory.requested_columns import pose_row
 from simnfnd.factory.scenes import open_reader
 from tests.frames import ground_and_post, plain_render
 
