@@ -11,8 +11,8 @@ from ..dataset.reader import Split
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
-# Format -> the libraries that it needs; `write_FORMAT(pairs, folder)` of formats.py, or of the
-# module that `_MODULES` names, fills an empty folder and returns one line that says what it wrote.
+# Format -> the libraries that it needs.  `write_FORMAT(pairs, folder)` fills an empty folder and
+# returns one line that says what it wrote; it is in the module FORMAT, or in the one of `_MODULES`.
 FORMATS = {
     "webdataset": ("webdataset", "cv2"),
     "huggingface": ("pyarrow", "cv2"),
@@ -24,7 +24,7 @@ FORMATS = {
     "mcap": ("rosbags", "cv2"),
     "ply": ("open3d", "cv2"),
 }
-_MODULES = {"mot": "tracks", "coco_video": "tracks", "mcap": "mcap", "ply": "ply"}
+_MODULES = {"mot": "tracks", "coco_video": "tracks"}
 
 
 def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") -> str:
@@ -37,10 +37,10 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
     require(Need(f"--to {to}", library) for library in FORMATS[to])
-    module = _MODULES.get(to, "formats")
+    module = _MODULES.get(to, to)
     write = getattr(import_module(f"{__name__}.{module}"), f"write_{to}")
     folder = Path(out)
     refuse_files(folder)
     with PairDataset(dataset, split, layers=None) as pairs, whole_folder(folder) as unfinished:
-        said: str = write(pairs, unfinished)
-    return said
+        summary: str = write(pairs, unfinished)
+    return summary

@@ -16,7 +16,8 @@ from ..errors import FactoryError
 from ..ros_types import SONAR, typestore
 from ..sonar.geometry import FanGeometry, recorded_sonar
 from ..sonar.settings import SonarSettings
-from .formats import Sample, samples, write_notes
+from .notes import write_notes
+from .samples import Sample, read_samples
 
 _POSE = "geometry_msgs/msg/PoseStamped"
 _IMAGE = "sensor_msgs/msg/Image"
@@ -62,7 +63,7 @@ def write_mcap(pairs: PairDataset, folder: Path) -> str:
         writer = Writer(folder / split, version=9, storage_plugin=StoragePlugin.MCAP)
         with writer:
             connections: dict[str, Any] = {}
-            for sample, time_s in _timed(samples(pairs, split)):
+            for sample, time_s in _timed(read_samples(pairs, split)):
                 count += 1
                 for topic, kind, message in _messages(sample, time_s, sonar, store.types):
                     if topic not in connections:

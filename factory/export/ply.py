@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from ..dataset.pair_dataset import PairDataset, in_unit_range
 from ..errors import FactoryError
-from .formats import Sample, samples, write_notes
+from .notes import write_notes
+from .samples import Sample, read_samples
 
 _NEEDED = ("range", "azimuth", "elevation")
 
@@ -31,9 +32,8 @@ def write_ply(pairs: PairDataset, folder: Path) -> str:
     points = 0
     for split in pairs.splits:
         (folder / split).mkdir()
-        for sample in samples(pairs, split):
-            name = sample.key.removeprefix(f"{split}-")
-            points += write_points(folder / split / f"{name}.ply", sample)
+        for sample in read_samples(pairs, split):
+            points += write_points(folder / split / f"{sample.number}.ply", sample)
     write_notes(pairs, folder, _NOTES)
     return f"{len(pairs)} point clouds, {points} points"
 

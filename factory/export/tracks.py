@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -16,7 +15,9 @@ from ..dataset.recordings import FrameSequence, Track
 from ..dataset.schema import stored_image
 from ..errors import FactoryError
 from ..labels import classes_of
-from .formats import png, write_notes
+from .coco import list_categories, write_annotations
+from .notes import write_notes
+from .png_encoding import encode_png
 
 _DEFAULT_RATE_HZ = 1.0
 
@@ -76,7 +77,7 @@ def write_mot(pairs: PairDataset, folder: Path) -> str:
             lines = []
             for number, tracks in enumerate(sequence.tracks, start=1):
                 image = stored_image(sequence.noisy[number - 1], "uint8")
-                (place / "img1" / f"{number:06d}.png").write_bytes(png(image))
+                (place / "img1" / f"{number:06d}.png").write_bytes(encode_png(image))
                 lines += [_mot_line(number, track, classes) for track in _shown(tracks)]
             (place / "gt" / "gt.txt").write_text("".join(lines))
             (place / "seqinfo.ini").write_text(_sequence_info(sequence))
@@ -117,7 +118,6 @@ def write_coco_video(pairs: PairDataset, folder: Path) -> str:
     of annotations, track ids being unique in the file.
     """
     classes = classes_of(pairs.form.config)
-    (folder / "annotations").mkdir()
     counts: Counter[str] = Counter()
     for split in _splits(pairs):
         document = _Document(classes)
@@ -127,9 +127,9 @@ def write_coco_video(pairs: PairDataset, folder: Path) -> str:
             place.mkdir(parents=True)
             document.add(name, sequence)
             for number, noisy in enumerate(sequence.noisy, start=1):
-                (place / f"{number:06d}.png").write_bytes(png(stored_image(noisy, "uint8")))
-        text = json.dumps(document.values, separators=(",", ":"))
-        (folder / "annotations" / f"instances_{split}.json").write_text(text + "\n")
+                image = stored_image(noisy, "uint8")
+                (place / f"{number:06d}.png").write_bytes(encode_png(image))
+        write_annotations(document.values, folder, split)
         counts.update({key: len(document.values[key]) for key in ("videos", "images")})
         counts["boxes"] += len(document.values["annotations"])
     write_notes(pairs, folder, _COCO_VIDEO_NOTES)
@@ -142,16 +142,11 @@ class _Document:
     def __init__(self, classes: tuple[str, ...]) -> None:
         self._classes = classes
         self._track_ids: dict[tuple[int, int], int] = {}
-        categories = [
-            {"id": label, "name": name, "supercategory": "object"}
-            for label, name in enumerate(classes)
-            if label
-        ]
         self.values: dict[str, list[dict[str, Any]]] = {
             "videos": [],
             "images": [],
             "annotations": [],
-            "categories": categories,
+            "categories": list_categories(classes),
         }
 
     def add(self, name: str, sequence: FrameSequence) -> None:

@@ -16,7 +16,7 @@ import yaml
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import FORMATS, export
-from simnfnd.factory.export.formats import LEAST_PX
+from simnfnd.factory.export.objects import MIN_OBJECT_PX
 from simnfnd.factory.labels import CLASSES
 from tests.factory.dataset.hostile import admit, reseal
 from tests.factory.export import export_dataset
@@ -100,7 +100,7 @@ def test_each_worker_of_a_loader_gets_tars_of_its_own(fans, tmp_path) -> None:
 @pytest.mark.parametrize("which", ["fans", "floats"])
 def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    monkeypatch.setattr("simnfnd.factory.export.formats.SAMPLES_PER_FILE", 6)
+    monkeypatch.setattr("simnfnd.factory.export.samples.SAMPLES_PER_FILE", 6)
     import datasets
     from pyarrow import parquet
 
@@ -235,7 +235,7 @@ def truth(root: Path, split: str) -> list[list[tuple[int, np.ndarray]]]:
         with h5py.File(path) as file:
             for numbers in file["instance"][()]:
                 masks = [(label, numbers == n) for n, label in ((3, 20), (41, 1), (700, 9))]
-                actual.append([(label, m) for label, m in masks if m.sum() >= LEAST_PX])
+                actual.append([(label, m) for label, m in masks if m.sum() >= MIN_OBJECT_PX])
     return actual
 
 
