@@ -14,8 +14,9 @@ from PIL import Image, TiffImagePlugin
 from ...factory.errors import FrameError
 from ...factory.files import whole_file, write_atomically
 from ..recordings.animations import Animation
-from ..recordings.arrays import ArrayFile, write_array
+from ..recordings.arrays import ArrayFile
 from ..recordings.base import FULL_SCALE, Recording, swapped
+from ..recordings.numpy_files import write_array
 from ..recordings.videos import VideoFile
 from .animation_writer import write_animation
 from .removed import SHOWN
