@@ -13,6 +13,7 @@ from ...factory.files import check_writable, write_atomically
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskPool
 from .. import tuning
+from ..filters import Baseline
 from ..methods import NOISY, Method, baselines_of, methods_of, networks_of
 from ..pairs import Item, config_hash_of, drawn_of, given_methods, items_of, names_of, pair_images
 from ..runner import SECONDS, Measured, Subject, run
@@ -26,8 +27,9 @@ PAGE_NAME = "report.html"
 REPORT_NAME = "report.json"
 RESULTS_NAME = "results.csv"
 
-_CHUNK = 4  # pairs in a task
-_SHOWN = 10  # methods beside noisy and clean in the viewer
+_PAIRS_PER_TASK = 4
+# Beside noisy and clean in the viewer.
+_EXAMPLE_METHODS = 10
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:
@@ -40,38 +42,59 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     baselines = baselines_of(settings.baselines)
     networks = networks_of(settings)
     items = items_of(Path(settings.dataset.dir), settings.split, settings.limit)
-    given_rows = given_methods(settings.pictures, [names_of(item) for item in items])
+    external_methods = given_methods(settings.pictures, [names_of(item) for item in items])
     check_writable(out, "out")
+
     with TaskPool(settings.workers) as pool:
         if settings.tuning.auto and baselines:
-            try:
-                print(*tuning.tune(settings, baselines, pool), sep="\n")
-            except FactoryError as error:
-                # Without pairs to tune on there are still the rows by default.
-                print(f"not tuned: {error}")
+            _tune(settings, baselines, pool)
         tuned = tuning.load_tuned(settings.tuned_file)
-        named = [NOISY, *methods_of(baselines, tuned), *networks, *given_rows]
-        methods = list({method.label: method for method in named}.values())
+        candidates = [NOISY, *methods_of(baselines, tuned), *networks, *external_methods]
+        method_of_label = {method.label: method for method in candidates}
+        methods = list(method_of_label.values())
+
         measured = measure(settings, items, methods, pool)
         content = content_of(methods, measured, items, settings, tuned)
-        content["facts"]["image"] = "x".join(map(str, pair_images(items[0].place).clean.shape))
-        content["facts"]["config_hash"] = config_hash_of(items[0])
-        labels = shown_rows(content["rows"], _SHOWN)
+        content["facts"] |= _image_facts(items[0])
         write_results(out / RESULTS_NAME, measured, items)
-        shown = [method for label in labels for method in methods if method.label == label]
-        examples = _examples(settings, items, measured, shown, pool)
+
+        example_labels = shown_rows(content["rows"], _EXAMPLE_METHODS)
+        example_methods = [method_of_label[label] for label in example_labels]
+        examples = _examples(settings, items, measured, example_methods, pool)
+
+    _write(out, content, examples)
+    return content
+
+
+def _tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: TaskPool) -> None:
+    """Tune what has not been tuned.  Without pairs to tune on, only the default rows remain."""
+    try:
+        print(*tuning.tune(settings, baselines, pool), sep="\n")
+    except FactoryError as error:
+        print(f"not tuned: {error}")
+
+
+def _image_facts(item: Item) -> dict[str, str | None]:
+    """The size of the images, and the settings that they were made with."""
+    shape = pair_images(item.place).clean.shape
+    return {"image": "x".join(map(str, shape)), "config_hash": config_hash_of(item)}
+
+
+def _write(out: Path, content: Content, examples: Sequence[Example]) -> None:
+    """Write the report, and print its leaderboard and where the page is."""
     facts = content["facts"]
+    title = f"Report: {facts['dataset']}, {facts['split']} split"
     about = (
         f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} scene(s) "
         f"({facts['image']}; config {facts['config_hash'] or 'unknown'})."
     )
     sections = sections_of(content)
-    title = f"Report: {facts['dataset']}, {facts['split']} split"
     write_report(out, "report", title, about, sections, facts=content, examples=examples)
-    print("", tables.as_markdown(sections[0].tables[0]), *filter(None, sections[0].text),
-          sep="\n\n")  # fmt: skip
+
+    leaderboard = sections[0]
+    paragraphs = ["", tables.as_markdown(leaderboard.tables[0]), *filter(None, leaderboard.text)]
+    print(*paragraphs, sep="\n\n")
     print(f"report: {out / PAGE_NAME}")
-    return content
 
 
 def measure(
@@ -95,7 +118,7 @@ def measure(
             pool,
             device=settings.device,
             timeout_s=settings.image_timeout_s,
-            chunk=_CHUNK,
+            chunk=_PAIRS_PER_TASK,
             keep=lambda _: keep,
             tick=bar.update,
         )
@@ -105,40 +128,47 @@ def write_results(path: Path, measured: Measured, items: Sequence[Item]) -> None
     """results.csv: a line for each row of the report and pair, with what was drawn for it."""
     import pandas as pd
 
-    own = ("location", "scene", "frame", "variant")
     pairs = pd.DataFrame(
-        [(i.shard, i.place[1], i.key, i.location, i.scene, i.frame, i.variant) for i in items],
-        columns=["shard", "index", "pair", *own],
+        {
+            "shard": [item.shard for item in items],
+            "index": [item.place[1] for item in items],
+            "pair": [item.key for item in items],
+            "location": [item.location for item in items],
+            "scene": [item.scene for item in items],
+            "frame": [item.frame for item in items],
+            "variant": [item.variant for item in items],
+        }
     )
-    more = drawn_of(items)
-    more = more[[name for name in more if name not in pairs]]
-    table = measured.table().drop(columns=SECONDS)
-    figures = list(table)[2:]
-    whole = table.join(pairs, on="picture").join(more, on="picture")
-    text = whole[["method", *pairs, *figures, *more]].to_csv(index=False, lineterminator="\n")
+    drawn = drawn_of(items)
+    drawn = drawn[[name for name in drawn if name not in pairs]]
+    figures = measured.table().drop(columns=SECONDS)
+    metrics = list(figures)[2:]
+
+    results = figures.join(pairs, on="picture").join(drawn, on="picture")
+    columns = ["method", *pairs, *metrics, *drawn]
+    text = results[columns].to_csv(index=False, lineterminator="\n")
     write_atomically(path, text.encode(), key="out")
 
 
 def sections_of(content: Content) -> list[Section]:
     """The report for people."""
-    facts = content["facts"]
     rows = content["rows"]
     best = best_forms(rows)
-    more = len(rows) - len(best)
-    note = f"Of each method its best form here; {more} more in report.md." if more else ""
-    said = (note, verdict(content))
-    sections = [Section("Leaderboard", [tables.leaderboard(best)], said)]
-    if more:
+    other_count = len(rows) - len(best)
+
+    note = ""
+    if other_count:
+        note = f"Of each method its best form here; {other_count} more in report.md."
+    sections = [Section("Leaderboard", [tables.leaderboard(best)], (note, verdict(content)))]
+    if other_count:
         sections.append(Section(f"All {len(rows)} forms", [tables.leaderboard(rows)], folded=True))
     for number in (2, 3):
-        if lines := content[f"table_{number}"]:
-            title = f"The paper's Table {number}"
-            sections.append(Section(title, [tables.beside_paper(lines)]))
-    return [
-        *sections,
-        Section("More metrics", [tables.more_metrics(rows)]),
-        Section("How it was measured", text=facts["rules"]),
-    ]
+        lines = content[f"table_{number}"]
+        if lines:
+            sections.append(Section(f"The paper's Table {number}", [tables.beside_paper(lines)]))
+    sections.append(Section("More metrics", [tables.more_metrics(rows)]))
+    sections.append(Section("How it was measured", text=content["facts"]["rules"]))
+    return sections
 
 
 def _examples(
@@ -152,19 +182,25 @@ def _examples(
     count = min(settings.examples, len(items))
     if not count:
         return []
-    noisy = measured.wide()["psnr"][NOISY.label].to_numpy()
-    places = np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))
-    chosen = [items[number] for number in np.argsort(noisy, kind="stable")[places]]
-    measured_images = measure(settings, chosen, methods, pool, keep=True)
-    examples = []
-    for number, item in enumerate(chosen):
-        # A method that fails is left out.
-        labels = [
-            method.label for method in methods if (method.label, number) in measured_images.images
-        ]
-        images = {label: measured_images.images[label, number] for label in labels}
-        psnr = {label: measured_images.figures[label][number]["psnr"] for label in labels}
-        title = f"{item.scene} {item.frame}" + (f" #{item.variant}" if item.variant else "")
-        images["clean"] = pair_images(item.place).clean
-        examples.append(Example(title, images, psnr, truth="clean"))
-    return examples
+    noisy_psnr_db = measured.wide()["psnr"][NOISY.label].to_numpy()
+    worst_first = np.argsort(noisy_psnr_db, kind="stable")
+    ranks = np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))
+    example_items = [items[number] for number in worst_first[ranks]]
+    with_images = measure(settings, example_items, methods, pool, keep=True)
+    return [
+        _example(item, number, with_images, methods) for number, item in enumerate(example_items)
+    ]
+
+
+def _example(item: Item, number: int, measured: Measured, methods: Sequence[Method]) -> Example:
+    """A pair with its denoised images; number: of the pair in `measured`."""
+    # A method that fails is left out.
+    labels = [method.label for method in methods if (method.label, number) in measured.images]
+    images = {label: measured.images[label, number] for label in labels}
+    images["clean"] = pair_images(item.place).clean
+    psnr_db = {label: measured.figures[label][number]["psnr"] for label in labels}
+
+    title = f"{item.scene} {item.frame}"
+    if item.variant:
+        title += f" #{item.variant}"
+    return Example(title, images, psnr_db, truth="clean")

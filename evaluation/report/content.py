@@ -3,50 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from ..methods import Method
+from ..methods import NOISY, Method
 from ..metrics.fidelity import PSNR_CAP_DB
-from ..metrics.statistics import LEAST_FRAMES, Estimate, estimate, holm, paired
+from ..metrics.statistics import LEAST_FRAMES
 from ..pairs import Item
-from ..runner import SECONDS, Measured
+from ..runner import Measured
 from ..settings import EvaluationSettings
-from .tables import (
-    METRIC_NAMES,
-    TABLE_METRICS,
-    Content,
-    interval,
-    percent,
-    plain,
-    written_p,
-)
+from .estimates import Estimator, add_holm_p
+from .paper_tables import table_2_beside, table_3_beside
+from .tables import Content, interval, percent, plain, written_p
 
 SCHEMA = "simnfnd-report/1"
-_COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")
-
-OURS = "simnfnd_newloss"
-
-TABLE_2 = {
-    "identity": ("Origin", (17.64, 0.68, 0.22)),
-    "median": ("Median", (17.76, 0.69, 0.19)),
-    "gaussian": ("Gaussian", (17.76, 0.69, 0.20)),
-    "bilateral": ("Bilateral", (17.90, 0.69, 0.19)),
-    "nlm": ("NLM", (17.73, 0.69, 0.21)),
-    "bm3d": ("BM3D", (16.65, 0.69, 0.19)),
-    OURS: ("Ours", (20.77, 0.79, 0.18)),
-}
-"""Row of the paper's Table 2 (Yang, Zhang and Yao 2024, Remote Sensing 16(15), 2815) -> its name
-there and PSNR, SSIM, GMSD; full frame, 1000 simulated pairs."""
-
-TABLE_3 = {
-    "olddata_l1": ("OldData + L1loss", (17.897056920, 0.744666177, 0.194743096)),
-    "simnfnd_l1": ("SimNFND + L1loss", (20.16920049, 0.7889269, 0.188262191)),
-    OURS: ("SimNFND + Newloss", (20.775460450, 0.795312975, 0.180447812)),
-}
-"""The ablation, row as the keys of `ablation` in the configuration."""
 
 
 def content_of(
@@ -60,85 +30,106 @@ def content_of(
 
     tuned: baseline -> entry of the tuned file.
     """
-    figures = measured.wide()
     groups = [item.group for item in items]
-    options = {"resamples": settings.bootstrap, "seed": settings.seed}
-
-    def compared(label: str, reference: str) -> dict[str, Any]:
-        """Pair by pair, metric by metric."""
-        lines = {}
-        for name in (name for name in _COMPARED if name in figures):
-            first, second = (figures[name][side].to_numpy() for side in (label, reference))
-            better = METRIC_NAMES[name].better
-            result = paired(first, second, groups, better=better, **options)
-            both = {"p": plain(result.p), "wins": plain(result.wins)}
-            lines[name] = _as_dict(result.difference) | both
-        return lines
-
-    lines = []
-    for method in methods:
-        label = method.label
-        lost = measured.lost.get(method.label)
-        seconds = math.nan if lost else float(np.median(figures[SECONDS][label]))
-        noisy = lost is not None or method.kind == "noisy"
-        metrics = [] if lost else [name for name in figures if name != SECONDS]
-        lines.append(
-            {
-                **{n: getattr(method, n) for n in ("label", "name", "form", "kind")},
-                "parameters": dict(method.parameters),
-                "levels": None if method.levels is None else vars(method.levels),
-                "ablation": method.ablation,
-                "milliseconds": plain(1000 * seconds),
-                "lost": lost,
-                "metrics": {
-                    name: _as_dict(estimate(figures[name][label].to_numpy(), groups, **options))
-                    for name in metrics
-                },
-                "against_noisy": {} if noisy else compared(label, "noisy"),
-                "against_best": {},
-            }
-        )
-    _adjust(lines, "against_noisy")
-    best, chosen_on = best_classical(lines, tuned)
-    if best is not None:
-        for line in lines:
-            if line["kind"] in ("network", "pictures") and line["lost"] is None:
-                line["against_best"] = compared(line["label"], best)
-        _adjust(lines, "against_best")
-    lines.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
-    third = paper_table(TABLE_3, lines)
-    facts = _facts(settings, items, int((figures["psnr"]["noisy"] >= PSNR_CAP_DB).sum()))
+    estimator = Estimator(measured.wide(), groups, settings.bootstrap, settings.seed)
+    rows = [_row(method, measured.lost.get(method.label), estimator) for method in methods]
+    best = best_classical(rows, tuned)
+    _compare_with_noisy(rows, estimator)
+    if best.row is not None:
+        _compare_with_best(rows, best.row, estimator)
+    rows.sort(key=_rank)
     return {
         "schema": SCHEMA,
-        "facts": facts,
-        "rows": lines,
-        "best_classical": {"row": best, "chosen_on": chosen_on},
-        "table_2": paper_table(TABLE_2, lines),
-        # Weights of Table 3 are seldom given; without any there is nothing to say of it.
-        "table_3": third if any(line["ours"] for line in third) else [],
+        "facts": _facts(settings, items, _count_identical(estimator)),
+        "rows": rows,
+        "best_classical": best._asdict(),
+        "table_2": table_2_beside(rows),
+        "table_3": table_3_beside(rows),
     }
 
 
-def best_classical(
-    rows: Sequence[Mapping[str, Any]], tuned: Mapping[str, Any]
-) -> tuple[str | None, str]:
-    """(label of the best baseline, what it was chosen on).
+def _row(method: Method, loss: str | None, estimator: Estimator) -> dict[str, Any]:
+    """A method with its figures; loss: why it has none, if so."""
+    label = method.label
+    is_lost = loss is not None
+    return {
+        "label": label,
+        "name": method.name,
+        "form": method.form,
+        "kind": method.kind,
+        "parameters": dict(method.parameters),
+        "levels": None if method.levels is None else vars(method.levels),
+        "ablation": method.ablation,
+        "milliseconds": None if is_lost else plain(estimator.median_milliseconds(label)),
+        "lost": loss,
+        "metrics": {} if is_lost else estimator.means(label),
+        "against_noisy": {},
+        "against_best": {},
+    }
+
+
+def _compare_with_noisy(rows: Sequence[dict[str, Any]], estimator: Estimator) -> None:
+    """Fill `against_noisy` of every row that changes the image."""
+    for row in rows:
+        if row["kind"] != "noisy" and row["lost"] is None:
+            row["against_noisy"] = estimator.differences(row["label"], NOISY.label)
+    add_holm_p([row["against_noisy"] for row in rows])
+
+
+def _compare_with_best(rows: Sequence[dict[str, Any]], best: str, estimator: Estimator) -> None:
+    """Fill `against_best` of networks and of other programs' images; best: label of a baseline."""
+    for row in rows:
+        if row["kind"] in ("network", "pictures") and row["lost"] is None:
+            row["against_best"] = estimator.differences(row["label"], best)
+    add_holm_p([row["against_best"] for row in rows])
+
+
+def _rank(row: Content) -> float:
+    """Sorts the best PSNR first, lost rows last."""
+    if row["lost"] is not None:
+        return math.inf
+    return -float(row["metrics"]["psnr"]["mean"])
+
+
+def _count_identical(estimator: Estimator) -> int:
+    """The number of pairs whose noisy image is the clean one."""
+    return int((estimator.values("psnr", NOISY.label) >= PSNR_CAP_DB).sum())
+
+
+class BestClassical(NamedTuple):
+    """The best baseline.  row: its label; None: there is none.  chosen_on: which pairs."""
+
+    row: str | None
+    chosen_on: str
+
+
+def best_classical(rows: Sequence[Content], tuned: Mapping[str, Any]) -> BestClassical:
+    """The baseline of the best PSNR.
 
     On validation pairs where baselines are tuned, so that the choice has not seen the test pairs.
     """
-    psnr = {
+    psnr_db = {
         row["label"]: float(row["metrics"]["psnr"]["mean"])
         for row in rows
         if row["kind"] == "baseline" and row["lost"] is None
     }
-    known = {
-        label: float(entry[key]["psnr_levels"])
-        for name, entry in tuned.items()
-        for form, key in (("+ levels", "default"), ("tuned + levels", "tuned_levels"))
-        if (label := f"{name} {form}") in psnr
-    }
-    chosen, on = (known, "validation pairs") if known else (psnr, "these very pairs")
-    return max(chosen, key=chosen.__getitem__, default=None), on
+    validation_psnr_db = _validation_psnr_db(tuned, psnr_db)
+    if validation_psnr_db:
+        label = max(validation_psnr_db, key=validation_psnr_db.__getitem__)
+        return BestClassical(label, "validation pairs")
+    label_or_none = max(psnr_db, key=psnr_db.__getitem__, default=None)
+    return BestClassical(label_or_none, "these very pairs")
+
+
+def _validation_psnr_db(tuned: Mapping[str, Any], labels: Collection[str]) -> dict[str, float]:
+    """Label -> PSNR on validation pairs, of those `labels` that have tuned levels."""
+    psnr_db = {}
+    for name, entry in tuned.items():
+        for form, key in (("+ levels", "default"), ("tuned + levels", "tuned_levels")):
+            label = f"{name} {form}"
+            if label in labels:
+                psnr_db[label] = float(entry[key]["psnr_levels"])
+    return psnr_db
 
 
 def verdict(content: Mapping[str, Any]) -> str:
@@ -206,43 +197,3 @@ def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
     alive = [row for row in rows if row["lost"] is None]
     best = [row["label"] for row in best_forms(alive) if row["kind"] != "noisy"]
     return ["noisy", *best[:most]]
-
-
-def _as_dict(item: Estimate) -> dict[str, Any]:
-    """An estimate for JSON."""
-    return {name: value if name == "count" else plain(value) for name, value in vars(item).items()}
-
-
-def _adjust(rows: Sequence[dict[str, Any]], key: str) -> None:
-    """Add Holm's p over the rows, metric by metric."""
-    for name in _COMPARED:
-        family = [row[key][name] for row in rows if name in row[key]]
-        values = [np.nan if result["p"] is None else result["p"] for result in family]
-        for result, adjusted in zip(family, holm(values), strict=True):
-            result["p_holm"] = plain(adjusted)
-
-
-def paper_table(
-    table: Mapping[str, tuple[str, tuple[float, float, float]]], rows: Sequence[Content]
-) -> list[dict[str, Any]]:
-    """The rows of a table of the paper beside ours.
-
-    Baselines as their library has them, networks by `ablation`; for OURS in Table 2 else the best
-    of the given networks.  rows: the best first, those that are lost last.
-    """
-    lines: list[dict[str, Any]] = []
-    for name, (title, paper) in table.items():
-        named = (row for row in rows if row["name"] == name and not row["form"])
-        same = [row for row in named if row["kind"] in ("noisy", "baseline")]
-        same += [row for row in rows if row["ablation"] == name]
-        if name == OURS and table is TABLE_2:
-            same += [row for row in rows if row["kind"] == "network" and row["lost"] is None]
-        line: dict[str, Any] = {
-            "title": title,
-            "paper": dict(zip(TABLE_METRICS, paper, strict=True)),
-        }
-        line |= {"ours": None, "row": same[0]["label"] if same else None}
-        if same and same[0]["lost"] is None:
-            line["ours"] = {name: same[0]["metrics"][name]["mean"] for name in TABLE_METRICS}
-        lines.append(line)
-    return lines
