@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,14 +25,14 @@ from .frame import Frame, FrameRef
 from .image_axes import image_axes
 from .imaging import layers as truth
 from .imaging.coherent import CoherentScene
-from .imaging.contract import Floats
+from .imaging.contract import Floats, Sample
 from .imaging.pointwise import PointwiseScene
 from .imaging.settings import CoherentSettings, with_materials
 from .insonified import check_share, insonified_share
 from .labels import class_names
 from .moving.compose import Echo, compose
 from .moving.recordings import Moment, Recordings
-from .noise.draws import StreamNames, draw
+from .noise.draws import Draws, StreamNames, draw
 from .requested_columns import requested, requested_row
 from .sample_table import columns, record
 from .selection import choose_frames
@@ -191,17 +191,7 @@ def observe_moment(
         window = fitted_window(moment.frame, moment.rendered, config)
     if _has_conical_beams(config):
         window = conical(window, sonar)
-    lit = _lit_surface(moment.frame, moment.rendered, window, config)
-    scene = _scene_of(lit, config)
-    later_groups: tuple[Scene, ...] = ()
-    if moment.bodies or moment.cast:
-        static = _held_static_scene(moment, scene, window, config)
-        scene = static
-        later_groups = _observe_later_groups(moment, static, window, config)
-    if moment.bodies:
-        lit = _with_bodies(moment, window, config)
-        scene = _scene_of(lit, config, static)
-
+    lit, scene, later_groups = _observe_scene(moment, window, config)
     share = insonified_share(scene.filled, window, sonar)
     check_share(moment.frame.ref, share, config.frames.min_insonified)
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
@@ -220,6 +210,28 @@ def observe_moment(
         continuous=moment.is_continuous,
         later_groups=later_groups,
     )
+
+
+class _ObservedScene(NamedTuple):
+    """What the sonar observes of a moment: the surface, its echoes, and those of later groups."""
+
+    lit: surface.LitSurface
+    scene: Scene
+    later_groups: tuple[Scene, ...]
+
+
+def _observe_scene(moment: Moment, window: Window, config: FactoryConfig) -> _ObservedScene:
+    lit = _lit_surface(moment.frame, moment.rendered, window, config)
+    scene = _scene_of(lit, config)
+    # A recording with moving objects, even where none is in this frame.
+    if not (moment.bodies or moment.cast):
+        return _ObservedScene(lit, scene, ())
+    static = _held_static_scene(moment, scene, window, config)
+    later_groups = _observe_later_groups(moment, static, window, config)
+    if not moment.bodies:
+        return _ObservedScene(lit, static, later_groups)
+    lit = _with_bodies(moment, window, config)
+    return _ObservedScene(lit, _scene_of(lit, config, static), later_groups)
 
 
 def _observe_later_groups(
@@ -263,7 +275,7 @@ def _lit_surface(
 def _held_static_scene(
     moment: Moment, scene: Scene, window: Window, config: FactoryConfig
 ) -> Scene:
-    """Return the static scene that the recording holds, if equal settings made it; else `scene`."""
+    """Return the recording's cached static scene if its settings match, otherwise `scene`."""
     if moment.static is None:
         return scene
     settings = (window, config.sonar, config.water, config.acoustics, config.resample)
@@ -341,19 +353,19 @@ def pair_by_drawn_device(moment: Moment, variant: int, config: FactoryConfig) ->
     """
     assert config.devices is not None
     ref = moment.frame.ref
-    names: tuple[str | int, ...] = (ref.location, ref.scene, ref.frame, variant)
+    stream_names: tuple[str | int, ...] = (ref.location, ref.scene, ref.frame, variant)
     if moment.is_continuous:
-        names = ref.location, ref.scene, variant
+        stream_names = ref.location, ref.scene, variant
     for attempt in range(_DRAWS):
-        again = (attempt,) if attempt else ()
-        device = devices.draw(config.devices, config.seed, *names, *again)
+        retry_name = (attempt,) if attempt else ()
+        device = devices.draw(config.devices, config.seed, *stream_names, *retry_name)
         try:
-            observed, own = observe_by(device, moment, config)
+            observed, device_config = observe_by(device, moment, config)
         except FrameError as error:
-            unseen = error
+            last_error = error
         else:
-            return make_pair(observed, variant, own, device)
-    raise unseen
+            return make_pair(observed, variant, device_config, device)
+    raise last_error
 
 
 def make_pair(
@@ -368,36 +380,33 @@ def make_pair(
     """
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names, continuous=observed.continuous)
-    sample = observed.scene.sample(variant, draws.effects)
-    samples = [sample, *(scene.sample(variant, draws.effects) for scene in observed.later_groups)]
-    lay = _Layout(observed.window, config, is_drawn=device is not None)
-
+    # One sample for each group of beams.
+    scenes = observed.scene, *observed.later_groups
+    samples = [scene.sample(variant, draws.effects) for scene in scenes]
+    layout = _Layout(observed.window, config, is_drawn=device is not None)
     layers = dict(observed.layers)
-    measured = [beam_sample.measured(draws.names, config.dataset.layers) for beam_sample in samples]
-    for name in measured[0]:
-        values = _by_beam_group([levels[name] for levels in measured])
+    for name, values in _measured_values(samples, draws, config).items():
         layers[name] = lay_out_nearest(values, observed.window, config.sonar)
     if "effects" in config.dataset.layers:
         for name in draws.names:
-            shown = _by_beam_group([beam_sample.noisy({name}) for beam_sample in samples])
-            layers[f"layers/{name}"] = lay.image(shown, is_noisy=True)
-
+            grey = _by_beam_group([sample.noisy({name}) for sample in samples])
+            layers[f"layers/{name}"] = layout.image(grey, is_noisy=True)
     if "static" in config.dataset.layers:
-        static = observed.scene.static or observed.scene
-        clean = static.sample(variant, draws.effects).clean
-        layers["static"] = lay.image(clean, is_noisy=False)
+        static_scene = observed.scene.static or observed.scene
+        static_clean = static_scene.sample(variant, draws.effects).clean
+        layers["static"] = layout.image(static_clean, is_noisy=False)
 
     # Images of drawn devices have the columns of the coherent ones, whatever formed them.
     formation = config.acoustics.formation if device is None else "coherent"
-    row = record(observed.ref, variant, observed.window, config.sonar, sample, draws, formation)
+    row = record(observed.ref, variant, observed.window, config.sonar, samples[0], draws, formation)
     if device is not None:
         row |= device.row()
     row |= observed.columns
-    noisy = _by_beam_group([beam_sample.noisy(draws.names) for beam_sample in samples])
-    clean = _by_beam_group([beam_sample.clean for beam_sample in samples])
+    noisy = _by_beam_group([sample.noisy(draws.names) for sample in samples])
+    clean = _by_beam_group([sample.clean for sample in samples])
     return Pair(
-        noisy=lay.image(noisy, is_noisy=True),
-        clean=lay.image(clean, is_noisy=False),
+        noisy=layout.image(noisy, is_noisy=True),
+        clean=layout.image(clean, is_noisy=False),
         shadow=observed.shadow,
         record=row,
         layers=layers,
@@ -410,6 +419,17 @@ def make_pair(
             observed.window.azimuth_max_rad,
         ),
     )
+
+
+def _measured_values(
+    samples: Sequence[Sample], draws: Draws, config: FactoryConfig
+) -> dict[str, npt.NDArray[np.generic]]:
+    """(range_bins, beams) of the measured layers, by name; each beam from the sample of its group.
+
+    samples: one for each group of beams.
+    """
+    measured = [sample.measured(draws.names, config.dataset.layers) for sample in samples]
+    return {name: _by_beam_group([values[name] for values in measured]) for name in measured[0]}
 
 
 class _Layout:

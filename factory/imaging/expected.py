@@ -38,7 +38,7 @@ _FAINTEST = np.float32(1e-37)  # far below every level that is shown, and no sub
 class Expected:
     """Expected intensities of a ping, (range_bins, beams) float32 each; effects change them.
 
-    echo: of what fluctuates as speckle does and texture can change; noise: of what else does.
+    echo: of speckle, which texture can modulate.  noise: of all else that fluctuates.
     steady: of what does not fluctuate.  textured: the part of echo and steady that texture varies.
     looks: independent fields whose intensities are averaged, whole or not.
     shape: nu of the texture.  standing: part of the speckle's power that stays from ping to ping.
@@ -119,23 +119,31 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     unit = np.float32(1)
     total = state.total() + _FAINTEST
     level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))
-    # What texture does to the level goes by the variance that it brings.
-    part = np.minimum(state.textured / total, unit)
+    # Texture shifts the level; the shift is tabulated over the relative variance that it adds.
+    textured_share = np.minimum(state.textured / total, unit)
     shifts_db = _texture_shifts_db(state.shape, power)
-    level_db += interpolate_table(shifts_db, part * part * np.float32(_SHIFTS - 1))
+    shift_step = textured_share * textured_share * np.float32(_SHIFTS - 1)
+    level_db += interpolate_table(shifts_db, shift_step)
+
     low_db, table = _table(settings)
-    level = (level_db - np.float32(low_db)) * np.float32(_STEPS_PER_DB)
-    fixed = np.minimum(state.steady / total, unit)
-    variance = (
-        (unit - fixed * fixed) * (unit / np.float32(state.looks)) * np.float32(_VARIANCES - 1)
-    )
-    row = np.minimum(variance.astype(np.intp), _VARIANCES - 2)
+    level_step = (level_db - np.float32(low_db)) * np.float32(_STEPS_PER_DB)
+    # Relative variance: 1 / looks of what fluctuates, in steps of the table.
+    steady_share = np.minimum(state.steady / total, unit)
+    looks_share = unit / np.float32(state.looks)
+    variance_step = (unit - steady_share * steady_share) * looks_share * np.float32(_VARIANCES - 1)
+    return _interpolate_grey(table, level_step, variance_step)
+
+
+def _interpolate_grey(table: Floats, level_step: Floats, variance_step: Floats) -> Floats:
+    """Grey values between the four nearest of a table as of `_table`; steps count its entries."""
     levels = table.shape[1]
-    place = np.clip(level, np.float32(0), np.float32(levels - 1.001))
-    calm, lively = (
-        interpolate_table(table.ravel(), place, (row + more) * levels) for more in (0, 1)
-    )
-    return np.asarray(calm + (variance - row.astype(np.float32)) * (lively - calm), np.float32)
+    row = np.minimum(variance_step.astype(np.intp), _VARIANCES - 2)
+    column = np.clip(level_step, np.float32(0), np.float32(levels - 1.001))
+    entries = table.ravel()
+    grey_below = interpolate_table(entries, column, row * levels)
+    grey_above = interpolate_table(entries, column, (row + 1) * levels)
+    above_share = variance_step - row.astype(np.float32)
+    return np.asarray(grey_below + above_share * (grey_above - grey_below), np.float32)
 
 
 def interpolate_table(
@@ -152,7 +160,8 @@ def interpolate_table(
 def _table(settings: TransferSettings) -> tuple[float, Floats]:
     """Lowest level, dB; (variances, levels) expected grey values of gamma-distributed intensities.
 
-    variances: 0 to 1, of the intensity over its mean squared; of Rice's, too (Nakagami).
+    variances: Var[I] / E[I]^2, 0 to 1.  Rician intensities are approximated by a gamma distribution
+    of equal variance (Nakagami).
     """
     from scipy import special  # slow to import
 

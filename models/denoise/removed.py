@@ -35,8 +35,8 @@ _TARGET_PX = (2.0, 4.0)  # sigmas that smooth the removed signal to the size of 
 _AROUND_PX = 65  # side of the window in which the smoothed signal has one mean and one spread
 _CLIPPED = 2.5  # a pixel adds at most so many mean deviations to the spread
 _LEAST_SPREAD = 0.6
-"""Part of the whole image's spread that is the least local one: where hardly anything was removed,
-usual grain is no structure."""
+"""Least local spread as a part of the image's, so that ordinary grain is not reported where hardly
+anything was removed."""
 _MEAN_TO_STD = math.sqrt(math.pi / 2)  # mean absolute deviation to sigma of a normal distribution
 _LEAST_PIXELS = 1000
 
@@ -44,9 +44,9 @@ _BEYOND = 4.0
 """Spreads from which on a pixel counts to the share: one in 16,000 pixels of normal grain."""
 _LIMIT = 6.5
 _LIMIT_RISE = 0.2
-"""Spreads that grain does not reach in one image, and their rise with the logarithm of the number
-of images.  Measured on real recordings (docs/recordings.md): with the mean over time as the
-denoised frame, 58 frames of grain reach 6.6."""
+"""Limit that grain does not reach in one image, in spreads, and its increase per unit of
+ln(number of images).  Measured on real recordings (docs/recordings.md): with the mean over time as
+the denoised frame, 58 frames of grain reach 6.6."""
 
 
 @dataclass(frozen=True)
@@ -97,16 +97,18 @@ class Removed:
         if np.count_nonzero(inside) < _LEAST_PIXELS or not signal.any():
             return None
 
-        rows, columns = factors(self.noisy.shape)
+        row_factor, column_factor = factors(self.noisy.shape)
         structures = []
         for sigma_px in _TARGET_PX:
-            smooth = cv2.GaussianBlur(signal, (0, 0), sigma_px / columns, sigmaY=sigma_px / rows)
-            around_px = (_AROUND_PX // columns | 1, _AROUND_PX // rows | 1)
-            structures.append(_furthest(smooth, inside, around_px))
+            smooth = cv2.GaussianBlur(
+                signal, (0, 0), sigma_px / column_factor, sigmaY=sigma_px / row_factor
+            )
+            around_px = (_AROUND_PX // column_factor | 1, _AROUND_PX // row_factor | 1)
+            structures.append(_find_furthest_spot(smooth, inside, around_px))
         furthest = max(structures, key=lambda structure: abs(structure.deviation))
         share = max(structure.share for structure in structures)
-        row = furthest.row * rows
-        column = furthest.column * columns
+        row = furthest.row * row_factor
+        column = furthest.column * column_factor
         return Structure(row, column, furthest.deviation, share)
 
     @cached_property
@@ -134,7 +136,7 @@ def _local_mean(plane: Grey, inside: Grey, side_px: tuple[int, int]) -> Grey:
     return np.asarray(cv2.blur(masked, side_px) / share)
 
 
-def _furthest(smooth: Grey, inside: Grey, around_px: tuple[int, int]) -> Structure:
+def _find_furthest_spot(smooth: Grey, inside: Grey, around_px: tuple[int, int]) -> Structure:
     """The spot of a smoothed signal, (H, W), that lies furthest from its surroundings.
 
     inside: (H, W) bool, where to look.  around_px: width and height of the surroundings.
@@ -144,10 +146,12 @@ def _furthest(smooth: Grey, inside: Grey, around_px: tuple[int, int]) -> Structu
 
     # The mean is taken twice, so that a target adds little to the spread that it is measured by.
     distance = np.abs(deviation)
-    usual = _local_mean(distance, mask, around_px)
-    usual = _local_mean(np.minimum(distance, _CLIPPED * usual), mask, around_px)
-    everywhere = float(np.sqrt((usual[inside] ** 2).mean()))
-    spread = np.maximum(usual, max(_LEAST_SPREAD * everywhere, 1e-6)) * np.float32(_MEAN_TO_STD)
+    mean_distance = _local_mean(distance, mask, around_px)
+    clipped = np.minimum(distance, _CLIPPED * mean_distance)
+    mean_distance = _local_mean(clipped, mask, around_px)
+    image_rms = float(np.sqrt((mean_distance[inside] ** 2).mean()))
+    least_distance = max(_LEAST_SPREAD * image_rms, 1e-6)
+    spread = np.maximum(mean_distance, least_distance) * np.float32(_MEAN_TO_STD)
 
     score = deviation / spread
     row, column = np.unravel_index(int(np.argmax(np.abs(score))), score.shape)

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .images import Grey
-from .polar import Maps, polar_grid, sampled
+from .polar import Maps, PolarGrid, polar_grid, sampled
 
 _LEAST_SIDE = 192
 """Places along a side of a coarser grid: networks have seen few of fewer."""
@@ -40,40 +40,47 @@ def by_cells(grey: Grey, maps: Maps, denoise: Callable[[Grey, Maps], Grey]) -> G
     grid = polar_grid(maps) if "azimuth_rad" in maps else None
     if grid is None:
         return denoise(grey, maps)
-    fine = sampled(grey, grid.cells_in_fan)
-    width = cell_width(fine)
+    polar_grey = sampled(grey, grid.cells_in_fan)
+    width = cell_width(polar_grey)
     rows, columns = (max(round(side / width), _LEAST_SIDE) for side in grey.shape)
     if width < _WIDE or rows >= grey.shape[0] or columns >= grey.shape[1]:
         return denoise(grey, maps)
+    cell_means = _mean_of_cells(polar_grey, rows, columns)
+    denoised = denoise(cell_means, _maps_of_cells(maps, grid, rows, columns))
 
-    def of_cells(plane: Grey) -> Grey:
-        return np.asarray(cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA))
-
-    cells = of_cells(fine)
-    # All cells of a row have one range exactly: so a network knows that they are no fan's.
-    ranges = of_cells(grid.cells["range_fraction"])[:, :1]
-    bearings = of_cells(grid.cells["azimuth_rad"])[:1]
-    cell_maps = {
-        "range_fraction": np.repeat(ranges, columns, axis=1),
-        "azimuth_rad": np.repeat(bearings, rows, axis=0),
-    }
-    inside = np.ones(grey.shape, bool)
-    if "sector" in maps:
-        inside = maps["sector"] > 0
-        sector = of_cells(sampled(maps["sector"], grid.cells_in_fan))
-        cell_maps["sector"] = (sector > 0.5).astype(np.float32)
-    denoised = denoise(cells, cell_maps)
     shares = (rows / grey.shape[0], columns / grey.shape[1])
     pixels_in_cells = [
         (position + 0.5) * np.float32(share) - 0.5
         for position, share in zip(grid.pixels_in_grid, shares, strict=True)
     ]
-    enlarged = sampled(denoised, pixels_in_cells)
-    before = sampled(cells, pixels_in_cells)
-    # Detail within cells stays where they do, and goes where they become dark.
-    kept = np.clip(enlarged / np.maximum(before, _LEAST_GREY), 0, 1)
-    changed = enlarged + kept * (grey - before)
-    return np.asarray(np.clip(np.where(inside, changed, grey), 0, 1), np.float32)
+    denoised_pixels = sampled(denoised, pixels_in_cells)
+    noisy_pixels = sampled(cell_means, pixels_in_cells)
+    # Detail within a cell stays in proportion to the brightness that the cell keeps.
+    kept_share = np.clip(denoised_pixels / np.maximum(noisy_pixels, _LEAST_GREY), 0, 1)
+    restored = denoised_pixels + kept_share * (grey - noisy_pixels)
+    if "sector" in maps:
+        restored = np.where(maps["sector"] > 0, restored, grey)
+    return np.asarray(np.clip(restored, 0, 1), np.float32)
+
+
+def _mean_of_cells(plane: Grey, rows: int, columns: int) -> Grey:
+    """(rows, columns) means of a finer polar grid."""
+    return np.asarray(cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA))
+
+
+def _maps_of_cells(maps: Maps, grid: PolarGrid, rows: int, columns: int) -> dict[str, Grey]:
+    """The maps of a grid with one place for each cell, (rows, columns) each."""
+    range_fraction = _mean_of_cells(grid.cells["range_fraction"], rows, columns)
+    azimuth_rad = _mean_of_cells(grid.cells["azimuth_rad"], rows, columns)
+    cell_maps = {
+        # Exactly equal ranges along a row tell the network that this is no fan.
+        "range_fraction": np.repeat(range_fraction[:, :1], columns, axis=1),
+        "azimuth_rad": np.repeat(azimuth_rad[:1], rows, axis=0),
+    }
+    if "sector" in maps:
+        sector = _mean_of_cells(sampled(maps["sector"], grid.cells_in_fan), rows, columns)
+        cell_maps["sector"] = (sector > 0.5).astype(np.float32)
+    return cell_maps
 
 
 def cell_width(grid_values: Grey) -> float:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -96,6 +97,16 @@ class _Targets:
     faint: dict[int, Grey]
 
 
+class _NoiseSample(NamedTuple):
+    """Where noise is measured on one frame.
+
+    neighbour: its index.  grey: (h, w) grey values of the scene; a pixel of 0 is left out.
+    """
+
+    neighbour: int
+    grey: Grey
+
+
 class Fusion:
     """Fuses the frames of a recording in order, and learns from each what noise explains.
 
@@ -115,25 +126,20 @@ class Fusion:
         if not neighbours:
             ones = np.ones(grey.shape, np.float32)
             return Fused(frame, ones, ones)
-        measured_index = self._neighbour_to_measure(len(neighbours))
-        if measured_index is not None:
-            self._measure_noise(grey, neighbours[measured_index])
-
         small, visible = _reduce(grey, neighbours)
-        # Noise is not measured where the grey value is 0, so 0 where the neighbour is not visible.
-        measured_grey = small.median
-        if measured_index is not None:
-            measured_grey = small.median * visible[measured_index]
+        noise_sample = None
+        index = self._neighbour_to_measure(len(neighbours))
+        if index is not None:
+            self._measure_noise(grey, neighbours[index])
+            noise_sample = _NoiseSample(index, small.median * visible[index])
 
         # Of the neighbours, then of the frame itself.
         from_median = [plane - small.median for plane in (*small.neighbours, small.frame)]
-        agreement = self._median_agreement(from_median, small.median, measured_index, measured_grey)
+        agreement = self._median_agreement.compute(from_median, small.median, noise_sample)
         agrees_with_median = agreement[:-1]
         static = agreement[-1]
         from_frame = [plane - small.frame for plane in small.neighbours]
-        agrees_with_frame = self._frame_agreement(
-            from_frame, small.frame, measured_index, measured_grey
-        )
+        agrees_with_frame = self._frame_agreement.compute(from_frame, small.frame, noise_sample)
 
         # Where the frame shows an object, a neighbour that agrees with the median shows the scene,
         # even if noise alone could explain its difference from the frame.
@@ -155,8 +161,8 @@ class Fusion:
     def shows_same(self, fused: Fused, later: Grey, visible: Grey) -> npt.NDArray[np.bool_]:
         """Where another frame, (H, W), shows the static scene that was fused.
 
-        Pixels where something moves, in either, are left out: a later frame does not show what
-        moved, and would teach that it is noise.
+        Excludes pixels where something moves in either frame: calibration would mistake the motion
+        for noise.
         """
         small = blurred(reduced(fused.image), _SMALL_SIGMA_PX)
         difference = np.abs(blurred(reduced(later), _SMALL_SIGMA_PX) - small)
@@ -195,11 +201,8 @@ class Fusion:
         tracks = find_tracks({offset: deviations[offset] * faint[offset] for offset in offsets})
         score = self._score_spread.standardise(np.abs(tracks.score), lit)
         significance = np.clip((score - _GATE_START) / (_GATE_END - _GATE_START), 0, 1)
-        # A bright object on another path is not what this path shows: the frame shows it itself.
-        excess = np.abs(deviations[0] - tracks.mean) - np.float32(_EXPLAINED_LIMIT)
-        explained = cv2.exp(-np.square(np.maximum(excess, 0)))
-        gate = cv2.dilate(significance.astype(np.float32), np.ones((3, 3), np.uint8))
-        gate = gate * cv2.erode(explained, np.ones((3, 3), np.uint8))
+        significant = cv2.dilate(significance.astype(np.float32), np.ones((3, 3), np.uint8))
+        gate = significant * _explained(deviations[0], tracks.mean)
         return _Targets(tracks, cv2.blur(gate, (3, 3)), faint)
 
 
@@ -214,21 +217,16 @@ class _Agreement:
         self.noise = NoiseByLevel()
         self._wide_noise = NoiseByLevel()
 
-    def __call__(
-        self,
-        differences: Sequence[Grey],
-        grey: Grey,
-        measured_index: int | None,
-        measured_grey: Grey,
+    def compute(
+        self, differences: Sequence[Grey], grey: Grey, noise_sample: _NoiseSample | None
     ) -> list[Grey]:
         """1 up to the limit in both windows, then falling to 0; (h, w) for each difference.
 
         differences: (h, w) each, from planes of grey values `grey`.
-        measured_index: of the difference that noise is measured on; None: on none.
-        measured_grey: (h, w) grey values by which it is measured; a pixel of 0 is left out.
+        noise_sample: the difference that noise is measured on; None: on none.
         """
-        if measured_index is not None:
-            self.noise.add(differences[measured_index], measured_grey)
+        if noise_sample is not None:
+            self.noise.add(differences[noise_sample.neighbour], noise_sample.grey)
         sigma = self.noise.at(grey)
         small = [difference / sigma for difference in differences]
         wide = [
@@ -237,12 +235,12 @@ class _Agreement:
             )
             for deviation in small
         ]
-        if measured_index is not None:
-            self._wide_noise.add(wide[measured_index], measured_grey)
+        if noise_sample is not None:
+            self._wide_noise.add(wide[noise_sample.neighbour], noise_sample.grey)
         wide_sigma = self._wide_noise.at(grey)
         agreement = []
-        for near, around in zip(small, wide, strict=True):
-            deviation = np.maximum(np.abs(near), np.abs(around / wide_sigma))
+        for small_deviation, wide_mean in zip(small, wide, strict=True):
+            deviation = np.maximum(np.abs(small_deviation), np.abs(wide_mean / wide_sigma))
             excess = np.maximum(deviation - self._limit, 0)
             agreement.append(cv2.exp(-excess * excess))
         return agreement
@@ -277,7 +275,7 @@ def _reduce(grey: Grey, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list
 
 
 def _smooth(weight: Grey) -> Grey:
-    """A weight that falls before it reaches a pixel that disagrees."""
+    """Erode and blur a weight, so that it is 0 already beside a pixel that disagrees."""
     return cv2.blur(cv2.erode(weight, np.ones((3, 3), np.uint8)), (3, 3))
 
 
@@ -320,6 +318,16 @@ def _with_targets(
     target = _mean_target(frame, scene, neighbours, targets)
     image = fused.image + _like(gate, fused.image) * (scene + target - fused.image)
     return Fused(np.clip(image, 0, 1), fused.frame_count, fused.static_share * (1 - gate))
+
+
+def _explained(deviation: Grey, path_mean: Grey) -> Grey:
+    """1 where the mean along a path explains the frame's deviation, else down to 0; (h, w).
+
+    It does not at a bright object on another path, which the frame shows itself.
+    """
+    excess = np.abs(deviation - path_mean) - np.float32(_EXPLAINED_LIMIT)
+    explained = cv2.exp(-np.square(np.maximum(excess, 0)))
+    return cv2.erode(explained, np.ones((3, 3), np.uint8))
 
 
 def _faint(deviation: Grey) -> Grey:

@@ -142,7 +142,7 @@ class InTime:
             self._shots[self._newest] = shot
             if self._window > 1:
                 self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
-                # The aligner keeps this motion: those over several frames start from such ones.
+                # Cache the motion between consecutive frames; longer motions start from it.
                 self._aligner.motion(self._newest, self._newest - 1)
             while self._next <= self._newest - self._lookahead():
                 yield from self._denoise_next()
@@ -155,9 +155,12 @@ class InTime:
         """How many frames must have come after the next one before it is denoised."""
         if self._causal or not self._calibrated:
             return self._after
-        # The first frame waits for a calibration; later ones for a frame to calibrate on.
         is_starting = self._next == 0 and self._newest < self._window
-        return self._window if is_starting else self._after + 1
+        if is_starting:
+            # The first calibration takes a whole window and a frame beyond it.
+            return self._window
+        # Every later one takes a frame beyond the window as its target.
+        return self._after + 1
 
     def _denoise_next(self) -> Iterator[tuple[Any, Grey]]:
         """Fuse the next frame and start its denoising; yield the frames that are finished."""
@@ -284,7 +287,8 @@ class InTime:
     def _calibrate_if_due(self, number: int) -> None:
         """Calibrate before frame `number` is denoised, if enough frames came since the last time.
 
-        The first time the first frame with a whole window is taken, unless the stream is causal.
+        A centred stream first calibrates on frame `_before`, the first with a whole window.  Every
+        other calibration is on frame `number`, 8 to 32 frames or more after the one before.
         """
         if self._last_calibrated is None and not self._causal:
             self._calibrate(self._before)

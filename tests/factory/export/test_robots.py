@@ -114,10 +114,13 @@ def test_poses_and_images_are_beside_the_pings(datasets: dict[str, Path], tmp_pa
     np.testing.assert_array_equal(images, noisy)
 
 
-def test_a_point_cloud_has_class_and_intensity(datasets: dict[str, Path], tmp_path: Path) -> None:
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_point_cloud_has_class_and_intensity(
+    datasets: dict[str, Path], layout: str, tmp_path: Path
+) -> None:
     open3d = pytest.importorskip("open3d")
-    export(datasets["fan"], "ply", tmp_path / "out")
-    with PairDataset(datasets["fan"], "train", layers=None, trusted=True) as pairs:
+    export(datasets[layout], "ply", tmp_path / "out")
+    with PairDataset(datasets[layout], "train", layers=None, trusted=True) as pairs:
         sample = pairs[0]
     cloud = open3d.t.io.read_point_cloud(str(tmp_path / "out/train/000000.ply"))
     points = cloud.point["positions"].numpy()
@@ -127,7 +130,8 @@ def test_a_point_cloud_has_class_and_intensity(datasets: dict[str, Path], tmp_pa
     bearing = np.arctan2(-points[:, 1], points[:, 0])
     np.testing.assert_allclose(bearing, sample["azimuth"][is_echo], atol=1e-5)
     clean = cloud.point["clean"].numpy()[:, 0]
-    np.testing.assert_allclose(clean, sample["clean"][is_echo] / 255, atol=1e-6)
+    full_scale = 255 if layout == "fan" else 1
+    np.testing.assert_allclose(clean, sample["clean"][is_echo] / full_scale, atol=1e-6)
     classes = cloud.point["class"].numpy()[:, 0]
     np.testing.assert_array_equal(classes, sample["segmentation"][is_echo])
     assert "intensity" in cloud.point
