@@ -23,13 +23,15 @@ from ..recorded import Stretch
 from ..settings import DetectSettings
 from .detector import Responses, real_motion, responses_of
 from .recording import StaticRecording, open_static
-from .rows import REACH, RECORDED, Row, Stored, denoised, rows_of
+from .rows import REACH, RECORDED, Row, Stored, denoise_sequence, rows_of
 from .scores import Answers, MethodFigures, figures_of
 from .targets import Sighting, Track, TrackPlan, classes_of, draw_tracks, insert_targets
 
+_RATIO_FRAMES = 5  # frames of a sequence whose ratio images are measured
+
 
 @dataclass(frozen=True, eq=False)
-class Sequences:
+class TwinSequences:
     """A recording with targets, its twin without, and what both are judged by.
 
     with_targets, without: as the recording stores frames.  motion: (N, H, W) bool, real motion.
@@ -46,15 +48,12 @@ class Sequences:
 
     @property
     def judged(self) -> range:
-        """The frames whose sightings count: they have a whole window."""
+        """Numbers of the frames whose sightings count: those with a whole window."""
         return range(REACH + 1, len(self.with_targets) - REACH - 1)
 
 
-_RATIO_FRAMES = 5  # of a sequence, whose ratio images are measured
-
-
 class Images(NamedTuple):
-    """A frame, (H, W) float32 in 0..1, with targets and without."""
+    """A denoised frame, (H, W) float32 in 0..1, with targets and without."""
 
     with_targets: Grey
     without: Grey
@@ -62,12 +61,9 @@ class Images(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A sighting to look at.
+    """A sighting that the report shows.  images: label of a row -> its images of the frame."""
 
-    sequence: its number.  images: label of a row -> what it made of the frame.
-    """
-
-    sequence: int
+    sequence_number: int
     track: Track
     sighting: Sighting
     images: dict[str, Images]
@@ -75,12 +71,13 @@ class Example:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """figures: label of a row -> its figures.  lost: label -> why there are none.
+    """What was measured.
 
+    figures: label of a row -> its figures.  lost: label -> why a row has none.
     ratios: label -> figures of its ratio images, means over the sequences.
     """
 
-    sequences: list[Sequences]
+    sequences: list[TwinSequences]
     figures: dict[str, MethodFigures]
     ratios: dict[str, Figures]
     lost: dict[str, str]
@@ -90,26 +87,35 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A row on a sequence; it travels to a worker.  shown: frames whose images come back."""
+    """A row to run on one pair of sequences; it travels to a worker.
 
-    sequence: int
+    example_frames: numbers of the frames whose denoised images come back.
+    """
+
+    sequence_number: int
     row: Row
-    sequences: Sequences
+    twins: TwinSequences
     device: str
-    shown: tuple[int, ...]
+    example_frames: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """responses: or None and why.  images: number of a frame -> its images, and its twin's.
+    """What a row gave on one pair of sequences.
 
-    ratio: mean figures of the ratio images of some frames.
+    responses: None if the row failed; `lost` gives the reason.
+    images: number of a frame -> its images.
+    ratio: figures of the ratio images, means over some frames.
     """
 
     responses: Responses | None
-    images: dict[int, Images]
+    images: dict[int, Images] = field(default_factory=dict)
     ratio: Figures = field(default_factory=dict)
     lost: str = ""
+
+
+Results = dict[tuple[int, str], Result]
+"""(number of the sequences, label of the row) -> result."""
 
 
 def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool) -> Outcome:
@@ -117,8 +123,8 @@ def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
     networks = networks_at(settings.models)
     recordings, notes = _static_recordings(stretches, settings.limit)
     notes += learned_notes(stretches, networks)
-    sequences: list[Sequences] = []
-    rows_by_sequence: list[list[Row]] = []
+    sequences: list[TwinSequences] = []
+    rows_of_sequence: list[list[Row]] = []
     for recording in recordings:
         rows = rows_of(
             recording.frames,
@@ -127,58 +133,62 @@ def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
             networks=networks,
             windows=settings.frames,
         )
-        notes += _tuning_notes(recording.name, rows)
+        notes.append(_tuning_note(recording.name, rows))
         for repeat in range(settings.repeats):
-            sequences.append(_with_targets(recording, settings, repeat))
-            rows_by_sequence.append(rows)
-    examples = _examples(sequences, settings)
+            sequences.append(_insert_tracks(recording, settings, repeat))
+            rows_of_sequence.append(rows)
+
+    examples = _choose_examples(sequences, settings)
     tasks: list[Task] = []
-    for number, rows in enumerate(rows_by_sequence):
-        frames = tuple(
-            {example.sighting.frame for example in examples if example.sequence == number}
-        )
-        tasks += [Task(number, row, sequences[number], settings.device, frames) for row in rows]
-    results, lost = _run(tasks, pool, settings.image_timeout_s * len(recordings[0].frames))
-    labels = dict.fromkeys(task.row.label for task in tasks)
-    figures = {
-        label: _figures(label, results, sequences, settings)
-        for label in labels
-        if label not in lost
-    }
+    for number, (twins, rows) in enumerate(zip(sequences, rows_of_sequence, strict=True)):
+        frames = {
+            example.sighting.frame for example in examples if example.sequence_number == number
+        }
+        tasks += [Task(number, row, twins, settings.device, tuple(frames)) for row in rows]
+    results, lost = _run_tasks(tasks, pool, settings.image_timeout_s * len(recordings[0].frames))
+
+    every_label = dict.fromkeys(task.row.label for task in tasks)
+    labels = [label for label in every_label if label not in lost]
     for example in examples:
-        for label in figures:
-            images = results[example.sequence, label].images
+        for label in labels:
+            images = results[example.sequence_number, label].images
             example.images[label] = images[example.sighting.frame]
     ratios = {
         label: _mean_figures([results[number, label].ratio for number in range(len(sequences))])
-        for label in figures
+        for label in labels
     }
+    figures = {label: _row_figures(label, results, sequences, settings) for label in labels}
     return Outcome(sequences, figures, ratios, lost, examples, notes)
 
 
 def run_row(task: Task) -> Result:
     """Denoise both sequences and ask the detectors; or say why the row failed."""
-    both = task.sequences
+    twins = task.twins
     try:
         with_targets, without = (
-            denoised(task.row, stored, both.full_scale, both.geometry, task.device)
-            for stored in (both.with_targets, both.without)
+            denoise_sequence(task.row, stored, twins.full_scale, twins.geometry, task.device)
+            for stored in (twins.with_targets, twins.without)
         )
     except Exception as error:  # a method that crashes loses its row, not the report
-        return Result(None, {}, lost=reason(error))
+        return Result(None, lost=reason(error))
     responses = responses_of(
-        with_targets, without, both.tracks, both.insonified, both.motion, both.judged
+        with_targets, without, twins.tracks, twins.insonified, twins.motion, twins.judged
     )
-    images = {number: Images(with_targets[number], without[number]) for number in task.shown}
-    full = np.float32(both.full_scale)
+    images = {
+        number: Images(with_targets[number], without[number]) for number in task.example_frames
+    }
+    full_scale = np.float32(twins.full_scale)
     ratios = [
-        ratio_figures(both.with_targets[number] / full, with_targets[number], both.insonified)
-        for number in evenly(both.judged, _RATIO_FRAMES)
+        ratio_figures(
+            twins.with_targets[number] / full_scale, with_targets[number], twins.insonified
+        )
+        for number in evenly(twins.judged, _RATIO_FRAMES)
     ]
     return Result(responses, images, _mean_figures(ratios))
 
 
 def _mean_figures(figures: Sequence[Figures]) -> Figures:
+    """The mean of each figure."""
     return {name: float(np.mean([single[name] for single in figures])) for name in figures[0]}
 
 
@@ -194,18 +204,20 @@ def _static_recordings(
         except FactoryError as error:
             problems.append(str(error))
     if not recordings:
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise FactoryError(problems[0] + more)
+        others = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise FactoryError(problems[0] + others)
     return recordings, [f"left out: {problem}" for problem in problems]
 
 
-def _with_targets(recording: StaticRecording, settings: DetectSettings, repeat: int) -> Sequences:
-    """Raises FactoryError where no track finds room."""
+def _insert_tracks(
+    recording: StaticRecording, settings: DetectSettings, repeat: int
+) -> TwinSequences:
+    """A recording with targets, and its twin.  Raises FactoryError where no track finds room."""
     plan = TrackPlan(
         classes_of(settings.sizes, settings.contrasts),
-        settings.tracks,
-        settings.track_frames,
-        settings.speed_px,
+        at_once=settings.tracks,
+        frames=settings.track_frames,
+        speed_px=settings.speed_px,
     )
     rng = stream(settings.seed, "targets", recording.name, repeat)
     tracks = draw_tracks(recording.insonified, len(recording.frames), plan, rng)
@@ -216,45 +228,46 @@ def _with_targets(recording: StaticRecording, settings: DetectSettings, repeat: 
         )
     inserted = insert_targets(recording.frames, recording.insonified, tracks, rng)
     without = recording.stored(inserted.without)
-    twin = without.astype(np.float32) / np.float32(recording.full_scale)
-    return Sequences(
-        recording.name,
-        recording.stored(inserted.with_targets),
-        without,
-        recording.full_scale,
-        recording.geometry,
-        tuple(tracks),
-        recording.insonified,
-        real_motion(twin, recording.insonified),
+    twin_frames = without.astype(np.float32) / np.float32(recording.full_scale)
+    return TwinSequences(
+        name=recording.name,
+        with_targets=recording.stored(inserted.with_targets),
+        without=without,
+        full_scale=recording.full_scale,
+        geometry=recording.geometry,
+        tracks=tuple(tracks),
+        insonified=recording.insonified,
+        motion=real_motion(twin_frames, recording.insonified),
     )
 
 
-def _examples(sequences: Sequence[Sequences], settings: DetectSettings) -> list[Example]:
-    """Of each class the middle sighting of its first track, recordings taking turns."""
+def _choose_examples(sequences: Sequence[TwinSequences], settings: DetectSettings) -> list[Example]:
+    """The middle sighting of the first track of each class, sequences taking turns."""
     examples: list[Example] = []
     classes = evenly(classes_of(settings.sizes, settings.contrasts), settings.examples)
     for turn, target in enumerate(classes):
         number = turn % len(sequences)
-        both = sequences[number]
-        for track in both.tracks:
+        twins = sequences[number]
+        for track in twins.tracks:
             middle = track.sightings[len(track.sightings) // 2]
-            if track.target == target and middle.frame in both.judged:
+            if track.target == target and middle.frame in twins.judged:
                 examples.append(Example(number, track, middle, {}))
                 break
     return examples
 
 
-def _tuning_notes(name: str, rows: Sequence[Row]) -> list[str]:
+def _tuning_note(name: str, rows: Sequence[Row]) -> str:
+    """Which parameters the tuned rows of a recording have."""
     tuned = [row for row in rows if row.kind != "filter" or row.label.endswith("tuned")]
-    words = [row.label + shown(row.parameters) for row in tuned if row.parameters]
-    return [f"{name}: tuned to the recording without targets: {'; '.join(words)}"]
+    texts = [row.label + shown(row.parameters) for row in tuned if row.parameters]
+    return f"{name}: tuned to the recording without targets: {'; '.join(texts)}"
 
 
-def _run(
+def _run_tasks(
     tasks: Sequence[Task], pool: TaskPool, timeout_s: float
-) -> tuple[dict[tuple[int, str], Result], dict[str, str]]:
-    """(sequence, label) -> result; and label -> why a row is lost."""
-    results: dict[tuple[int, str], Result] = {}
+) -> tuple[Results, dict[str, str]]:
+    """The results; and label -> why a row is lost."""
+    results: Results = {}
     lost: dict[str, str] = {}
     # The slowest first, so that no worker is left with it at the end.
     waiting = deque(sorted(tasks, key=lambda task: (-task.row.frames, task.row.kind != "network")))
@@ -266,24 +279,21 @@ def _run(
             elif result.responses is None:
                 lost.setdefault(task.row.label, result.lost)
             else:
-                results[task.sequence, task.row.label] = result
+                results[task.sequence_number, task.row.label] = result
     if RECORDED.label in lost:
         raise FactoryError(f"the recorded frames cannot be judged: {lost[RECORDED.label]}")
     return results, lost
 
 
-def _figures(
-    label: str,
-    results: dict[tuple[int, str], Result],
-    sequences: Sequence[Sequences],
-    settings: DetectSettings,
+def _row_figures(
+    label: str, results: Results, sequences: Sequence[TwinSequences], settings: DetectSettings
 ) -> MethodFigures:
     answers = []
-    for number, both in enumerate(sequences):
-        own = results[number, label].responses
+    for number, twins in enumerate(sequences):
+        denoised = results[number, label].responses
         recorded = results[number, RECORDED.label].responses
-        assert own is not None
+        assert denoised is not None
         assert recorded is not None
-        answers.append(Answers(both.tracks, own, recorded))
+        answers.append(Answers(twins.tracks, denoised, recorded))
     classes = classes_of(settings.sizes, settings.contrasts)
     return figures_of(answers, classes, resamples=settings.bootstrap, seed=settings.seed)

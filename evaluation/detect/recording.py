@@ -23,19 +23,20 @@ from .targets import Frames, blurred
 
 LEAST_FRAMES = 20
 
-_INSONIFIED = (16 / 255, 170 / 255)  # grey values of the smoothed mean
-_INSONIFIED_PX = 2.0
+_INSONIFIED_LEVELS = (16 / 255, 170 / 255)  # grey values of the smoothed mean of all frames
+_INSONIFIED_SIGMA_PX = 2.0  # of its blur
 _MARGIN_PX = 31  # side of the neighbourhood that has to be insonified as well
-_COMPARED = 12  # frames that show whether a recording is static
-_SAME = 0.75  # share of them that must show one scene
-_FURTHEST_PX = 2.0  # from each other
+_COMPARED_FRAMES = 12  # frames that are compared to tell whether the sonar is at rest
+_SAME_SHARE = 0.75  # share of them that must show one scene
+_FURTHEST_PX = 2.0  # how far the scene may shift between them
 
 
 @dataclass(frozen=True, eq=False)
 class StaticRecording:
-    """frames: (N, H, W) float32 in 0..1.  insonified: (H, W) bool, where targets may be.
+    """Frames of a sonar at rest.
 
-    full_scale: levels of the file above 0; what is inserted is rounded to them.
+    frames: (N, H, W) float32 in 0..1.  insonified: (H, W) bool, where targets may be.
+    full_scale: greatest level of the file; frames with targets are rounded to its levels.
     """
 
     name: str
@@ -73,7 +74,7 @@ def open_static(stretch: Stretch, frame_limit: int) -> StaticRecording:
             )
         images.append(image)
     frames = np.stack(images)
-    # Dark recordings are judged as they are shown.
+    # A dark recording is brightened as for display.
     gain = presentation_of(frames.mean(axis=0), None).gain
     frames = np.minimum(frames * gain, np.float32(1))
     if geometry is None:
@@ -91,19 +92,19 @@ def open_static(stretch: Stretch, frame_limit: int) -> StaticRecording:
 
 def insonified_area(frames: Frames) -> Mask:
     """(H, W) bool: neither dark nor saturated, with a margin."""
-    level = blurred(frames.mean(axis=0), _INSONIFIED_PX)
-    least, most = _INSONIFIED
-    lit = ((level > least) & (level < most)).astype(np.uint8)
-    return cv2.erode(lit, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
+    level = blurred(frames.mean(axis=0), _INSONIFIED_SIGMA_PX)
+    lowest, highest = _INSONIFIED_LEVELS
+    is_insonified = ((level > lowest) & (level < highest)).astype(np.uint8)
+    return cv2.erode(is_insonified, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
 
 
 def check_static(name: str, frames: Frames, sector: Mask) -> None:
     """Raises FactoryError for a recording whose sonar moves."""
-    numbers = evenly(range(len(frames)), _COMPARED)
+    numbers = evenly(range(len(frames)), _COMPARED_FRAMES)
     compared: Sequence[npt.NDArray[np.float32]] = [frames[number] for number in numbers]
-    least = int(np.ceil(_SAME * len(numbers)))
-    groups = find_groups(compared, [sector] * len(numbers), least=least, furthest_px=_FURTHEST_PX)
-    if not groups:
+    sectors = [sector] * len(numbers)
+    least = int(np.ceil(_SAME_SHARE * len(numbers)))
+    if not find_groups(compared, sectors, least=least, furthest_px=_FURTHEST_PX):
         raise FactoryError(
             f"{name}: the sonar moves; targets are inserted into static recordings alone, give "
             "a stretch in which it is at rest"

@@ -13,9 +13,9 @@ from ..recorded import Stretch, frame_of, open_input
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, interval, plain, written
 from ..settings import DetectSettings
-from .curves import Plot, drawn
+from .curves import Plot, draw_plots
 from .judge import Outcome, judge
-from .scores import CURVE_ALARMS, CURVE_RATES, Estimate, MethodFigures
+from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, Estimate, MethodFigures
 from .sheet import crop_sheet
 from .targets import classes_of
 
@@ -60,14 +60,14 @@ def evaluate(settings: DetectSettings) -> None:
 
 def write(settings: DetectSettings, outcome: Outcome) -> str:
     """Write the files; returns what the terminal shows."""
-    frames = sum(len(sequence.with_targets) for sequence in outcome.sequences)
-    tracks = sum(len(sequence.tracks) for sequence in outcome.sequences)
-    names = ", ".join(dict.fromkeys(sequence.name for sequence in outcome.sequences))
-    about = f"{names}: {frames} frames with {tracks} moving targets. "
+    frame_count = sum(len(twins.with_targets) for twins in outcome.sequences)
+    track_count = sum(len(twins.tracks) for twins in outcome.sequences)
+    names = ", ".join(dict.fromkeys(twins.name for twins in outcome.sequences))
+    about = f"{names}: {frame_count} frames with {track_count} moving targets. "
     about += "".join(f"{note}. " for note in outcome.notes)
     table = overall_table(outcome)
     labels = list(outcome.figures)
-    curves = drawn(_plots(outcome.figures)).encode()
+    curves = draw_plots(_plots(outcome.figures)).encode()
     drawings = [Drawing("curves.svg", "What each method leaves to find", curves)]
     if outcome.examples:
         sheet = crop_sheet(outcome.examples, labels)
@@ -96,38 +96,41 @@ def write(settings: DetectSettings, outcome: Outcome) -> str:
 
 
 def overall_table(outcome: Outcome) -> pd.DataFrame:
-    """A line a method, with intervals."""
+    """Means over classes with their intervals, a line for each method."""
     head = [
         "method", "AUC", "contrast", "detection", "against recorded", "false alarms a frame",
         "ratio correlation",
     ]  # fmt: skip
     lines = []
     for label, figures in outcome.figures.items():
-        own = figures.overall
-        cells = [_with_interval(estimate) for estimate in (own.auc, own.contrast, own.detection)]
-        cells.append(_with_interval(own.detection_gain, sign=True))
-        ratio = written(outcome.ratios[label]["ratio_correlation"], 3)
-        lines.append([label, *cells, _with_interval(figures.false_alarms), ratio])
-    for label, why in outcome.lost.items():
-        lines.append([label, f"lost: {why}", "", "", "", "", ""])
+        overall = figures.overall
+        cells = [
+            _with_interval(overall.auc),
+            _with_interval(overall.contrast),
+            _with_interval(overall.detection),
+            _with_interval(overall.detection_gain, sign=True),
+            _with_interval(figures.false_alarms),
+            written(outcome.ratios[label]["ratio_correlation"], 3),
+        ]
+        lines.append([label, *cells])
+    for label, reason in outcome.lost.items():
+        lines.append([label, f"lost: {reason}", "", "", "", "", ""])
     return as_table(head, lines)
 
 
 def class_table(settings: DetectSettings, outcome: Outcome) -> pd.DataFrame:
-    """A line a method: AUC / contrast / detection of each class."""
+    """AUC / contrast / detection of each class, a line for each method."""
     classes = classes_of(settings.sizes, settings.contrasts)
     head = ["AUC / contrast / detection", *(target.label for target in classes)]
     lines = [
-        [
-            label,
-            *(
-                " / ".join(written(figure.value, 2) for figure in own[:3])
-                for own in figures.by_class
-            ),
-        ]
-        for label, figures in outcome.figures.items()
+        [label, *map(_class_cell, figures.by_class)] for label, figures in outcome.figures.items()
     ]
     return as_table(head, lines)
+
+
+def _class_cell(figures: ClassFigures) -> str:
+    estimates = (figures.auc, figures.contrast, figures.detection)
+    return " / ".join(written(estimate.value, 2) for estimate in estimates)
 
 
 def _with_interval(estimate: Estimate, sign: bool = False) -> str:
@@ -138,13 +141,14 @@ def _with_interval(estimate: Estimate, sign: bool = False) -> str:
 
 
 def _plots(figures: dict[str, MethodFigures]) -> Sequence[Plot]:
+    """Detections over false alarms, and ROC curves of the matched filter."""
     return (
         Plot(
             "Detector",
             "false alarms per frame",
             "targets found",
             CURVE_ALARMS,
-            {label: own.curve for label, own in figures.items()},
+            {label: method.curve for label, method in figures.items()},
             (0.1, 0.3, 1, 3, 10),
             logarithmic=True,
         ),
@@ -153,19 +157,24 @@ def _plots(figures: dict[str, MethodFigures]) -> Sequence[Plot]:
             "false-positive rate",
             "true-positive rate",
             CURVE_RATES,
-            {label: own.roc for label, own in figures.items()},
+            {label: method.roc for label, method in figures.items()},
             (0, 0.2, 0.4, 0.6, 0.8, 1),
         ),
     )
 
 
 def _facts(settings: DetectSettings, outcome: Outcome) -> dict[str, Any]:
+    """The content of detect.json."""
     classes = classes_of(settings.sizes, settings.contrasts)
     return {
         "schema": SCHEMA,
         "sequences": [
-            {"name": item.name, "frames": len(item.with_targets), "tracks": len(item.tracks)}
-            for item in outcome.sequences
+            {
+                "name": twins.name,
+                "frames": len(twins.with_targets),
+                "tracks": len(twins.tracks),
+            }
+            for twins in outcome.sequences
         ],
         "classes": [target._asdict() for target in classes],
         "speed_px": settings.speed_px,
@@ -173,12 +182,12 @@ def _facts(settings: DetectSettings, outcome: Outcome) -> dict[str, Any]:
         "rows": [
             {
                 "label": label,
-                **{name: _plain(item) for name, item in figures.overall._asdict().items()},
-                "false_alarms": _plain(figures.false_alarms),
+                **_plain_figures(figures.overall),
+                "false_alarms": _plain_estimate(figures.false_alarms),
                 **{name: plain(value) for name, value in outcome.ratios[label].items()},
                 "classes": {
-                    target.label: {name: _plain(item) for name, item in own._asdict().items()}
-                    for target, own in zip(classes, figures.by_class, strict=True)
+                    target.label: _plain_figures(of_class)
+                    for target, of_class in zip(classes, figures.by_class, strict=True)
                 },
                 "detection_at_false_alarms": dict(
                     zip(map(str, CURVE_ALARMS), map(plain, figures.curve), strict=True)
@@ -192,5 +201,9 @@ def _facts(settings: DetectSettings, outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _plain(estimate: Estimate) -> dict[str, float | None]:
+def _plain_figures(figures: ClassFigures) -> dict[str, dict[str, float | None]]:
+    return {name: _plain_estimate(estimate) for name, estimate in figures._asdict().items()}
+
+
+def _plain_estimate(estimate: Estimate) -> dict[str, float | None]:
     return {name: plain(value) for name, value in estimate._asdict().items()}

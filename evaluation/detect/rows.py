@@ -21,7 +21,7 @@ from ..real.in_time import kinds_of, tuned_weight
 from .targets import Frames
 
 REACH = 3
-"""Frames before and after one that the means in time take."""
+"""Frames before and after a frame that means in time are taken over."""
 
 _TUNED_ON = 3  # frames
 
@@ -33,9 +33,10 @@ Stored = npt.NDArray[np.unsignedinteger]
 class Row:
     """A method as the benchmark runs it.
 
-    kind: recorded, filter, mean, registered mean or network.  name: of the filter in the registry.
-    parameters: of the filter, or of the total variation after a mean; {}: none follows.
-    weights, frames: of a network, and of its window.
+    kind: recorded, filter, mean, registered mean or network.
+    name: in the registry, of the filter, or of the filter that follows a mean.
+    parameters: of that filter; {}: none follows the mean.
+    weights: file of a network.  frames: length of its window.
     """
 
     label: str
@@ -57,31 +58,36 @@ def rows_of(
     networks: Sequence[Method],
     windows: Sequence[int],
 ) -> list[Row]:
-    """All rows, filters tuned on these frames without targets.
+    """All rows of a recording.
 
-    fixed: filters with their parameters.  windows: frames that the networks fuse.
+    frames: (N, H, W) in 0..1 without targets; filters are tuned on them.
+    fixed: filters with their parameters.  windows: numbers of frames that the networks fuse.
+    Raises FactoryError for a filter that does not exist or cannot be tuned.
     """
-    static = next(kinds_of(frames))
-    numbers = evenly(static.numbers(), _TUNED_ON)
+    static_kind = next(kinds_of(frames))
     samples = tuple(
-        tuning.Sample(static.frames[n], static.references[n], static.masks[n]) for n in numbers
+        tuning.Sample(
+            static_kind.frames[number], static_kind.references[number], static_kind.masks[number]
+        )
+        for number in evenly(static_kind.numbers(), _TUNED_ON)
     )
     rows = [RECORDED]
     for filters in fixed:
         rows += [_fixed_filter(name, parameters) for name, parameters in filters.items()]
     for baseline in tuned:
-        best = tuning.on_frames(tuning.Task(baseline.name, samples, 0))
-        if isinstance(best, str):
-            raise FactoryError(f"baselines: {baseline.name} cannot be tuned: {best}")
-        rows.append(Row(f"{baseline.name}, tuned", "filter", baseline.name, best))
+        tuned_parameters = tuning.on_frames(tuning.Task(baseline.name, samples, 0))
+        if isinstance(tuned_parameters, str):
+            raise FactoryError(f"baselines: {baseline.name} cannot be tuned: {tuned_parameters}")
+        rows.append(Row(f"{baseline.name}, tuned", "filter", baseline.name, tuned_parameters))
     window = 2 * REACH + 1
-    weight = {"weight": tuned_weight([static])}
+    tv_parameters = {"weight": tuned_weight([static_kind])}
     rows.append(Row(f"mean of {window}", "mean"))
-    rows.append(Row(f"registered mean of {window} + TV", "registered mean", "tv", weight))
+    rows.append(Row(f"registered mean of {window} + TV", "registered mean", "tv", tv_parameters))
     for method in networks:
-        for count in windows:
-            label = f"{method.label}, " + ("single frames" if count == 1 else f"{count} frames")
-            rows.append(Row(label, "network", weights=method.weights or "", frames=count))
+        for frame_count in windows:
+            fused = "single frames" if frame_count == 1 else f"{frame_count} frames"
+            label = f"{method.label}, {fused}"
+            rows.append(Row(label, "network", weights=method.weights or "", frames=frame_count))
     return rows
 
 
@@ -98,7 +104,7 @@ def _fixed_filter(name: str, parameters: Parameters) -> Row:
     return Row(name + shown(point), "filter", name, point)
 
 
-def denoised(
+def denoise_sequence(
     row: Row, stored: Stored, full_scale: int, geometry: FanGeometry | None, device: str
 ) -> Frames:
     """(N, H, W) float32 in 0..1: what a row makes of a sequence."""
@@ -111,17 +117,18 @@ def denoised(
         return np.stack([method_of(row.name)(frame, row.parameters) for frame in frames])
     mean = registered_mean if row.kind == "registered mean" else mean_around
     means = (mean(frames, number, REACH) for number in range(len(frames)))
-    if row.parameters:
-        means = (method_of(row.name)(mean_frame, row.parameters) for mean_frame in means)
-    return np.stack(list(means))
+    if not row.parameters:
+        return np.stack(list(means))
+    filtered_means = (method_of(row.name)(mean_frame, row.parameters) for mean_frame in means)
+    return np.stack(list(filtered_means))
 
 
 def _by_network(row: Row, stored: Stored, geometry: FanGeometry | None, device: str) -> Stored:
-    """As `simnfnd denoise --frames N` does it."""
+    """A sequence denoised as by `simnfnd denoise --frames N`, in the levels it is stored in."""
     denoising = Denoising(network(row.weights, device), frames=row.frames)
 
     def shots() -> Iterator[Shot]:
         for number, frame in enumerate(stored):
             yield denoising.shot(number, frame, lambda _: geometry)
 
-    return np.stack([denoised.image for denoised in denoising.sequence(shots())])
+    return np.stack([result.image for result in denoising.sequence(shots())])

@@ -14,8 +14,8 @@ from .targets import Sighting, Track, ellipse
 
 Pixels = npt.NDArray[np.uint8]
 
-_REACH_PX = 24  # of a crop around its target
-_TIMES = 3  # enlargement
+_REACH_PX = 24  # from a target to the edge of its crop
+_ENLARGEMENT = 3
 _GAP_PX = 6
 _CAPTION_PX = 34
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -24,43 +24,43 @@ _TEXT = (235, 235, 235)
 
 
 def crop_sheet(examples: Sequence[Example], labels: Sequence[str]) -> bytes:
-    """A PNG: two lines for each example, a column for each row.
+    """A PNG: two lines of crops for each example, and a column for each row of the benchmark.
 
-    The first column outlines the target.  Below each image stands what the target adds to it: the
+    The first column outlines the target.  Below each image is what the target adds to it: the
     difference from the twin, which is what the row retains of the target.  All crops of a line have
     the grey scale of the recorded one.
     """
-    side = _TIMES * (2 * _REACH_PX + 1)
+    side = _ENLARGEMENT * (2 * _REACH_PX + 1)
     columns = ["target (outlined)", *labels]
     width = _GAP_PX + len(columns) * (side + _GAP_PX)
     height = _CAPTION_PX + len(examples) * (2 * side + _GAP_PX + _CAPTION_PX)
     sheet: Pixels = np.full((height, width, 3), 24, np.uint8)
-    for place, label in enumerate(columns):
-        _write(sheet, label, _GAP_PX + place * (side + _GAP_PX), 4, side)
-    for line, example in enumerate(examples):
-        top = _CAPTION_PX + line * (2 * side + _GAP_PX + _CAPTION_PX)
-        lower = top + side + _GAP_PX
+    for column, label in enumerate(columns):
+        _write_caption(sheet, label, _GAP_PX + column * (side + _GAP_PX), 4, side)
+    for number, example in enumerate(examples):
+        top = _CAPTION_PX + number * (2 * side + _GAP_PX + _CAPTION_PX)
+        lower_top = top + side + _GAP_PX
         images, differences = _panels(example, labels)
-        for place, (image, difference) in enumerate(zip(images, differences, strict=True)):
-            left = _GAP_PX + place * (side + _GAP_PX)
+        for column, (image, difference) in enumerate(zip(images, differences, strict=True)):
+            left = _GAP_PX + column * (side + _GAP_PX)
             sheet[top : top + side, left : left + side] = image
-            sheet[lower : lower + side, left : left + side] = difference
+            sheet[lower_top : lower_top + side, left : left + side] = difference
         caption = f"{example.track.target.label} (frame {example.sighting.frame})"
-        place_px = (_GAP_PX, lower + side + 14)
-        cv2.putText(sheet, caption, place_px, _FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
+        caption_start = (_GAP_PX, lower_top + side + 14)
+        cv2.putText(sheet, caption, caption_start, _FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
     _, content = cv2.imencode(".png", sheet)
     return content.tobytes()
 
 
 def _panels(example: Example, labels: Sequence[str]) -> tuple[list[Pixels], list[Pixels]]:
-    """The images of a line, and what the target adds to each."""
+    """The enlarged crops of an example, and what the target adds to each."""
     crops = [_crop(example.images[label].with_targets, example.sighting) for label in labels]
     twins = [_crop(example.images[label].without, example.sighting) for label in labels]
     added = [crop - twin for crop, twin in zip(crops, twins, strict=True)]
     low, high = np.quantile(crops[0], (0.02, 0.998))
-    most = float(added[0].max())
+    greatest = float(added[0].max())
     images = [_grey(crop, low, high) for crop in crops]
-    differences = [_grey(difference, -most / 4, most) for difference in added]
+    differences = [_grey(difference, -greatest / 4, greatest) for difference in added]
     first_image = _outlined(images[0], example.track, example.sighting)
     first_difference = _outlined(differences[0], example.track, example.sighting)
     return (
@@ -78,21 +78,25 @@ def _crop(image: Grey, sighting: Sighting) -> Grey:
 
 
 def _grey(crop: Grey, low: float, high: float) -> Pixels:
+    """A crop as grey levels; `low` is black and `high` white."""
     scaled = np.clip((crop - low) / max(high - low, 1e-6), 0, 1)
     return np.asarray(np.rint(255 * scaled), np.uint8)
 
 
 def _enlarged(crop: Pixels) -> Pixels:
-    """(H, W, 3)."""
-    large = cv2.resize(crop, None, fx=_TIMES, fy=_TIMES, interpolation=cv2.INTER_NEAREST)
+    """(H, W, 3): a grey crop in colour, enlarged."""
+    large = cv2.resize(
+        crop, None, fx=_ENLARGEMENT, fy=_ENLARGEMENT, interpolation=cv2.INTER_NEAREST
+    )
     return np.repeat(np.asarray(large, np.uint8)[..., None], 3, axis=2)
 
 
 def _outlined(crop: Pixels, track: Track, sighting: Sighting) -> Pixels:
+    """The crop enlarged, with a line around the target."""
     panel = np.ascontiguousarray(_enlarged(crop))
-    centre_y = _TIMES * (_REACH_PX + sighting.y % 1 + 0.5)
-    centre_x = _TIMES * (_REACH_PX + sighting.x % 1 + 0.5)
-    axes = tuple(_TIMES * (axis + 1.5) for axis in track.target.semi_axes_px)
+    centre_y = _ENLARGEMENT * (_REACH_PX + sighting.y % 1 + 0.5)
+    centre_x = _ENLARGEMENT * (_REACH_PX + sighting.x % 1 + 0.5)
+    axes = tuple(_ENLARGEMENT * (axis + 1.5) for axis in track.target.semi_axes_px)
     mask = ellipse(panel.shape[:2], centre_y, centre_x, track.angle_rad, axes)
     contours, _ = cv2.findContours(
         (mask > 0.5).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
@@ -101,7 +105,7 @@ def _outlined(crop: Pixels, track: Track, sighting: Sighting) -> Pixels:
     return panel
 
 
-def _write(sheet: Pixels, label: str, left: int, top: int, width: int) -> None:
+def _write_caption(sheet: Pixels, label: str, left: int, top: int, width: int) -> None:
     """A caption in one line or two, as wide as its column."""
     lines = [""]
     for word in label.split():
@@ -111,5 +115,5 @@ def _write(sheet: Pixels, label: str, left: int, top: int, width: int) -> None:
         else:
             lines[-1] = longer
     for number, line in enumerate(lines[:2]):
-        place = (left, top + 10 + 13 * number)
-        cv2.putText(sheet, line, place, _FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
+        line_start = (left, top + 10 + 13 * number)
+        cv2.putText(sheet, line, line_start, _FONT, 0.4, _TEXT, 1, cv2.LINE_AA)

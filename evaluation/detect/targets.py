@@ -25,14 +25,14 @@ Frames = npt.NDArray[np.float32]
 _SCENE_PX = 4.0
 _GRAIN_PX = 3.0
 _GRAIN_LEVEL_PX = 8.0
-"""Sigmas of the blurs that give the scene, what is left as grain, and the level of the grain."""
-_TINY = 1e-3 / 255  # grain of an even area
+"""Sigmas of the blurs that give the scene, leave the grain, and average its power."""
+_TINY = 1e-3 / 255  # least standard deviation of the grain
 _APART_PX = 45.0  # least distance between two tracks
 _ATTEMPTS = 400  # to place a track
 
 
 class TargetClass(NamedTuple):
-    """What the targets of a class have in common.
+    """Size and contrast, which the targets of a class have in common.
 
     semi_axes_px: of the ellipse, the first along the direction of travel.
     contrast: above the scene, in standard deviations of the local grain (a single pixel's SNR).
@@ -43,7 +43,7 @@ class TargetClass(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Its name in tables."""
+        """Name of the class in tables."""
         along, across = self.semi_axes_px
         return f"{along:g}x{across:g} px, {self.contrast:g}"
 
@@ -67,20 +67,21 @@ class Track:
     angle_rad: float
     sightings: tuple[Sighting, ...]
 
-    def moved_apart(self, track: Track) -> bool:
-        """Whether no two positions of the tracks come near each other."""
-        own = np.array([[sighting.y, sighting.x] for sighting in self.sightings])
-        others = np.array([[sighting.y, sighting.x] for sighting in track.sightings])
-        distance = np.linalg.norm(own[:, None] - others[None], axis=-1)
-        return bool(distance.min() > _APART_PX)
+    def is_apart_from(self, track: Track) -> bool:
+        """Whether no position of one track is near any position of the other."""
+        positions = np.array([[sighting.y, sighting.x] for sighting in self.sightings])
+        track_positions = np.array([[sighting.y, sighting.x] for sighting in track.sightings])
+        distances = np.linalg.norm(positions[:, None] - track_positions[None], axis=-1)
+        return bool(distances.min() > _APART_PX)
 
 
 @dataclass(frozen=True)
 class TrackPlan:
     """How tracks are drawn.
 
-    classes: take turns.  at_once: tracks in a frame, at most.  frames: length of a track; then new
-    ones begin elsewhere.  speed_px: least and greatest speed, pixels a frame.
+    classes: of the targets; they take turns.  at_once: most tracks in a frame.
+    frames: length of a track; then new tracks begin elsewhere.
+    speed_px: least and greatest speed, pixels a frame.
     """
 
     classes: tuple[TargetClass, ...]
@@ -93,7 +94,7 @@ class TrackPlan:
 class Insertion:
     """A recording with targets, and its twin with the same grain and no contrast.
 
-    with_targets, without: (N, H, W) float32 in 0..1, not yet rounded to levels of a file.
+    with_targets, without: (N, H, W) float32 in 0..1, not yet rounded to levels of the file.
     """
 
     with_targets: Frames
@@ -109,7 +110,7 @@ def classes_of(
 
 
 def blurred(image: Grey, sigma_px: float) -> Grey:
-    """By a Gaussian."""
+    """An image after a Gaussian blur."""
     return np.asarray(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma_px))
 
 
@@ -131,20 +132,20 @@ def draw_tracks(
 ) -> list[Track]:
     """Tracks that stay in the insonified area and apart from each other.
 
-    insonified: (H, W) bool, some of it true.  Fewer than planned where there is no room.
+    insonified: (H, W) bool, not all false.  Fewer tracks than planned where there is no room.
     """
     positions = np.argwhere(insonified)
     tracks: list[Track] = []
     for epoch, first in enumerate(range(0, frame_count, plan.frames)):
         numbers = range(first, min(first + plan.frames, frame_count))
         neighbours: list[Track] = []
-        for place in range(plan.at_once):
-            target = plan.classes[(place + epoch) % len(plan.classes)]
+        for turn in range(plan.at_once):
+            target = plan.classes[(turn + epoch) % len(plan.classes)]
             for _ in range(_ATTEMPTS):
                 start = positions[rng.integers(len(positions))]
                 track = _straight_track(target, start, numbers, plan.speed_px, rng)
-                free = all(track.moved_apart(neighbour) for neighbour in neighbours)
-                if free and _stays_inside(track, insonified):
+                is_free = all(track.is_apart_from(neighbour) for neighbour in neighbours)
+                if is_free and _stays_inside(track, insonified):
                     neighbours.append(track)
                     break
         tracks += neighbours
@@ -158,25 +159,30 @@ def insert_targets(
     scene = blurred(frames.mean(axis=0), _SCENE_PX)
     power = np.zeros_like(scene)
     for frame in frames:
-        power += (frame - blurred(frame, _GRAIN_PX)) ** 2
+        power += _grain(frame) ** 2
     grain_std = np.sqrt(blurred(power / len(frames), _GRAIN_LEVEL_PX)) + np.float32(_TINY)
     positions = np.argwhere(insonified)
     with_targets = frames.copy()
     without = frames.copy()
     for track in tracks:
+        semi_axes_px = track.target.semi_axes_px
         for number, y, x in track.sightings:
             patch = _patch_around(y, x, track.target, scene.shape)
-            top, left = patch[0].start, patch[1].start
-            shape = scene[patch].shape
-            mask = ellipse(shape, y - top, x - left, track.angle_rad, track.target.semi_axes_px)
-            source = positions[rng.integers(len(positions))]
-            shift = (int(y) - int(source[0]), int(x) - int(source[1]))
-            grain = (frames[number] - blurred(frames[number], _GRAIN_PX)) / grain_std
-            grain = np.roll(grain, shift, (0, 1))[patch]
+            centre_y = y - patch[0].start
+            centre_x = x - patch[1].start
+            mask = ellipse(scene[patch].shape, centre_y, centre_x, track.angle_rad, semi_axes_px)
+            source_y, source_x = positions[rng.integers(len(positions))]
+            shift = (int(y) - int(source_y), int(x) - int(source_x))
+            grain = np.roll(_grain(frames[number]) / grain_std, shift, (0, 1))[patch]
             for sequence, contrast in ((with_targets, track.target.contrast), (without, 0.0)):
                 target = scene[patch] + grain_std[patch] * (np.float32(contrast) + grain)
                 sequence[number][patch] = sequence[number][patch] * (1 - mask) + mask * target
     return Insertion(np.clip(with_targets, 0, 1), np.clip(without, 0, 1), tuple(tracks))
+
+
+def _grain(frame: Grey) -> Grey:
+    """What a blur takes away."""
+    return frame - blurred(frame, _GRAIN_PX)
 
 
 def _straight_track(
@@ -210,7 +216,7 @@ def _stays_inside(track: Track, insonified: Mask) -> bool:
 def _patch_around(
     y: float, x: float, target: TargetClass, shape: tuple[int, ...]
 ) -> tuple[slice, slice]:
-    """The rows and columns beyond which the mask of a target is zero."""
+    """Rows and columns of a target; beyond them its mask is practically zero."""
     reach = int(np.ceil(2 * max(target.semi_axes_px)))
     rows = slice(max(0, int(y) - reach), min(shape[0], int(y) + reach + 1))
     columns = slice(max(0, int(x) - reach), min(shape[1], int(x) + reach + 1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -71,8 +71,12 @@ class Judged:
     geometry: FanGeometry | None
 
 
-Searched = tuple[list[Group], list[Shot], list[str]]
-"""Of a stretch: static groups, shots that can be read, and notes for the report."""
+class Searched(NamedTuple):
+    """Static groups of a stretch, its readable shots, and notes for the report."""
+
+    groups: list[Group]
+    shots: list[Shot]
+    notes: list[str]
 
 
 def search(task: tuple[int, Stretch, int | None]) -> Searched:
@@ -123,7 +127,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
         groups = [
             replace(group, name=f"{group.name} ({n})") for n, group in enumerate(groups, start=1)
         ]
-    return groups, shots, notes
+    return Searched(groups, shots, notes)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
@@ -133,7 +133,7 @@ def table_of(rows: Sequence[Row]) -> pd.DataFrame:
     return as_table(["method", *(COLUMNS[name].label for name in names)], lines)
 
 
-def _words(row: Mapping[str, Any]) -> str:
+def _words(row: Row) -> str:
     """The label, and the parameters of each fold."""
     chosen = dict.fromkeys(
         shown(parameters).strip(" ()") for parameters in row["parameters"] if parameters
@@ -141,7 +141,7 @@ def _words(row: Mapping[str, Any]) -> str:
     return str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
 
 
-def _cell(row: Mapping[str, Any], name: str) -> str:
+def _cell(row: Row, name: str) -> str:
     """A figure as text, with its interval where it has one."""
     digits = COLUMNS[name].digits
     signed = name in _SIGNED
@@ -163,7 +163,7 @@ def _examples(outcome: Outcome) -> list[Example]:
     truth = "mean of the other frames"
     measured = outcome.measured
     examples = []
-    for number, judged in sorted(outcome.shown.items()):
+    for number, judged in sorted(outcome.examples.items()):
         name = judged.shot.name
         if judged.group is not None:
             name = f"{outcome.groups[judged.group].name}: {name}"

@@ -102,7 +102,7 @@ def test_tracks_stay_inside_and_apart(insertion: Insertion) -> None:
         assert all(INSONIFIED[int(sighting.y), int(sighting.x)] for sighting in track.sightings)
     first = [track for track in tracks if track.sightings[0].frame == 0]
     for number, track in enumerate(first):
-        assert all(track.moved_apart(track_before) for track_before in first[:number])
+        assert all(track.is_apart_from(track_before) for track_before in first[:number])
 
 
 def test_sequences_differ_in_contrast_alone(frames: Frames, insertion: Insertion) -> None:
