@@ -16,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.sonar.geometry import FanGeometry
-from .fan_finder import find_geometry, grey_bytes, light_ends, outline_pixels
+from .fan_finder import find_geometry
+from .fans.confidence import light_ends, outline_pixels
+from .fans.levels import grey_bytes
 
 Bytes = npt.NDArray[np.uint8]
 Shares = npt.NDArray[np.float64]

@@ -1,0 +1,8 @@
+"""The steps by which `fan_finder` finds a fan, one idea a module.
+
+levels: grey values, and the largest that counts as black.  lit_area: the part of an image that may
+hold a fan.  first_guess: an outline to start from.  outline: the parameters that a fit varies.
+sector: the sector of an outline.  lit_pixels: counts of pixels in sectors.  likelihood: how well a
+sector explains the lit pixels.  fit: the likeliest sector.  confidence: the share of an outline
+that the image shows.  drawn_lines: fans bounded by white lines.
+"""

@@ -1,0 +1,99 @@
+"""How well an outline explains which pixels of an image are lit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .lit_pixels import LitPixels, PixelCounts
+from .outline import AnchorRows, Outline
+from .sector import Numbers, Sector
+
+INVALID_COST = 1e9
+"""Of an outline that encloses no sector: more than any sector in an image of 2^26 pixels costs."""
+_MAX_FIT_COLUMNS = 400  # a fit takes every so many-th column of wider images
+# Limits of the probabilities, so that no pixel of an image is impossible.
+_INSIDE_LIMITS = 0.05, 0.97
+_OUTSIDE_LIMITS = 1e-3, 0.05
+
+
+class LitProbabilities(NamedTuple):
+    """The probability that a pixel is lit, inside the sector and outside."""
+
+    inside: float
+    outside: float
+
+
+def estimate_probabilities(lit_pixels: LitPixels, sector: Sector) -> LitProbabilities | None:
+    """The shares of lit pixels inside and outside a sector; None where the inside is not brighter.
+
+    They are the estimates of greatest likelihood, within limits.
+    """
+    counts = lit_pixels.count_fractional([sector])
+    area = float(counts.area[0])
+    lit = float(counts.lit[0])
+    area_outside = max(lit_pixels.pixel_count - area, 1.0)
+    lit_outside = lit_pixels.lit_count - lit
+    inside = float(np.clip(lit / max(area, 1.0), *_INSIDE_LIMITS))
+    outside = float(np.clip(lit_outside / area_outside, *_OUTSIDE_LIMITS))
+    return LitProbabilities(inside, outside) if inside > outside else None
+
+
+class OutlineLikelihood:
+    """Negative log-likelihood of outlines, given which pixels of an image are lit.
+
+    The model: pixels are independent.  Each is lit with probability p inside the sector, and with
+    probability q, smaller than p, outside.  An image with L lit and B black pixels inside, and L'
+    and B' outside, has the log-likelihood
+
+        L log p + B log(1 - p) + L' log q + B' log(1 - q).
+
+    L + L' and B + B' are the same for every sector.  Up to this constant, the negative
+    log-likelihood is therefore a sum over the pixels inside alone, the cost of the sector:
+
+        B log((1 - q) / (1 - p)) - L log(p / q).
+
+    Each lit pixel that a sector includes lowers its cost and each black pixel raises it, by finite
+    amounts: shadows inside and text outside do not spoil a fit.
+    """
+
+    def __init__(
+        self, lit_pixels: LitPixels, anchors: AnchorRows, probabilities: LitProbabilities
+    ) -> None:
+        """anchors: the rows at which the outlines state their edges."""
+        self._lit_pixels = lit_pixels
+        self._anchors = anchors
+        p, q = probabilities
+        self._lit_gain = math.log(p / q)
+        self._black_cost = math.log((1 - q) / (1 - p))
+        self._column_step = max(1, lit_pixels.width // _MAX_FIT_COLUMNS)
+
+    def smooth_costs(self, outlines: Sequence[Outline]) -> Numbers:
+        """(N,) costs by parts of pixels, smooth for a fit; `INVALID_COST` without a sector."""
+        sectors = self._to_sectors(outlines)
+        counts = self._lit_pixels.count_fractional(_valid(sectors), self._column_step)
+        return self._costs(sectors, counts)
+
+    def whole_pixel_costs(self, outlines: Sequence[Outline]) -> Numbers:
+        """(N,) costs by whole pixels, exact to a pixel; `INVALID_COST` without a sector."""
+        sectors = self._to_sectors(outlines)
+        counts = self._lit_pixels.count_whole(_valid(sectors), self._column_step)
+        return self._costs(sectors, counts)
+
+    def _to_sectors(self, outlines: Sequence[Outline]) -> list[Sector | None]:
+        return [outline.to_sector(self._anchors) for outline in outlines]
+
+    def _costs(self, sectors: Sequence[Sector | None], counts: PixelCounts) -> Numbers:
+        """counts: of the sectors that are not None, in their order."""
+        costs = np.full(len(sectors), INVALID_COST)
+        is_valid = [sector is not None for sector in sectors]
+        sampled_costs = self._black_cost * counts.black - self._lit_gain * counts.lit
+        costs[is_valid] = sampled_costs * self._column_step
+        return costs
+
+
+def _valid(sectors: Sequence[Sector | None]) -> list[Sector]:
+    return [sector for sector in sectors if sector is not None]
