@@ -19,7 +19,8 @@ def find_lowest_point(
 ) -> Numbers:
     """The point of lowest cost near a simplex (N + 1, N), by about `max_evaluations`.
 
-    SciPy has the method, too, and takes a third of a second to import.
+    SciPy sorts corners of equal cost in an order that depends on the processor, which moved 115 of
+    309 outlines by up to 3 pixels, and takes .3 s to import.  Here equal costs keep their order.
     """
     simplex = _Simplex(cost, corners)
     while not simplex.has_converged and simplex.evaluations < max_evaluations:
