@@ -4,7 +4,7 @@
 #   make setup PIP_ARGS="--index-url URL" adds options to the one pip call
 
 VENV ?= .venv
-# One more than cores: some tests wait more than they compute.
+# Three for two cores: some tests wait more than they compute.
 WORKERS ?= 3
 PIP_ARGS ?=
 ARGS ?=

@@ -92,12 +92,12 @@ def figures_of(
                 continue
             rng = stream(seed, "tracks", recording, number)
             weights = _draw_weights(len(tracks), resamples, rng)
-            found = _detection(answers.denoised, tracks, weights)
-            found_in_recorded = _detection(answers.recorded, tracks, weights)
+            detected_share = _detection(answers.denoised, tracks, weights)
+            recorded_share = _detection(answers.recorded, tracks, weights)
             auc[number, recording] = _auc(answers.denoised, tracks, weights)
             contrast[number, recording] = _contrast(answers, tracks, weights)
-            detection[number, recording] = found
-            detection_gain[number, recording] = found - found_in_recorded
+            detection[number, recording] = detected_share
+            detection_gain[number, recording] = detected_share - recorded_share
     return MethodFigures(
         by_class=tuple(_class_figures(draws[:, number]) for number in range(len(classes))),
         overall=ClassFigures(*map(_overall, draws)),
@@ -227,8 +227,8 @@ def _detection(responses: Responses, tracks: Sequence[int], weights: Values) -> 
     # a threshold of 0, and must not find a target in a change of 0.
     is_found = responses.change > threshold_of(responses, 1.0)
     sightings = _sums(responses, np.ones(len(is_found)), tracks)
-    found = _sums(responses, is_found, tracks)
-    return np.asarray((weights @ found) / (weights @ sightings))
+    detections = _sums(responses, is_found, tracks)
+    return np.asarray((weights @ detections) / (weights @ sightings))
 
 
 def _sums(responses: Responses, values: npt.NDArray[np.generic], tracks: Sequence[int]) -> Values:

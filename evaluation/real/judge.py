@@ -286,23 +286,29 @@ def _measure_methods(
             # An untuned method is the same in every fold.
             methods = [folds[fold % len(folds)] for folds in methods_by_label.values()]
             images = _images_of_fold(fold, groups, parts, shots)
-            while batch := dict(islice(images, _BATCH_IMAGES)):
-                for number in example_numbers & batch.keys():
-                    examples[number] = batch[number]
-                measured = run(
-                    [method for method in methods if method.label not in all_measured.lost],
-                    [{number: RealImage(image) for number, image in batch.items()}],
-                    pool,
-                    device=settings.device,
-                    timeout_s=settings.image_timeout_s,
-                    keep=example_numbers.__contains__,
-                    tick=bar.update,
-                )
-                for label, figures in measured.figures.items():
-                    all_measured.figures[label] |= figures
-                all_measured.lost |= measured.lost
-                all_measured.images |= measured.images
+            measured = run(
+                [method for method in methods if method.label not in all_measured.lost],
+                _batches(images, example_numbers, examples),
+                pool,
+                device=settings.device,
+                timeout_s=settings.image_timeout_s,
+                keep=example_numbers.__contains__,
+                tick=bar.update,
+            )
+            for label, figures in measured.figures.items():
+                all_measured.figures[label] |= figures
+            all_measured.lost |= measured.lost
+            all_measured.images |= measured.images
     return all_measured, examples
+
+
+def _batches(
+    images: Iterator[tuple[int, Judged]], example_numbers: set[int], examples: dict[int, Judged]
+) -> Iterator[dict[int, Subject]]:
+    """The images in batches as `run` takes them; those of the examples are kept in `examples`."""
+    while batch := dict(islice(images, _BATCH_IMAGES)):
+        examples.update({number: batch[number] for number in example_numbers & batch.keys()})
+        yield {number: RealImage(image) for number, image in batch.items()}
 
 
 def _images_of_fold(

@@ -199,7 +199,9 @@ class ImageStack:
     def __init__(self, dataset: h5py.Dataset) -> None:
         self._dataset = dataset
         self._gzip = dataset.compression == "gzip"
-        self._form: tuple[tuple[int, ...], Any] = dataset.shape[1:], dataset.dtype
+        # Spelled anew: h5py names the byte order of the machine too, which some libraries refuse.
+        dtype = np.dtype(dataset.dtype.str)
+        self._form: tuple[tuple[int, ...], Any] = dataset.shape[1:], dtype
         self._sums = dataset.file[CHECKSUMS][dataset.name[1:]]
 
     def __len__(self) -> int:

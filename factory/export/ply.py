@@ -55,9 +55,7 @@ def write_points(path: Path, sample: Sample) -> int:
         if layer in images:
             values[name] = images[layer][is_echo].astype(np.int32)
     for name, column in values.items():
-        # Open3D refuses an explicit byte order, which numbers from an HDF5 file have.
-        native = column.astype(column.dtype.newbyteorder("="))
-        cloud.point[name] = tensor(np.ascontiguousarray(native[:, None]))
+        cloud.point[name] = tensor(np.ascontiguousarray(column[:, None]))
     if not t.io.write_point_cloud(path, cloud, write_ascii=False):
         raise FactoryError(f"{path}: cannot be written; is there room on the disk?")
     return len(positions)

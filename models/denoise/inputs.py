@@ -218,16 +218,17 @@ class Geometries:
             key = item.source, image.shape
             return self._trackers.setdefault(key, FanTracker()).geometry(image)
         geometry = find_geometry(image)
-        found = self._fans_found.setdefault(item.source.parent, {})
-        found[item.source] = geometry is not None
+        fan_found = self._fans_found.setdefault(item.source.parent, {})
+        fan_found[item.source] = geometry is not None
         return geometry
 
     def summary(self) -> Iterator[str]:
         """One line a folder, image, video or bag that was searched."""
         said = "geometry: fan found in {} of {} images searched ({})"
-        for folder, found in self._fans_found.items():
-            first, *others = found
-            yield said.format(sum(found.values()), len(found), folder if others else first)
+        for folder, fan_found in self._fans_found.items():
+            first, *others = fan_found
+            place = folder if others else first
+            yield said.format(sum(fan_found.values()), len(fan_found), place)
         for (source, _), tracker in self._trackers.items():
             line = said.format(tracker.fans_found, tracker.searched, source)
             times = "once" if tracker.changes == 1 else f"{tracker.changes} times"

@@ -22,7 +22,7 @@ from ...factory.errors import FactoryError
 from ...factory.files import check_writable, sha256_of, write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
-from ..networks import DEFAULT, vector
+from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.line_context import MapLines
 from ..networks.network import Network, padded
 from ..networks.sonarnet import SonarNet
@@ -33,7 +33,6 @@ Layout = Literal["none", "fan", "polar"]
 Inputs = dict[str, Tensor]
 Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
 
-_MAPS = ("range_fraction", "azimuth_rad", "sector")
 # Sizes of images, (height, width, count).  The traced one is no multiple of a network's stride, so
 # that padding becomes part of the trace.
 _TRACED_SIZE = (75, 91, 2)
@@ -64,13 +63,13 @@ class Graph(nn.Module):
     def __init__(self, network: Network, layout: Layout) -> None:
         """Raises FactoryError for a layout that the network has no use for."""
         super().__init__()
-        if layout != "none" and not set(_MAPS) <= set(network.extras):
+        if layout != "none" and not set(GEOMETRY) <= set(network.extras):
             raise FactoryError(
                 f"--geometry {layout}: this network does not use the geometry; leave it out"
             )
         self.network = network
         self.layout = layout
-        self.inputs: tuple[str, ...] = ("noisy", *(_MAPS if layout != "none" else ()))
+        self.inputs: tuple[str, ...] = ("noisy", *(GEOMETRY if layout != "none" else ()))
         self.outputs: tuple[str, ...] = ("denoised", "weight")[: 1 + network.has_heads]
         sizes = {0: "count", 2: "height", 3: "width"}
         self.axes = {**dict.fromkeys((*self.inputs, "denoised"), sizes), "weight": {0: "count"}}

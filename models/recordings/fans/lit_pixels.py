@@ -29,7 +29,7 @@ class LitPixels:
     A column meets a sector in one span of rows.  Its lit pixels are those above the lower border of
     the span less those above the upper border: two look-ups in the sums, however long the span is.
 
-    pixel_count, lit_count: of the whole image.
+    width: columns of the image.  pixel_count, lit_count: of all of it.
     """
 
     def __init__(self, lit: npt.NDArray[np.bool_]) -> None:
@@ -42,14 +42,9 @@ class LitPixels:
         sums[-1] = sums[-2]
         self._flat_sums = sums.ravel()
         self._height = height
-        self._width = width
+        self.width = width
         self.pixel_count = lit.size
         self.lit_count = int(sums[-1].sum())
-
-    @property
-    def width(self) -> int:
-        """Columns of the image."""
-        return self._width
 
     def count_fractional(self, sectors: Sequence[Sector], column_step: int = 1) -> PixelCounts:
         """Count each pixel by the part of its height that lies in the sector.
@@ -78,7 +73,7 @@ class LitPixels:
         return self._count_between(borders, columns)
 
     def _columns(self, step: int) -> npt.NDArray[np.intp]:
-        return np.arange(step // 2, self._width, step)
+        return np.arange(step // 2, self.width, step)
 
     def _count_between(self, borders: Numbers, columns: npt.NDArray[np.intp]) -> PixelCounts:
         """borders: (2, N, W) upper and lower border of N sectors in W columns, rows."""
@@ -96,9 +91,9 @@ class LitPixels:
         """Lit pixels above each border; a lit pixel that it cuts counts by its part above."""
         row = borders.astype(np.int64)
         part_above = borders - row
-        index = row * self._width + columns
+        index = row * self.width + columns
         above_row = self._flat_sums.take(index)
-        above_next_row = self._flat_sums.take(index + self._width)
+        above_next_row = self._flat_sums.take(index + self.width)
         is_lit = above_next_row - above_row
         return np.asarray(part_above * is_lit + above_row)
 
