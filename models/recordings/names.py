@@ -2,7 +2,8 @@
 
 Recorders number frames with or without leading zeros, stamp them with a clock or with seconds since
 1970, and write settings before or behind the number.  Names that differ in their numbers alone are
-looked at together: a time stamp orders them, or else the number that counts.
+looked at together: a time stamp orders them, or else the number that counts.  A recorder that makes
+several frames a second may number all but the first behind the stamp: `170431`, `170431_1`.
 """
 
 from __future__ import annotations
@@ -12,18 +13,40 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from itertools import pairwise
 from pathlib import Path, PurePath
+from typing import NamedTuple
 
 _NUMBER = re.compile(r"([0-9]+)")
 _EPOCH_UNITS = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
 """Digits of a number of seconds since 1970 -> its unit, seconds."""
 _EARLIEST_S = 1e9  # in 2001
 _LATEST_S = 4.1e9  # in 2099
-_DATE_WIDTHS = (
-    (14,), (8, 6), (4, 2, 2, 6), (8, 2, 2, 2), (4, 2, 2, 2, 2, 2),
-)  # fmt: skip
-"""Digits of the numbers that make up a date and a time of day."""
+_DATE_FORMATS: dict[tuple[int, ...], tuple[str, ...]] = {
+    (14,): ("%Y%m%d%H%M%S",),
+    (8, 6): ("%Y%m%d%H%M%S",),
+    (4, 2, 2, 6): ("%Y%m%d%H%M%S",),
+    (8, 2, 2, 2): ("%Y%m%d%H%M%S",),
+    (4, 2, 2, 2, 2, 2): ("%Y%m%d%H%M%S",),
+    (2, 2, 4, 6): ("%d%m%Y%H%M%S", "%m%d%Y%H%M%S"),
+    (2, 2, 4, 2, 2, 2): ("%d%m%Y%H%M%S", "%m%d%Y%H%M%S"),
+    (4, 3, 6): ("%Y%j%H%M%S",),
+    (4, 3, 2, 2, 2): ("%Y%j%H%M%S",),
+    (7, 6): ("%Y%j%H%M%S",),
+    (7, 2, 2, 2): ("%Y%j%H%M%S",),
+    (12,): ("%y%m%d%H%M%S",),
+    (6, 6): ("%y%m%d%H%M%S", "%d%m%y%H%M%S"),
+    (6, 2, 2, 2): ("%y%m%d%H%M%S", "%d%m%y%H%M%S"),
+    (2, 2, 2, 6): ("%y%m%d%H%M%S", "%d%m%y%H%M%S"),
+    (2, 2, 2, 2, 2, 2): ("%y%m%d%H%M%S", "%d%m%y%H%M%S"),
+}
+"""Digits of the numbers that make up a date and a time of day -> how they may be read, the
+likeliest first.  `%j` is the day of the year."""
+_ONE_SUFFIX = {".jpeg": ".jpg", ".tiff": ".tif"}
+_BEHIND_SECOND = re.compile(r"(?P<base>.*[0-9])(?P<mark>[_.-]| ?\()(?P<number>[0-9]+)\)?")
+_DAY_S = 86400.0
+_NIGHT_S = 3600.0  # frames around midnight lie no further apart
 _FRACTION_MARKS = (".", ",")
 _CLOCK_MARKS = ("-", "_", ".", ":", "h", "m", " ")
 _NANOSECOND_DIGITS = 9
@@ -49,16 +72,79 @@ def sequences_of(names: Sequence[str]) -> list[list[int]]:
 
     Sequences, and the names within each, are in natural order or in that of their time stamps.
     """
-    patterns: dict[tuple[str, ...], list[int]] = defaultdict(list)
-    for index, name in enumerate(names):
-        suffix = PurePath(name).suffix
-        texts = tuple(_NUMBER.split(name.removesuffix(suffix) + suffix.lower())[::2])
-        patterns[texts].append(index)
+    behind = _numbered_behind(names)
+    bases = [index for index in range(len(names)) if index not in behind]
     sequences: list[list[int]] = []
-    for pattern, indices in patterns.items():
+    for pattern, indices in _by_pattern(names, bases).items():
         rows = [_Row(index, names[index], tuple(_digits(names[index]))) for index in indices]
         sequences += [[row.index for row in sequence] for sequence in _split(pattern, rows)]
+
+    followers: dict[int, list[int]] = defaultdict(list)
+    for index, numbered in behind.items():
+        followers[numbered.base].append(index)
+    for sequence in sequences:
+        sequence[:] = [
+            index
+            for base in sequence
+            for index in (base, *sorted(followers[base], key=lambda index: behind[index].number))
+        ]
     return sorted(sequences, key=lambda sequence: natural_key(names[sequence[0]]))
+
+
+def _by_pattern(names: Sequence[str], indices: Sequence[int]) -> dict[tuple[str, ...], list[int]]:
+    """Places of names by what stands between their numbers."""
+    patterns: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for index in indices:
+        stem, suffix = _stem_and_suffix(names[index])
+        patterns[tuple(_NUMBER.split(stem + suffix)[::2])].append(index)
+    return patterns
+
+
+def _stem_and_suffix(name: str) -> tuple[str, str]:
+    """The name in two parts; suffixes of one format are one."""
+    suffix = PurePath(name).suffix
+    lower = suffix.lower()
+    return name.removesuffix(suffix), _ONE_SUFFIX.get(lower, lower)
+
+
+class _NumberedBehind(NamedTuple):
+    """A name that is another name and a number.  base: place of the other name."""
+
+    base: int
+    number: float
+
+
+def _numbered_behind(names: Sequence[str]) -> dict[int, _NumberedBehind]:
+    """Names that only differ from another one by a number behind it, by their place.
+
+    These are further frames of one second, copies that a file manager numbered in brackets, and
+    fractions of a whole number that is there without one.
+    """
+    places = {_stem_and_suffix(name): index for index, name in enumerate(names)}
+    behind: dict[int, _NumberedBehind] = {}
+    for index, name in enumerate(names):
+        stem, suffix = _stem_and_suffix(name)
+        match = _BEHIND_SECOND.fullmatch(stem)
+        base = places.get((match["base"], suffix)) if match is not None else None
+        if match is None or base is None:
+            continue
+        if match["mark"] in ("_", "-") and not _is_stamped(names[base]):
+            continue
+        is_fraction = match["mark"] == "."
+        number = float(f"0.{match['number']}") if is_fraction else float(match["number"])
+        behind[index] = _NumberedBehind(base, number)
+    # A name behind one that stands behind another is no frame of that second.
+    return {index: numbered for index, numbered in behind.items() if numbered.base not in behind}
+
+
+def _is_stamped(name: str) -> bool:
+    """Whether a name ends in a time stamp, with its suffix taken away."""
+    stem, suffix = _stem_and_suffix(name)
+    pattern = tuple(_NUMBER.split(stem + suffix)[::2])
+    row = _Row(0, name, tuple(_digits(name)))
+    stamp = _stamp_of(pattern, [row], list(range(len(row.digits))))
+    digit_count = len(_digits(stem))
+    return stamp is not None and stamp.fields[1] == digit_count - 1
 
 
 @dataclass(frozen=True)
@@ -71,6 +157,10 @@ class _Row:
 
     def number(self, field: int) -> int:
         return int(self.digits[field])
+
+    def fraction(self, field: int) -> float:
+        """The number as decimals behind a point."""
+        return float(f"0.{self.digits[field]}")
 
 
 @dataclass(frozen=True)
@@ -99,7 +189,7 @@ def _split(pattern: tuple[str, ...], rows: list[_Row]) -> list[list[_Row]]:
         return _by_stamp(pattern, rows, varying, stamp)
     decimal = _decimal_of(pattern, rows, varying)
     if decimal is not None:
-        return [_sorted(rows, lambda row: (row.number(decimal), row.number(decimal + 1)))]
+        return [_sorted(rows, lambda row: (row.number(decimal), row.fraction(decimal + 1)))]
     counter = _counter_of(rows, varying)
     before = [field for field in varying if field < counter]
     if _is_distinct(rows, [counter]):
@@ -130,8 +220,12 @@ def _decimal_of(pattern: tuple[str, ...], rows: list[_Row], varying: list[int]) 
         return None
     first, second = varying
     is_one = second == first + 1 and pattern[second] == "."
-    is_even = len({len(row.digits[second]) for row in rows}) == 1
-    return first if is_one and is_even else None
+    fractions = {row.digits[second] for row in rows}
+    is_even = len({len(fraction) for fraction in fractions}) == 1
+    # Whoever leaves out zeros leaves out all: 1.9 and 1.10 are counted.
+    is_stripped = not any(len(fraction) > 1 and fraction.endswith("0") for fraction in fractions)
+    is_longer = any(len(fraction) > 1 for fraction in fractions)
+    return first if is_one and (is_even or (is_stripped and is_longer)) else None
 
 
 def _counter_of(rows: list[_Row], varying: list[int]) -> int:
@@ -168,8 +262,40 @@ def _stamp_of(pattern: tuple[str, ...], rows: list[_Row], varying: list[int]) ->
             seconds = {row.index: seconds_of(row.digits[first : first + count]) for row in rows}
             known = {index: value for index, value in seconds.items() if value is not None}
             if len(known) == len(rows):
+                if seconds_of is _seconds_of_clock:
+                    known = _over_midnight(known)
                 return _Stamp((first, first + count - 1), known)
+    return _stamp_over_midnight(rows, varying)
+
+
+def _stamp_over_midnight(rows: list[_Row], varying: list[int]) -> _Stamp | None:
+    """A number of six digits that is a time of day: only midnight tells it from one that counts."""
+    for field in varying:
+        if {len(row.digits[field]) for row in rows} != {6} or not _is_distinct(rows, [field]):
+            continue
+        seconds = {row.index: _seconds_of_clock([row.digits[field]]) for row in rows}
+        known = {index: value for index, value in seconds.items() if value is not None}
+        later = _over_midnight(known)
+        if len(known) == len(rows) and later != known:
+            return _Stamp((field, field), later)
     return None
+
+
+def _over_midnight(seconds: dict[int, float]) -> dict[int, float]:
+    """Times of day by the place of their name; those after midnight with a day added.
+
+    A recording goes over midnight where more than half a day within it is empty, and the frames
+    before and after midnight are not.
+    """
+    times = sorted(set(seconds.values()))
+    if len(times) < 2 or times[0] + _DAY_S - times[-1] > _NIGHT_S:
+        return seconds
+    gap, morning_end = max((later - earlier, earlier) for earlier, later in pairwise(times))
+    if gap <= _DAY_S / 2:
+        return seconds
+    return {
+        index: value + _DAY_S if value <= morning_end else value for index, value in seconds.items()
+    }
 
 
 _Reading = Callable[[Sequence[str]], float | None]
@@ -182,9 +308,9 @@ def _readings(
     readings: list[tuple[int, _Reading]] = []
     if len(widths[first]) == 1 and min(widths[first]) in _EPOCH_UNITS:
         readings.append((1, _seconds_of_epoch))
-    for date in _DATE_WIDTHS:
+    for date, formats in _DATE_FORMATS.items():
         if widths[first : first + len(date)] == [{width} for width in date]:
-            readings.append((len(date), _seconds_of_date))
+            readings += [(len(date), partial(_seconds_of_date, text)) for text in formats]
     between = pattern[first + 1 : first + 3]
     is_clock = widths[first : first + 3] == [{2}, {2}, {2}]
     if is_clock and all(mark in _CLOCK_MARKS for mark in between):
@@ -200,9 +326,9 @@ def _seconds_of_epoch(digits: Sequence[str]) -> float | None:
     return seconds if _EARLIEST_S <= seconds <= _LATEST_S else None
 
 
-def _seconds_of_date(digits: Sequence[str]) -> float | None:
+def _seconds_of_date(date_format: str, digits: Sequence[str]) -> float | None:
     try:
-        date = datetime.strptime("".join(digits), "%Y%m%d%H%M%S").replace(tzinfo=UTC)
+        date = datetime.strptime("".join(digits), date_format).replace(tzinfo=UTC)
     except ValueError:
         return None
     return date.timestamp() if 1970 <= date.year < 2100 else None

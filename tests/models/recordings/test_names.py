@@ -33,6 +33,23 @@ ONE_SEQUENCE = {
         f"{n:04d}-{1_700_000_000 + n // 2}.{n % 2 * 5}.png" for n in range(12)
     ],
     "seconds since the start": [f"t{n // 4}.{n % 4 * 25:02d}s.png" for n in range(12)],
+    "two dives of two days": [
+        f"2509{day}_1015{2 * n + day % 2:02d}.png" for day in (24, 25) for n in range(6)
+    ],
+    "a year of two digits": [f"25-09-{24 + n // 6}_10-15-{n % 6 * 9:02d}.png" for n in range(12)],
+    "a day of the year": [f"2025_{364 + n // 6}_2359{n % 6 * 9:02d}.png" for n in range(7)],
+    "a new year": ["251231_235950.png", "251231_235955.png", "260101_000000.png"],
+    "a clock over midnight": [f"{c}.png" for c in ("235950", "235955", "000000", "000005")],
+    "a clock with tenths over midnight": ["23-59-59.0.png", "23-59-59.5.png", "00-00-00.0.png"],
+    "a counter behind a second": [
+        f"20231115_1704{30 + n // 3}{('', '_1', '_2')[n % 3]}.png" for n in range(12)
+    ],
+    "ten frames a second": [f"20231115_170431{'_' * (n > 0)}{n or ''}.png" for n in range(12)],
+    "copies in brackets": ["s170430.png", "s170431.png", "s170431 (1).png", "s170431 (2).png"],
+    "decimals without zeros": [f"t{value}.png" for value in ("0.125", "0.25", "0.5", "1.0")],
+    "halves between whole numbers": [f"t{value}.png" for value in ("0", "0.125", "0.5", "1")],
+    "counted behind a point": [f"rec1.{n}.png" for n in (1, 2, 9, 10, 11)],
+    "two spellings of a suffix": ["1.jpg", "2.jpeg", "3.JPG", "10.jpeg"],
     "capitals": [f"A{n}.{'PNG' if n % 2 else 'png'}" for n in range(12)],
 }
 
@@ -55,6 +72,10 @@ SEVERAL = {
     ],
     "recordings by their start": [
         [f"20240201_{start}_{n:04d}.png" for n in range(5)] for start in (120000, 130000)
+    ],
+    "a photo of each dive": [
+        ["dive1.png", "dive2.png"],
+        *[[f"dive{dive}_{n:03d}.png" for n in range(1, 4)] for dive in (1, 2)],
     ],
     "no numbers": [["a.png"], ["b.png"]],
 }
