@@ -17,9 +17,34 @@ def main(words: list[str]) -> None:
     parser.add_argument("--to", required=True, choices=FORMATS, help="format")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")
+    parser.add_argument(
+        "--classes",
+        type=_split_names,
+        default=(),
+        metavar="NAME,NAME",
+        help="classes of the objects to export, numbered in this order (default: those that occur)",
+    )
+    parser.add_argument(
+        "--min-size",
+        type=int,
+        metavar="PX",
+        help="smallest width and height of an object's box in pixels (default: 4 for mot and "
+        "coco_video, 2 for coco, yolo and huggingface)",
+    )
     arguments = parser.parse_args(words)
-    folder = local_folder(arguments.dir)
-    print(f"export: {export(folder, arguments.to, arguments.out, arguments.split)}")
+    summary = export(
+        local_folder(arguments.dir),
+        arguments.to,
+        arguments.out,
+        arguments.split,
+        class_names=arguments.classes,
+        min_side_px=arguments.min_size,
+    )
+    print(f"export: {summary}")
     print(f"folder: {arguments.out}")
     if arguments.to == "huggingface":
         print(f"upload: hf upload OWNER/NAME {arguments.out} --repo-type dataset")
+
+
+def _split_names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())

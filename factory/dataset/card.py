@@ -28,6 +28,7 @@ PAPER = (
     'T. Yang, T. Zhang, Y. Yao, "SimNFND: A Forward-Looking Sonar Denoising Model Trained on '
     'Simulated Noise-Free and Noisy Data", Remote Sensing 16(15), 2815, 2024'
 )
+_TITLE = "Simulated forward-looking sonar images, noisy and clean"
 _SECTIONS = ("scenes", "render", "resample", "noise", "sonar", "acoustics", "water")
 
 
@@ -201,17 +202,31 @@ def _has_only_own_scenes(config: Mapping[str, Any]) -> bool:
     )
 
 
-def hub_fields(name: str, licence: str | None, samples: int) -> dict[str, Any]:
-    """Return the front matter of a card, as the Hugging Face hub reads it."""
-    stated = (licence or "unknown").strip().lower()
-    fields: dict[str, Any] = {"license": stated}
-    if stated not in (*_HUB_LICENCES, "unknown"):
-        fields["license"] = "other"
-        fields["license_name"] = re.sub(r"[^a-z0-9.-]+", "-", stated).strip("-")
+def hub_fields(
+    name: str,
+    licence: str | None,
+    samples: int,
+    tasks: Sequence[str] = ("image-to-image",),
+    file_format: str = "hdf5",
+) -> dict[str, Any]:
+    """Return the front matter of a card, as the Hugging Face hub reads it.
+
+    Without a licence there is no entry `license`, which the hub shows as missing.
+    """
     category = next((size for limit, size in _SIZES if samples < limit), "n>1M")
-    return fields | {
-        "pretty_name": name,
-        "task_categories": ["image-to-image"],
+    tags = ["sonar", "forward-looking-sonar", "underwater", "denoising", "synthetic", file_format]
+    return _licence_fields(licence) | {
+        "pretty_name": f"{_TITLE} ({name})",
+        "task_categories": list(tasks),
         "size_categories": [category],
-        "tags": ["sonar", "forward-looking-sonar", "underwater", "denoising", "synthetic", "hdf5"],
+        "tags": tags,
     }
+
+
+def _licence_fields(licence: str | None) -> dict[str, Any]:
+    if licence is None:
+        return {}
+    stated = licence.strip().lower()
+    if stated in _HUB_LICENCES:
+        return {"license": stated}
+    return {"license": "other", "license_name": re.sub(r"[^a-z0-9.-]+", "-", stated).strip("-")}

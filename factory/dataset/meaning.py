@@ -21,10 +21,11 @@ def formation_of(config: Mapping[str, Any]) -> Formation:
     return "coherent" if "acoustics" in config else "pointwise"
 
 
-def grey_meaning(config: Mapping[str, Any], dtype: str) -> str:
+def grey_meaning(config: Mapping[str, Any], dtype: str, *, scale_place: str = "/meta") -> str:
     """How grey values of noisy and clean turn back into echo levels; one paragraph.
 
     config: as shards state it.  dtype: of the images, uint8 or float32.
+    scale_place: where the full scale of an image is found.
     """
     formation = formation_of(config)
     if not formation:
@@ -40,9 +41,9 @@ def grey_meaning(config: Mapping[str, Any], dtype: str) -> str:
         else "echo intensity after time-varying gain, over the source level"
     )
     scales = (
-        "full_scale is in /meta"
+        f"full_scale is in {scale_place}"
         if formation == "pointwise"
-        else "full_scale is in /meta; clean has clean_full_scale"
+        else f"full_scale is in {scale_place}; clean has clean_full_scale"
     )
     return (
         f"grey value g = {grey} shows the level L, the {quantity}: {formula}; {scales}. 0 is no "
@@ -78,15 +79,21 @@ def _soft_log(curve: Mapping[str, Any], _: float) -> str:
 _INVERSES = {"linear": _linear, "power": _power, "log": _log, "soft_log": _soft_log}
 
 
-def pixel_meaning(layout: str, width: int) -> str:
+def pixel_meaning(
+    layout: str,
+    width: int,
+    *,
+    bearings: str = "in /axes/azimuth (degrees, right is positive)",
+) -> str:
     """How rows and columns turn into metres and bearings; one paragraph.
 
     layout: fan or polar.  width: columns of the images.
+    bearings: where or what the bearings of the columns of a polar image are.
     """
     if layout == "polar":
         return (
-            "range_m = range_min_m + (row + 0.5) * metres_per_pixel; the bearing of a column is in "
-            "/axes/azimuth (degrees, right is positive)."
+            "range_m = range_min_m + (row + 0.5) * metres_per_pixel; the bearing of a column is "
+            f"{bearings}."
         )
     return (
         "ahead_m = range_max_m - (row + 0.5) * metres_per_pixel; "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,43 +10,41 @@ import numpy as np
 import numpy.typing as npt
 
 from ..dataset.pair_dataset import PairDataset
-from ..labels import classes_of
 from .notes import write_notes
+from .object_selection import ClassList, ObjectSelection
 from .objects import (
-    MIN_OBJECT_PX,
+    ExportedObjects,
     LabelledImage,
     VisibleObject,
-    summarize_objects,
+    survey_objects,
     write_labelled_images,
 )
 
 
-def write_coco(pairs: PairDataset, folder: Path) -> str:
+def write_coco(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> str:
     """images/SPLIT/KEY.png and annotations/instances_SPLIT.json, with boxes and masks.
 
-    Categories have the numbers of the classes (`simnfnd.factory.labels`), from 1.  clean/SPLIT
-    holds the ideal images.  Format: https://cocodataset.org/#format-data.
+    Categories are the classes that occur, or those of the selection, numbered from 1.  clean/SPLIT
+    holds the clean images.  Format: https://cocodataset.org/#format-data.
     Raises FactoryError for a dataset without labels.
     """
-    object_count = 0
-    small_count = 0
+    exported = survey_objects(pairs, selection)
     for split in pairs.splits:
-        annotations = _SplitAnnotations(pairs)
-        for image in write_labelled_images(pairs, folder, split):
+        annotations = _SplitAnnotations(pairs, exported)
+        for image in write_labelled_images(pairs, folder, split, exported):
             annotations.add(image)
-            object_count += len(image.objects)
-            small_count += image.small_count
         write_annotations(annotations.document(split), folder, split)
-    write_notes(pairs, folder, _NOTES)
-    return summarize_objects(pairs, object_count, small_count)
+    notes = f"{_NOTES}\n{exported.describe()}\n"
+    write_notes(pairs, folder, notes, layers=("noisy", "clean"), has_records=False)
+    return exported.summarize(len(pairs))
 
 
 class _SplitAnnotations:
     """The images and annotations of one split, filled image by image; ids count from 1."""
 
-    def __init__(self, pairs: PairDataset) -> None:
+    def __init__(self, pairs: PairDataset, exported: ExportedObjects) -> None:
         self._height, self._width = pairs.shape
-        self._classes = classes_of(pairs.form.config)
+        self._classes = exported.classes
         self._images: list[dict[str, Any]] = []
         self._annotations: list[dict[str, Any]] = []
 
@@ -68,7 +65,7 @@ class _SplitAnnotations:
         return {
             "id": len(self._annotations) + 1,
             "image_id": image_id,
-            "category_id": shown.label,
+            "category_id": self._classes.number(shown.class_name),
             "bbox": shown.box,
             "area": shown.area_px,
             "segmentation": encode_run_lengths(shown.mask),
@@ -78,19 +75,23 @@ class _SplitAnnotations:
     def document(self, split: str) -> dict[str, Any]:
         """The whole file of annotations."""
         return {
-            "info": {"description": f"SimNFND, {split}; masks as run lengths", "version": "1.0"},
+            "info": describe_file(f"SimNFND, {split}; masks as run lengths"),
             "images": self._images,
             "annotations": self._annotations,
             "categories": list_categories(self._classes),
         }
 
 
-def list_categories(classes: Sequence[str]) -> list[dict[str, Any]]:
-    """The categories of COCO: every class but 0, the background."""
+def describe_file(description: str) -> dict[str, str]:
+    """The entry `info`, without which pycocotools 2.0.9 and 2.0.10 read no results."""
+    return {"description": description, "version": "1.0"}
+
+
+def list_categories(classes: ClassList) -> list[dict[str, Any]]:
+    """The categories of COCO, numbered from 1."""
     return [
-        {"id": label, "name": name, "supercategory": "object"}
-        for label, name in enumerate(classes)
-        if label
+        {"id": classes.number(name), "name": name, "supercategory": "object"}
+        for name in classes.names
     ]
 
 
@@ -109,12 +110,10 @@ def encode_run_lengths(mask: npt.NDArray[np.bool_]) -> dict[str, list[int]]:
     return {"counts": run_lengths.tolist(), "size": list(mask.shape)}
 
 
-_NOTES = f"""\
+_NOTES = """\
 `annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the images of
 `images/SPLIT`: box, area in pixels, and the mask as run lengths, which pycocotools reads
-(`annToMask`); `--to yolo` has polygons. Objects that show in fewer than {MIN_OBJECT_PX} pixels \
-are left
-out. `clean/SPLIT` has the same images without noise.
+(`annToMask`); `--to yolo` has polygons. `clean/SPLIT` has the same images without noise.
 
 ```python
 from pycocotools.coco import COCO

@@ -70,7 +70,7 @@ def write_mcap(pairs: PairDataset, folder: Path) -> str:
                         connections[topic] = writer.add_connection(topic, kind, typestore=store)
                     content = store.serialize_cdr(message, kind)
                     writer.write(connections[topic], round(time_s * 1e9), content)
-    write_notes(pairs, folder, _NOTES)
+    write_notes(pairs, folder, _NOTES, layers=_LAYERS, has_records=False)
     return f"{len(pairs.splits)} MCAP files, {count} pings"
 
 

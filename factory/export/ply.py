@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ..dataset.pair_dataset import PairDataset, in_unit_range
 from ..errors import FactoryError
-from .notes import write_notes
+from .notes import describe_labels, write_notes
 from .samples import Sample, read_samples
 
 _NEEDED = ("range", "azimuth", "elevation")
@@ -34,7 +34,9 @@ def write_ply(pairs: PairDataset, folder: Path) -> str:
         (folder / split).mkdir()
         for sample in read_samples(pairs, split):
             points += write_points(folder / split / f"{sample.number}.ply", sample)
-    write_notes(pairs, folder, _NOTES)
+    labels = describe_labels(pairs)
+    notes = f"{_NOTES}\nValues of `class`: {labels}\n" if labels else _NOTES
+    write_notes(pairs, folder, notes, layers=(), has_records=False)
     return f"{len(pairs)} point clouds, {points} points"
 
 

@@ -24,7 +24,8 @@ def write_png(pairs: PairDataset, folder: Path) -> str:
     ]
     for split in pairs.splits:
         _write_split(pairs, split, folder / split, written_layers)
-    write_notes(pairs, folder, _NOTES)
+    layers = [layer for layer in pairs.form.layers if flat_name(layer) in written_layers]
+    write_notes(pairs, folder, _NOTES, layers=layers)
 
     summary = f"{len(pairs)} samples as PNG ({', '.join(written_layers)})"
     left_out = [name for name in map(flat_name, pairs.form.layers) if name not in written_layers]

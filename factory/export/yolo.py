@@ -11,36 +11,36 @@ import numpy.typing as npt
 import yaml
 
 from ..dataset.pair_dataset import PairDataset
-from ..labels import classes_of
 from .notes import write_notes
-from .objects import MIN_OBJECT_PX, VisibleObject, summarize_objects, write_labelled_images
+from .object_selection import ClassList, ObjectSelection
+from .objects import VisibleObject, survey_objects, write_labelled_images
+
+Outline = npt.NDArray[np.int64]
 
 
-def write_yolo(pairs: PairDataset, folder: Path) -> str:
+def write_yolo(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> str:
     """images/SPLIT/KEY.png, labels/SPLIT/KEY.txt and data.yaml.
 
-    A line of labels is a polygon: its class, then its corners as fractions of width and height;
-    detectors use the box around it.  An object in separate parts has a line for each part; holes,
-    which the format cannot express, are filled.  clean/SPLIT holds the ideal images.  Format:
-    https://docs.ultralytics.com/datasets/segment.
+    A line of labels is an object: its class, then the corners of one polygon as fractions of width
+    and height; detectors use the box around it.  Parts of an object are joined by lines of no
+    width; holes, which the format cannot express, are filled.  clean/SPLIT holds the clean images.
+    Format: https://docs.ultralytics.com/datasets/segment.
     Raises FactoryError for a dataset without labels.
     """
-    object_count = 0
-    small_count = 0
+    exported = survey_objects(pairs, selection)
     for split in pairs.splits:
         label_folder = folder / "labels" / split
         label_folder.mkdir(parents=True)
-        for image in write_labelled_images(pairs, folder, split):
-            text = "".join(_label_lines(shown) for shown in image.objects)
+        for image in write_labelled_images(pairs, folder, split, exported):
+            text = "".join(_label_line(shown, exported.classes) for shown in image.objects)
             (label_folder / f"{image.key}.txt").write_text(text)
-            object_count += len(image.objects)
-            small_count += image.small_count
-    (folder / "data.yaml").write_text(_data_yaml(pairs))
-    write_notes(pairs, folder, _NOTES)
-    return summarize_objects(pairs, object_count, small_count)
+    (folder / "data.yaml").write_text(_data_yaml(pairs, exported.classes))
+    notes = f"{_NOTES}\n{exported.describe(first_number=0)}\n"
+    write_notes(pairs, folder, notes, layers=("noisy", "clean"), has_records=False)
+    return exported.summarize(len(pairs))
 
 
-def _data_yaml(pairs: PairDataset) -> str:
+def _data_yaml(pairs: PairDataset, classes: ClassList) -> str:
     """Where the images of training and validation are, and the names of the classes from 0."""
     splits = tuple(pairs.splits)
     train_split = "train" if "train" in splits else splits[0]
@@ -49,23 +49,49 @@ def _data_yaml(pairs: PairDataset) -> str:
     document = {
         "train": f"images/{train_split}",
         "val": f"images/{validation_split}",
-        "names": dict(enumerate(classes_of(pairs.form.config)[1:])),
+        "names": dict(enumerate(classes.names)),
     }
     return yaml.safe_dump(document, sort_keys=False)
 
 
-def _label_lines(shown: VisibleObject) -> str:
-    """A line for each part of an object; YOLO counts classes from 0."""
+def _label_line(shown: VisibleObject, classes: ClassList) -> str:
+    """The line of an object; YOLO counts classes from 0."""
     height, width = shown.mask.shape
-    lines = []
-    for outline in trace_outlines(shown.mask):
-        fractions = (outline / (width, height)).ravel()
-        corners = " ".join(f"{fraction:.6f}" for fraction in fractions)
-        lines.append(f"{shown.label - 1} {corners}\n")
-    return "".join(lines)
+    polygon = join_outlines(trace_outlines(shown.mask))
+    fractions = (polygon / (width, height)).ravel()
+    corners = " ".join(f"{fraction:.6f}" for fraction in fractions)
+    return f"{classes.number(shown.class_name) - 1} {corners}\n"
 
 
-def trace_outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
+def join_outlines(outlines: list[Outline]) -> Outline:
+    """One closed polygon (corners, 2) through the outlines (N, 2) of the parts of an object.
+
+    The nearest part is added again and again: the polygon runs from its corner that is nearest to
+    the part straight there, around the part, and the same way back.
+    """
+    polygon = outlines[0]
+    remaining = list(outlines[1:])
+    while remaining:
+        bridges = [_shortest_bridge(polygon, part) for part in remaining]
+        nearest = min(range(len(remaining)), key=lambda index: bridges[index][0])
+        _, polygon_corner, part_corner = bridges[nearest]
+        part = np.roll(remaining.pop(nearest), -part_corner, axis=0)
+        detour = np.concatenate([part, part[:1], polygon[polygon_corner : polygon_corner + 1]])
+        polygon = np.insert(polygon, polygon_corner + 1, detour, axis=0)
+    return polygon
+
+
+def _shortest_bridge(polygon: Outline, part: Outline) -> tuple[int, int, int]:
+    """The squared distance of the nearest two corners, and the index of each."""
+    steps = polygon[:, None] - part[None]
+    squared_distances = (steps**2).sum(axis=-1)
+    polygon_corner, part_corner = np.unravel_index(
+        squared_distances.argmin(), squared_distances.shape
+    )
+    return int(squared_distances.min()), int(polygon_corner), int(part_corner)
+
+
+def trace_outlines(mask: npt.NDArray[np.bool_]) -> list[Outline]:
     """Return the outline of each connected part of an (H, W) mask, (corners, 2) columns and rows.
 
     Pixels that touch at a corner are connected.  A pixel (column c, row r) covers c to c + 1 and
@@ -77,7 +103,7 @@ def trace_outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
     return [_outline_corners(contour[:, 0]) for contour in contours]
 
 
-def _outline_corners(contour: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+def _outline_corners(contour: npt.NDArray[Any]) -> Outline:
     """The corners (N, 2) along pixel edges of a contour (M, 2) at twice the resolution."""
     vertices = (contour.astype(np.int64) + 1) // 2
     is_new = np.any(vertices != np.roll(vertices, 1, axis=0), axis=1)
@@ -89,13 +115,12 @@ def _outline_corners(contour: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
     return np.asarray(vertices[is_corner])
 
 
-_NOTES = f"""\
-`labels/SPLIT/NAME.txt` has a line for each object in `images/SPLIT/NAME.png`: its class (`names` of
-`data.yaml`), then the corners of a polygon along the edges of its pixels, as fractions of width and
-height. An object in parts that do not touch has a line for each part; holes are filled. Objects
-that show in fewer than {MIN_OBJECT_PX} pixels are left out. `data.yaml` takes the test split to
-validate, or the only one that was exported. `clean/SPLIT` has the same images without
-noise.
+_NOTES = """\
+`labels/SPLIT/NAME.txt` has one line for each object in `images/SPLIT/NAME.png`: its class (`names`
+of `data.yaml`), then the corners of a polygon along the edges of its pixels, as fractions of width
+and height. Parts of an object that do not touch are joined by lines of no width; holes are filled.
+`data.yaml` takes the test split to validate, or the only one that was exported. `clean/SPLIT` has
+the same images without noise.
 
 ```sh
 yolo segment train data=data.yaml   # or: yolo detect train

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ import yaml
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import FORMATS, export
 from simnfnd.factory.export.objects import MIN_OBJECT_PX
+from simnfnd.factory.export.yolo import join_outlines, trace_outlines
 from simnfnd.factory.labels import CLASSES
 from tests.factory.dataset.hostile import admit, reseal
 from tests.factory.export import export_dataset
@@ -128,6 +130,7 @@ def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_p
         shadow = np.stack([np.asarray(sample["shadow"]) for sample in samples])
         np.testing.assert_array_equal(shadow > 0, stored(source, split, "shadow"))
         if which == "fans":
+            assert isinstance(rows.features["objects"].feature["category"], datasets.ClassLabel)
             for name in ("segmentation", "instance", "range"):
                 actual = np.stack([np.asarray(sample[name]) for sample in samples])
                 np.testing.assert_array_equal(actual, stored(source, split, name))
@@ -245,13 +248,13 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     said = export(labelled, "coco", out)
     everything = truth(labelled, "train") + truth(labelled, "test")
-    assert said.startswith(f"12 images, {sum(map(len, everything))} objects; 12 below 8 pixels")
+    assert said.startswith(f"12 images, {sum(map(len, everything))} objects of 2 classes; 12 ")
     for split, count in (("train", 9), ("test", 3)):
         coco = COCO(str(out / "annotations" / f"instances_{split}.json"))
         names = {
             annotation["id"]: annotation["name"] for annotation in coco.loadCats(coco.getCatIds())
         }
-        assert names == {k: name for k, name in enumerate(CLASSES) if k}
+        assert names == {1: "Tire", 2: "Barrel"}  # those that occur
         assert len(coco.getImgIds()) == count
         wanted = truth(labelled, split)
         for image, masks in zip(coco.loadImgs(sorted(coco.getImgIds())), wanted, strict=True):
@@ -260,8 +263,8 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
             assert pixels.shape == (image["height"], image["width"]) == (20, 16)
             assert (out / "clean" / split / image["file_name"]).is_file()
             actual = coco.loadAnns(coco.getAnnIds(image["id"]))
-            assert [annotation["category_id"] for annotation in actual] == [
-                label for label, _ in masks
+            assert [names[annotation["category_id"]] for annotation in actual] == [
+                CLASSES[label] for label, _ in masks
             ]
             for annotation, (_, mask) in zip(actual, masks, strict=True):
                 np.testing.assert_array_equal(coco.annToMask(annotation), mask)
@@ -272,32 +275,118 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
                 assert annotation["area"] == mask.sum()
 
 
-def test_yolo_lines_are_the_objects(labelled: Path, tmp_path: Path) -> None:
+def ultralytics_boxes(image_path: Path, class_count: int) -> np.ndarray:
+    """The boxes (N, 5) of a label file: class, left, top, right, bottom as fractions.
+
+    Refuses what `verify_image_label` of Ultralytics refuses or leaves out.
+    """
+    assert image_path.suffix == ".png"
+    # Ultralytics finds the labels by these changes of the image's name.
+    label_path = Path(str(image_path).replace("/images/", "/labels/")).with_suffix(".txt")
+    boxes = []
+    for line in label_path.read_text().splitlines():
+        values = np.array(line.split(), np.float32)
+        assert values.size >= 7  # a polygon of three corners
+        assert values.size % 2 == 1
+        corners = values[1:].reshape(-1, 2)
+        assert corners.min() >= 0
+        assert corners.max() <= 1
+        assert 0 <= values[0] < class_count
+        assert values[0] == int(values[0])
+        boxes.append([values[0], *corners.min(axis=0), *corners.max(axis=0)])
+    boxes = np.array(boxes, np.float32).reshape(-1, 5)
+    assert len(np.unique(boxes, axis=0)) == len(boxes)  # duplicates are removed
+    return boxes
+
+
+def test_a_line_of_yolo_is_an_object_of_coco(labelled: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    export(labelled, "yolo", out)
+    said = export(labelled, "yolo", out)
+    everything = truth(labelled, "train") + truth(labelled, "test")
+    assert said.startswith(f"12 images, {sum(map(len, everything))} objects of 2 classes; 12 ")
     data = yaml.safe_load((out / "data.yaml").read_text())
-    assert data["names"] == dict(enumerate(CLASSES[1:]))
+    assert data["names"] == {0: "Tire", 1: "Barrel"}
     for key, split in (("train", "train"), ("val", "test")):
         images = sorted((out / data[key]).iterdir())
         for path, masks in zip(images, truth(labelled, split), strict=True):
-            # Ultralytics finds the labels by these changes of the image's name.
-            place = Path(str(path).replace("/images/", "/labels/")).with_suffix(".txt")
-            lines = [line.split() for line in place.read_text().splitlines()]
-            assert {int(line[0]) + 1 for line in lines} == {label for label, _ in masks}
-            filled = np.zeros((20, 16), bool)
-            for line in lines:
-                corners = np.array(line[1:], float).reshape(-1, 2)
-                assert 0 <= corners.min() <= corners.max() <= 1
-                assert len(corners) > 3
-                filled |= covered(corners * (16, 20), (20, 16))
-            for _, mask in masks:
-                assert filled[mask].all()
-            # Holes alone are filled beside.
-            union = np.logical_or.reduce([mask for _, mask in masks], initial=False)
-            rows, columns = union.nonzero()
-            outside = filled.copy()
-            outside[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = False
-            assert not outside.any()
+            boxes = ultralytics_boxes(path, len(data["names"]))
+            assert [data["names"][int(box[0])] for box in boxes] == [CLASSES[m[0]] for m in masks]
+            for box, (_, mask) in zip(boxes, masks, strict=True):
+                rows, columns = mask.nonzero()
+                sides = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+                np.testing.assert_allclose(box[1:] * (16, 20, 16, 20), sides, atol=1e-4)
+
+
+def test_the_parts_of_an_object_are_one_polygon() -> None:
+    mask = np.zeros((12, 30), bool)
+    mask[1:4, 1:6] = mask[6:10, 3:8] = mask[2:5, 14:20] = mask[8:11, 25:28] = True
+    polygon = join_outlines(trace_outlines(mask))
+    np.testing.assert_array_equal(covered(polygon.astype(float), mask.shape), mask)
+    # Every bridge is crossed twice, so the joined polygon has the area of the parts.
+    x, y = polygon.T
+    area = abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2
+    assert area == mask.sum()
+
+
+def test_chosen_classes_are_numbered_as_asked(labelled: Path, tmp_path: Path) -> None:
+    export(labelled, "coco", tmp_path / "coco", class_names=("Barrel", "Anchor"))
+    document = json.loads((tmp_path / "coco/annotations/instances_train.json").read_text())
+    assert [entry["name"] for entry in document["categories"]] == ["Barrel", "Anchor"]
+    barrels = [mask for masks in truth(labelled, "train") for label, mask in masks if label == 20]
+    assert [entry["category_id"] for entry in document["annotations"]] == [1] * len(barrels)
+    with pytest.raises(FactoryError, match="Submarine"):
+        export(labelled, "yolo", tmp_path / "yolo", class_names=("Submarine",))
+    with pytest.raises(FactoryError, match="twice"):
+        export(labelled, "yolo", tmp_path / "yolo", class_names=("Tire", "Tire"))
+    with pytest.raises(FactoryError, match="--classes"):
+        export(labelled, "png", tmp_path / "png", class_names=("Tire",))
+
+
+def test_small_boxes_are_left_out(labelled: Path, tmp_path: Path) -> None:
+    export(labelled, "coco", tmp_path / "out", min_side_px=8)
+    sides = []
+    for path in (tmp_path / "out/annotations").iterdir():
+        sides += [min(entry["bbox"][2:]) for entry in json.loads(path.read_text())["annotations"]]
+    everything = truth(labelled, "train") + truth(labelled, "test")
+    expected = [
+        min(np.ptp(axis) + 1 for axis in mask.nonzero())
+        for masks in everything
+        for _, mask in masks
+    ]
+    assert sorted(sides) == sorted(side for side in expected if side >= 8)
+    assert len(sides) < len(expected)
+
+
+def test_a_readme_describes_its_export_alone(labelled: Path, fans: Path, tmp_path: Path) -> None:
+    export(labelled, "yolo", tmp_path / "yolo")
+    text = (tmp_path / "yolo/README.md").read_text()
+    assert "Classes: 0 Tire, 1 Barrel." in text
+    for absent in ("noise.background.density", "| segmentation", "| shadow", "record of each"):
+        assert absent not in text
+    export(fans, "png", tmp_path / "png")
+    text = (tmp_path / "png/README.md").read_text()
+    for present in ("noise.background.density", "| segmentation", "20 Barrel", "record of each"):
+        assert present in text
+    assert "| range " not in text  # no PNG holds it
+
+
+def test_the_card_states_licence_and_title(floats: Path, labelled: Path, tmp_path: Path) -> None:
+    def front_matter(folder: Path) -> dict[str, Any]:
+        card = (folder / "README.md").read_text()
+        return yaml.safe_load(card.split("---\n")[1])
+
+    export(labelled, "huggingface", tmp_path / "labelled")
+    fields = front_matter(tmp_path / "labelled")
+    assert fields["license"] == "cc-by-4.0"
+    assert "sonar" in fields["pretty_name"]
+    assert fields["task_categories"] == ["image-to-image", "object-detection"]
+    assert "parquet" in fields["tags"]
+
+    others = {**export_dataset.CONFIG, "scenes": {"kind": "csv_list"}}
+    unlicensed = write(tmp_path / "source", licence=None, config=others)
+    said = export(unlicensed, "huggingface", tmp_path / "unlicensed")
+    assert "licence" in said
+    assert "license" not in front_matter(tmp_path / "unlicensed")
 
 
 def covered(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

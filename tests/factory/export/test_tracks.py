@@ -24,13 +24,21 @@ COLUMNS = (
     Column("location", "S24"), Column("scene", "S24"), Column("frame", "S24"),
     Column("variant", "i4"), Column("time_s", "f8"), Column("tracks", "S2000"),
 )  # fmt: skip
-CONFIG: dict[str, Any] = {"classes": ["Fish"], "scenes": {"kind": "seabed"}}
+CONFIG: dict[str, Any] = {"classes": ["Whale", "Fish", "Ray"], "scenes": {"kind": "seabed"}}
 FRAMES = (0, 1, 2, 3, 5, 6, 7, 8)  # frame 4 failed
 
 
 def track(number: int, frame: int) -> dict[str, Any]:
-    box = [frame, 2 * number, 3, 4] if frame != 2 else None
-    return {"id": number, "class": "Fish", "box": box, "occluded": 0.25, "range_m": 3.0}
+    box = [frame, 2 * number, 5, 4] if frame != 2 else None
+    if frame == 3:
+        box = [frame, 2 * number, 3, 9]  # too narrow
+    return {
+        "id": number,
+        "class": ("Fish", "Ray")[number - 1],
+        "box": box,
+        "occluded": 0.25,
+        "range_m": 3.0,
+    }
 
 
 def pair(scene: str, frame: int, tracks: str | None = None) -> Pair:
@@ -96,20 +104,66 @@ def test_windows_stay_in_a_recording_and_cross_no_gap(swims):
         assert len(list(pairs.windows(2, step=3))) == 3 * 2
 
 
+def mot_challenge_accuracy(gt_path: Path, frame_count: int) -> float:
+    """MOTA of the truth itself, by the rules that TrackEval has for MOTChallenge at its defaults.
+
+    Refuses what TrackEval refuses: classes that MOT17 does not have, frames beyond the sequence,
+    and ids that come twice in a frame.  Class 1 alone is judged, results having no class.
+    """
+    lines = np.loadtxt(gt_path, delimiter=",", ndmin=2)
+    assert set(lines[:, 7]) <= set(range(1, 14))
+    assert 1 <= lines[:, 0].min() <= lines[:, 0].max() <= frame_count
+    ids_in_frames = lines[:, :2]
+    assert len(np.unique(ids_in_frames, axis=0)) == len(lines)
+    is_judged = (lines[:, 6] != 0) & (lines[:, 7] == 1)
+    false_positives = len(lines) - is_judged.sum()
+    return float(1 - false_positives / is_judged.sum())
+
+
+BOXES = 2 * (len(FRAMES) - 2)  # of a recording: two frames have none that is large
+
+
 def test_mot_has_a_line_for_each_box(swims, tmp_path):
     said = export(swims, "mot", tmp_path / "out")
-    assert said == f"3 recordings, {3 * len(FRAMES)} frames, {3 * 2 * (len(FRAMES) - 1)} boxes"
+    assert said.startswith(f"3 recordings, {3 * len(FRAMES)} frames, {3 * BOXES} boxes; 6 ")
     place = tmp_path / "out/train/sea-two"
     lines = np.loadtxt(place / "gt/gt.txt", delimiter=",")
-    assert lines.shape == (2 * (len(FRAMES) - 1), 9)
-    assert lines[0].tolist() == [1, 1, 1, 3, 3, 4, 1, 21, 0.75]  # from 1, of box 0, 2, 3, 4
-    assert 3 not in lines[:, 0]  # frame number 2 has no echo
+    assert lines.shape == (BOXES, 9)
+    assert lines[0].tolist() == [1, 1, 1, 3, 5, 4, 1, 1, 0.75]  # from 1, of box 0, 2, 5, 4
+    assert not {3, 4} & set(lines[:, 0])  # no echo, and a narrow one
+    assert (place / "gt/classes.csv").read_text() == "id,class\n1,Fish\n2,Ray\n"
+    assert mot_challenge_accuracy(place / "gt/gt.txt", len(FRAMES)) == 1
     info = configparser.ConfigParser()
     info.read(place / "seqinfo.ini")
     assert info["Sequence"]["seqlength"] == str(len(FRAMES))
     assert float(info["Sequence"]["framerate"]) == 7.0  # eight frames in 1 s
     image = cv2.imread(str(place / "img1/000001.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(image, pair("two", 0).noisy)
+
+
+def test_mot_numbers_chosen_classes(swims, tmp_path):
+    export(swims, "mot", tmp_path / "out", class_names=("Ray", "Whale"), min_side_px=1)
+    lines = np.loadtxt(tmp_path / "out/train/sea-two/gt/gt.txt", delimiter=",")
+    assert {(line[1], line[7]) for line in lines} == {(2, 1)}
+    assert len(lines) == len(FRAMES) - 1  # narrow ones, too
+
+
+def test_pycocotools_judges_the_boxes_of_coco_video(swims, tmp_path):
+    from pycocotools.coco import COCO
+    from pycocotools.cocoeval import COCOeval
+
+    export(swims, "coco_video", tmp_path / "out", "train")
+    path = tmp_path / "out/annotations/instances_train.json"
+    assert {"info", "images", "annotations", "categories"} <= set(json.loads(path.read_text()))
+    truth = COCO(str(path))
+    results = [{**annotation, "score": 1.0} for annotation in truth.dataset["annotations"]]
+    judge = COCOeval(truth, truth.loadRes(results), "bbox")
+    judge.evaluate()
+    judge.accumulate()
+    judge.summarize()
+    assert judge.stats[0] == 1.0
+    names = [category["name"] for category in truth.loadCats(truth.getCatIds())]
+    assert names == ["Fish", "Ray"]
 
 
 def test_coco_video_numbers_tracks_and_recordings(swims, tmp_path):
