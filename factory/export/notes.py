@@ -108,10 +108,11 @@ def _pixels(pairs: PairDataset, has_records: bool) -> str:
     if has_records:
         return f"{meaning} These names are in the record of each sample."
     table = pairs.meta()
-    windows = np.unique(table[[name for name in _WINDOW_COLUMNS if name in table.dtype.names]])
-    if len(windows) != 1:
+    known_names = [name for name in _WINDOW_COLUMNS if name in (table.dtype.names or ())]
+    distinct_values = {name: np.unique(table[name]) for name in known_names}
+    if any(len(values) != 1 for values in distinct_values.values()):
         return f"{meaning} These values differ from image to image; `--to png` has them."
-    values = ", ".join(f"{name} = {windows[name][0]:.6g}" for name in windows.dtype.names)
+    values = ", ".join(f"{name} = {values[0]:.6g}" for name, values in distinct_values.items())
     return f"{meaning} Of all images: {values}."
 
 

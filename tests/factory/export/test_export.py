@@ -283,7 +283,7 @@ def ultralytics_boxes(image_path: Path, class_count: int) -> np.ndarray:
     assert image_path.suffix == ".png"
     # Ultralytics finds the labels by these changes of the image's name.
     label_path = Path(str(image_path).replace("/images/", "/labels/")).with_suffix(".txt")
-    boxes = []
+    rows = []
     for line in label_path.read_text().splitlines():
         values = np.array(line.split(), np.float32)
         assert values.size >= 7  # a polygon of three corners
@@ -293,8 +293,8 @@ def ultralytics_boxes(image_path: Path, class_count: int) -> np.ndarray:
         assert corners.max() <= 1
         assert 0 <= values[0] < class_count
         assert values[0] == int(values[0])
-        boxes.append([values[0], *corners.min(axis=0), *corners.max(axis=0)])
-    boxes = np.array(boxes, np.float32).reshape(-1, 5)
+        rows.append([values[0], *corners.min(axis=0), *corners.max(axis=0)])
+    boxes = np.array(rows, np.float32).reshape(-1, 5)
     assert len(np.unique(boxes, axis=0)) == len(boxes)  # duplicates are removed
     return boxes
 
@@ -321,7 +321,7 @@ def test_the_parts_of_an_object_are_one_polygon() -> None:
     mask = np.zeros((12, 30), bool)
     mask[1:4, 1:6] = mask[6:10, 3:8] = mask[2:5, 14:20] = mask[8:11, 25:28] = True
     polygon = join_outlines(trace_outlines(mask))
-    np.testing.assert_array_equal(covered(polygon.astype(float), mask.shape), mask)
+    np.testing.assert_array_equal(covered(polygon.astype(float), (12, 30)), mask)
     # Every bridge is crossed twice, so the joined polygon has the area of the parts.
     x, y = polygon.T
     area = abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2
@@ -373,7 +373,7 @@ def test_a_readme_describes_its_export_alone(labelled: Path, fans: Path, tmp_pat
 def test_the_card_states_licence_and_title(floats: Path, labelled: Path, tmp_path: Path) -> None:
     def front_matter(folder: Path) -> dict[str, Any]:
         card = (folder / "README.md").read_text()
-        return yaml.safe_load(card.split("---\n")[1])
+        return dict(yaml.safe_load(card.split("---\n")[1]))
 
     export(labelled, "huggingface", tmp_path / "labelled")
     fields = front_matter(tmp_path / "labelled")
