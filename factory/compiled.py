@@ -7,27 +7,9 @@ the order that the source says (no fastmath), so the result is the same on every
 
 from __future__ import annotations
 
-import importlib
-import os
-import sys
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any, TypeVar
-
-from filelock import FileLock
-
-from .progress import stage_if_slow
-
-IMAGE_LOOPS = tuple(
-    f"{__package__}.{name}" for name in ("elementary", "render.kernels", "sonar.kernels")
-)
-SEABED = f"{__package__}.scenes.seabed.kernels"
-FIELD = f"{__package__}.imaging.kernels"
-LOOPS = (*IMAGE_LOOPS, SEABED, FIELD)
-
-_LOADING = "loading kernels; the first time on a machine compiles them, about 20 s"
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _mode = {"loading": False}
@@ -60,40 +42,11 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
     return decorate
 
 
-def compile_needed(*, scenes: str = "", field: bool = False) -> None:
-    """Load the loops that a task needs, compiling what is not on disk yet.
-
-    scenes: the kind whose frames it makes.  field: whether it forms images by the complex field.
-    One process of a machine at a time does it: many workers would compile the same loops at once.
-    """
-    names = [*IMAGE_LOOPS]
-    if scenes in ("seabed", "mesh"):
-        names.append(SEABED)
-    if field:
-        names.append(FIELD)
-    if all(name in sys.modules for name in names):
-        return
-    with _alone(), stage_if_slow(_LOADING, after_s=2.0):
-        for name in names:
-            importlib.import_module(name)
-
-
-def load_compiled() -> None:
-    """Load what has a compiled form on disk, for processes that are forked from this one."""
-    _mode["loading"] = True
-    for name in LOOPS:
-        with suppress(ImportError):
-            importlib.import_module(name)
-    _mode["loading"] = False
-
-
 @contextmanager
-def _alone() -> Iterator[None]:
-    user = getattr(os, "getuid", int)()
-    lock = FileLock(Path(tempfile.gettempdir()) / f"simnfnd-kernels-{user}.lock")
-    with suppress(OSError):  # a full or read-only folder does not prevent compiling
-        lock.acquire()
+def loading_only() -> Iterator[None]:
+    """While it lasts a loop without a compiled form on disk raises ImportError."""
+    _mode["loading"] = True
     try:
         yield
     finally:
-        lock.release()
+        _mode["loading"] = False

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import FrameError
+from .frame_ref import FrameRef
 
 LIKELY_M = (0.005, 300.0)
 """Limits of a likely median depth: no imaging sonar sees farther, and no camera nearer."""
@@ -87,25 +88,6 @@ def _simple_ratio(ratio: float) -> float:
     quotients = [a / b for a in range(1, 9) for b in range(1, 9)]
     nearest = min(quotients, key=lambda quotient: abs(quotient - ratio))
     return nearest if abs(nearest / ratio - 1) < 0.02 else ratio
-
-
-@dataclass(frozen=True)
-class FrameRef:
-    """Where a frame is, small enough to send to another process.
-
-    `scene` is the unit that train and test are split by: one recording (FLSea) or one procedural
-    seed (seabed).  `location` is the area it belongs to.  `paths` are the reader's own business.
-    """
-
-    location: str
-    scene: str
-    frame: str
-    paths: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """`location/scene/frame`, unique in a dataset (without the location when it is empty)."""
-        return "/".join(part for part in (self.location, self.scene, self.frame) if part)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..seeds import stream
+from ..sonar.geometry import FanGeometry, recorded_sonar
 from ..storage.copies import local_folder
 from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
@@ -35,9 +36,6 @@ from .schema import (
 )
 from .schema import layers as known_layers
 from .shares import Share, loader_share
-
-if TYPE_CHECKING:
-    from ..sonar.geometry import FanGeometry
 
 WINDOW = 16
 THREADS = 4
@@ -353,15 +351,13 @@ def _plain(value: Any) -> float | int | str:
 
 
 def _geometry(config: Mapping[str, Any], record: Mapping[str, Any]) -> FanGeometry | None:
-    """Of one image; None where its device was drawn, or no pydantic reads the configuration."""
+    """Of one image; None where its device was drawn, or another program wrote the dataset."""
     if config.get("devices") is not None:
         return None
     try:
-        from ..sonar.geometry import FanGeometry, recorded_sonar
-
         sonar = recorded_sonar(config)
         return None if sonar is None else FanGeometry.from_record(sonar, record)
-    except (ImportError, KeyError, ValueError):
+    except (KeyError, ValueError):
         return None
 
 

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from ..dataset.pair_dataset import PairDataset
 from ..errors import FactoryError
 from ..ros_types import SONAR, typestore
-from ..sonar.geometry import FanGeometry, recorded_sonar
-from ..sonar.settings import SonarSettings
+from ..sonar.geometry import FanGeometry, SonarDevice, recorded_sonar
 from .notes import write_notes
 from .samples import Sample, read_samples
 
@@ -96,7 +95,7 @@ def _timed(split_samples: Iterator[Sample]) -> Iterator[tuple[Sample, float]]:
 
 
 def _messages(
-    sample: Sample, time_s: float, sonar: SonarSettings, types: Mapping[str, Any]
+    sample: Sample, time_s: float, sonar: SonarDevice, types: Mapping[str, Any]
 ) -> Iterator[tuple[str, str, Any]]:
     """Topic, type and message of all that is said of a sample."""
     seconds = int(time_s)
@@ -116,7 +115,7 @@ def _messages(
         yield "/sonar/pose", _POSE, pose
 
 
-def polar_grid(sonar: SonarSettings, geometry: FanGeometry) -> PolarGrid:
+def polar_grid(sonar: SonarDevice, geometry: FanGeometry) -> PolarGrid:
     """The ranges and bearings that the device measures in the window of an image."""
     near = geometry.range_min_m
     far = geometry.range_max_m
@@ -143,7 +142,7 @@ def polar_image(
 
 
 def _ping(
-    polar: npt.NDArray[Any], grid: PolarGrid, header: Any, sonar: SonarSettings,
+    polar: npt.NDArray[Any], grid: PolarGrid, header: Any, sonar: SonarDevice,
     types: Mapping[str, Any],
 ) -> Any:  # fmt: skip
     direction = types["geometry_msgs/msg/Vector3"]

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from .geometry import pixel_size
+
 if TYPE_CHECKING:  # settings load pydantic, which images of real sonars can do without
     from .settings import SonarSettings
     from .window import Window
@@ -56,18 +58,6 @@ class FanTable:
         best = np.full(self.inside.shape, -1)
         best[self.inside] = self.corner + (self.down > 0.5) * self.beams + (self.across > 0.5)
         return best
-
-
-def fan_size(hfov_deg: float, near_fraction: float) -> tuple[float, float]:
-    """Width and height of a sector as fractions of range_max."""
-    half = np.deg2rad(hfov_deg) / 2
-    return 2 * np.sin(half), 1 - near_fraction * np.cos(half)
-
-
-def pixel_size(sonar: SonarSettings, near_fraction: float) -> float:
-    """Edge of a (square) fan pixel as a fraction of range_max, the sector just fitting."""
-    width, height = fan_size(sonar.hfov_deg, near_fraction)
-    return float(max(width / sonar.image.width_px, height / sonar.image.height_px))
 
 
 @lru_cache(maxsize=32)

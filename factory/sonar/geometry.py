@@ -8,16 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from ..errors import FactoryError
-from .fan import pixel_size
-
-if TYPE_CHECKING:
-    from .settings import SonarSettings
 
 Maps = dict[str, npt.NDArray[np.float32]]
 """`range_fraction` (range over range_max), `azimuth_rad` (positive to the right), `sector` (1 where
@@ -26,6 +22,126 @@ the sonar measured, else 0); each (H, W) float32."""
 Pixels = npt.NDArray[np.floating[Any]]
 
 _UNKNOWN_SECTOR_DEG = 30.0
+
+
+class SonarImage(Protocol):
+    """The image of a device: its layout, and its size where it is a fan."""
+
+    @property
+    def layout(self) -> Literal["fan", "polar"]:
+        """Fan or polar."""
+
+    @property
+    def width_px(self) -> int:
+        """Columns of a fan."""
+
+    @property
+    def height_px(self) -> int:
+        """Rows of a fan."""
+
+
+class SonarDevice(Protocol):
+    """What decides where range and bearing lie in a device's images."""
+
+    @property
+    def name(self) -> str:
+        """Of the device."""
+
+    @property
+    def frequency_khz(self) -> float:
+        """Of the device."""
+
+    @property
+    def hfov_deg(self) -> float:
+        """Width of the sector."""
+
+    @property
+    def beams(self) -> int:
+        """Columns of a polar image."""
+
+    @property
+    def range_bins(self) -> int:
+        """Rows of a polar image."""
+
+    @property
+    def image(self) -> SonarImage:
+        """The image."""
+
+    def beam_centres_rad(self) -> npt.NDArray[np.float64]:
+        """(beams,) azimuth of each beam, radians, positive to the right."""
+
+
+@dataclass(frozen=True)
+class RecordedImage:
+    """The image of a device, as a dataset's configuration describes it."""
+
+    layout: Literal["fan", "polar"]
+    width_px: int
+    height_px: int
+
+
+@dataclass(frozen=True)
+class RecordedSonar:
+    """The device of a dataset, as its configuration describes it; see `SonarSettings`."""
+
+    name: str
+    frequency_khz: float
+    hfov_deg: float
+    beams: int
+    range_bins: int
+    image: RecordedImage
+    beam_azimuths_deg: tuple[float, ...] | None = None
+
+    def beam_centres_rad(self) -> npt.NDArray[np.float64]:
+        """(beams,) azimuth of each beam, radians, positive to the right."""
+        return beam_centres_rad(self.hfov_deg, self.beams, self.beam_azimuths_deg)
+
+
+def beam_centres_rad(
+    hfov_deg: float, beams: int, beam_azimuths_deg: tuple[float, ...] | None = None
+) -> npt.NDArray[np.float64]:
+    """(beams,) azimuth of each beam, radians: those given, or evenly spaced over the sector."""
+    if beam_azimuths_deg is not None:
+        return np.deg2rad(np.asarray(beam_azimuths_deg, dtype=np.float64))
+    step = hfov_deg / beams
+    return np.asarray(np.deg2rad((np.arange(beams) + 0.5) * step - hfov_deg / 2))
+
+
+def recorded_sonar(config: Mapping[str, Any]) -> RecordedSonar | None:
+    """The device in a dataset's configuration; None where another program wrote it."""
+    try:
+        keys = config["sonar"]
+        image = keys["image"]
+        azimuths = keys.get("beam_azimuths_deg")
+        sonar = RecordedSonar(
+            name=str(keys.get("name", "")),
+            frequency_khz=float(keys.get("frequency_khz", math.nan)),
+            hfov_deg=float(keys["hfov_deg"]),
+            beams=int(keys["beams"]),
+            range_bins=int(keys["range_bins"]),
+            image=RecordedImage(
+                image.get("layout", "fan"), int(image.get("width_px", 256)), int(image.get("height_px", 256))
+            ),
+            beam_azimuths_deg=None if azimuths is None else tuple(map(float, azimuths)),
+        )
+    except (AttributeError, KeyError, TypeError, ValueError):
+        return None
+    return sonar if _is_possible(sonar) else None
+
+
+def _is_possible(sonar: RecordedSonar) -> bool:
+    """Whether such a device can be: what another program wrote may be anything."""
+    azimuths_deg = sonar.beam_azimuths_deg
+    has_azimuths = azimuths_deg is None or (
+        len(azimuths_deg) == sonar.beams and bool(np.all(np.diff(azimuths_deg) > 0))
+    )
+    sizes = sonar.beams, sonar.range_bins, sonar.image.width_px, sonar.image.height_px
+    return (
+        has_azimuths
+        and 0 < sonar.hfov_deg <= 180
+        and min(sizes) >= 2
+        and sonar.image.layout in ("fan", "polar")
+    )
 
 
 @dataclass(frozen=True)
@@ -64,7 +180,7 @@ class FanGeometry:
     @classmethod
     def from_sonar(
         cls,
-        sonar: SonarSettings,
+        sonar: SonarDevice,
         range_min_m: float,
         range_max_m: float,
         azimuth_min_rad: float = -math.pi,
@@ -86,7 +202,7 @@ class FanGeometry:
         return cls(*common, image.width_px / 2 - 0.5, far_px - 0.5, far_px)
 
     @classmethod
-    def from_record(cls, sonar: SonarSettings, record: Mapping[str, Any] | np.void) -> FanGeometry:
+    def from_record(cls, sonar: SonarDevice, record: Mapping[str, Any] | np.void) -> FanGeometry:
         """The image of one row of a dataset's /meta.
 
         Raises KeyError or ValueError for a row without its window.
@@ -239,14 +355,13 @@ class FanGeometry:
         return step * self.range_bins - 0.5, column
 
 
-def recorded_sonar(config: Mapping[str, Any]) -> SonarSettings | None:
-    """The device in a dataset's configuration; None where another program wrote it."""
-    # These load pydantic, which images of real sonars can do without.
-    from ..settings import build
-    from .settings import SonarSettings
+def fan_size(hfov_deg: float, near_fraction: float) -> tuple[float, float]:
+    """Width and height of a sector as fractions of range_max."""
+    half = np.deg2rad(hfov_deg) / 2
+    return 2 * np.sin(half), 1 - near_fraction * np.cos(half)
 
-    try:
-        sonar: SonarSettings = build(SonarSettings, config["sonar"])
-    except (KeyError, TypeError, FactoryError):
-        return None
-    return sonar
+
+def pixel_size(sonar: SonarDevice, near_fraction: float) -> float:
+    """Edge of a (square) fan pixel as a fraction of range_max, the sector just fitting."""
+    width, height = fan_size(sonar.hfov_deg, near_fraction)
+    return float(max(width / sonar.image.width_px, height / sonar.image.height_px))

@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass
 from ..render.base import Mount
 from ..settings import STRICT
 from .array import ArraySettings
+from .geometry import beam_centres_rad
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -188,10 +189,7 @@ class SonarSettings:
 
     def beam_centres_rad(self) -> npt.NDArray[np.float64]:
         """(beams,) azimuth of each beam, radians, positive to the right."""
-        if self.beam_azimuths_deg is not None:
-            return np.deg2rad(np.asarray(self.beam_azimuths_deg, dtype=np.float64))
-        step = self.hfov_deg / self.beams
-        return np.asarray(np.deg2rad((np.arange(self.beams) + 0.5) * step - self.hfov_deg / 2))
+        return beam_centres_rad(self.hfov_deg, self.beams, self.beam_azimuths_deg)
 
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the image."""

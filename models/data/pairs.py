@@ -18,8 +18,7 @@ from ...factory.dataset.pair_dataset import in_unit_range
 from ...factory.dataset.reader import OpenShards, Split
 from ...factory.errors import FactoryError
 from ...factory.seeds import stream
-from ...factory.sonar.geometry import FanGeometry, recorded_sonar
-from ...factory.sonar.settings import SonarSettings
+from ...factory.sonar.geometry import FanGeometry, SonarDevice, recorded_sonar
 from ...factory.storage.copies import url_of
 
 Image = npt.NDArray[np.float32]
@@ -112,7 +111,7 @@ class PairTable:
     height: int
     width: int
     config_hash: str
-    sonar: SonarSettings | None
+    sonar: SonarDevice | None
 
 
 def read_table(dataset: str | Path, split: Split) -> PairTable:
@@ -179,7 +178,7 @@ class PairSource(Source):
     def __init__(
         self,
         samples: Sequence[SampleRef],
-        sonar: SonarSettings | None,
+        sonar: SonarDevice | None,
         *,
         weaker: float = 0.0,
         seed: int = 0,

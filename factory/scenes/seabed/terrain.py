@@ -16,13 +16,10 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from ...mesh_arrays import Arrays, Colour, Draws, Floats, Points
+from ...mesh_waves import Waves
 from ...seeds import stream
 
-Floats = npt.NDArray[np.float32]
-Points = npt.NDArray[np.float64]
-Arrays = npt.NDArray[np.floating[Any]]  # any precision
-Draws = np.random.Generator
-Colour = Sequence[float]  # red, green, blue
 Range = tuple[float, float]
 Place = Mapping[str, Any]  # a kind of place, as `places.yaml` describes it
 
@@ -51,39 +48,6 @@ def catalogue() -> dict[str, Any]:
 def pick(rng: Draws, colours: Sequence[Colour], shades: Range = (0.75, 1.2)) -> Points:
     """One of the colours, a little lighter or darker."""
     return np.array(colours[int(rng.integers(len(colours)))]) * rng.uniform(*shades)
-
-
-class Waves:
-    """A smooth random field with mean 0 and unit variance: a sum of plane waves.
-
-    It has wavelengths from `longest_m` to `shortest_m`; amplitude goes as wavelength ** roughness
-    (1 is a natural landscape, 0 is white).
-    """
-
-    def __init__(
-        self, rng: Draws, longest_m: float, shortest_m: float, roughness: float, dimensions: int = 2
-    ) -> None:
-        octaves = max(np.log2(longest_m / shortest_m), 0.5)
-        count = max(round((dimensions + 3) * octaves), 3)
-        # One wave in each equal step of log wavelength, so that no octave is left out by chance.
-        steps = (np.arange(count) + rng.random(count)) / count
-        wavelengths = longest_m * (shortest_m / longest_m) ** steps
-        directions = rng.standard_normal((count, dimensions))
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        amplitudes = wavelengths**roughness
-        amplitudes *= np.sqrt(2 / np.sum(amplitudes**2))
-        vectors = directions * (2 * np.pi / wavelengths)[:, None]
-        parts = vectors, rng.uniform(0, 2 * np.pi, count), amplitudes
-        self._waves = [np.ascontiguousarray(part, dtype=np.float32) for part in parts]
-
-    def __call__(self, *coordinates_m: npt.ArrayLike) -> Floats:
-        """The field at D coordinate arrays (metres, one shape), float32 of that shape."""
-        # Reading a configuration imports this module; only making frames needs numba.
-        from .kernels import sum_waves
-
-        axes = np.array(coordinates_m, dtype=np.float32)
-        total: Floats = sum_waves(axes.reshape(len(axes), -1), *self._waves)
-        return total.reshape(axes.shape[1:])
 
 
 def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:

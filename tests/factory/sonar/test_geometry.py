@@ -105,7 +105,11 @@ def test_a_polar_image_gets_its_size_when_it_is_read() -> None:
 
 
 def test_the_device_of_a_dataset_by_another_program_is_unknown() -> None:
-    assert recorded_sonar({"sonar": FAN}) == sonar(FAN)
+    recorded = recorded_sonar({"sonar": {**FAN, "range_bins": 256}})
+    assert recorded is not None
+    device = sonar(FAN)
+    assert FanGeometry.from_sonar(recorded, 1, 5) == FanGeometry.from_sonar(device, 1, 5)
+    np.testing.assert_array_equal(recorded.beam_centres_rad(), device.beam_centres_rad())
     assert recorded_sonar({"sonar": {"wings": 2}}) is None
     assert recorded_sonar({}) is None
     with pytest.raises(FactoryError):
