@@ -28,8 +28,8 @@ from benchmarks.shared import (
     quiet,
     run_command,
 )
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.scenes import open_reader
 
 # Single runs differ by a tenth of a second: by a tenth of what a further frame costs.
 TURNS = 3

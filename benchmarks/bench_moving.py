@@ -6,16 +6,16 @@ The static render is at hand, as for every frame of a sonar at rest but the firs
 from __future__ import annotations
 
 from benchmarks.shared import Options, Section, Table, cpu_seconds
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.pairs import PairMaker
-from simnfnd.factory.render import open_renderer
-from simnfnd.factory.render.view import view_of
-from simnfnd.factory.renderer_choice import renderer_of
-from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.scheduler.workers.machine import keep_freed_memory
-from simnfnd.factory.views import Views
+from simnfnd.factory.common.workers.machine import keep_freed_memory
+from simnfnd.factory.dataset.frame_ref import FrameRef
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.renderer_choice import renderer_of
+from simnfnd.factory.simulation.config.root import FactoryConfig
+from simnfnd.factory.simulation.pairs.pair_maker import PairMaker
+from simnfnd.factory.simulation.pairs.views import Views
+from simnfnd.factory.simulation.render import open_renderer
+from simnfnd.factory.simulation.render.view import view_of
+from simnfnd.factory.simulation.scenes import open_reader
 
 REPEATS = 9
 OBJECTS = 10

@@ -22,8 +22,8 @@ import numpy as np
 
 from benchmarks.bench_command import IMAGE_SETTINGS
 from benchmarks.shared import Cell, Options, Section, Table, run_command
+from simnfnd.factory.common.isolated import LASTING
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.isolated import LASTING
 
 ROUNDS = 7
 # Pairs a second that the project asks for on two cores.

@@ -16,19 +16,20 @@ from typing import Any
 import numpy as np
 
 from benchmarks.shared import Options, Section, Table, cpu_seconds, frame_words
-from simnfnd.factory import pairs, seeds
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.imaging import pointwise
-from simnfnd.factory.imaging.contract import effect_clouds
-from simnfnd.factory.imaging.pointwise import noisy_cloud
-from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.render import open_renderer
-from simnfnd.factory.render.view import decode, encode, view_of
-from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.scheduler.workers.machine import keep_freed_memory
-from simnfnd.factory.sonar import polar, transfer
-from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.sonar.surface import insonified
+from simnfnd.factory.common import seeds
+from simnfnd.factory.common.workers.machine import keep_freed_memory
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.imaging import pointwise
+from simnfnd.factory.simulation.imaging.contract import effect_clouds
+from simnfnd.factory.simulation.imaging.pointwise import noisy_cloud
+from simnfnd.factory.simulation.noise.draws import StreamNames, draw
+from simnfnd.factory.simulation.pairs import pair_maker as pairs
+from simnfnd.factory.simulation.render import open_renderer
+from simnfnd.factory.simulation.render.view import decode, encode, view_of
+from simnfnd.factory.simulation.scenes import open_reader
+from simnfnd.factory.simulation.sonar import polar, transfer
+from simnfnd.factory.simulation.sonar.fan import fan_table
+from simnfnd.factory.simulation.sonar.surface import insonified
 
 REPEATS = 9
 

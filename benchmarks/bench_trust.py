@@ -27,10 +27,10 @@ import psutil
 from scipy.io import savemat
 
 from benchmarks.shared import Options, Section, Table, in_own_process
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.isolated import IsolatedProcess
 from simnfnd.factory.dataset.manifest import INDEX_NAME, MANIFEST_NAME
 from simnfnd.factory.dataset.validate import validate
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset import flips, hostile
 from tests.models.recordings.mutations import mutated, use
 from tests.models.recordings.recording_files import write_black_png

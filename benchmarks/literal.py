@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Frame
+from simnfnd.factory.simulation.frames.frame import Frame
 
 SAMPLES = 16
 IMAGE_PX = 512

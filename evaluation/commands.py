@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from ..factory.cli import run_app
-from ..factory.cli.extras import Need, require
-from ..factory.errors import FactoryError
-from ..factory.settings import build
-from ..factory.storage.copies import local_folder
-from ..factory.words import quote
+from ..factory.common.errors import FactoryError
+from ..factory.common.settings import build
+from ..factory.common.words import quote
+from ..factory.dataset.storage import local_folder
+from ..factory.production.cli import run_app
+from ..factory.production.cli.extras import Need, require
 from ..models import WEIGHTS_NAME
 
 if TYPE_CHECKING:
-    from .settings import EvaluationSettings
+    from .judging.settings import EvaluationSettings
 
 
 S = TypeVar("S")
@@ -31,7 +31,7 @@ S = TypeVar("S")
 
 def report(words: Sequence[str]) -> int:
     """`simnfnd evaluate dataset=DIR ...`."""
-    from .settings import EvaluationSettings
+    from .judging.settings import EvaluationSettings
 
     return run_app(_report, "evaluation", words, EvaluationSettings)
 
@@ -39,7 +39,7 @@ def report(words: Sequence[str]) -> int:
 def tune(words: Sequence[str]) -> int:
     """`simnfnd evaluate tune dataset=DIR ...`: all baselines, when none is named."""
     chosen = any(word.startswith("baselines=") for word in words)
-    from .settings import EvaluationSettings
+    from .judging.settings import EvaluationSettings
 
     return run_app(
         _tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])], EvaluationSettings
@@ -48,21 +48,21 @@ def tune(words: Sequence[str]) -> int:
 
 def real(words: Sequence[str]) -> int:
     """`simnfnd evaluate real IN [KEY=VALUE ...]`."""
-    from .settings import RealSettings
+    from .judging.settings import RealSettings
 
     return run_app(_real, "real", _named(words, "real"), RealSettings)
 
 
 def detect(words: Sequence[str]) -> int:
     """`simnfnd evaluate detect RECORDING... [KEY=VALUE ...]`."""
-    from .settings import DetectSettings
+    from .judging.settings import DetectSettings
 
     return run_app(_detect, "detect", _named(_as_keys(words), None, "recordings"), DetectSettings)
 
 
 def realism(words: Sequence[str]) -> int:
     """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
-    from .settings import RealismSettings
+    from .judging.settings import RealismSettings
 
     return run_app(_realism, "realism", _named(words, "real", "sim"), RealismSettings)
 
@@ -75,7 +75,7 @@ def fit(words: Sequence[str]) -> int:
         place = own.index("--")
         recipe = [f"recipe={_listed(own[place + 1 :])}"]
         own = own[:place]
-    from .settings import FitSettings
+    from .judging.settings import FitSettings
 
     return run_app(_fit, "fit", [*_named(own, "real"), *recipe], FitSettings)
 
@@ -126,7 +126,7 @@ def _listed(words: Sequence[str]) -> str:
 
 def settings_of(config: DictConfig) -> EvaluationSettings:
     """The checked settings of a report.  FactoryError names the key that is wrong."""
-    from .settings import EvaluationSettings
+    from .judging.settings import EvaluationSettings
 
     if config.dataset.dir is None:
         raise FactoryError("dataset: give the folder that `simnfnd make` made, dataset=DIR")
@@ -172,16 +172,16 @@ def _report(config: DictConfig) -> None:
 
 def _tune(config: DictConfig) -> None:
     settings = settings_of(config)
-    from ..factory.scheduler.workers.tasks import TaskPool
-    from . import tuning
-    from .methods import baselines_of
+    from ..factory.common.workers.tasks import TaskPool
+    from .judging import tuning
+    from .judging.methods import baselines_of
 
     with TaskPool(settings.workers) as pool:
         print("\n".join(tuning.tune(settings, baselines_of(settings.baselines), pool)))
 
 
 def _real(config: DictConfig) -> None:
-    from .settings import RealSettings
+    from .judging.settings import RealSettings
 
     settings = _checked(config, RealSettings, real="images or a recording")
     require(_needs("models=", settings.models))
@@ -191,7 +191,7 @@ def _real(config: DictConfig) -> None:
 
 
 def _detect(config: DictConfig) -> None:
-    from .settings import DetectSettings
+    from .judging.settings import DetectSettings
 
     settings = _checked(config, DetectSettings, recordings="a static recording or several")
     require(_needs("models=", settings.models))
@@ -201,10 +201,10 @@ def _detect(config: DictConfig) -> None:
 
 
 def _realism(config: DictConfig) -> None:
-    from .settings import RealismSettings
+    from .judging.settings import RealismSettings
 
     settings = _checked(config, RealismSettings, real="both folders", sim="both folders")
-    from .realism import evaluate
+    from .realism.report import evaluate
 
     evaluate(settings)
 
@@ -212,10 +212,10 @@ def _realism(config: DictConfig) -> None:
 def _fit(config: DictConfig) -> None:
     from hydra.core.global_hydra import GlobalHydra
 
-    from .settings import FitSettings
+    from .judging.settings import FitSettings
 
     settings = _checked(config, FitSettings, real="a folder of real images")
-    from .calibrate import fit as search
+    from .realism.calibrate import fit as search
 
     # The recipe is composed as `simnfnd make` would, by a Hydra of its own.
     GlobalHydra.instance().clear()

@@ -4,7 +4,7 @@ simnfnd export-weights simnfnd --to onnx --out any.onnx
 python examples/onnx_denoise.py any.onnx image.png denoised.png
 
 simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx
-python -c "import simnfnd; from simnfnd.models.data.fans import write_fans; \
+python -c "import simnfnd; from simnfnd.models.recordings.fan_tables import write_fans; \
     write_fans('fans.csv', {'image.png': simnfnd.open_recording('image.png')[0].geometry})"
 python examples/onnx_denoise.py fan.onnx image.png denoised.png fans.csv
 """

@@ -20,19 +20,19 @@ import matplotlib
 import numpy as np
 from matplotlib import pyplot
 
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.config import FactoryConfig
+from simnfnd.factory.common.distribution import Distribution, number
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.quality import psnr_db
-from simnfnd.factory.distribution import Distribution, number
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Frame
-from simnfnd.factory.noise.registry import BUILT_IN, NoiseSettings
-from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
-from simnfnd.factory.render import open_renderer
-from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.selection import choose_frames
-from simnfnd.factory.sonar.surface import insonified
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.root import FactoryConfig
+from simnfnd.factory.simulation.config.selection import choose_frames
+from simnfnd.factory.simulation.frames.frame import Frame
+from simnfnd.factory.simulation.noise.registry import BUILT_IN, NoiseSettings
+from simnfnd.factory.simulation.pairs.pair_maker import ObservedFrame, make_pair, observe
+from simnfnd.factory.simulation.render import open_renderer
+from simnfnd.factory.simulation.render.base import Rendered
+from simnfnd.factory.simulation.scenes import open_reader
+from simnfnd.factory.simulation.sonar.surface import insonified
 
 # The paper's view from above, drawn larger than datasets need.
 IMAGE_SETTINGS = (

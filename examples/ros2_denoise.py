@@ -12,7 +12,7 @@ denoised, only the last waits.  Needs a sourced ROS 2 and `pip install 'simnfnd[
 import argparse
 
 from simnfnd import FactoryError
-from simnfnd.factory.ros_types import SONAR
+from simnfnd.factory.common.ros_types import SONAR
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.recordings.fan_finder import find_geometry

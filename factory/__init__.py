@@ -1,7 +1,8 @@
 """SimNFND factory: RGBD frames in, paired (noisy, clean) forward-looking-sonar images out.
 
-Read `pairs.py` first: it is the whole method in one screen.  Every other room does one stage of it
-(scenes -> cloud -> render -> noise -> resample -> sonar) or carries its result (shards, scheduler).
+Four suites, each of which imports only those before it: `common`, `dataset` (the format and its
+reader), `simulation` (a frame to its pair; `simulation/pairs/pair_maker.py` is the whole method)
+and `production` (scheduler, command line, exports).
 """
 
 __version__ = "0.4.0"

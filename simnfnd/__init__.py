@@ -21,10 +21,10 @@ from .rooms import search_path
 if TYPE_CHECKING:
     from .api import OpenRecording, RecordedFrame, denoise, open_recording
     from .factory import __version__
+    from .factory.common.errors import FactoryError, FrameError
+    from .factory.common.progress import RunProgress
     from .factory.dataset import PairDataset
     from .factory.dataset.schema import Pair
-    from .factory.errors import FactoryError, FrameError
-    from .factory.progress import RunProgress
     from .making import DatasetResult, make_dataset, make_pair
     from .models.data.pair_stream import PairStream
 

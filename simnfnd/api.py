@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
+    from .factory.dataset.fan_geometry import FanGeometry
     from .factory.dataset.schema import Pair
-    from .factory.sonar.geometry import FanGeometry
     from .models.denoise.denoiser import Denoiser
     from .models.recordings import Frame
     from .models.recordings.fan_tracking import FanTracker
@@ -93,12 +93,12 @@ def denoise(
     Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
     weights that are not there, a missing GPU, and where the extra `denoise` is not installed.
     """
-    from .factory.cli.extras import Need, require
+    from .factory.production.cli.extras import Need, require
 
     needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
+    from .factory.dataset.fan_geometry import FanGeometry
     from .factory.dataset.schema import Pair
-    from .factory.sonar.geometry import FanGeometry
     from .models.denoise.images import Denoising
     from .models.pretrained import POINTS, find_weights
     from .models.recordings.fan_finder import find_geometry

@@ -11,11 +11,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from .factory import __version__, extensions
-from .factory.cli import guard
-from .factory.cli.extras import EXTRAS, Need, install_command, require
-from .factory.cli.hydra_loader import config_folders, take_config_folders
-from .factory.errors import FactoryError
+from .factory import __version__
+from .factory.common import extensions
+from .factory.common.errors import FactoryError
+from .factory.production.cli import guard
+from .factory.production.cli.extras import EXTRAS, Need, install_command, require
+from .factory.production.cli.hydra_loader import config_folders, take_config_folders
 from .verbs import VERBS, Verb
 
 _HELP = ("-h", "--help")
@@ -40,7 +41,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         arguments.insert(0, default)
     if not arguments or arguments[0] in (*_HELP, "help"):
         return _print(overview())
-    from .factory.scheduler.workers.signals import stop_signals
+    from .factory.common.workers.signals import stop_signals
 
     def run() -> int | None:
         others, folders = take_config_folders(arguments)

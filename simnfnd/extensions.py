@@ -7,16 +7,23 @@ entry point, a script registers it (docs/extending.md).
 from __future__ import annotations
 
 from .evaluation.filters import Baseline, register_method
-from .factory.distribution import AnyNumber, Fraction, NonNegative, Positive
-from .factory.errors import FactoryError, FrameError
-from .factory.frame import Frame, FrameRef, Intrinsics, checked
-from .factory.imaging.effect import Effect, EffectSettings, parameter
-from .factory.noise.registry import register_effect
-from .factory.scenes import register_reader
-from .factory.scenes.base import Discovery, OwnSceneSettings, Reader, ReaderEntry, discovery
-from .factory.settings import STRICT
-from .factory.sonar.polar import Echoes
-from .factory.sonar.window import Window
+from .factory.common.distribution import AnyNumber, Fraction, NonNegative, Positive
+from .factory.common.errors import FactoryError, FrameError
+from .factory.common.settings import STRICT
+from .factory.dataset.frame_ref import FrameRef
+from .factory.simulation.frames.frame import Frame, Intrinsics, checked
+from .factory.simulation.imaging.effect import Effect, EffectSettings, parameter
+from .factory.simulation.noise.registry import register_effect
+from .factory.simulation.scenes import register_reader
+from .factory.simulation.scenes.base import (
+    Discovery,
+    OwnSceneSettings,
+    Reader,
+    ReaderEntry,
+    discovery,
+)
+from .factory.simulation.sonar.polar import Echoes
+from .factory.simulation.sonar.window import Window
 
 __all__ = [
     "STRICT",

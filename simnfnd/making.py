@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from .factory.config import FactoryConfig
+    from .factory.common.progress import RunProgress
     from .factory.dataset.manifest import Failure
     from .factory.dataset.schema import Pair
-    from .factory.imaging.effect import Effect
-    from .factory.progress import RunProgress
-    from .factory.render.base import Renderer, RenderSettings
+    from .factory.simulation.config.root import FactoryConfig
+    from .factory.simulation.imaging.effect import Effect
+    from .factory.simulation.render.base import Renderer, RenderSettings
 
 Words = str | Sequence[str]
 """Words of `simnfnd make`: several, or one text as a shell takes it."""
@@ -54,11 +54,11 @@ def make_dataset(
     Raises FactoryError for what the command ends with exit code 2 for; KeyboardInterrupt at Ctrl-C,
     and calling again goes on where it stopped.
     """
-    from .factory.cli.compose import compose_config
-    from .factory.cli.generate import run
-    from .factory.progress import RunReporter
-    from .factory.scheduler.workers import template
-    from .factory.storage.copies import shown
+    from .factory.common.progress import RunReporter
+    from .factory.common.workers import template
+    from .factory.dataset.storage import shown
+    from .factory.production.cli.compose import compose_config
+    from .factory.production.cli.generate import run
 
     config = compose_config(overrides)
     if out is not None:
@@ -117,15 +117,16 @@ def make_pair(
     usable depth or the sonar would see nothing of it, and FactoryError for wrong words and modules
     that are not installed.
     """
-    from .factory.camera_layers import FrameCamera
-    from .factory.cli.extras import needs_of, require
-    from .factory.frame import FrameRef, Intrinsics
-    from .factory.memory_frame import frame_from_arrays
-    from .factory.noise.registry import register_effect
-    from .factory.pairs import PairMaker
-    from .factory.render.view import view_of
-    from .factory.renderer_choice import renderer_of
-    from .factory.views import Views
+    from .factory.dataset.frame_ref import FrameRef
+    from .factory.production.cli.extras import needs_of, require
+    from .factory.simulation.config.renderer_choice import renderer_of
+    from .factory.simulation.frames.frame import Intrinsics
+    from .factory.simulation.frames.memory_frame import frame_from_arrays
+    from .factory.simulation.labels.camera_layers import FrameCamera
+    from .factory.simulation.noise.registry import register_effect
+    from .factory.simulation.pairs.pair_maker import PairMaker
+    from .factory.simulation.pairs.views import Views
+    from .factory.simulation.render.view import view_of
 
     words = shlex.split(config) if isinstance(config, str) else [*config]
     for effect in effects:
@@ -148,7 +149,7 @@ def make_pair(
 @lru_cache(maxsize=8)
 def _config(words: tuple[str, ...], effects: tuple[Effect, ...]) -> FactoryConfig:
     """effects: those that are registered now, of which another one may have the same name."""
-    from .factory.cli.compose import compose_config
+    from .factory.production.cli.compose import compose_config
 
     # The frame is at hand, so where recordings are does not matter.
     return compose_config(words, {"kind": "csv_list", "file": ".", "intrinsics": [1, 1, 0, 0]})
@@ -156,6 +157,6 @@ def _config(words: tuple[str, ...], effects: tuple[Effect, ...]) -> FactoryConfi
 
 @lru_cache(maxsize=1)
 def _renderer(settings: RenderSettings) -> Renderer:
-    from .factory.render import open_renderer
+    from .factory.simulation.render import open_renderer
 
     return open_renderer(settings)

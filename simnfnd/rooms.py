@@ -28,7 +28,7 @@ def refuse_modules_of(room: str) -> None:
     """Let nothing but `__main__` be imported from a room that was imported without its package.
 
     From the root of a checkout `import factory.errors` would make a second module beside
-    `simnfnd.factory.errors`, with errors of its own that no `except` of the package catches.
+    `simnfnd.factory.common.errors`, with errors of its own that no `except` of the package catches.
     """
     sys.meta_path.insert(0, _Refusal(room))
 

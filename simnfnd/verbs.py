@@ -14,7 +14,7 @@ class Verb(NamedTuple):
     group, line: where and how `simnfnd --help` lists it.
     target: "module:function"; the function gets the other words and may return an exit code.
     examples: commands that `simnfnd VERB --help` begins with.
-    needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.cli.extras`).
+    needs: modules without which it can do nothing, each of an extra (`production.cli.extras`).
     hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
     """
 
@@ -31,7 +31,7 @@ LOOK = "Look at datasets"
 PASS_ON = "Pass datasets on"
 DENOISE = "Denoise"
 JUDGE = "Judge"
-_COMMANDS = "simnfnd.factory.commands"
+_COMMANDS = "simnfnd.factory.production.commands"
 _SONAR = ("cv2", "scipy")
 _NETWORK = ("onnxruntime", "safetensors", *_SONAR)
 _TORCH = ("torch", "safetensors", *_SONAR)
@@ -78,7 +78,7 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer:sheet",
+        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.viewer:sheet",
         (
             "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
             "simnfnd preview dive.aris --out outputs/dive.png",
@@ -86,7 +86,7 @@ VERBS: dict[str, Verb] = {
     ),
     "view": Verb(
         LOOK, "a dataset or recording in the browser, before and after",
-        "simnfnd.evaluation.viewer:view",
+        "simnfnd.evaluation.viewer.viewer:view",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "lab": Verb(
@@ -138,7 +138,7 @@ VERBS: dict[str, Verb] = {
     ),
     "adapt": Verb(
         DENOISE, "weights fitted to your own recordings, without any truth",
-        "simnfnd.models.adapt:main",
+        "simnfnd.models.adapting.command:main",
         (
             "simnfnd adapt dive.aris --out own.safetensors",
             "simnfnd adapt recordings --out own.safetensors --steps 1000",
@@ -175,14 +175,14 @@ VERBS: dict[str, Verb] = {
     ),
     "evaluate paper": Verb(
         JUDGE, "the paper's Tables 2 and 3: dataset, trainings and report",
-        "simnfnd.evaluation.paper:main",
+        "simnfnd.evaluation.report.paper:main",
         ("simnfnd evaluate paper --quick",
          "simnfnd evaluate paper --scenes flsea-vi --real mdd"),
         needs=("pandas", "skimage", *_TORCH),
     ),
     "evaluate compare": Verb(
         JUDGE, "is one report's row better than another's",
-        "simnfnd.evaluation.compare:main",
+        "simnfnd.evaluation.report.compare:main",
         ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
          "--row-b noisy",),
         needs=("pandas", *_SONAR),

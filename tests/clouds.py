@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.render.base import Mount
-from simnfnd.factory.sonar.polar import Echoes, in_plane
-from simnfnd.factory.sonar.window import Window
+from simnfnd.factory.simulation.render.base import Mount
+from simnfnd.factory.simulation.sonar.polar import Echoes, in_plane
+from simnfnd.factory.simulation.sonar.window import Window
 
 HALF_RAD = float(np.deg2rad(22.5))
 

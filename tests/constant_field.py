@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.imaging.coherent import CoherentScene
-from simnfnd.factory.imaging.settings import CoherentSettings
-from simnfnd.factory.imaging.signal import Ping
-from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.pairs import ObservedFrame, observe
-from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.dataset.frame_ref import FrameRef
+from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping
+from simnfnd.factory.simulation.frames.frame import Frame, Intrinsics
+from simnfnd.factory.simulation.imaging.coherent import CoherentScene
+from simnfnd.factory.simulation.imaging.settings import CoherentSettings
+from simnfnd.factory.simulation.imaging.signal import Ping
+from simnfnd.factory.simulation.noise.draws import StreamNames, draw
+from simnfnd.factory.simulation.pairs.pair_maker import ObservedFrame, observe
+from simnfnd.factory.simulation.render.base import Rendered
 
 NEAR_M = 4.0
 FAR_M = 8.0

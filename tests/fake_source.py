@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.common.errors import FactoryError, FrameError, NotRendered
+from simnfnd.factory.common.seeds import stream
+from simnfnd.factory.dataset.frame_ref import FrameRef
 from simnfnd.factory.dataset.schema import Axis, Column, Pair, Prepared
-from simnfnd.factory.errors import FactoryError, FrameError, NotRendered
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.seeds import stream
 
 
 @dataclass(frozen=True)

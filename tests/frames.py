@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.dataset.frame_ref import FrameRef
+from simnfnd.factory.dataset.labels import CLASSES
+from simnfnd.factory.simulation.frames.frame import Frame, Intrinsics
+from simnfnd.factory.simulation.render.base import Rendered
 
 HEIGHT_M = 1.5
 PITCH_RAD = np.deg2rad(20)

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.dataset.frame_ref import FrameRef
+from simnfnd.factory.simulation.frames.frame import Frame, Intrinsics
 from tests.project_files import ROOT
 
 FLSEA = ROOT / "../shared/data/flsea-vi"

@@ -6,13 +6,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from simnfnd.factory.common.workers.settings import SchedulerSettings
+from simnfnd.factory.common.workers.signals import Interrupted
 from simnfnd.factory.dataset.schema import Provenance, config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
-from simnfnd.factory.scheduler.plan import Job, plan_shards
-from simnfnd.factory.scheduler.results import RunReport
-from simnfnd.factory.scheduler.run import make_dataset
-from simnfnd.factory.scheduler.settings import SchedulerSettings
-from simnfnd.factory.scheduler.workers.signals import Interrupted
+from simnfnd.factory.production.scheduler.plan import Job, plan_shards
+from simnfnd.factory.production.scheduler.results import RunReport
+from simnfnd.factory.production.scheduler.run import make_dataset
 from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
 IDENTITY = {"seed": 0, "noise": {"background": {"density": {"uniform": [0.1, 0.5]}}}}

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from simnfnd.factory.common.files import sha256_of
 from simnfnd.factory.dataset.manifest import Manifest, ShardInfo, save_manifest
 from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance, config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.writer import write_shard
-from simnfnd.factory.files import sha256_of
 
 COLUMNS = (
     Column("location", "S16"),

@@ -9,18 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...factory.errors import FactoryError
-from ...factory.progress import progress_bar
-from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
-from ...factory.seeds import stream
-from ...factory.sonar.geometry import FanGeometry
-from ..learned import learned_notes
-from ..methods import baselines_of, networks_at, reason, shown
+from ...factory.common.errors import FactoryError
+from ...factory.common.progress import progress_bar
+from ...factory.common.seeds import stream
+from ...factory.common.workers.tasks import TaskLost, TaskPool
+from ...factory.dataset.fan_geometry import FanGeometry
+from ..judging.learned import learned_notes
+from ..judging.methods import baselines_of, networks_at, reason, shown
+from ..judging.recorded import Stretch
+from ..judging.settings import DetectSettings
 from ..metrics.fidelity import Mask
 from ..metrics.measure import Figures, Grey, ratio_figures
 from ..metrics.statistics import evenly
-from ..recorded import Stretch
-from ..settings import DetectSettings
 from .detector import Responses, real_motion, responses_of
 from .recording import StaticRecording, open_static
 from .rows import REACH, RECORDED, Row, Stored, denoise_sequence, rows_of

@@ -9,16 +9,16 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FactoryError
+from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.static import find_groups
 from ...models.recordings.views import presentation_of
+from ..judging.recorded import Stretch
 from ..metrics.fidelity import Mask
 from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
 from ..real.groups import sector_of
-from ..recorded import Stretch
 from .targets import Frames, blurred
 
 LEAST_FRAMES = 20

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from ...factory.errors import FactoryError
-from ...factory.files import check_writable
-from ...factory.scheduler.workers.tasks import TaskPool
-from ..recorded import Stretch, frame_of, open_input
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import check_writable
+from ...factory.common.workers.tasks import TaskPool
+from ..judging.recorded import Stretch, frame_of, open_input
+from ..judging.settings import DetectSettings
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, interval, plain, written
-from ..settings import DetectSettings
 from .curves import Plot, draw_plots
 from .judge import Outcome, judge
 from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, Estimate, MethodFigures

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FactoryError
+from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.denoise.images import Denoising
 from ...models.denoise.temporal.stream import Shot
-from .. import tuning
 from ..filters import REGISTRY, Baseline, Parameters, method_of
 from ..filters.windows import mean_around, registered_mean
-from ..methods import Method, network, shown
+from ..judging import tuning
+from ..judging.methods import Method, network, shown
 from ..metrics.statistics import evenly
 from ..real.in_time import kinds_of, tuned_weight
 from .targets import Frames

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.seeds import stream
+from ...factory.common.seeds import stream
 from .detector import Responses
 from .targets import TargetClass, Track
 

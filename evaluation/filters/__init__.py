@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...factory import extensions
-from ...factory.errors import FactoryError
+from ...factory.common import extensions
+from ...factory.common.errors import FactoryError
 from ..metrics.measure import Grey
 from .bm3d import bm3d
 from .classical import (

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..features import autocorrelation, grain_of
+from ..metrics.features import autocorrelation, grain_of
 
 Grey = npt.NDArray[np.uint8]
 _BINS = 64

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ...factory.cli import Parser
-from ...factory.cli.choices import choices_of
+from ...factory.common.errors import FactoryError
 from ...factory.dataset.manifest import MANIFEST_NAME
-from ...factory.errors import FactoryError
-from ..page_server import add_page_options
+from ...factory.production.cli import Parser
+from ...factory.production.cli.choices import choices_of
+from ..viewer.page_server import add_page_options
 from .server import LabServer
 from .session import Session
 from .stored_words import words_of_dataset

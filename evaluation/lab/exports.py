@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from ...factory.distribution import FORMS
-from ...factory.errors import FactoryError
-from ...factory.words import shell_line
+from ...factory.common.distribution import FORMS
+from ...factory.common.errors import FactoryError
+from ...factory.common.words import shell_line
 
 RECIPE = "mine"
 """Name of the exported experiment."""

@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from ...factory.distribution import Distribution
-from ...factory.noise.registry import blocks
+from ...factory.common.distribution import Distribution
+from ...factory.simulation.noise.registry import blocks
 
 if TYPE_CHECKING:
-    from ...factory.config import FactoryConfig
+    from ...factory.simulation.config.root import FactoryConfig
 
 Kind = Literal["number", "switch", "choice"]
 _UNITS = {

@@ -15,12 +15,12 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ...factory.config import FactoryConfig
+from ...factory.common.errors import FactoryError
+from ...factory.common.settings import STRICT, build
 from ...factory.dataset.schema import Pair
-from ...factory.errors import FactoryError
-from ...factory.settings import STRICT, build
-from ..page_server import Answer, PageServer, json_answer
-from ..viewer import ShownRecording
+from ...factory.simulation.config.root import FactoryConfig
+from ..viewer.page_server import Answer, PageServer, json_answer
+from ..viewer.viewer import ShownRecording
 from .charts import charts_of
 from .session import Session
 

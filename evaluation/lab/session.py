@@ -8,20 +8,20 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from ...factory.cli.compose import compose
-from ...factory.cli.extras import needs_of, require
-from ...factory.compiled import compile_needed
-from ...factory.config import FactoryConfig, from_mapping
+from ...factory.common.errors import FactoryError, NotRendered
+from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.schema import Pair
-from ...factory.errors import FactoryError, NotRendered
-from ...factory.frame import FrameRef
-from ...factory.key_effects import reason_without_effect
-from ...factory.pairs import PairMaker
-from ...factory.render.base import Mount, RenderSettings
-from ...factory.render.view import View
-from ...factory.scenes import Scenes, open_reader
-from ...factory.selection import choose_frames
-from ...factory.views import ViewMaker, Views, open_views
+from ...factory.production.cli.compose import compose
+from ...factory.production.cli.extras import needs_of, require
+from ...factory.simulation.config.key_effects import reason_without_effect
+from ...factory.simulation.config.root import FactoryConfig, from_mapping
+from ...factory.simulation.config.selection import choose_frames
+from ...factory.simulation.pairs.compilation import compile_needed
+from ...factory.simulation.pairs.pair_maker import PairMaker
+from ...factory.simulation.pairs.views import ViewMaker, Views, open_views
+from ...factory.simulation.render.base import Mount, RenderSettings
+from ...factory.simulation.render.view import View
+from ...factory.simulation.scenes import Scenes, open_reader
 from .exports import Base, Exports, change_words, command_line, put, recipe, sweep_line
 from .parameters import Parameter, parameters_of
 

@@ -6,17 +6,17 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...factory.cli.choices import choices_of
-from ...factory.cli.compose import compose
-from ...factory.cli.named_keys import named_keys
-from ...factory.cli.stored import stored_config
-from ...factory.config import plain
-from ...factory.distribution import FORMS
-from ...factory.key_effects import reason_without_effect
+from ...factory.common.distribution import FORMS
+from ...factory.production.cli.choices import choices_of
+from ...factory.production.cli.compose import compose
+from ...factory.production.cli.named_keys import named_keys
+from ...factory.production.cli.stored import stored_config
+from ...factory.simulation.config.key_effects import reason_without_effect
+from ...factory.simulation.config.root import plain
 from .exports import word_of
 
 if TYPE_CHECKING:
-    from ...factory.config import FactoryConfig
+    from ...factory.simulation.config.root import FactoryConfig
 
 _GROUPS = ("scenes", "render", "resample", "noise", "sonar", "water", "acoustics", "devices")
 """Those that decide images; frames, split and files are the business of whoever makes a dataset."""

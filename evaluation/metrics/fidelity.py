@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.common.errors import FactoryError
 from ...factory.dataset.quality import RADIUS_PX, SsimReference, inner
-from ...factory.errors import FactoryError
 
 Image = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]

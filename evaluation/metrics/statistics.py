@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.seeds import stream
+from ...factory.common.seeds import stream
 
 if TYPE_CHECKING:
     from .fidelity import Values  # loads OpenCV

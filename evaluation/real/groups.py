@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from ...factory.errors import FrameError
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FrameError
+from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.repeats import CopyFinder
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
+from ..judging.recorded import Shot, Stretch, outline
 from ..metrics.fidelity import Mask
 from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
-from ..recorded import Shot, Stretch, outline
 
 LEAST = 6
 """Frames of a group: with fewer the reference is hardly cleaner than the frames."""

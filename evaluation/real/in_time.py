@@ -21,16 +21,16 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.progress import progress_bar
-from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from ...factory.common.progress import progress_bar
+from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ...models.denoise.temporal.stream import InTime, Network, Shot
 from ..filters import REGISTRY
 from ..filters.windows import mean_around, registered_mean
-from ..methods import Method, network
+from ..judging.methods import Method, network
+from ..judging.settings import RealSettings
 from ..metrics.fidelity import Mask, psnr, ssim_map
 from ..metrics.measure import Grey, Levels, fit_levels
 from ..metrics.statistics import estimate
-from ..settings import RealSettings
 from .groups import Group, nearest
 
 if TYPE_CHECKING:

@@ -13,13 +13,16 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.progress import progress_bar
-from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
-from .. import tuning
+from ...factory.common.errors import FactoryError
+from ...factory.common.progress import progress_bar
+from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ..filters import Baseline, Parameters
-from ..learned import learned_notes
-from ..methods import NOISY, Method, baselines_of, networks_at
+from ..judging import tuning
+from ..judging.learned import learned_notes
+from ..judging.methods import NOISY, Method, baselines_of, networks_at
+from ..judging.recorded import Shot, Stretch
+from ..judging.runner import SECONDS, Measured, Subject, run
+from ..judging.settings import RealSettings
 from ..metrics.fidelity import Mask, edge_preservation, finite_psnr, psnr, ssim
 from ..metrics.measure import (
     SIDE,
@@ -32,17 +35,14 @@ from ..metrics.measure import (
     ratio_figures,
 )
 from ..metrics.statistics import estimate, evenly
-from ..recorded import Shot, Stretch
 from ..report.tables import plain
-from ..runner import SECONDS, Measured, Subject, run
-from ..settings import RealSettings
 from .groups import LEAST, Group, Judged, Part, Searched, alone, judged, parts_of, search
 from .in_time import judged_in_time
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ...factory.sonar.geometry import FanGeometry
+    from ...factory.dataset.fan_geometry import FanGeometry
 
 TUNED = "tuned on others"
 """Form of the filters' methods."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ...factory.files import check_writable
-from ...factory.scheduler.workers.tasks import TaskPool
-from ..methods import shown
-from ..recorded import frame_of, open_input
+from ...factory.common.files import check_writable
+from ...factory.common.workers.tasks import TaskPool
+from ..judging.methods import shown
+from ..judging.recorded import frame_of, open_input
+from ..judging.runner import SECONDS
+from ..judging.settings import RealSettings
 from ..report.document import Example, Section, write_report
 from ..report.tables import Metric, as_markdown, as_table, interval, written
-from ..runner import SECONDS
-from ..settings import RealSettings
 from .groups import MOST, MOST_OTHERS
 from .in_time import wide
 from .judge import MARGINS, Outcome, Row, judge

@@ -8,16 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from ...factory.errors import FactoryError
-from ...factory.files import check_writable, write_atomically
-from ...factory.progress import progress_bar
-from ...factory.scheduler.workers.tasks import TaskPool
-from .. import tuning
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import check_writable, write_atomically
+from ...factory.common.progress import progress_bar
+from ...factory.common.workers.tasks import TaskPool
 from ..filters import Baseline
-from ..methods import NOISY, Method, baselines_of, methods_of, networks_of
-from ..pairs import Item, config_hash_of, drawn_of, given_methods, items_of, names_of, pair_images
-from ..runner import SECONDS, Measured, Subject, run
-from ..settings import EvaluationSettings
+from ..judging import tuning
+from ..judging.methods import NOISY, Method, baselines_of, methods_of, networks_of
+from ..judging.pairs import (
+    Item,
+    config_hash_of,
+    drawn_of,
+    given_methods,
+    items_of,
+    names_of,
+    pair_images,
+)
+from ..judging.runner import SECONDS, Measured, Subject, run
+from ..judging.settings import EvaluationSettings
 from . import tables
 from .content import best_forms, content_of, shown_rows, verdict
 from .document import Example, Section, write_report

@@ -6,12 +6,12 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ..methods import NOISY, Method
+from ..judging.methods import NOISY, Method
+from ..judging.pairs import Item
+from ..judging.runner import Measured
+from ..judging.settings import EvaluationSettings
 from ..metrics.fidelity import PSNR_CAP_DB
 from ..metrics.statistics import LEAST_FRAMES
-from ..pairs import Item
-from ..runner import Measured
-from ..settings import EvaluationSettings
 from .estimates import Estimator, add_holm_p
 from .paper_tables import table_2_beside, table_3_beside
 from .tables import Content, interval, percent, plain, written_p

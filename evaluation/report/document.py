@@ -17,7 +17,7 @@ import numpy.typing as npt
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from ...factory.files import explain_os_errors, write_atomically
+from ...factory.common.files import explain_os_errors, write_atomically
 from .tables import as_markdown
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..judging.runner import SECONDS
 from ..metrics.statistics import Estimate, estimate, holm, paired
-from ..runner import SECONDS
 from .tables import METRIC_NAMES, plain
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..methods import shown
+from ..judging.methods import shown
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ..files import write_atomically
+from ..common.files import write_atomically
 from .folder import CARD_NAME, PREVIEW_NAME
 from .manifest import FAILURES_NAME, Failure, Manifest
 from .meaning import grey_meaning, pixel_meaning

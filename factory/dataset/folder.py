@@ -10,9 +10,9 @@ from typing import Any
 
 import yaml
 
-from ..errors import FactoryError
-from ..files import check_writable, is_temporary, remove_stale_temporaries, write_atomically
-from ..small_files import load_yaml, one_line, read_regular
+from ..common.errors import FactoryError
+from ..common.files import check_writable, is_temporary, remove_stale_temporaries, write_atomically
+from ..common.small_files import load_yaml, one_line, read_regular
 from .manifest import CONFIG_NAME, MANIFEST_NAME, PARTS, Manifest, load_manifest, save_manifest
 from .schema import DATASET_NAME, SCHEMA, SPLITS, Provenance, plain_values
 

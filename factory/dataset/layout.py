@@ -28,8 +28,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError
-from ..small_files import parse_json
+from ..common.errors import FactoryError
+from ..common.small_files import parse_json
 from .schema import (
     CAMERA_LAYERS,
     CHECKSUMS,

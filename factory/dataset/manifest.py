@@ -13,12 +13,12 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from ..errors import FactoryError
-from ..files import explain_os_errors, remove_file, sha256_of, write_atomically
-from ..frame import FrameRef
-from ..small_files import one_line, parse_json, read_regular
-from ..storage.copies import fetched
+from ..common.errors import FactoryError
+from ..common.files import explain_os_errors, remove_file, sha256_of, write_atomically
+from ..common.small_files import one_line, parse_json, read_regular
+from .frame_ref import FrameRef
 from .schema import SCHEMA, SPLITS, config_hash
+from .storage import fetched
 
 MANIFEST_NAME = "manifest.json"
 INDEX_NAME = "index.h5"

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsIndex, cast
+from typing import Any, SupportsIndex, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError
-from ..seeds import stream
-from ..sonar.geometry import FanGeometry, recorded_sonar
-from ..storage.copies import local_folder
+from ..common.errors import FactoryError
+from ..common.seeds import stream
+from .fan_geometry import FanGeometry, recorded_sonar
 from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
 from .meaning import formation_of
@@ -36,6 +35,7 @@ from .schema import (
 )
 from .schema import layers as known_layers
 from .shares import Share, loader_share
+from .storage import local_folder
 
 WINDOW = 16
 THREADS = 4

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
-from ..errors import FactoryError
-from ..files import write_atomically
+from ..common.errors import FactoryError
+from ..common.files import write_atomically
 from .folder import PREVIEW_NAME
 from .pair_dataset import PairDataset, SampleName
 from .reader import ImageStack, reading, value_range

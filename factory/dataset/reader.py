@@ -14,12 +14,12 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError
-from ..isolated import call_isolated
-from ..storage.copies import fetched, url_of
+from ..common.errors import FactoryError
+from ..common.isolated import call_isolated
 from .layout import DEFLATE, check_shard, check_texts, crc32, inside
 from .manifest import Manifest, ShardInfo
 from .schema import CHECKSUMS, SPLITS, VALUE_RANGES
+from .storage import fetched, url_of
 
 Split = Literal["train", "test", "all"]
 

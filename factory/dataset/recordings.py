@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError
-from ..small_files import parse_json
+from ..common.errors import FactoryError
+from ..common.small_files import parse_json
 from .schema import CORE
 
 if TYPE_CHECKING:

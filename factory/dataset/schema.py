@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError, FrameError
-from ..frame import FrameRef
-from ..labels import CLASSES
+from ..common.errors import FactoryError, FrameError
+from .frame_ref import FrameRef
+from .labels import CLASSES
 from .meaning import Formation, grey_meaning
 
 if TYPE_CHECKING:
-    from ..sonar.geometry import FanGeometry
+    from .fan_geometry import FanGeometry
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
@@ -167,7 +167,7 @@ def layers(
     """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32).
 
     optional: names of further layers, in any order; they come out in that of the format.
-    classes: of the dataset, see `simnfnd.factory.labels.classes_of`.
+    classes: of the dataset, see `simnfnd.factory.dataset.labels.classes_of`.
     Raises FactoryError for one that the format does not know.
     """
     wanted = sorted(optional)

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ..settings import STRICT
-from ..storage.copies import folder_of, is_url
+from ..common.settings import STRICT
 from .schema import DATASET_NAME, OPTIONAL_LAYERS
+from .storage import folder_of, is_url
 
 ColumnName = Literal["pose", "intrinsics", "calibration", "boxes", "tracks"]
 

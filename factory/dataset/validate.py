@@ -20,12 +20,11 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError
-from ..files import is_temporary, sha256_of
-from ..isolated import LASTING
-from ..labels import classes_of
-from ..storage.copies import Store, url_of
+from ..common.errors import FactoryError
+from ..common.files import is_temporary, sha256_of
+from ..common.isolated import LASTING
 from .folder import CARD_NAME, PREVIEW_NAME, STATUS_NAME, WORK_NAME
+from .labels import classes_of
 from .layout import check_texts, config_of, echo_names, image_axes, inside, optional_layers
 from .manifest import (
     CONFIG_NAME,
@@ -39,6 +38,7 @@ from .manifest import (
 )
 from .reader import ImageStack, reading
 from .schema import CHECKSUMS, REQUIRED_COLUMNS, SPLITS, Layer, config_hash, layers
+from .storage import Store, url_of
 
 _LIMIT_S = 60.0
 # Slower than any disk: a shard that takes longer is not read but stuck.

@@ -21,9 +21,9 @@ import numpy.typing as npt
 from h5py import string_dtype
 from isal import isal_zlib
 
-from ..errors import FrameError
-from ..files import explain_os_errors, write_atomically
-from ..labels import classes_of
+from ..common.errors import FrameError
+from ..common.files import explain_os_errors, write_atomically
+from .labels import classes_of
 from .layout import config_of, crc32, image_axes, optional_layers, write_checksums
 from .manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
 from .reader import reading

@@ -16,8 +16,8 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset, Sampler
 
+from ...factory.common.seeds import stream
 from ...factory.dataset.pair_dataset import mixed_order
-from ...factory.seeds import stream
 from ..settings import DataSettings
 from .pairs import Batch, Sample, Source
 

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from ...factory.errors import FactoryError
-from ...factory.files import sha256_of
-from ...factory.imaging.contract import effect_clouds
-from ...factory.imaging.pointwise import noisy_cloud
-from ...factory.noise.draws import Draws, StreamNames, draw
-from ...factory.noise.registry import NoiseSettings
-from ...factory.sonar.geometry import FanGeometry
-from ...factory.sonar.polar import Echoes, in_plane
-from ...factory.sonar.window import Window
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import sha256_of
+from ...factory.dataset.fan_geometry import FanGeometry
+from ...factory.simulation.imaging.contract import effect_clouds
+from ...factory.simulation.imaging.pointwise import noisy_cloud
+from ...factory.simulation.noise.draws import Draws, StreamNames, draw
+from ...factory.simulation.noise.registry import NoiseSettings
+from ...factory.simulation.sonar.polar import Echoes, in_plane
+from ...factory.simulation.sonar.window import Window
 from ..recordings import IMAGE_SUFFIXES, is_recording, kind_of, open_recording
+from ..recordings.fan_tables import read_fans
 from ..recordings.views import frame_image
 from ..settings import OldData
-from .fans import read_fans
 from .pairs import Image, Sample, SampleRef, Source, weakened
 
 _FAR_M = 10.0  # of the far edge: the noise knows fractions of the range alone, so any would do

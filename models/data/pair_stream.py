@@ -16,20 +16,20 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
-from ...factory.cli.compose import compose_config
-from ...factory.cli.extras import needs_of, require
-from ...factory.cli.stored import stored_config
-from ...factory.config import FactoryConfig
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.seeds import stream
+from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.pair_dataset import in_unit_range
 from ...factory.dataset.schema import Pair
 from ...factory.dataset.shares import loader_share
-from ...factory.errors import FactoryError, FrameError
-from ...factory.frame import FrameRef
-from ...factory.pairs import PairMaker, frames_worth_keeping, pair_maker
-from ...factory.scenes import open_reader
-from ...factory.seeds import stream
-from ...factory.selection import choose_frames, split_frames
-from ...factory.views import open_views
+from ...factory.production.cli.compose import compose_config
+from ...factory.production.cli.extras import needs_of, require
+from ...factory.production.cli.stored import stored_config
+from ...factory.simulation.config.root import FactoryConfig
+from ...factory.simulation.config.selection import choose_frames, split_frames
+from ...factory.simulation.pairs.pair_maker import PairMaker, frames_worth_keeping, pair_maker
+from ...factory.simulation.pairs.views import open_views
+from ...factory.simulation.scenes import open_reader
 
 # Variants of datasets count from 0: the noise of a stream is none of theirs.
 _FIRST_VARIANT = 1_000_000

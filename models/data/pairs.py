@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from ...factory.common.errors import FactoryError
+from ...factory.common.seeds import stream
 from ...factory.dataset import PairDataset
+from ...factory.dataset.fan_geometry import FanGeometry, SonarDevice, recorded_sonar
 from ...factory.dataset.pair_dataset import in_unit_range
 from ...factory.dataset.reader import OpenShards, Split
-from ...factory.errors import FactoryError
-from ...factory.seeds import stream
-from ...factory.sonar.geometry import FanGeometry, SonarDevice, recorded_sonar
-from ...factory.storage.copies import url_of
+from ...factory.dataset.storage import url_of
 
 Image = npt.NDArray[np.float32]
 Anything = TypeVar("Anything")

@@ -12,21 +12,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...factory.config import FactoryConfig
+from ...factory.common.distribution import Distribution
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.seeds import stream
+from ...factory.dataset.fan_geometry import FanGeometry
+from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.pair_dataset import in_unit_range
-from ...factory.distribution import Distribution
-from ...factory.errors import FactoryError, FrameError
-from ...factory.frame import FrameRef
-from ...factory.moving.recordings import Moment
-from ...factory.noise.draws import StreamNames, draw
-from ...factory.noise.registry import BUILT_IN, NoiseSettings, blocks, with_blocks
-from ...factory.pairs import PairMaker, frames_worth_keeping, observe_by
-from ...factory.seeds import stream
-from ...factory.sonar.fan import rasterised
-from ...factory.sonar.geometry import FanGeometry
-from ...factory.sonar.settings import SonarSettings
-from ...factory.sonar_randomization import draw as devices
-from ...factory.views import Views, open_views
+from ...factory.simulation.config.root import FactoryConfig
+from ...factory.simulation.devices import draw as devices
+from ...factory.simulation.moving.recordings import Moment
+from ...factory.simulation.noise.draws import StreamNames, draw
+from ...factory.simulation.noise.registry import BUILT_IN, NoiseSettings, blocks, with_blocks
+from ...factory.simulation.pairs.pair_maker import PairMaker, frames_worth_keeping, observe_by
+from ...factory.simulation.pairs.views import Views, open_views
+from ...factory.simulation.sonar.fan import rasterised
+from ...factory.simulation.sonar.settings import SonarSettings
 from ..networks import DEFAULT
 from ..settings import RenderedData
 from .pairs import Sample, Source, weakened

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.common.errors import FactoryError
+from ...factory.common.seeds import stream
 from ...factory.dataset import PairDataset
-from ...factory.errors import FactoryError
-from ...factory.seeds import stream
-from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ..networks import averaged
 from ..settings import SequencesData
 from .pairs import Data, Image, Sample, Source, spread

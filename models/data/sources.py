@@ -8,20 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ...factory.cli.compose import compose_config
-from ...factory.config import FactoryConfig, from_mapping, plain
+from ...factory.common.distribution import number
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import sha256_of
+from ...factory.common.progress import RunReporter, print_warning
+from ...factory.common.small_files import load_yaml
+from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.manifest import CONFIG_NAME
 from ...factory.dataset.schema import config_hash
-from ...factory.distribution import number
-from ...factory.errors import FactoryError
-from ...factory.files import sha256_of
-from ...factory.frame import FrameRef
-from ...factory.progress import RunReporter, print_warning
-from ...factory.scenes import open_reader
-from ...factory.selection import SplitWarning, choose_frames, split_frames
-from ...factory.small_files import load_yaml
-from ...factory.storage.copies import local_folder
-from ...factory.views import open_views
+from ...factory.dataset.storage import local_folder
+from ...factory.production.cli.compose import compose_config
+from ...factory.simulation.config.root import FactoryConfig, from_mapping, plain
+from ...factory.simulation.config.selection import SplitWarning, choose_frames, split_frames
+from ...factory.simulation.pairs.views import open_views
+from ...factory.simulation.scenes import open_reader
 from ..settings import DataSettings, MixedData, ModelsSettings, OldData, RenderedData, SequencesData
 from .images import OldDataSource, digest_of, list_images, smallest_side
 from .pairs import Data, PairSource, SampleRef, hold_out, read_table, spread
@@ -88,7 +88,7 @@ def _dataset_folder(settings: ModelsSettings) -> str:
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
         )
     # Loads the scheduler, which a dataset that exists does without.
-    from ...factory.cli.generate import run
+    from ...factory.production.cli.generate import run
 
     folder = _folder_of_renders(data)
     words = (*data.make, f"dataset.dir={folder}")

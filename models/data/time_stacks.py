@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.seeds import stream
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FactoryError
+from ...factory.common.seeds import stream
+from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks import averaged
 from ..recordings.fan_finder import find_geometry
 from ..recordings.static import find_groups, shifted

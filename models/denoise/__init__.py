@@ -1,0 +1,1 @@
+"""From an image or recording to its denoised file."""

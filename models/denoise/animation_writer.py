@@ -17,7 +17,7 @@ import numpy.typing as npt
 from PIL import GifImagePlugin
 from PIL import Image as PillowImage
 
-from ...factory.errors import FrameError
+from ...factory.common.errors import FrameError
 from ..recordings.animations import PNG_SIGNATURE, Animation, png_chunk
 from ..recordings.base import swapped
 from .video_writer import TimedImage

@@ -8,18 +8,18 @@ from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
 
-from ...factory.cli import Parser
-from ...factory.errors import FactoryError
-from ...factory.files import check_writable, remove_stale_temporaries
-from ...factory.progress import progress_bar
-from ...factory.scheduler.workers.machine import keep_freed_memory
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import check_writable, remove_stale_temporaries
+from ...factory.common.progress import progress_bar
+from ...factory.common.workers.machine import keep_freed_memory
+from ...factory.production.cli import Parser
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
+from ..recordings.inputs import FIND, Geometries, Item, find_items, said_of_sequences, sequences
 from .comparison_video import SUFFIX, comparison_video
 from .denoiser import Denoiser
 from .files import denoise_files
 from .images import Denoising
-from .inputs import FIND, Geometries, Item, find_items, said_of_sequences, sequences
 from .job import Job
 from .journal import opened_journal
 from .temporal.stream import FRAMES

@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ...factory.files import whole_file
+from ...factory.common.files import whole_file
 from .writers import Pixels, side_by_side
 
 SUFFIX = ".mp4"

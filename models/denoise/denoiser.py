@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.files import sha256_of
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import sha256_of
+from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ...factory.errors import FactoryError, FrameError
-from ...factory.files import remove_stale_temporaries
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.files import remove_stale_temporaries
+from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from ..recordings.images import read_image
+from ..recordings.inputs import Item
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .images import Denoised, Pixels
-from .inputs import Item
 from .job import Job
 from .shards import denoise_shards
 from .temporal.stream import Shot

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks.weights import load_weights
 from ..pretrained import find_weights
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.scheduler.workers.machine import usable_cores
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FactoryError
+from ...factory.common.workers.machine import usable_cores
+from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings.base import FULL_SCALE
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from .removed import Removed

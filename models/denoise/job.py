@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from ..pretrained import DEFAULT, POINTS
+from ..recordings.inputs import Geometries, Item
 from .comparison_video import ComparisonVideo
 from .denoiser import Denoiser
 from .images import Denoising
-from .inputs import Geometries, Item
 from .inverted import InvertedReport
 from .journal import Journal
 from .removed import RemovedReport

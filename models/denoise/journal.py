@@ -17,9 +17,9 @@ from typing import IO
 
 from filelock import FileLock, Timeout
 
-from ...factory.errors import FactoryError
-from ...factory.files import explain_os_errors, write_atomically
-from .inputs import Item
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import explain_os_errors, write_atomically
+from ..recordings.inputs import Item
 
 JOURNAL_NAME = ".denoise-finished"
 LOCK_NAME = ".denoise-lock"

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.cli.extras import Need, require
-from ...factory.errors import FactoryError
+from ...factory.common.errors import FactoryError
+from ...factory.production.cli.extras import Need, require
 from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ...factory.errors import FactoryError, FrameError
-from ...factory.files import write_atomically
-from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.files import write_atomically
+from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
+from ..recordings.inputs import Item
 from .images import Denoised, Pixels
-from .inputs import Item
 from .job import Job
 from .temporal.stream import Shot
 from .writers import COMPARED, Compared, write_compared

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FrameError
+from ...factory.common.errors import FrameError
 from ..recordings.videos import VideoProperties, narrowed
 
 Image = npt.NDArray[Any]

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, TiffImagePlugin
 
-from ...factory.errors import FrameError
-from ...factory.files import whole_file, write_atomically
+from ...factory.common.errors import FrameError
+from ...factory.common.files import whole_file, write_atomically
 from ..recordings.animations import Animation
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import FULL_SCALE, Recording, swapped

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.imaging.effect import ARTEFACTS
+from ...factory.common.errors import FactoryError
+from ...factory.simulation.imaging.effect import ARTEFACTS
 
 if TYPE_CHECKING:
     from .network import Network
@@ -61,7 +61,9 @@ def build_network(config: Mapping[str, Any]) -> Network:
 
     Raises FactoryError for an unknown kind or key.
     """
-    from ...factory.settings import build  # loads pydantic, which graphs that ship do without
+    from ...factory.common.settings import (
+        build,  # loads pydantic, which graphs that ship do without
+    )
 
     kind = config.get("kind")
     known = {**NETWORKS, **RIVALS}

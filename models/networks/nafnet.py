@@ -12,7 +12,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from ...factory.settings import STRICT
+from ...factory.common.settings import STRICT
 from .network import LayerNorm, Network, Pointwise, down_and_up
 
 Blocks = Annotated[int, Field(ge=0, le=64)]

@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ...factory.settings import STRICT
+from ...factory.common.settings import STRICT
 from .network import LayerNorm, Network, Pointwise
 
 Blocks = Annotated[int, Field(ge=0, le=64)]

@@ -27,8 +27,8 @@ from pydantic.dataclasses import dataclass as settings_class
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ...factory.imaging.effect import ARTEFACTS
-from ...factory.settings import STRICT
+from ...factory.common.settings import STRICT
+from ...factory.simulation.imaging.effect import ARTEFACTS
 from . import DEFAULT, GEOMETRY, vector
 from .blend_head import BlendHead
 from .blocks import residual_blocks, zeroed

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 
-from ...factory.errors import FactoryError
-from ...factory.files import write_atomically
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import write_atomically
 from . import build_network
 
 if TYPE_CHECKING:

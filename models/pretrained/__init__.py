@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ...factory.cli.extras import Need, require
-from ...factory.errors import FactoryError
+from ...factory.common.errors import FactoryError
+from ...factory.production.cli.extras import Need, require
 from .. import WEIGHTS_NAME
 
 DEFAULT = "simnfnd"

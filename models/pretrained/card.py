@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from ...factory import __version__
-from ...factory.errors import FactoryError
-from ..learned_files import KEY as LEARNED_FROM
-from ..learned_files import as_front_matter, entries_of
+from ...factory.common.errors import FactoryError
+from .learned_files import KEY as LEARNED_FROM
+from .learned_files import as_front_matter, entries_of
 
 _METRICS_NAME = "metrics.csv"
 _COST_NAME = "cost.json"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...factory.cli import Parser
-from ...factory.cli.extras import Need, require
-from ...factory.errors import FactoryError
-from ...factory.files import check_writable, sha256_of, write_atomically
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import check_writable, sha256_of, write_atomically
+from ...factory.production.cli import Parser
+from ...factory.production.cli.extras import Need, require
 from . import find_weights
 from .card import CardFile, write_card
 

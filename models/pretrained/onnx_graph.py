@@ -18,9 +18,9 @@ import torch
 from torch import Tensor, nn
 
 from ...factory import __version__
-from ...factory.errors import FactoryError
-from ...factory.files import check_writable, sha256_of, write_atomically
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import check_writable, sha256_of, write_atomically
+from ...factory.dataset.fan_geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
 from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.line_context import MapLines

@@ -10,8 +10,8 @@ from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
-from ...factory.cli.extras import Need, require
-from ...factory.errors import FactoryError
+from ...factory.common.errors import FactoryError
+from ...factory.production.cli.extras import Need, require
 from .base import (
     ANIMATED_SUFFIXES,
     ARRAY_SUFFIXES,

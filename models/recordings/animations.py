@@ -17,7 +17,7 @@ from typing import IO
 import numpy as np
 from PIL import Image
 
-from ...factory.errors import FrameError
+from ...factory.common.errors import FrameError
 from .base import (
     Ended,
     Frame,

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...factory.errors import FactoryError, FrameError
-from ...factory.isolated import call_isolated
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.isolated import call_isolated
 from .base import (
     ARRAY_SUFFIX,
     ARRAY_SUFFIXES,

@@ -18,11 +18,11 @@ from typing import IO, TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError, FrameError
-from ...factory.small_files import open_regular
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.small_files import open_regular
 
 if TYPE_CHECKING:
-    from ...factory.sonar.geometry import FanGeometry
+    from ...factory.dataset.fan_geometry import FanGeometry
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 ANIMATED_SUFFIXES = (".png", ".webp")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.dataset.fan_geometry import FanGeometry
 from .fans.confidence import measure_confidence
 from .fans.drawn_lines import find_drawn_fan
 from .fans.fit import fit_sector

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.dataset.fan_geometry import FanGeometry
 from .fan_finder import find_geometry
 from .fans.confidence import light_ends, outline_pixels
 from .fans.levels import grey_bytes

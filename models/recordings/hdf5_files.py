@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...factory.errors import FactoryError
+from ...factory.common.errors import FactoryError
 from .base import Samples
 from .listed_arrays import Listed, Row
 

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from ...factory.errors import FactoryError, FrameError
-from ...factory.quiet import quiet_stderr
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.quiet import quiet_stderr
 from .arrays import ArrayFile, is_table
 from .base import (
     ARRAY_SUFFIX,

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...factory.errors import FactoryError, FrameError
-from ...factory.isolated import call_isolated
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.isolated import call_isolated
 from .base import Samples
 from .hdf5_files import MATLAB_DTYPES, images_first, list_hdf5, load_hdf5
 from .listed_arrays import Listed, Row, listed_of_rows

@@ -11,7 +11,7 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from ...factory.errors import FrameError
+from ...factory.common.errors import FrameError
 from .base import ARRAY_SUFFIX, Samples, ask_bytes, swapped
 from .listed_arrays import Listed, has_one_image
 

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from ...factory.cli.extras import Need, require
-from ...factory.errors import FactoryError, FrameError
-from ...factory.files import temporary_folder
-from ...factory.ros_types import SONAR, typestore
+from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.files import temporary_folder
+from ...factory.common.ros_types import SONAR, typestore
+from ...factory.production.cli.extras import Need, require
 from .base import (
     MOST_BEAMS,
     MOST_PIXELS,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...factory.common.errors import FactoryError
+from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ...factory.dataset.pair_dataset import PairDataset
-from ...factory.errors import FactoryError
-from ...factory.sonar.geometry import FanGeometry, recorded_sonar
 from . import dataset_of
 from .base import Device, Frame, Recording, known
 

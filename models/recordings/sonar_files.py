@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...factory.errors import FrameError
-from ...factory.files import whole_file
+from ...factory.common.errors import FrameError
+from ...factory.common.files import whole_file
 from .base import (
     MOST_BEAMS,
     MOST_RANGE_M,

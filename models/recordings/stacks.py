@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from ...factory.errors import FrameError
-from ...factory.quiet import quiet_stderr
+from ...factory.common.errors import FrameError
+from ...factory.common.quiet import quiet_stderr
 from .base import (
     Frame,
     Recording,

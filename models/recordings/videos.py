@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ...factory.cli.extras import Need, require
-from ...factory.errors import FrameError
+from ...factory.common.errors import FrameError
+from ...factory.production.cli.extras import Need, require
 from .base import (
     MOST_PIXELS,
     Ended,

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.sonar.fan import fan_table
-from ...factory.sonar.geometry import FanGeometry
+from ...factory.common.errors import FactoryError
+from ...factory.dataset.fan_geometry import FanGeometry
+from ...factory.simulation.sonar.fan import fan_table
 from . import open_recording
 from .base import FULL_SCALE, Beams, Frame
 
 if TYPE_CHECKING:
-    from ...factory.sonar.settings import SonarSettings
+    from ...factory.simulation.sonar.settings import SonarSettings
 
 Grey = npt.NDArray[np.float32]
 
@@ -66,7 +66,7 @@ def fan_of(samples: npt.NDArray[np.floating], beams: Beams) -> tuple[Grey, FanGe
 
 @lru_cache(maxsize=8)
 def _sonar(beams: Beams, ranges: int, count: int) -> SonarSettings:
-    from ...factory.sonar.settings import ImageSettings, SonarSettings  # load pydantic
+    from ...factory.simulation.sonar.settings import ImageSettings, SonarSettings  # load pydantic
 
     half = max(abs(edge) for edge in _edges_rad(beams))
     near = beams.range_min_m / beams.range_max_m

@@ -10,8 +10,8 @@ from typing import Any
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
-from ...factory.cli import run_app
-from ...factory.settings import build
+from ...factory.common.settings import build
+from ...factory.production.cli import run_app
 from .. import WEIGHTS_NAME
 
 

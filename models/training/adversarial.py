@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from ..data.pairs import Batch
-from ..losses import Loss
 from ..networks.rivals.adversary import AdversarialNetwork
+from .losses import Loss
 
 
 class Opponent:

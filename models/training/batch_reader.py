@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader
 
-from ...factory.errors import FactoryError
+from ...factory.common.errors import FactoryError
 from ..data.crops import LANES, Crops, KeptSource, VisitSampler, concatenate
 from ..data.pairs import Batch, Data
 from ..settings import DataSettings, ModelsSettings, RenderedData

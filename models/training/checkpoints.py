@@ -9,8 +9,8 @@ from typing import Any
 
 import torch
 
-from ...factory.errors import FactoryError
-from ...factory.files import write_atomically
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import write_atomically
 from .. import WEIGHTS_NAME
 
 CHECKPOINT_NAME = "checkpoint.ckpt"

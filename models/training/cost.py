@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 
-from ...factory.files import write_atomically
+from ...factory.common.files import write_atomically
 
 COST_NAME = "cost.json"
 

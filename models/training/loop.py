@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
-from ...factory.errors import FactoryError
-from ...factory.progress import progress_bar
-from ...factory.seeds import stream
+from ...factory.common.errors import FactoryError
+from ...factory.common.progress import progress_bar
+from ...factory.common.seeds import stream
 from ..data.pairs import Batch
 from ..networks.network import Network, known_extras
 from ..networks.weights import channels_last

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from ..data.pairs import Batch
-from ..losses import Loss
 from ..networks.network import Network, known_extras
 from ..networks.rivals.adversary import AdversarialNetwork
 from .adversarial import Opponent
+from .losses import Loss
 
 
 def training_loss(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from ...factory.files import sha256_of
+from ...factory.common.files import sha256_of
 from ..data.pairs import Data
-from ..learned_files import described, learned_files
 from ..pretrained import find_weights
+from ..pretrained.learned_files import described, learned_files
 from ..settings import ModelsSettings
 
 

@@ -16,26 +16,26 @@ import torch
 import yaml
 from torch import Tensor
 
-from ...factory.errors import FactoryError
-from ...factory.files import check_writable, write_atomically
-from ...factory.settings import build
+from ...factory.common.errors import FactoryError
+from ...factory.common.files import check_writable, write_atomically
+from ...factory.common.settings import build
 from .. import WEIGHTS_NAME
 from ..data.crops import whole_image
 from ..data.pairs import Batch, Data, Image, spread
 from ..data.sources import open_data
-from ..learned_files import KEY as LEARNED_FROM
-from ..losses import Loss
 from ..networks import build_network
 from ..networks.network import Network
 from ..networks.rivals.adversary import AdversarialNetwork
 from ..networks.weights import load_weights, save_weights
 from ..pretrained import find_weights
+from ..pretrained.learned_files import KEY as LEARNED_FROM
 from ..settings import ModelsSettings
 from .adversarial import Opponent
 from .batch_reader import BatchReader, innermost_message
 from .checkpoints import checkpoint_to_continue, write_checkpoint
 from .cost import Cost, CostMeter, read_cost
 from .loop import Loop, Row, denoised, device_of, precision_of
+from .losses import Loss
 from .objective import training_loss
 from .recipe import files_learned_from, full_recipe
 from .validation import best_row, validate

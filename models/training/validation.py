@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...factory.common.errors import FactoryError
 from ...factory.dataset.quality import psnr_db, ssim
-from ...factory.errors import FactoryError
 from ..data.crops import whole_image
 from ..data.pairs import Data
 from .loop import Loop, Row, denoised

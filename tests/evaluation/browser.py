@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from simnfnd.evaluation.page_server import Answer, PageServer, json_answer
+from simnfnd.evaluation.viewer.page_server import Answer, PageServer, json_answer
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 _LIMIT_S = 120

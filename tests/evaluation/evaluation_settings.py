@@ -13,13 +13,13 @@ from PIL import Image
 from scipy import ndimage
 
 from simnfnd.evaluation.filters import Baseline
-from simnfnd.evaluation.methods import NOISY, Method
-from simnfnd.evaluation.pairs import items_of
+from simnfnd.evaluation.judging.methods import NOISY, Method
+from simnfnd.evaluation.judging.pairs import items_of
+from simnfnd.evaluation.judging.runner import Measured, Task, measure_task
+from simnfnd.evaluation.judging.settings import EvaluationSettings
 from simnfnd.evaluation.report.build import measure
-from simnfnd.evaluation.runner import Measured, Task, measure_task
-from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.factory.scheduler.workers.tasks import TaskPool
-from simnfnd.factory.settings import build
+from simnfnd.factory.common.settings import build
+from simnfnd.factory.common.workers.tasks import TaskPool
 
 _DEFAULTS: dict[str, Any] = {
     "split": "test",

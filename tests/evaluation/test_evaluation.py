@@ -19,29 +19,24 @@ import torch
 
 from simnfnd import command
 from simnfnd.command import main
-from simnfnd.evaluation import paper, runner, tuning
-from simnfnd.evaluation.compare import read_results
 from simnfnd.evaluation.filters import REGISTRY, Baseline
-from simnfnd.evaluation.methods import (
-    NOISY,
-    Method,
-    baselines_of,
-    methods_of,
-    networks_of,
-)
+from simnfnd.evaluation.judging import runner, tuning
+from simnfnd.evaluation.judging.methods import NOISY, Method, baselines_of, methods_of, networks_of
+from simnfnd.evaluation.judging.pairs import geometry_of, items_of, pair_images
+from simnfnd.evaluation.judging.runner import SECONDS, Measured
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
 from simnfnd.evaluation.metrics.measure import PairImages, Scene, fit_levels, sector_of
-from simnfnd.evaluation.pairs import geometry_of, items_of, pair_images
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.runner import SECONDS, Measured
+from simnfnd.evaluation.report import paper
+from simnfnd.evaluation.report.compare import read_results
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.workers.tasks import TaskPool
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.writer import write_shard
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scheduler.workers.tasks import TaskPool
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.simulation.sonar.settings import SonarSettings
 from simnfnd.models.data.pairs import hold_out, read_table
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.networks import build_network

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from simnfnd.evaluation.learned import learned_notes
-from simnfnd.evaluation.methods import networks_at
-from simnfnd.evaluation.recorded import open_input
-from simnfnd.models.learned_files import (
+from simnfnd.evaluation.judging.learned import learned_notes
+from simnfnd.evaluation.judging.methods import networks_at
+from simnfnd.evaluation.judging.recorded import open_input
+from simnfnd.models.pretrained import shipped
+from simnfnd.models.pretrained.learned_files import (
     KEY,
     LearnedFile,
     as_front_matter,
@@ -21,7 +22,6 @@ from simnfnd.models.learned_files import (
     known_as,
     learned_files,
 )
-from simnfnd.models.pretrained import shipped
 from tests.project_files import ROOT
 
 EXAMPLE = ROOT / "examples" / "didson" / "lamprey.avi"

@@ -17,11 +17,11 @@ SCRIPT = """
 import json, sys
 import numpy as np, torch
 import simnfnd
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 denoiser = torch.hub.load(sys.argv[1], "denoiser", source="local")
 image = torch.rand(2, 1, 40, 56)
 told = {
-    "errors": sys.modules["simnfnd.factory.errors"].__file__,
+    "errors": sys.modules["simnfnd.factory.common.errors"].__file__,
     "same": simnfnd.FactoryError is FactoryError,
     "module": isinstance(denoiser, torch.nn.Module),
     "shape": list(denoiser(image).shape),

@@ -15,7 +15,7 @@ import pytest
 
 import simnfnd
 from simnfnd.command import main, overview
-from simnfnd.factory.cli.extras import EXTRAS
+from simnfnd.factory.production.cli.extras import EXTRAS
 from simnfnd.verbs import VERBS
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT, project
@@ -115,7 +115,7 @@ def test_a_stale_index_has_a_remedy_that_works(monkeypatch, tmp_path: Path, caps
     [(signal.SIGINT, 130, ""), (signal.SIGTERM, 143, "12 of 40 files are done")],
 )
 def test_every_verb_stops_alike(number: int, code: int, kept: str, monkeypatch, capsys) -> None:
-    from simnfnd.factory.commands import status
+    from simnfnd.factory.production.commands import status
 
     def work(words: list[str]) -> None:
         try:
@@ -190,7 +190,7 @@ def test_the_core_alone_answers_every_verb(tmp_path: Path) -> None:
 
 _CORE_ALONE = r"""
 import contextlib, io, pathlib, sys
-from simnfnd.factory.cli.extras import EXTRAS
+from simnfnd.factory.production.cli.extras import EXTRAS
 for module in EXTRAS:
     sys.modules[module] = None
 from simnfnd.command import main

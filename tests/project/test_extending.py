@@ -25,8 +25,8 @@ import simnfnd
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.extensions import register_effect, register_method, register_reader
-from simnfnd.factory import extensions
-from simnfnd.factory.noise.registry import EFFECTS
+from simnfnd.factory.common import extensions
+from simnfnd.factory.simulation.noise.registry import EFFECTS
 from tests.project.test_face import PLACE, frame
 from tests.project_files import ROOT
 

@@ -15,9 +15,9 @@ import pytest
 
 import simnfnd
 from simnfnd.command import main
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.progress import RunProgress
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.common.progress import RunProgress
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
+from simnfnd.factory.production.cli.compose import compose_config
 from tests.project.test_face import PLACE, frame
 
 SMALL = (

@@ -20,7 +20,7 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.verbs import VERBS
-from tests.factory.cli_frames import ground, write_frame
+from tests.factory.production.cli_frames import ground, write_frame
 from tests.project.page_steps import PAGES, SMALL_SEABED, Step, fences, run, steps
 from tests.project_files import ROOT
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ....factory.errors import FactoryError
+from ....factory.common.errors import FactoryError
 from ...metrics.measure import Grey
 from .logarithm import denoise_logarithm
 

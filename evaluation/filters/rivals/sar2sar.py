@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from ....factory.errors import FactoryError
+from ....factory.common.errors import FactoryError
 from ...metrics.measure import Grey
 
 _PACKAGE = "deepdespeckling"

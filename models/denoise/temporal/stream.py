@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ....factory.sonar.geometry import FanGeometry
+from ....factory.dataset.fan_geometry import FanGeometry
 from .fusion import Fused, Fusion, Neighbour
 from .motion import Aligner, Grey, grey_of, laid_over
 from .strength import Predictors, Strength, Weights

@@ -14,7 +14,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from ....factory.settings import STRICT
+from ....factory.common.settings import STRICT
 from ..network import Network
 
 

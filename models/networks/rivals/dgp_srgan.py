@@ -19,7 +19,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from ....factory.settings import STRICT
+from ....factory.common.settings import STRICT
 from .adversary import AdversarialNetwork
 
 NotNegative = Annotated[float, Field(ge=0)]

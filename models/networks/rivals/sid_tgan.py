@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
-from ....factory.settings import STRICT
+from ....factory.common.settings import STRICT
 from ..blocks import residual_blocks
 from ..network import LayerNorm, Pointwise, down_and_up
 from .adversary import AdversarialNetwork

@@ -20,7 +20,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from ....factory.settings import STRICT
+from ....factory.common.settings import STRICT
 from ..network import Network, Pointwise, padded
 
 _LEVELS = 3

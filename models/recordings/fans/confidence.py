@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ....factory.sonar.geometry import FanGeometry
+from ....factory.dataset.fan_geometry import FanGeometry
 from .sampling import nearest_pixels, sample_nearest
 from .sector import Numbers
 

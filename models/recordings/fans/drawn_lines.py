@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ....factory.sonar.geometry import FanGeometry
+from ....factory.dataset.fan_geometry import FanGeometry
 from .sampling import sample_nearest
 from .sector import Bytes
 

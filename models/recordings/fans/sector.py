@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ....factory.sonar.geometry import FanGeometry
+from ....factory.dataset.fan_geometry import FanGeometry
 
 Numbers = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]

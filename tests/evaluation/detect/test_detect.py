@@ -30,7 +30,7 @@ from simnfnd.evaluation.detect.targets import (
     draw_tracks,
     insert_targets,
 )
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 
 HEIGHT = 150
 WIDTH = 170

@@ -15,7 +15,7 @@ from scipy import ndimage
 from simnfnd.evaluation.filters import REGISTRY, Baseline, chosen
 from simnfnd.evaluation.filters.rivals import dual_tree, lpmsde, ridgelet
 from simnfnd.evaluation.metrics.fidelity import psnr
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 
 Array = npt.NDArray[Any]
 HAS_RADAR = find_spec("deepdespeckling") is not None

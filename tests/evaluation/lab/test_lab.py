@@ -29,13 +29,13 @@ from simnfnd.evaluation.lab.parameters import parameters_of, sentences_of, slide
 from simnfnd.evaluation.lab.server import LabServer
 from simnfnd.evaluation.lab.session import Session
 from simnfnd.evaluation.lab.stored_words import words_of_dataset
-from simnfnd.factory.cli.compose import compose_config, compose_points
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.pair_dataset import PairDataset
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.identity import identity
-from simnfnd.factory.imaging.settings import CoherentSettings
-from simnfnd.factory.noise.registry import EFFECTS
-from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.production.cli.compose import compose_config, compose_points
+from simnfnd.factory.simulation.config.identity import identity
+from simnfnd.factory.simulation.imaging.settings import CoherentSettings
+from simnfnd.factory.simulation.noise.registry import EFFECTS
+from simnfnd.factory.simulation.sonar.settings import SonarSettings
 from tests.evaluation.browser import CHROMIUM, kept_by_page
 
 SMALL = (

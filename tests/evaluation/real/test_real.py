@@ -15,12 +15,12 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.judging.methods import Method
+from simnfnd.evaluation.judging.recorded import MDD_GEOMETRIES, MDD_SHAPE, Shot, open_input
 from simnfnd.evaluation.real import in_time
 from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of, search, sector_of
 from simnfnd.evaluation.real.judge import Scene, figures_of, scene_of
-from simnfnd.evaluation.recorded import MDD_GEOMETRIES, MDD_SHAPE, Shot, open_input
-from simnfnd.factory.scheduler.workers.tasks import TaskPool
+from simnfnd.factory.common.workers.tasks import TaskPool
 from simnfnd.models.recordings.static import aligned, moving, shift_px
 from tests.evaluation.evaluation_settings import BROKEN
 

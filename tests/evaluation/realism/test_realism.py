@@ -17,21 +17,21 @@ from PIL import Image
 from scipy import ndimage
 
 from simnfnd.command import main
-from simnfnd.evaluation import calibrate as search
-from simnfnd.evaluation import features as statistics
-from simnfnd.evaluation import recorded
-from simnfnd.evaluation.calibrate import Simulation
-from simnfnd.evaluation.features import FEATURES, features_of
-from simnfnd.evaluation.realism import distances, real_images, to_polar
-from simnfnd.evaluation.settings import FitSettings, Grid
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.cli.generate import run as generate
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.pairs import pair_maker
-from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
+from simnfnd.evaluation.judging import recorded
+from simnfnd.evaluation.judging.settings import FitSettings, Grid
+from simnfnd.evaluation.metrics import features as statistics
+from simnfnd.evaluation.metrics.features import FEATURES, features_of
+from simnfnd.evaluation.realism.calibrate import Simulation
+from simnfnd.evaluation.realism.report import calibrate as search
+from simnfnd.evaluation.realism.report import distances, real_images, to_polar
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.settings import build
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.production.cli.generate import run as generate
+from simnfnd.factory.simulation.pairs.pair_maker import pair_maker
+from simnfnd.factory.simulation.sonar.fan import fan_table
+from simnfnd.factory.simulation.sonar.settings import ImageSettings, SonarSettings
 from tests.evaluation.evaluation_settings import polar_folder, sonar_image, speckle
 from tests.project_files import ROOT
 

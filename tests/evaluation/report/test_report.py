@@ -18,16 +18,16 @@ import pytest
 from scipy import stats
 
 from simnfnd.command import main
-from simnfnd.evaluation.compare import compare, read_results
 from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.methods import NOISY, Method
+from simnfnd.evaluation.judging.methods import NOISY, Method
+from simnfnd.evaluation.judging.pairs import Item
+from simnfnd.evaluation.judging.runner import SECONDS, Measured
 from simnfnd.evaluation.metrics import statistics
-from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report import tables
+from simnfnd.evaluation.report.compare import compare, read_results
 from simnfnd.evaluation.report.content import best_classical, content_of
 from simnfnd.evaluation.report.document import as_data_uri
-from simnfnd.evaluation.runner import SECONDS, Measured
 from tests.evaluation.evaluation_settings import BROKEN, settings_for
 from tests.small_dataset import write_dataset
 

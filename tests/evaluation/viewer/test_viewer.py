@@ -21,12 +21,11 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.evaluation import page_server
-from simnfnd.evaluation import viewer as server
-from simnfnd.evaluation.viewer import Shown, Viewer, open_shown
-from simnfnd.factory.errors import FactoryError
+from simnfnd.evaluation.viewer.viewer import Shown, Viewer, open_shown, page_server
+from simnfnd.evaluation.viewer.viewer import viewer as server
+from simnfnd.factory.common.errors import FactoryError
 from tests.evaluation.browser import CHROMIUM, kept_by_page
-from tests.factory.export.export_dataset import SHAPE, write
+from tests.factory.production.export.export_dataset import SHAPE, write
 from tests.models.recordings.recording_files import pings, write_aris
 from tests.recorded_dataset import FRAMES, recorded_pair, write_recordings
 

@@ -7,8 +7,8 @@ from unittest import mock
 
 import numpy as np
 
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset import PairDataset, reader
-from simnfnd.factory.errors import FactoryError
 
 LAYERS = ("noisy", "clean", "shadow", "range", "elevation", "segmentation", "layers/background")
 

@@ -15,15 +15,15 @@ from unittest import mock
 import h5py
 import numpy as np
 
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.files import sha256_of
+from simnfnd.factory.common.isolated import IsolatedProcess
 from simnfnd.factory.dataset import PairDataset, validate
 from simnfnd.factory.dataset import reader as shard_reader
 from simnfnd.factory.dataset.layout import crc32, write_checksums
 from simnfnd.factory.dataset.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.schema import Pair, Provenance, config_hash
 from simnfnd.factory.dataset.writer import write_index
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
-from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.some_shards import SHARDS, some_pairs, write_all
 
 SECRET = 77

@@ -12,14 +12,15 @@ import pytest
 from PIL import Image
 
 from simnfnd.command import main
-from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.common.errors import FrameError
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.frame import Frame, FrameRef
-from simnfnd.factory.pairs import pair_maker
-from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.views import ViewMaker
-from tests.factory.cli_frames import ground, write_frame
+from simnfnd.factory.dataset.frame_ref import FrameRef
+from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping
+from simnfnd.factory.simulation.frames.frame import Frame
+from simnfnd.factory.simulation.pairs.pair_maker import pair_maker
+from simnfnd.factory.simulation.pairs.views import ViewMaker
+from simnfnd.factory.simulation.scenes import open_reader
+from tests.factory.production.cli_frames import ground, write_frame
 from tests.frames import ground_and_post
 
 LAYERS = ["rgb", "depth"]

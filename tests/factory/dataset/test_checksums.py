@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.isolated import IsolatedProcess
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.flips import any_bit, flip, given_out, outcome
 from tests.factory.dataset.hostile import PROVENANCE, admit, keep_only, whole, with_layers
 from tests.factory.dataset.some_shards import some_pairs, write

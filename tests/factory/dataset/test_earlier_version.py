@@ -11,13 +11,13 @@ import h5py
 import pytest
 
 from simnfnd.command import main
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.layout import echo_names
 from simnfnd.factory.dataset.manifest import load_manifest
 from simnfnd.factory.dataset.reader import Split, reading
 from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.dataset.writer import write_index
-from simnfnd.factory.errors import FactoryError
 
 # BLAKE2b (8 bytes) of all samples of a layer, as the readers of 0.3 gave them.
 POINTS = {

@@ -21,6 +21,15 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.files import (
+    check_writable,
+    remove_stale_temporaries,
+    space,
+    whole_file,
+    whole_folder,
+    write_atomically,
+)
 from simnfnd.factory.dataset.card import write_card
 from simnfnd.factory.dataset.folder import open_folder
 from simnfnd.factory.dataset.manifest import (
@@ -37,17 +46,8 @@ from simnfnd.factory.dataset.manifest import (
 from simnfnd.factory.dataset.preview import preview
 from simnfnd.factory.dataset.schema import config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import (
-    check_writable,
-    remove_stale_temporaries,
-    space,
-    whole_file,
-    whole_folder,
-    write_atomically,
-)
 from tests.factory.dataset.some_shards import PROVENANCE, dataset
-from tests.factory.scheduler.run_files import wait_for
+from tests.factory.production.scheduler.run_files import wait_for
 from tests.fake_source import refs
 
 

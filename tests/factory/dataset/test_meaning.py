@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.dataset.card import source_terms, stated_licence
 from simnfnd.factory.dataset.meaning import grey_meaning, pixel_meaning
-from simnfnd.factory.identity import identity
-from simnfnd.factory.image_axes import image_axes
-from simnfnd.factory.sonar import transfer
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.identity import identity
+from simnfnd.factory.simulation.labels.image_axes import image_axes
+from simnfnd.factory.simulation.sonar import transfer
 
 PROFILES = {"pointwise": "experiment=demo", "coherent": "experiment=demo_physical"}
 

@@ -19,9 +19,9 @@ import psutil
 import pytest
 import torch
 
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset import PairDataset, reader
 from simnfnd.factory.dataset.shares import Share
-from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
 from tests.factory.dataset.some_shards import SOURCE, some_pairs, write
 

@@ -12,13 +12,13 @@ import h5py
 import numpy as np
 import pytest
 
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.dataset.labels import CLASSES
 from simnfnd.factory.dataset.manifest import damage
 from simnfnd.factory.dataset.schema import OPTIONAL_LAYERS, ROOT_ATTRIBUTES, layers
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.requested_columns import requested
-from simnfnd.factory.sample_table import columns
+from simnfnd.factory.simulation.noise.registry import NoiseSettings
+from simnfnd.factory.simulation.pairs.requested_columns import requested
+from simnfnd.factory.simulation.pairs.sample_table import columns
 from tests.factory.dataset.hostile import whole
 from tests.factory.dataset.some_shards import PROVENANCE, SOURCE, some_pairs, write
 from tests.project.page_steps import run, steps

@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.factory.cli.sweep import equal_points
 from simnfnd.factory.dataset.quality import images_digest, lit_share
+from simnfnd.factory.production.cli.sweep import equal_points
 
 
 def write_shards(folder: Path, levels: list[list[int]]) -> Path:

@@ -10,13 +10,13 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.factory.commands.inspect import report
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.preview import preview
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export import export
+from simnfnd.factory.production.commands.inspect import report
+from simnfnd.factory.production.export import export
 from tests.factory.dataset.hostile import admit, reseal
-from tests.factory.export.export_dataset import write
+from tests.factory.production.export.export_dataset import write
 
 SHARD = "train/shard-00001.h5"
 

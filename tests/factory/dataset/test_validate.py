@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.isolated import IsolatedProcess
 from simnfnd.factory.dataset.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.schema import Pair, config_hash
 from simnfnd.factory.dataset.validate import Report, validate
 from simnfnd.factory.dataset.writer import write_index
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.hostile import (
     OBJECTS,
     PROVENANCE,

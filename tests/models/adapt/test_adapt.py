@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models.adapt import main
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.models.adapting.adapting import Lesson, psnr_after_levels
+from simnfnd.models.adapting.command import main
+from simnfnd.models.adapting.stretches import find_lessons, read_clips
 from simnfnd.models.denoise.denoiser import Denoiser
-from simnfnd.models.denoise.inputs import NONE, Geometries
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
-from simnfnd.models.stretches import find_lessons, read_clips
-from simnfnd.models.training.adapting import Lesson, psnr_after_levels
+from simnfnd.models.recordings.inputs import NONE, Geometries
 from tests.models.adapt.scenes import Grey, noisy, scene, write
 from tests.project_files import ROOT
 

@@ -9,11 +9,11 @@ from typing import Any
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.cli.generate import run
-from simnfnd.factory.render.pack import write_pack
-from simnfnd.factory.settings import build
-from simnfnd.factory.views import CachedViews
+from simnfnd.factory.common.settings import build
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.production.cli.generate import run
+from simnfnd.factory.simulation.pairs.views import CachedViews
+from simnfnd.factory.simulation.render.pack import write_pack
 from simnfnd.models.data.pairs import Source
 from simnfnd.models.data.renders import DeviceSource, RenderSource
 from simnfnd.models.data.sources import open_data
@@ -35,7 +35,7 @@ def rendered_dataset(folder: Path) -> tuple[Path, Path]:
     config = compose_config([*WORDS, f"dataset.dir='{dataset}'", f"cache.dir='{folder / 'cache'}'"])
     report, _ = run(config, [])
     views = CachedViews(config)
-    from simnfnd.factory.scenes import open_reader
+    from simnfnd.factory.simulation.scenes import open_reader
 
     frames = open_reader(config.scenes).discover().frames
     write_pack(pack, frames, views.view, config.sonar.mount, config.render)

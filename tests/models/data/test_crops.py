@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.data.crops import Crops, KeptSource, Visit, VisitSampler, concatenate
 from simnfnd.models.data.pairs import PairSource, Sample, Source, hold_out, read_table
 from tests.models.data.small_renders import data_settings

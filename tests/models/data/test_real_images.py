@@ -9,17 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.recorded import open_input
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.noise.draws import Draws, StreamNames, draw
-from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.fans import read_fans
+from simnfnd.evaluation.judging.recorded import open_input
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.settings import build
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.noise.draws import Draws, StreamNames, draw
+from simnfnd.factory.simulation.sonar.fan import fan_table
+from simnfnd.factory.simulation.sonar.settings import SonarSettings
 from simnfnd.models.data.images import list_images, read_sample, smallest_side, with_noise
 from simnfnd.models.data.sources import open_data
+from simnfnd.models.recordings.fan_tables import read_fans
 from simnfnd.models.recordings.views import frame_image
 from simnfnd.models.training.train import train
 from tests.models.data.small_renders import SMALL, composed

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.pair_dataset import in_unit_range
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings
-from simnfnd.factory.pairs import pair_maker
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.noise.registry import EFFECTS, NoiseSettings
+from simnfnd.factory.simulation.pairs.pair_maker import pair_maker
 from simnfnd.models.data.crops import Crops, Visit, whole_image
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import DeviceSource, ImageScale, resized

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.manifest import Manifest, save_manifest
 from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance, config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.writer import write_shard
-from simnfnd.factory.errors import FactoryError
 from simnfnd.models.data.sequences import SequenceSource
 from simnfnd.models.data.sources import open_data
 from simnfnd.models.training.loop import Loop

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.data.pairs import Sample
 from simnfnd.models.data.sources import open_data
 from simnfnd.models.data.targets import Target, draw_targets, insert_targets

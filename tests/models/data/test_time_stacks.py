@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.data.pairs import Sample, Source
 from simnfnd.models.data.time_stacks import MixedSource, Stack, standing, with_loud_beam
 from simnfnd.models.networks import averaged

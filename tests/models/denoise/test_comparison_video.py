@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise.comparison_video import comparison_video
 from simnfnd.models.denoise.writers import CAPTION_PX
 from tests.models.denoise.untrained import main

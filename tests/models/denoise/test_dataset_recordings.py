@@ -9,11 +9,11 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.recorded import open_input
-from simnfnd.factory.errors import FactoryError
+from simnfnd.evaluation.judging.recorded import open_input
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise import shards
 from simnfnd.models.denoise.command import main
-from simnfnd.models.learned_files import LearnedFile, known_as
+from simnfnd.models.pretrained.learned_files import LearnedFile, known_as
 from simnfnd.models.recordings import is_recording, open_recording
 from tests.models.denoise.untrained import untrained_sonarnet
 from tests.recorded_dataset import FRAMES, SCENES, recorded_pair, write_recordings

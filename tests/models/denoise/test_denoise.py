@@ -11,17 +11,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.errors import FactoryError, FrameError
 from simnfnd.factory.dataset import reader
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
+from simnfnd.factory.simulation.sonar.settings import SonarSettings
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.images import Denoising
-from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.shards import opened_shard
 from simnfnd.models.denoise.writers import CAPTION_PX
-from tests.factory.export.export_dataset import write
+from simnfnd.models.recordings.inputs import Item, find_items
+from tests.factory.production.export.export_dataset import write
 from tests.models.denoise.untrained import half, through_network, untrained_sonarnet
 from tests.small_dataset import fan_images, write_dataset, write_manifest
 

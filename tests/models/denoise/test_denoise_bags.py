@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simnfnd.factory.ros_types import SONAR, typestore
+from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.models.denoise import command
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.rosbag import IMAGE, RosBag

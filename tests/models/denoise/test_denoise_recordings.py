@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.factory.files import space
+from simnfnd.factory.common.files import space
 from simnfnd.models.recordings import open_recording
 from tests.models.denoise.untrained import Halving, main
 from tests.models.recordings.fan_images import fan, preset

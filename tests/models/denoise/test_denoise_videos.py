@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise.video_writer import CONTAINERS, TimedImage, target_of, write_video
 from simnfnd.models.denoise.writers import write_frames
 from simnfnd.models.recordings import open_recording

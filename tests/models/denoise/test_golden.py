@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
+from simnfnd.models.adapting.adapting import psnr_after_levels
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.pretrained import shipped
 from simnfnd.models.recordings.fan_finder import find_geometry
-from simnfnd.models.training.adapting import psnr_after_levels
 from tests.project_files import ROOT
 
 Grey = npt.NDArray[np.float32]

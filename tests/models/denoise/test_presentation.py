@@ -11,9 +11,9 @@ import numpy.typing as npt
 import pytest
 
 import simnfnd
+from simnfnd.models.adapting.stretches import Shot, presented
 from simnfnd.models.denoise.command import main
 from simnfnd.models.recordings.fan_finder import find_geometry
-from simnfnd.models.stretches import Shot, presented
 from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen, with_rings
 
 Image = npt.NDArray[Any]

@@ -13,13 +13,13 @@ import pytest
 
 from simnfnd import denoise
 from simnfnd import open_recording as open_shown
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
+from simnfnd.models.adapting.stretches import read_clips
 from simnfnd.models.denoise.images import Denoising
-from simnfnd.models.denoise.inputs import Geometries, find_items
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.fan_tracking import FanTracker
+from simnfnd.models.recordings.inputs import Geometries, find_items
 from simnfnd.models.recordings.repeats import CopyFinder, RepeatFinder
-from simnfnd.models.stretches import read_clips
 from tests.models.recordings.fan_images import fan, preset
 from tests.models.recordings.video_files import encode
 

@@ -17,8 +17,8 @@ import torch
 from safetensors.numpy import save_file
 
 from simnfnd.evaluation.commands import _runtime_of
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.runtime import (
     OnnxNetwork,

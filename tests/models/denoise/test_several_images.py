@@ -14,7 +14,7 @@ import tifffile
 from PIL import Image
 
 from simnfnd import denoise
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise.video_writer import TimedImage
 from simnfnd.models.denoise.writers import write_frames
 from simnfnd.models.recordings import kind_of, open_recording

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main as simnfnd_main
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import explain_os_errors, space, write_atomically
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.files import explain_os_errors, space, write_atomically
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise import command, writers
 from simnfnd.models.denoise.images import Grey
-from simnfnd.models.denoise.inputs import Item, items_below
 from simnfnd.models.denoise.journal import JOURNAL_NAME, opened_journal
+from simnfnd.models.recordings.inputs import Item, items_below
 from tests.models.adapt.scenes import noisy, scene, write
 
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from simnfnd import denoise
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise.images import Denoising
-from simnfnd.models.denoise.inputs import find_items, sequences
 from simnfnd.models.denoise.temporal.fusion import Fusion, Neighbour
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, Shot
 from simnfnd.models.denoise.temporal.strength import Strength
 from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.inputs import find_items, sequences
 
 SIDE = 224
 MARGIN = 24

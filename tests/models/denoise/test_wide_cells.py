@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.images import Grey
 from simnfnd.models.denoise.polar import Maps, polar_grid, sampled

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.images import Grey
 from simnfnd.models.networks import build_network

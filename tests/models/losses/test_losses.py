@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from simnfnd.factory.settings import build
-from simnfnd.models.losses import Loss
+from simnfnd.factory.common.settings import build
+from simnfnd.models.training.losses import Loss
 
 NEW = {"kind": "newloss", "shadow": "literal", "weight": 1.0, "threshold": 0.1}
 
@@ -142,7 +142,7 @@ def test_the_blend_term_is_computed_outside_autocast(monkeypatch: pytest.MonkeyP
         assert all(values.dtype == torch.float32 for values in tensors)
         return entropy(*tensors)
 
-    monkeypatch.setattr("simnfnd.models.losses.functional.binary_cross_entropy", refusing)
+    monkeypatch.setattr("simnfnd.models.training.losses.functional.binary_cross_entropy", refusing)
     source = torch.Generator().manual_seed(0)
     prediction, clean, noisy = torch.rand(3, 2, 1, 5, 7, generator=source)
     batch = {"noisy": noisy, "weight": torch.tensor([0.3, 0.9])}

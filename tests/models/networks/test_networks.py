@@ -12,7 +12,7 @@ import torch
 import yaml
 from safetensors.torch import save
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.networks import NETWORKS, RIVALS, build_network
 from simnfnd.models.networks.network import Network, count_macs
 from simnfnd.models.networks.weights import FORMAT, load_weights, save_weights

@@ -9,8 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from simnfnd.factory.sonar.fan import fan_table, pixel_size
-from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
+from simnfnd.factory.dataset.fan_geometry import pixel_size
+from simnfnd.factory.simulation.sonar.fan import fan_table
+from simnfnd.factory.simulation.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.models.networks import DEFAULT, vector
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.polar_grid import polar_grid, sampled

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from simnfnd.factory.ros_types import SONAR, typestore
+from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE
 
 START_NS = 1_700_000_000_000_000_000

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.common.settings import build
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
+from simnfnd.factory.simulation.sonar.fan import fan_table
+from simnfnd.factory.simulation.sonar.settings import SonarSettings
 
 Grey = npt.NDArray[np.uint8]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.recordings import base, is_recording, kind_of, open_recording
 from simnfnd.models.recordings.arrays import is_table
 from simnfnd.models.recordings.images import read_image

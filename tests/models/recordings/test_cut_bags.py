@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.ros_types import SONAR, typestore
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.rosbag import IMAGE, RosBag
 from tests.models.recordings.bag_files import image, sonar, write_bag

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.recordings.palettes import find_painted
 from tests.models.recordings.fan_images import LEFT, TOP, Grey, fan, preset, screen

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.ros_types import SONAR, typestore
+from simnfnd.factory.common.errors import FactoryError, FrameError
+from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.models.recordings import base, open_recording
 from simnfnd.models.recordings.images import read_image
 from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.common.errors import FactoryError, FrameError
 from simnfnd.models.recordings import is_recording, kind_of, open_recording
 from simnfnd.models.recordings.base import Beams
 from simnfnd.models.recordings.images import read_image

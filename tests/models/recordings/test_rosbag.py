@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.ros_types import SONAR, typestore
+from simnfnd.factory.common.errors import FactoryError, FrameError
+from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.models.recordings import kind_of, open_recording
 from simnfnd.models.recordings.rosbag import COMPRESSED, IMAGE, RosBag
 from tests.models.recordings.bag_files import (

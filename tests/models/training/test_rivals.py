@@ -9,14 +9,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
-from simnfnd.models.losses import Loss
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.settings import build
 from simnfnd.models.networks.rivals.dgp_srgan import slope_penalty
 from simnfnd.models.networks.rivals.log_residual import LogResidual, median_of, structure_of
 from simnfnd.models.networks.rivals.sid_tgan import hinge
 from simnfnd.models.training.adversarial import Opponent
 from simnfnd.models.training.loop import Loop
+from simnfnd.models.training.losses import Loss
 from simnfnd.models.training.objective import taught_loss
 from simnfnd.models.training.train import train
 from tests.models.networks.tiny_networks import TINY, stirred, tiny

@@ -19,8 +19,8 @@ import yaml
 
 from simnfnd import PairDataset
 from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.files import sha256_of
 from simnfnd.models import WEIGHTS_NAME
 from simnfnd.models.data.crops import Crops, Visit
 from simnfnd.models.networks import build_network

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.common.errors import FactoryError
 from tests.models.training.small_training import train_small
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset

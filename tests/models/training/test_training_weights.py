@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.files import sha256_of
 from simnfnd.models import pretrained
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights

@@ -1,0 +1,262 @@
+"""Images and frames of real sonars, read when their turn comes, with their geometry.
+
+Folders whose geometry is known are the Marine Debris Dataset as it is, or images with
+geometry.csv, which has one line an image and these columns (docs/realism.md): file (`*` for all
+that have no line of their own), layout, hfov_deg and, for fans, apex_x_px, apex_y_px, near_px,
+far_px; optional x_scale, range_min_m and range_max_m.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.common.errors import FactoryError
+from ...factory.dataset import PairDataset
+from ...factory.dataset.fan_geometry import FanGeometry
+from ...models.recordings import DATASET, IMAGE_SUFFIXES, dataset_of, kind_of, open_recording
+from ...models.recordings.fan_tracking import FanTracker
+from ...models.recordings.names import in_order
+from ...models.recordings.views import frame_image
+from ..metrics.measure import Grey
+
+GEOMETRY_FILE = "geometry.csv"
+
+MDD_SHAPE = (480, 320)
+MDD_GEOMETRIES = {
+    "A": FanGeometry.fan(
+        math.radians(29.4), apex_x_px=159.3, apex_y_px=602.5, near_px=139.5, far_px=575.5
+    ),
+    "B": FanGeometry.fan(
+        math.radians(29.6),
+        apex_x_px=159.3,
+        apex_y_px=748.5,
+        near_px=291.5,
+        far_px=718.5,
+        x_scale=0.8,
+    ),
+}
+"""The two fans that the images of the Marine Debris Dataset mix; metres are not published.
+
+Measured on the edges of the sector in its images, and drawn in by the one or two pixels over
+which they fade to black; B shows x squeezed to 0.8 of y.
+"""
+# The fit of an image's black border to a fan: intersection over union below which it is none.
+_SAME = 0.9
+
+
+@dataclass(frozen=True)
+class Shot:
+    """An image, or a frame of a recording.
+
+    path, number: of the image or recording, and of the frame in it.
+    known: where range and bearing are, as a table says; None where it must be found or stands in
+    the file.
+    """
+
+    path: Path
+    number: int
+    name: str
+    known: FanGeometry | None = None
+
+    def read(self) -> tuple[Grey, FanGeometry | None]:
+        """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where nothing says it.
+
+        Raises FactoryError when it cannot be read.
+        """
+        image, geometry = frame_of(self.path, self.number)
+        if geometry is not None:
+            return image, geometry
+        return image, None if self.known is None else self.known.with_size(*image.shape)
+
+
+@lru_cache(maxsize=160)
+def frame_of(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
+    """See `frame_image`; frames are asked for again and again, and cost more to decode."""
+    return frame_image(path, number)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Shots in which one scene may stay: those of a folder or of a recording, in order."""
+
+    name: str
+    shots: tuple[Shot, ...]
+
+
+def open_input(
+    location: str | Path, most: int | None = None, key: str = "real"
+) -> tuple[list[Stretch], tuple[str, ...]]:
+    """All folders and recordings at a path, or of a dataset, and notes for the report.
+
+    most: of each so many shots, the first ones.  key: of the configuration, for errors.
+    Raises FactoryError when there is nothing, or a recording cannot be opened.
+    """
+    root = Path(location).expanduser()
+    notes: tuple[str, ...] = ()
+    if dataset_of(root) == root:
+        names = PairDataset(root, "all", trusted=True).recordings.names
+        stretches = [_recording(root / name, name) for name in names]
+    elif kind_of(root) == DATASET:
+        stretches = [_recording(root, root.name)]
+    elif not root.exists():
+        raise FactoryError(f"{key}={root}: no such folder or recording")
+    elif (root / "Images").is_dir() or (root / GEOMETRY_FILE).is_file():
+        shots, notes = _with_geometry(root)
+        stretches = [Stretch(root.resolve().name, shots)]
+    else:
+        stretches = _below(root)
+    if not stretches:
+        raise FactoryError(f"{key}={root}: holds no images and no recordings")
+    for stretch in stretches:
+        if most is not None and (count := len(stretch.shots)) > most:
+            notes += (f"of the {count} frames of {stretch.name} the first {most} are used",)
+    return [Stretch(stretch.name, stretch.shots[:most]) for stretch in stretches], notes
+
+
+def open_real(location: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
+    """The same shots, each with its geometry: given, or found in the image.
+
+    Raises FactoryError, also where nothing says where range and bearing are.
+    """
+    stretches, notes = open_input(location)
+    shots_with_fans: list[Shot] = []
+    trackers: dict[Path, FanTracker] = {}
+    for shot in (shot for stretch in stretches for shot in stretch.shots):
+        known = shot.known
+        if known is None:
+            image, known = shot.read()
+            known = known or trackers.setdefault(shot.path, FanTracker()).geometry(image)
+        if known is None:
+            raise FactoryError(
+                f"real={shot.path}: no fan is seen in it; write a {GEOMETRY_FILE} beside images "
+                "(docs/realism.md says how)"
+            )
+        shots_with_fans.append(replace(shot, known=known))
+    return shots_with_fans, notes
+
+
+def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
+    """The images of a folder whose geometry is known, by name, and notes."""
+    images = root / "Images" if (root / "Images").is_dir() else root
+    files = sorted(path for path in images.iterdir() if path.is_file())
+    paths = in_order([path for path in files if kind_of(path) == "images"])
+    if not paths:
+        raise FactoryError(
+            f"real={root}: no images ({', '.join(IMAGE_SUFFIXES)}) there or in its Images/"
+        )
+    table = root / GEOMETRY_FILE
+    if table.is_file():
+        return _with_table(table, paths), ()
+    shots = []
+    counts = dict.fromkeys(MDD_GEOMETRIES, 0)
+    for path in paths:
+        name = mdd_geometry(frame_of(path, 0)[0])
+        if name is None:
+            raise FactoryError(
+                f"{path}: neither of the two fans of the Marine Debris Dataset (320x480, black "
+                f"outside the sector); write {table} (docs/realism.md says how)"
+            )
+        counts[name] += 1
+        shots.append(Shot(path, 0, path.name, MDD_GEOMETRIES[name]))
+    mix = ", ".join(f"{count} of geometry {name}" for name, count in counts.items() if count)
+    return tuple(shots), (f"Marine Debris Dataset: {mix}",)
+
+
+def mdd_geometry(image: npt.NDArray[np.floating]) -> str | None:
+    """Which fan of the Marine Debris Dataset an image shows, by its black border; None: neither.
+
+    The original download does not say it, so it is looked up in each image.
+    """
+    if image.shape != MDD_SHAPE:
+        return None
+    across = outline(image)
+    agreement = {}
+    for name, geometry in MDD_GEOMETRIES.items():
+        sector = geometry.sector_mask(*MDD_SHAPE)
+        agreement[name] = float((across & sector).sum() / max((across | sector).sum(), 1))
+    best = max(agreement, key=lambda name: agreement[name])
+    return best if agreement[best] >= _SAME else None
+
+
+def outline(image: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """(H, W) bool: what lies between the first and the last lit pixel of each row.
+
+    A dark image has black pixels inside, too: its outline is what counts.
+    """
+    lit = image > 0
+    left = np.maximum.accumulate(lit, 1)
+    right = np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
+    return np.asarray(left & right)
+
+
+def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
+    lines = dict[str, FanGeometry]()
+    number = 1
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as file:
+            for row in csv.DictReader(file):
+                number += 1
+                name, geometry = _line(row)
+                lines[name] = geometry
+    except (OSError, csv.Error, ValueError, TypeError, KeyError) as error:
+        raise FactoryError(
+            f"{table}: line {number}: {error}; docs/realism.md has the columns"
+        ) from error
+    if absent := sorted(set(lines) - {"*"} - {path.name for path in paths}):
+        raise FactoryError(f"{table}: {absent[0]} is listed but there is no such image")
+    if "*" not in lines and (more := [path.name for path in paths if path.name not in lines]):
+        raise FactoryError(f"{table}: no line for {more[0]}; add one, or one for all: *")
+    return tuple(Shot(path, 0, path.name, lines.get(path.name) or lines["*"]) for path in paths)
+
+
+def _line(row: Mapping[str, str | None]) -> tuple[str, FanGeometry]:
+    """The image's name and geometry in a line of geometry.csv; ValueError says what is wrong."""
+    known = {key: text.strip() for key, text in row.items() if key and text and text.strip()}
+    name = known.pop("file", None)
+    layout = known.pop("layout", "")
+    if name is None or layout not in ("fan", "polar"):
+        raise ValueError("no column 'file', or layout is neither fan nor polar")
+    values = {key: float(text) for key, text in known.items()}
+    for low, high in (("range_min_m", "range_max_m"), ("near_px", "far_px")):
+        if not 0 <= values.get(low, 0) < values.get(high, math.inf):
+            raise ValueError(f"needs 0 <= {low} < {high}")
+    if not 0 < (sector_deg := values.pop("hfov_deg")) <= 180 or values.get("x_scale", 1) <= 0:
+        raise ValueError("needs 0 < hfov_deg <= 180 and x_scale > 0")
+    return name, getattr(FanGeometry, layout)(math.radians(sector_deg), **values)
+
+
+def _below(root: Path) -> list[Stretch]:
+    if root.is_file():
+        return [_recording(root, root.name)]
+    stretches = []
+    folders = [root, *(path for path in sorted(root.rglob("*")) if path.is_dir())]
+    for folder in folders:
+        parts = folder.relative_to(root).parts
+        if any(part.startswith(".") or part == "Masks" for part in parts):
+            continue
+        files = sorted(path for path in folder.iterdir() if path.is_file())
+        kinds = {path: kind_of(path) for path in files}
+        images = in_order([path for path, kind in kinds.items() if kind == "images"])
+        shots = tuple(Shot(path, 0, path.name) for path in images)
+        if shots:
+            stretches.append(Stretch("/".join(parts) or root.resolve().name, shots))
+        for path, kind in kinds.items():
+            if kind not in (None, "images"):
+                stretches.append(_recording(path, path.relative_to(root).as_posix()))
+    return stretches
+
+
+def _recording(path: Path, name: str) -> Stretch:
+    with open_recording(path) as recording:
+        count = len(recording)
+    if kind_of(path) == "images":
+        return Stretch(name, (Shot(path, 0, path.name),))
+    return Stretch(name, tuple(Shot(path, n, f"{path.name}#{n}") for n in range(count)))

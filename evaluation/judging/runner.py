@@ -1,0 +1,229 @@
+"""The engine of every report: methods on images, measured on worker processes.
+
+    methods x images -> run() -> Measured: a table of one row for each method and image
+
+A report brings its images (`Subject`) with what is measured on them; whatever it then says is
+computed from the table.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from ...factory.common.workers.tasks import TaskLost, TaskPool
+from ..filters import checked, method_of
+from ..metrics.measure import Figures, Grey
+from .methods import Method, network, reason
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ...factory.dataset.fan_geometry import FanGeometry
+
+SECONDS = "cpu_s"
+"""Column of the seconds of a method on an image: of the CPU, elapsed ones where a GPU works."""
+
+
+class Subject:
+    """An image that methods are judged on; it travels to the workers."""
+
+    def noisy_image(self) -> Grey:
+        """(H, W) in 0..1.  Raises FactoryError for a damaged image."""
+        raise NotImplementedError
+
+    def geometry(self) -> FanGeometry | None:
+        """Where range and bearing are; None where nothing says so."""
+        return None
+
+    def read_denoised(self, method: Method) -> Grey:
+        """What another program made of it.  Raises FactoryError where there is nothing."""
+        raise NotImplementedError
+
+    def measure(self, image: Grey) -> Figures:
+        """The figures of a denoised image.  Raises FactoryError for a damaged subject."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Some methods on some images, by their numbers; the unit that travels to a worker.
+
+    keep: numbers of the images whose denoised images come back.  again: a worker died with it.
+    """
+
+    methods: tuple[Method, ...]
+    subjects: Mapping[int, Subject]
+    device: str
+    keep: frozenset[int] = frozenset()
+    again: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a method gave: figures and images by number of the image, or why it failed."""
+
+    figures: dict[int, Figures] = field(default_factory=dict)
+    images: dict[int, Grey] = field(default_factory=dict)
+    lost: str | None = None
+
+
+@dataclass(eq=False)
+class Measured:
+    """What was measured.
+
+    figures: label -> number of the image -> its figures; an image that a method has none of is
+    absent.  lost: label -> why there are none at all.  images: (label, number) -> what was kept.
+    """
+
+    figures: dict[str, dict[int, Figures]] = field(default_factory=dict)
+    lost: dict[str, str] = field(default_factory=dict)
+    images: dict[tuple[str, int], Grey] = field(default_factory=dict)
+
+    def table(self) -> pd.DataFrame:
+        """A row for each method and image, in order: method, number of the image, figures."""
+        import pandas as pd
+
+        rows = [
+            {"method": label, "picture": number, **figures}
+            for label, figures_of_image in self.figures.items()
+            if label not in self.lost
+            for number, figures in sorted(figures_of_image.items())
+        ]
+        return pd.DataFrame(rows, columns=None if rows else ["method", "picture"])
+
+    def wide(self) -> dict[str, pd.DataFrame]:
+        """Figure -> its values of each image (rows, in order) by each method (columns)."""
+        table = self.table().set_index(["picture", "method"])
+        return {str(name): table[name].unstack("method") for name in table}
+
+
+def run(
+    methods: Sequence[Method],
+    batches: Iterable[Mapping[int, Subject]],
+    pool: TaskPool,
+    *,
+    device: str,
+    timeout_s: float,
+    chunk: int = 1,
+    keep: Callable[[int], bool] = lambda number: False,
+    tick: Callable[[int], object] = lambda done: None,
+) -> Measured:
+    """Every method on every image.
+
+    methods: of different labels.  batches: number -> image; of a batch all are in memory.
+    timeout_s: for one method on one image.  chunk: images in a task.
+    keep: whether the denoised images of an image come back.
+    tick: called with the number of results that are in.
+
+    A method that fails on an image, or whose worker dies twice, loses its row.  Raises
+    FactoryError for an image that cannot be read.
+    """
+    measured = Measured({method.label: {} for method in methods})
+    for batch in batches:
+        every = list(batch.items())
+        waiting: deque[Task] = deque()
+        for first in range(0, len(every), chunk):
+            some = dict(every[first : first + chunk])
+            if todo := tuple(item for item in methods if item.label not in measured.lost):
+                waiting.append(Task(todo, some, device, frozenset(filter(keep, some))))
+        for task, results in pool.run(
+            measure_task,
+            waiting,
+            lambda task: timeout_s * len(task.subjects) * len({m.output for m in task.methods}),
+        ):
+            if isinstance(results, TaskLost):
+                if again := _again(task):
+                    waiting.extendleft(again)
+                    continue
+                results = [Result(lost=results.reason)] * len(task.methods)
+            for method, result in zip(task.methods, results, strict=True):
+                tick(len(task.subjects))
+                if result.lost is not None:
+                    measured.lost.setdefault(method.label, result.lost)
+                if method.label in measured.lost:
+                    continue
+                measured.figures[method.label] |= result.figures
+                measured.images |= {(method.label, n): item for n, item in result.images.items()}
+            if measured.lost:
+                alive = [
+                    replace(item, methods=left)
+                    for item in waiting
+                    if (left := tuple(m for m in item.methods if m.label not in measured.lost))
+                ]
+                waiting.clear()
+                waiting.extend(alive)
+    return measured
+
+
+def _again(task: Task) -> list[Task]:
+    """What to try once more after a worker died with this task: each method alone."""
+    if task.again:
+        return []
+    outputs = dict.fromkeys(method.output for method in task.methods)
+    apart = [tuple(m for m in task.methods if m.output == output) for output in outputs]
+    return [replace(task, methods=methods, again=True) for methods in apart]
+
+
+def measure_task(task: Task) -> list[Result]:
+    """Run the methods and measure what they give; a result for each, in their order.
+
+    Raises FactoryError for a damaged image.
+    """
+    results = []
+    outputs: dict[str, dict[int, tuple[Grey, float]] | str] = {}
+    for method in task.methods:
+        if method.output not in outputs:
+            outputs[method.output] = _applied(method, task)
+        output = outputs[method.output]
+        if isinstance(output, str):
+            results.append(Result(lost=output))
+            continue
+        result = Result()
+        for number, (image, seconds) in output.items():
+            if method.levels is not None:
+                image = method.levels(image)
+            result.figures[number] = {**task.subjects[number].measure(image), SECONDS: seconds}
+            if number in task.keep:
+                result.images[number] = image
+        results.append(result)
+    return results
+
+
+def _applied(method: Method, task: Task) -> dict[int, tuple[Grey, float]] | str:
+    """The method's image of each subject without levels, (H, W) in 0..1, and its seconds.
+
+    Seconds are NaN where another program took them.  Or why the method failed.  Raises FactoryError
+    for a damaged subject.
+    """
+    results = {}
+    for number, subject in task.subjects.items():
+        noisy = None if method.images_source else subject.noisy_image()
+        try:
+            if noisy is None:
+                results[number] = subject.read_denoised(method), math.nan
+            else:
+                results[number] = _timed(method, subject, noisy, task.device)
+        except Exception as error:  # a method that crashes loses its row, not the report
+            return reason(error)
+    return results
+
+
+def _timed(method: Method, subject: Subject, image: Grey, device: str) -> tuple[Grey, float]:
+    clock = time.process_time  # what other processes take does not count
+    if method.weights is None:
+        start = clock()
+        result = method_of(method.name)(image, method.parameters)
+        return result, clock() - start
+    loaded = network(method.weights, device)  # before the clock runs
+    geometry = subject.geometry() if loaded.runtime.extras else None
+    if loaded.runtime.on_gpu:
+        clock = time.perf_counter  # a processor that waits for a GPU seems idle
+    start = clock()
+    result = loaded(image, geometry)
+    seconds = clock() - start
+    return checked(method.name, result, image), seconds

@@ -1,0 +1,265 @@
+"""The keys of conf/evaluation.yaml, real.yaml and realism.yaml, checked; see the comments there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import field
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+from pydantic.dataclasses import dataclass
+
+from ...factory.common.settings import STRICT
+
+Count = Annotated[int, Field(ge=1)]
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True, config=STRICT)
+class DatasetFolder:
+    """The dataset to read: the folder that `simnfnd make` wrote."""
+
+    dir: str
+
+
+@dataclass(frozen=True, config=STRICT)
+class TuningSettings:
+    """Keys of `tuning`."""
+
+    auto: bool
+    file: str | None
+    validation: Annotated[float, Field(gt=0, lt=1)]
+    pairs: Count
+
+
+@dataclass(frozen=True, config=STRICT)
+class ImagesFolder:
+    """An entry of `pictures`: the row's name, and the folder of its denoised images."""
+
+    name: Annotated[str, Field(min_length=1)]
+    dir: Annotated[str, Field(min_length=1)]
+
+
+@dataclass(frozen=True, config=STRICT)
+class ReportSettings:
+    """Keys that both reports on methods have."""
+
+    out: str | None
+    workers: Literal["auto"] | Count
+    bootstrap: Annotated[int, Field(ge=100)]
+    seed: Annotated[int, Field(ge=0)]
+    image_timeout_s: Annotated[float, Field(gt=0)]
+    baselines: list[str]
+    examples: Annotated[int, Field(ge=0)]
+    device: Literal["auto", "cpu", "gpu"]
+    debug: bool
+
+
+@dataclass(frozen=True, config=STRICT)
+class EvaluationSettings(ReportSettings):
+    """All keys of conf/evaluation.yaml."""
+
+    dataset: DatasetFolder
+    split: Literal["train", "test", "all"]
+    limit: Count | None
+    models: Literal["auto"] | list[str]
+    pictures: list[ImagesFolder]
+    ablation: dict[Literal["olddata_l1", "simnfnd_l1", "simnfnd_newloss"], str | None]
+    tuning: TuningSettings
+
+    @property
+    def name(self) -> str:
+        """Of the dataset: its folder's."""
+        return Path(self.dataset.dir).resolve().name
+
+    @property
+    def folder(self) -> Path:
+        """Where the report goes."""
+        return Path(self.out or Path("outputs", "evaluation", f"{self.name}-{self.split}"))
+
+    @property
+    def tuned_file(self) -> Path:
+        """Where the tuned parameters are kept."""
+        default = Path("outputs", "evaluation", f"{self.name}-tuned.json")
+        return Path(self.tuning.file) if self.tuning.file is not None else default
+
+
+@dataclass(frozen=True, config=STRICT)
+class RealSettings(ReportSettings):
+    """All keys of conf/real.yaml."""
+
+    real: Annotated[str, Field(min_length=1)]
+    models: list[str]
+    groups: bool
+    limit: Annotated[int, Field(ge=4)] | None
+    in_time: Annotated[int, Field(ge=0)]
+
+    @property
+    def name(self) -> str:
+        """Of what is judged."""
+        return Path(self.real).expanduser().resolve().name
+
+    @property
+    def folder(self) -> Path:
+        """Where the report goes."""
+        return Path(self.out or Path("outputs", "evaluation", f"{self.name}-real"))
+
+
+@dataclass(frozen=True, config=STRICT)
+class DetectSettings(ReportSettings):
+    """All keys of conf/detect.yaml."""
+
+    recordings: Annotated[list[str], Field(min_length=1)]
+    models: list[str]
+    frames: list[Annotated[int, Field(ge=1)]]
+    fixed: list[dict[str, dict[str, int | float]]]
+    sizes: Annotated[list[Pair], Field(min_length=1)]
+    contrasts: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=1)]
+    speed_px: Pair
+    tracks: Count
+    repeats: Count
+    track_frames: Annotated[int, Field(ge=2)]
+    limit: Annotated[int, Field(ge=20)]
+
+    @field_validator("sizes", "speed_px")
+    @classmethod
+    def _positive(cls, value: Any) -> Any:
+        pairs = value if isinstance(value, list) else [value]
+        for first, second in pairs:
+            if min(first, second) <= 0:
+                raise ValueError("numbers must be greater than 0, in pixels")
+        return value
+
+    @property
+    def folder(self) -> Path:
+        """Where the report goes."""
+        name = Path(self.recordings[0]).expanduser().resolve().name
+        return Path(self.out or Path("outputs", "evaluation", f"{name}-detect"))
+
+
+@dataclass(frozen=True, config=STRICT)
+class Grid:
+    """The common polar grid of `realism` and `fit`: bins over the range, beams over the sector.
+
+    All widths along range and bearing are in cells of this grid: both sides must be on the same.
+    """
+
+    range_bins: Annotated[int, Field(ge=64, le=4096)] = 440
+    beams: Annotated[int, Field(ge=32, le=2048)] = 128
+
+
+@dataclass(frozen=True, config=STRICT)
+class RealismSettings:
+    """All keys of conf/realism.yaml."""
+
+    real: Annotated[str, Field(min_length=1)]
+    sim: Annotated[tuple[str, ...], Field(min_length=1)]
+    limit: Annotated[int, Field(ge=4)] | None = None
+    grid: Grid = field(default_factory=Grid)
+    seed: Annotated[int, Field(ge=0)] = 0
+    out: str | None = None
+    debug: bool = False
+
+
+# What decides the renders, the frames or where things lie: not for a search over noise.
+_FIXED = (
+    "scenes", "render", "sonar.mount", "frames", "split", "seed", "dataset", "scheduler", "cache",
+    "shard", "debug",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, config=STRICT)
+class Parameter:
+    """What is searched for one key of the factory's configuration.
+
+    low, high: limits of its value.  log: search the logarithm.  choices: instead of limits, the
+    values to choose from.  spread: a number, or [low, high] to search it as well; above 0 the
+    value is drawn for each sample, uniform from v - spread * (high - low) to v + spread * (high -
+    low) within the limits, or from v / (1 + spread) to v * (1 + spread) with log.
+    """
+
+    low: float | None = None
+    high: float | None = None
+    log: bool = False
+    choices: tuple[float | int | str | bool, ...] | None = None
+    spread: float | tuple[float, float] = 0.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        low, high = self.limits
+        least, most = self.spreads
+        if self.choices is not None:
+            if not self.choices or not math.isnan(low + high) or most:
+                raise ValueError("choices: at least one, and neither low, high nor spread beside")
+        elif not low < high or (self.log and low <= 0):
+            raise ValueError("give choices, or low < high; log needs low > 0")
+        elif not 0 <= least <= most:
+            raise ValueError("spread must be a number from 0, or [low, high] with 0 <= low <= high")
+        return self
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Of the value; NaN where there are none."""
+        low, high = (math.nan if end is None else end for end in (self.low, self.high))
+        return low, high
+
+    @property
+    def spreads(self) -> tuple[float, float]:
+        """Limits of the spread; equal ones when it is not searched."""
+        return self.spread if isinstance(self.spread, tuple) else (self.spread, self.spread)
+
+
+@dataclass(frozen=True, config=STRICT)
+class FitSettings:
+    """Keys of `simnfnd evaluate fit`, as conf/fit.yaml explains them."""
+
+    real: Annotated[str, Field(min_length=1)]
+    parameters: dict[str, Parameter]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")] = "fitted"
+    recipe: tuple[str, ...] = ("experiment=physical",)
+    frames: Annotated[int, Field(ge=8)] = 24
+    grid: Grid = field(default_factory=Grid)
+    trials: Annotated[int, Field(ge=1)] = 200
+    startup: Annotated[int, Field(ge=1)] = 40
+    seed: Annotated[int, Field(ge=0)] = 0
+    out: str | None = None
+    debug: bool = False
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _flat(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        """Without the keys that are set to null."""
+        return {key: value for key, value in flattened(tree).items() if value is not None}
+
+    @model_validator(mode="after")
+    def _searchable(self) -> Self:
+        if not self.parameters:
+            raise ValueError("parameters: name at least one key to search")
+        for key in self.parameters:
+            if f"{key}.".startswith(tuple(f"{fixed}." for fixed in _FIXED)):
+                raise ValueError(
+                    f"parameters.{key}: it decides what is rendered or where it goes, and cannot "
+                    "be searched; set it in recipe"
+                )
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """Where the search and its result go."""
+        return Path(self.out or Path("outputs", "fit", self.name))
+
+
+_WORDS = {"low", "high", "log", "choices", "spread"}
+
+
+def flattened(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested keys as dotted ones, as YAML and the command line may give either."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict) and not _WORDS & set(value):
+            flat |= flattened(value, f"{name}.")
+        else:
+            flat[name] = value
+    return flat

@@ -1,0 +1,1 @@
+"""How close simulated images come to real ones, and fitting the simulation to them."""

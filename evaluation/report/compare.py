@@ -1,0 +1,156 @@
+"""`simnfnd evaluate compare A B`: is one run really better than another?
+
+A and B are folders of reports on the same pairs, or twice the same folder.  The rows are paired
+image by image: mean difference with its interval, Wilcoxon test, wins.  Folders of `simnfnd
+evaluate real`, any number of them, are tabulated beside each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ...factory.common.errors import FactoryError
+from ...factory.production.cli import Parser
+from ..metrics.statistics import LEAST_FRAMES, Paired, holm, paired
+from .build import RESULTS_NAME
+from .real_table import is_real_report, tabulate
+from .tables import (
+    METRIC_NAMES,
+    as_markdown,
+    as_table,
+    interval,
+    percent,
+    plain,
+    written,
+    written_p,
+)
+
+_ALPHA = 0.05
+
+
+def main(words: Sequence[str]) -> int:
+    """Print the comparison."""
+    parser = Parser(prog="simnfnd evaluate compare")
+    parser.add_argument(
+        "folders",
+        nargs="+",
+        metavar="FOLDER",
+        help="two reports, which may be the same; or any number of reports on real images",
+    )
+    parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")
+    parser.add_argument("--row-b", help="row of B (default: as A)")
+    chosen = parser.parse_args(list(words))
+    folders = [Path(name) for name in chosen.folders]
+    if all(is_real_report(folder) for folder in folders):
+        print(tabulate(folders))
+        return 0
+    if len(folders) != 2:
+        raise FactoryError(
+            f"evaluate compare: {len(folders)} folders; give two reports of `simnfnd evaluate`, or "
+            "reports of `simnfnd evaluate real` alone"
+        )
+    print(text_of(compare(folders[0], folders[1], chosen.row_a, chosen.row_b)))
+    return 0
+
+
+def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str, Any]:
+    """The comparison of two rows as plain data.
+
+    Raises FactoryError when a folder is no report, has no such row, or the pairs are not the same.
+    """
+    name_a, row_values_a = _row(a, row_a)
+    name_b, row_values_b = _row(b, row_b)
+    common = row_values_a.index.intersection(row_values_b.index, sort=True)
+    if common.empty:
+        raise FactoryError(
+            f"{a} and {b}: reports on different pairs, none in common; give two on one dataset"
+        )
+    groups = ["/".join(key[1:]) for key in common]
+    results: dict[str, Paired] = {}
+    for name, metric in METRIC_NAMES.items():
+        if name in row_values_a and name in row_values_b:
+            first, second = (
+                row.loc[common, name].to_numpy(float) for row in (row_values_a, row_values_b)
+            )
+            results[name] = paired(
+                first, second, groups, better=metric.better, resamples=2000, seed=0
+            )
+    judged = [name for name in results if METRIC_NAMES[name].better]
+    adjusted = dict(zip(judged, holm([results[name].p for name in judged]), strict=True))
+    return {
+        "a": {"folder": a.name, "row": name_a},
+        "b": {"folder": b.name, "row": name_b},
+        "pairs": len(common),
+        "frames": len(set(groups)),
+        "left_out": len(row_values_a.index.symmetric_difference(row_values_b.index)),
+        "metrics": {n: _line(n, result, adjusted.get(n)) for n, result in results.items()},
+    }
+
+
+def _line(name: str, result: Paired, p_holm: float | None) -> dict[str, Any]:
+    """A metric; better only where the interval excludes zero and Holm's p is below 0.05."""
+    item = result.difference
+    better = METRIC_NAMES[name].better
+    verdict = "no difference shown"
+    if not better or not item.count:
+        verdict = "not ranked" if item.count else "no figures"
+    elif p_holm is not None and p_holm < _ALPHA and item.low * item.high > 0:
+        verdict = "better" if item.mean * better > 0 else "worse"
+    wins = {"wins": plain(result.wins), "p_holm": p_holm, "verdict": verdict}
+    return {"difference": item.mean, "low": item.low, "high": item.high, **wins}
+
+
+def text_of(result: dict[str, Any]) -> str:
+    """The comparison in Markdown."""
+    a, b = (f"{result[side]['row']} ({result[side]['folder']})" for side in "ab")
+    left_out = f", {result['left_out']} in one report only" if result["left_out"] else ""
+    rows = []
+    for name, figures in result["metrics"].items():
+        metric = METRIC_NAMES[name]
+        digits = metric.digits + 1
+        cells = written(figures["difference"], digits, True), interval(figures, digits, True)
+        wins = percent(figures["wins"]) if metric.better else "-"
+        rows.append([metric.label, *cells, written_p(figures["p_holm"]), wins, figures["verdict"]])
+    head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
+    about = f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}"
+    if result["frames"] < LEAST_FRAMES:
+        about += f". There are no p values: a difference takes {LEAST_FRAMES} frames to show."
+    return "\n\n".join([about, as_markdown(as_table(head, rows), "lrcrrl")])
+
+
+def read_results(folder: Path) -> pd.DataFrame:
+    """The table of a report's results.csv.  FactoryError when there is none."""
+    path = folder / RESULTS_NAME
+    if not path.is_file():
+        raise FactoryError(
+            f"{folder}: no report here (no {RESULTS_NAME}); make one with "
+            "`simnfnd evaluate dataset=DIR`"
+        )
+    words = dict.fromkeys(("method", "shard", "pair", "location", "scene", "frame"), str)
+    try:
+        table = pd.read_csv(path, float_precision="round_trip", dtype=words, low_memory=False)
+        table[[*words, "psnr"]].astype({"psnr": float})
+    except (OSError, ValueError, KeyError) as error:
+        reason = " ".join(str(error).split())[:80]
+        raise FactoryError(
+            f"{path}: damaged or of another version ({reason}); make it again"
+        ) from error
+    return table.fillna(dict.fromkeys(words, ""))
+
+
+def _row(folder: Path, name: str | None) -> tuple[str, pd.DataFrame]:
+    """A row, the best by PSNR without a name: its pairs by their content and, last, their frame."""
+    results = read_results(folder)
+    if name is None:
+        means = results.groupby("method", sort=False)["psnr"].mean()
+        others = means.drop("noisy", errors="ignore")
+        name = str((means if others.empty else others).idxmax())
+    rows = results[results["method"] == name]
+    if rows.empty:
+        known = ", ".join(results["method"].unique())
+        raise FactoryError(f"{folder}: no row {name!r}; it has {known}")
+    return name, rows.set_index(["pair", "location", "scene", "frame"])

@@ -1,0 +1,1 @@
+"""From words to datasets: the command line, its verbs, the scheduler, and exports."""

@@ -1,0 +1,1 @@
+"""The verbs of `simnfnd` that make and look after datasets, a module each."""

@@ -1,0 +1,188 @@
+"""Labelled objects in the images of a dataset, for detectors."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ...common.errors import FactoryError
+from ...dataset.labels import classes_of
+from ...dataset.pair_dataset import PairDataset
+from ...dataset.schema import stored_image
+from .object_selection import ClassList, ObjectSelection
+from .png_encoding import encode_png
+from .samples import Sample, read_samples
+
+MIN_OBJECT_PX = 8
+"""An object that shows in fewer pixels is no larger than a speckle, and is left out."""
+
+MIN_SIDE_PX = 2
+"""Ultralytics leaves out narrower boxes when it trains."""
+
+
+class Box(NamedTuple):
+    """The smallest box around an object, pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleObject:
+    """An object in an image: the name of its class, and the pixels (H, W) that show it."""
+
+    class_name: str
+    mask: npt.NDArray[np.bool_]
+
+    @cached_property
+    def area_px(self) -> int:
+        """The number of pixels that show it."""
+        return int(self.mask.sum())
+
+    @cached_property
+    def box(self) -> Box:
+        """The box around the pixels of the mask."""
+        return Box(*cv2.boundingRect(self.mask.astype(np.uint8)))
+
+
+class LabelledImage(NamedTuple):
+    """An image of an export for detectors: the name of its files, and the objects it shows."""
+
+    key: str
+    objects: list[VisibleObject]
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedObjects:
+    """The objects of an export: their classes, smallest size, and how many there are.
+
+    min_side_px: smallest width and height of a box, pixels.
+    counts: class -> number of objects.  small_count: number of objects that were left out.
+    """
+
+    classes: ClassList
+    min_side_px: int
+    counts: Mapping[str, int]
+    small_count: int
+
+    def has_room_for(self, shown: VisibleObject) -> bool:
+        """Whether an object is of a class of the export, and large enough."""
+        return shown.class_name in self.classes and is_large(shown, self.min_side_px)
+
+    def summarize(self, image_count: int) -> str:
+        """What an export says of its images and objects."""
+        object_count = sum(self.counts.values())
+        return (
+            f"{image_count} images, {object_count} objects of {len(self.classes.names)} classes; "
+            f"{self.small_count} {self.describe_limit()} left out"
+        )
+
+    def describe_limit(self) -> str:
+        """Which objects are too small."""
+        return f"below {MIN_OBJECT_PX} pixels or narrower than {self.min_side_px}"
+
+    def describe(self, first_number: int = 1) -> str:
+        """The classes, their numbers and the limit of size, as a paragraph for a README."""
+        counts = ", ".join(f"{self.counts.get(name, 0)} {name}" for name in self.classes.names)
+        return (
+            f"Classes: {self.classes.describe(first_number)}. Objects: {counts}. "
+            f"{self.small_count} objects {self.describe_limit()} pixels (width or height of the "
+            "box) are left out."
+        )
+
+
+def has_labels(pairs: PairDataset) -> bool:
+    """Whether the dataset says which object a pixel shows, and of which class it is."""
+    return {"segmentation", "instance"} <= set(pairs.layers)
+
+
+def is_large(shown: VisibleObject, min_side_px: int) -> bool:
+    """Whether an object shows in enough pixels, and its box is wide and high enough."""
+    if shown.area_px < MIN_OBJECT_PX:
+        return False
+    return min(shown.box.width, shown.box.height) >= min_side_px
+
+
+def survey_objects(pairs: PairDataset, selection: ObjectSelection) -> ExportedObjects:
+    """Read the labels of all samples, and choose and count the objects of an export.
+
+    Raises FactoryError for a dataset without labels, a label that names no class, and classes of
+    the selection that the dataset does not know.
+    """
+    if not has_labels(pairs):
+        raise FactoryError(
+            f"{pairs.folder} has no labels (/segmentation and /instance); make it from scenes with "
+            "labels and dataset.layers=[segmentation], or export with --to png"
+        )
+    min_side_px = selection.min_side_px or MIN_SIDE_PX
+    large_counts: Counter[str] = Counter()
+    small_counts: Counter[str] = Counter()
+    labels = ("segmentation", "instance")
+    with PairDataset(pairs.folder, pairs.split, layers=labels, trusted=True) as labelled:
+        for split in labelled.splits:
+            for sample in read_samples(labelled, split):
+                for shown in visible_objects(sample, labelled):
+                    counts = large_counts if is_large(shown, min_side_px) else small_counts
+                    counts[shown.class_name] += 1
+    classes = selection.list_classes(classes_of(pairs.form.config), large_counts)
+    return ExportedObjects(
+        classes=classes,
+        min_side_px=min_side_px,
+        counts={name: large_counts[name] for name in classes.names},
+        small_count=sum(
+            count
+            for name, count in small_counts.items()
+            if name in classes or not selection.class_names
+        ),
+    )
+
+
+def visible_objects(sample: Sample, pairs: PairDataset) -> Iterator[VisibleObject]:
+    """The pixels of each number in /instance, with the class that most of them have.
+
+    Raises FactoryError for a label that names no class of the dataset.
+    """
+    classes = classes_of(pairs.form.config)
+    object_numbers = sample.images["instance"]
+    labels = sample.images["segmentation"]
+    for object_number in np.unique(object_numbers[object_numbers > 0]):
+        mask = object_numbers == object_number
+        label = int(np.bincount(labels[mask]).argmax())
+        if label >= len(classes):
+            raise FactoryError(
+                f"{pairs.folder}: {sample.key}: /segmentation has a value {label}, "
+                "which names no class"
+            )
+        if label:
+            yield VisibleObject(classes[label], mask)
+
+
+def write_labelled_images(
+    pairs: PairDataset, folder: Path, split: str, exported: ExportedObjects
+) -> Iterator[LabelledImage]:
+    """Write images/SPLIT/KEY.png (noisy) and clean/SPLIT/KEY.png, uint8, and yield their objects.
+
+    Raises FactoryError for a label that names no class.
+    """
+    for sample in read_samples(pairs, split):
+        _write_image(sample.images["noisy"], folder / "images" / split, sample.key)
+        _write_image(sample.images["clean"], folder / "clean" / split, sample.key)
+        objects = [
+            shown for shown in visible_objects(sample, pairs) if exported.has_room_for(shown)
+        ]
+        yield LabelledImage(sample.key, objects)
+
+
+def _write_image(image: npt.NDArray[Any], folder: Path, key: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{key}.png").write_bytes(encode_png(stored_image(image, "uint8")))

@@ -1,0 +1,335 @@
+"""The root of the configuration, assembled from what every room declares."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import field, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+from pydantic import Field, TypeAdapter, model_validator
+from pydantic.dataclasses import dataclass
+
+from ...common.errors import FactoryError
+from ...common.settings import STRICT, build
+from ...common.workers.settings import SchedulerSettings, ShardSlice
+from ...dataset.labels import class_names
+from ...dataset.schema import CAMERA_LAYERS
+from ...dataset.settings import DatasetSettings
+from ..devices.settings import DeviceSettings
+from ..imaging.settings import (
+    FORMATION_NAMES_OF_0_4,
+    AcousticsSettings,
+    CoherentSettings,
+    PointwiseSettings,
+    ResampleSettings,
+    formation_of,
+    with_materials,
+)
+from ..meshes.camera import HFOV_DEG
+from ..noise.registry import EFFECTS, NoiseSettings, blocks
+from ..render.base import CacheSettings, RenderSettings
+from ..scenes import Scenes, has_labels
+from ..scenes.mesh import MeshSettings
+from ..scenes.seabed import SeabedSettings
+from ..sonar.array import WaterSettings
+from ..sonar.settings import SonarSettings
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+
+@dataclass(frozen=True, config=STRICT)
+class FramesSettings:
+    """Keys of `frames`.
+
+    stride: use every n-th frame of a scene.  limit: at most so many frames a scene (after the
+    stride).  total: at most so many frames in all, spread over the scenes (after stride and limit);
+    a larger total keeps the frames of a smaller one.  variants: pairs made of each frame, each with
+    noise of its own.  only: names (location/scene/frame) of the frames to use; null uses all.
+    min_insonified: refuses a frame with echoes in less than this part of the sonar's beams, 0 to 1;
+    null refuses none, and pairs below a fifth are counted.
+    """
+
+    stride: Annotated[int, Field(ge=1)] = 1
+    limit: Annotated[int, Field(ge=1)] | None = None
+    total: Annotated[int, Field(ge=1)] | None = None
+    variants: Annotated[int, Field(ge=1)] = 1
+    only: tuple[str, ...] | None = None
+    min_insonified: Annotated[float, Field(ge=0, le=1)] | None = None
+
+
+@dataclass(frozen=True, config=STRICT)
+class SplitSettings:
+    """Keys of `split`.
+
+    test: names (or patterns) of the scenes that test; the rest trains.  test_fraction: used when no
+    name is given; that part of the scenes, chosen by name and not by order.
+    """
+
+    test: tuple[str, ...] = ()
+    test_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.25
+
+
+@dataclass(frozen=True, config=STRICT)
+class FactoryConfig:
+    """All keys of `simnfnd make`."""
+
+    scenes: Scenes
+    seed: Annotated[int, Field(ge=0)] = 0
+    frames: FramesSettings = field(default_factory=FramesSettings)
+    split: SplitSettings = field(default_factory=SplitSettings)
+    render: RenderSettings = field(default_factory=RenderSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    resample: ResampleSettings = field(default_factory=ResampleSettings)
+    sonar: SonarSettings = field(default_factory=SonarSettings)
+    water: WaterSettings = field(default_factory=WaterSettings)
+    acoustics: AcousticsSettings = field(default_factory=PointwiseSettings)
+    devices: DeviceSettings | None = None
+    dataset: DatasetSettings = field(default_factory=DatasetSettings)
+    scheduler: SchedulerSettings = field(default_factory=SchedulerSettings)
+    cache: CacheSettings = field(default_factory=CacheSettings)
+    shard: ShardSlice = field(default_factory=ShardSlice)
+    debug: bool = False
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        for problem in _conflicts(self):
+            raise ValueError(problem)
+        return self
+
+
+def _conflicts(config: FactoryConfig) -> Iterator[str]:
+    """One line for each contradiction."""
+    if config.render.kind == "analytic" and not config.sonar.mount.colocated:
+        yield (
+            "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
+            "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
+        )
+    if config.render.bounces and config.render.kind in ("analytic", "cycles"):
+        yield (
+            f"render.bounces={config.render.bounces}: render={config.render.kind} traces no "
+            "bounces; set render=embree, or render.bounces=0"
+        )
+    for name in ("altitude_m", "tilt_deg"):
+        drawn = isinstance(config.scenes, SeabedSettings) or (
+            isinstance(config.scenes, MeshSettings) and config.scenes.poses is None
+        )
+        if getattr(config.sonar, name) is not None and not drawn:
+            yield (
+                f"sonar.{name}: the poses of scenes={config.scenes.kind} are recorded ones; leave "
+                "it out, or use scenes=seabed"
+            )
+    sonar = config.sonar
+    if sonar.altitude_m is not None and sonar.tilt_deg is None and not sonar.mount.colocated:
+        yield (
+            "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
+            "give sonar.tilt_deg, too"
+        )
+    if config.devices is not None:
+        yield from _conflicts_of_drawn_devices(config)
+    elif isinstance(config.acoustics, PointwiseSettings):
+        yield from _conflicts_of_pointwise(config)
+    else:
+        yield from _conflicts_of_coherent(config)
+    moves = config.scenes.has_moving_objects
+    if "tracks" in config.dataset.columns and not moves:
+        yield (
+            "dataset.columns: tracks are of moving objects; give scenes.moving_objects, or leave "
+            "it out"
+        )
+    if moves and not config.sonar.mount.colocated:
+        yield (
+            "scenes.moving_objects need the sonar at the camera; set "
+            "sonar.mount.translation_m=[0, 0, 0]"
+        )
+    if moves and CAMERA_LAYERS.intersection(config.dataset.layers):
+        yield (
+            "dataset.layers: rgb and depth do not show moving objects; leave them out, or leave "
+            "scenes.moving_objects out"
+        )
+    if "segmentation" in config.dataset.layers and not has_labels(config.scenes):
+        yield (
+            "dataset.layers: segmentation needs labelled frames and "
+            f"scenes={config.scenes.kind} has none; leave it out or use scenes=seabed"
+        )
+
+
+def _received_layers(config: FactoryConfig) -> list[str]:
+    """The requested layers that say what the receiver got, which a complex field alone has."""
+    return [name for name in ("intensity_db", "field") if name in config.dataset.layers]
+
+
+def _conflicts_of_drawn_devices(config: FactoryConfig) -> Iterator[str]:
+    if isinstance(config.acoustics, PointwiseSettings):
+        yield (
+            "acoustics=pointwise: devices draws the formation of each image, and the coherent ones "
+            "need its settings; set acoustics=coherent (experiment=any_sonar), or devices=fixed"
+        )
+    if _received_layers(config) or config.dataset.columns:
+        yield (
+            "dataset.layers: intensity_db, field and dataset.columns need one device; leave them "
+            "out or set devices=fixed"
+        )
+
+
+def _conflicts_of_pointwise(config: FactoryConfig) -> Iterator[str]:
+    for name, block in blocks(config.noise).items():
+        if block.enabled and EFFECTS[name].stage != "points":
+            yield (
+                f"noise.{name} acts on the complex field; set acoustics=coherent, or leave it out "
+                "(noise=simnfnd)"
+            )
+    received = _received_layers(config)
+    if received or "calibration" in config.dataset.columns:
+        yield (
+            f"dataset: {(received or ['calibration'])[0]} is of acoustics=coherent alone; set that "
+            "(experiment=physical), or leave it out"
+        )
+    coherent_values = {
+        "water": config.water != WaterSettings(),
+        "sonar.samples_per_bin": config.sonar.samples_per_bin > 1,
+        "sonar.transfer.full_scale_db": config.sonar.transfer.full_scale_db is not None,
+    }
+    for key, is_set in coherent_values.items():
+        if is_set:
+            yield (
+                f"{key}: has no effect on the images of acoustics=pointwise; set "
+                "acoustics=coherent, or leave it out"
+            )
+
+
+def _conflicts_of_coherent(config: FactoryConfig) -> Iterator[str]:
+    if config.resample != ResampleSettings():
+        yield (
+            "resample thins points, and acoustics=coherent has none; leave resample.kind and "
+            "resample.rate at their defaults, or set acoustics=pointwise"
+        )
+    for name, block in blocks(config.noise).items():
+        if block.enabled and EFFECTS[name].moves:
+            yield (
+                f"noise.{name} moves points, and acoustics=coherent has none; set "
+                f"noise.{name}.enabled=false, or use noise=physical"
+            )
+    if "field" in _received_layers(config) and config.sonar.samples_per_bin > 1:
+        yield (
+            "dataset.layers: field is of raw samples, and sonar.samples_per_bin averages them; "
+            "set sonar.samples_per_bin=1"
+        )
+
+
+def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
+    """Validate a composed configuration.
+
+    Raises FactoryError with one line that names every bad key.
+    """
+    values = _with_current_names(values)
+    _refuse_keys_of_the_other_formation(values["acoustics"])
+    config: FactoryConfig = build(FactoryConfig, values)
+    scenes = _scenes_as_the_sonar_needs(config)
+    acoustics = config.acoustics
+    if isinstance(acoustics, CoherentSettings):
+        classes = class_names(scenes.own_classes())
+        acoustics = with_materials(acoustics, classes, scenes.own())
+    return replace(config, scenes=scenes, acoustics=acoustics)
+
+
+def _with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values with the names that version 0.4 gave to the formations replaced.
+
+    Prints once what is to be written instead.
+    """
+    current = dict(values)
+    acoustics = {"formation": "pointwise", **(current.get("acoustics") or {})}
+    name = acoustics["formation"]
+    if name in FORMATION_NAMES_OF_0_4:
+        acoustics["formation"] = FORMATION_NAMES_OF_0_4[name]
+        _say_renamed(name)
+    if name == "points":
+        # All other keys of the group, and the water, did nothing then.
+        acoustics = {"formation": "pointwise"}
+        current.pop("water", None)
+    current["acoustics"] = acoustics
+    return current
+
+
+@cache
+def _say_renamed(name: str) -> None:
+    print(
+        f"note: acoustics={name} is now acoustics={FORMATION_NAMES_OF_0_4[name]}; the next version "
+        "refuses the old name",
+        file=sys.stderr,
+    )
+
+
+def _refuse_keys_of_the_other_formation(acoustics: Mapping[str, Any]) -> None:
+    """Raises FactoryError that names the key."""
+    chosen = acoustics["formation"]
+    for key in acoustics:
+        formation = formation_of(f"acoustics.{key}")
+        if formation not in (None, chosen):
+            raise FactoryError(
+                f"acoustics.{key}: is a setting of acoustics={formation}, and acoustics={chosen} "
+                f"has no use for it; set acoustics={formation}, or leave it out"
+            )
+
+
+def _scenes_as_the_sonar_needs(config: FactoryConfig) -> Scenes:
+    """The settings of the scenes with a camera that sees the sonar's sector."""
+    scenes = config.scenes
+    sonar = config.sonar
+    if not isinstance(scenes, SeabedSettings | MeshSettings):
+        return scenes
+    if scenes.hfov_deg is None and sonar.hfov_deg > HFOV_DEG:
+        scenes = replace(scenes, hfov_deg=sonar.hfov_deg, vfov_deg=sonar.vfov_deg)
+    scenes = replace(scenes, boxes=scenes.boxes or "boxes" in config.dataset.columns)
+    if sonar.altitude_m is None and sonar.tilt_deg is None:
+        return scenes
+    altitude_m = scenes.camera_altitude_m
+    tilt_deg = scenes.camera_tilt_deg
+    if sonar.tilt_deg is not None:
+        tilt_deg = sonar.mount.camera_tilt_deg(sonar.tilt_deg)
+        if tilt_deg is None:
+            raise FactoryError(
+                f"sonar.tilt_deg={sonar.tilt_deg:g}: no camera has it with sonar.mount.yaw_deg="
+                f"{sonar.mount.yaw_deg:g}; give a smaller yaw or tilt"
+            )
+    if sonar.altitude_m is not None:
+        altitude_m = sonar.altitude_m
+        if not sonar.mount.colocated:
+            altitude_m -= sonar.mount.height_above_camera_m(tilt_deg or 0.0)
+    return replace(scenes, camera_altitude_m=altitude_m, camera_tilt_deg=tilt_deg)
+
+
+def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:
+    """The configuration with a cache that workers in any folder find.
+
+    With cache.enabled=false it is in `work`, which lasts as long as the run.
+    """
+    folder = config.cache.folder
+    if not config.cache.enabled:
+        folder = Path(os.path.abspath(work / "renders"))
+    return replace(config, cache=replace(config.cache, dir=str(folder)))
+
+
+def plain(config: FactoryConfig) -> dict[str, Any]:
+    """The configuration as YAML-ready values; equal settings give equal values."""
+    values: dict[str, Any] = TypeAdapter(FactoryConfig).dump_python(config, mode="json")
+    return values
+
+
+def composed_values(composed: DictConfig) -> dict[str, Any]:
+    """The plain values of a composed configuration.  Raises FactoryError when one is missing."""
+    from omegaconf import OmegaConf
+    from omegaconf.errors import MissingMandatoryValue
+
+    try:
+        values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    except MissingMandatoryValue as error:
+        key = error.full_key
+        raise FactoryError(f"{key}: a value is required; give {key}=...") from error
+    assert isinstance(values, dict)
+    return {str(key): value for key, value in values.items() if key != "experiment"}

@@ -1,0 +1,1 @@
+"""RGBD frames as every reader delivers them."""

@@ -1,0 +1,770 @@
+"""Compiled loops of the complex field; see `simnfnd.factory.common.compiled`.
+
+The steps that NumPy would take several times as long for, or add up in an order of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ...common.compiled import compiled
+
+Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int32]
+Words = npt.NDArray[np.uint32]
+
+_A = np.uint32(0x85EBCA6B)
+_B = np.uint32(0xC2B2AE35)
+_1 = np.uint32(1)
+_2 = np.uint32(2)
+_3 = np.uint32(3)
+_8 = np.uint32(8)
+_9, _13, _16, _GOLDEN = (np.uint32(v) for v in (9, 13, 16, 0x9E3779B9))
+_STEPS_X = np.uint32(73856093)
+_STEPS_Y = np.uint32(19349663)
+_STEPS_Z = np.uint32(83492791)
+_ZERO = np.float32(0)
+_ONE = np.float32(1)
+_TWO = np.float32(2)
+_FOUR = np.float32(4)
+_TINY = np.float32(1e-6)
+
+_NOTHING = np.uint64(0)
+_HALF = np.int32(1)
+_BLOCK = 1024
+
+_TABLE = "Array(float32, 1, 'C', readonly=True)"
+_MATRIX = "Array(float32, 2, 'C', readonly=True)"
+# Of a camera: depths (H, W), directions of its columns and rows, (u - cx) / fx and (v - cy) / fy.
+_CAMERA = f"Tuple(({_MATRIX}, float32[::1], float32[::1]))"
+# Of polar bins: whether ranges count along the ground, near_m, bins_per_m, range bins; (beams + 1,)
+# sines of the beams' edges, and a table that says where in it to begin, so many steps a sine.
+_GRID = "Tuple((boolean, float64, float64, int64, float32[::1], int32[::1], float64))"
+# Of scatterers: (N,) each, flat camera pixel, and how far towards the pixel below, 0 to 1.
+_PLACES = "Tuple((int32[::1], float32[::1]))"
+
+
+def scrambled(word: Any) -> Any:
+    """32 bits -> 32 bits that look random: the finaliser of MurmurHash3 (public domain)."""
+    word = np.uint32(np.uint32(word ^ (word >> _16)) * _A)
+    word = np.uint32(np.uint32(word ^ (word >> _13)) * _B)
+    return np.uint32(word ^ (word >> _16))
+
+
+mixed = compiled()(scrambled)
+
+
+@compiled()
+def _corner(x: Any, y: Any, z: Any) -> Any:
+    """32 bits for a cube of a lattice, given by three whole numbers of any sign; not yet mixed."""
+    first = np.uint32(np.int64(x))
+    second = np.uint32(np.int64(y))
+    third = np.uint32(np.int64(z))
+    return np.uint32(first * _STEPS_X + second * _STEPS_Y + third * _STEPS_Z)
+
+
+# --- beams ------------------------------------------------------------------------------------
+
+
+@compiled(f"void(float32[:, ::1], {_MATRIX}, float32[:, ::1])")
+def products(rows: Floats, matrix: Floats, out: Floats) -> None:
+    """(n, m) times (m, k), n and m multiples of 4; the order of the sums is fixed.
+
+    Four rows by four sources at a time: each number that is loaded or stored serves four products.
+    """
+    for row in range(0, rows.shape[0], 4):
+        first = out[row]
+        second = out[row + 1]
+        third = out[row + 2]
+        fourth = out[row + 3]
+        for at in range(matrix.shape[1]):
+            first[at] = second[at] = third[at] = fourth[at] = 0
+        for i in range(0, matrix.shape[0], 4):
+            # Where nothing echoes, as in most bins of a frame, nothing is added.
+            silent = True
+            for line in range(row, row + 4):
+                four = rows[line, i : i + 4]
+                silent = silent and not (four[0] or four[1] or four[2] or four[3])
+            if silent:
+                continue
+            m0 = matrix[i]
+            m1 = matrix[i + 1]
+            m2 = matrix[i + 2]
+            m3 = matrix[i + 3]
+            a = rows[row]
+            b = rows[row + 1]
+            c = rows[row + 2]
+            d = rows[row + 3]
+            a0 = a[i]
+            a1 = a[i + 1]
+            a2 = a[i + 2]
+            a3 = a[i + 3]
+            b0 = b[i]
+            b1 = b[i + 1]
+            b2 = b[i + 2]
+            b3 = b[i + 3]
+            c0 = c[i]
+            c1 = c[i + 1]
+            c2 = c[i + 2]
+            c3 = c[i + 3]
+            d0 = d[i]
+            d1 = d[i + 1]
+            d2 = d[i + 2]
+            d3 = d[i + 3]
+            for at in range(matrix.shape[1]):
+                w0 = m0[at]
+                w1 = m1[at]
+                w2 = m2[at]
+                w3 = m3[at]
+                first[at] += a0 * w0 + a1 * w1 + a2 * w2 + a3 * w3
+                second[at] += b0 * w0 + b1 * w1 + b2 * w2 + b3 * w3
+                third[at] += c0 * w0 + c1 * w1 + c2 * w2 + c3 * w3
+                fourth[at] += d0 * w0 + d1 * w1 + d2 * w2 + d3 * w3
+
+
+@compiled(f"void(uint32, {_MATRIX}, float32[::1], float32[::1], float32[:, :, ::1])")
+def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Floats) -> None:
+    """Add complex circular noise, a function of the key and the place.
+
+    along, across: its amplitude is their product, (rows,) and (beams,).  planes: (2, rows, beams).
+    """
+    rows, beams = planes.shape[1:]
+    drawn = np.empty(beams, np.uint32)
+    for row in range(rows):
+        for beam in range(beams):  # several at a time, unlike what is looked up
+            place = np.uint32(row * beams + beam)
+            drawn[beam] = mixed(np.uint32(mixed(place) ^ key)) >> _16
+        real = planes[0, row]
+        imaginary = planes[1, row]
+        level = along[row]
+        for beam in range(beams):
+            amplitude = level * across[beam]
+            real[beam] += amplitude * table[drawn[beam], 0]
+            imaginary[beam] += amplitude * table[drawn[beam], 1]
+
+
+# --- from rendered pixels to scatterers -------------------------------------------------------
+
+# A pixel at grazing incidence is at most so many scatterers.
+_MOST_PARTS = 32
+# When neighbours are one surface, as in `render.kernels.joints`: parts of the depth, and of a step.
+_SMALL_STEP = np.float32(0.02)
+_LARGE_STEP = np.float32(0.1)
+_SLOPE_CHANGE = np.float32(3)
+# Of the power density from one row to the next.
+_MOST_CHANGE = np.float32(3)
+
+
+@compiled()
+def _bounded(value: Any, most: Any) -> Any:
+    """A whole number from 0 to `most`; NaN is 0."""
+    value = value if value > _ZERO else _ZERO
+    return np.int32(value if value < most else most)
+
+
+@compiled()
+def _ground_step_m(step_m: Any, neighbour_m: Any) -> Any:
+    """The size of a neighbouring step in depth, where it continues the step; else of the step."""
+    continues = step_m * neighbour_m > _ZERO
+    size_m = abs(step_m)
+    neighbour_size_m = abs(neighbour_m)
+    alike = neighbour_size_m < _SLOPE_CHANGE * size_m and size_m < _SLOPE_CHANGE * neighbour_size_m
+    return neighbour_size_m if continues and alike else size_m
+
+
+@compiled()
+def _share_before(part: Any, tilt: Any) -> Any:
+    """Share of a pixel's power in its first part, 0 to 1; its density is 1 + tilt (2 part - 1)."""
+    return part * (_ONE + tilt * (part - _ONE))
+
+
+@compiled()
+def _row(
+    depth_m: Floats, radiance: Floats, across: Floats, b: float, rotation: Floats,
+    position_m: Floats, ground_up: Floats, near_m: Any, bins_per_m: Any, columns_out: Floats,
+) -> None:  # fmt: skip
+    """Of a row of pixels what a processor does for many at once; columns_out: (4, W) out.
+
+    Sines of bearing (inf behind the sonar) and elevation, range bin, radiance times solid angle.
+    ground_up: the sonar's upward axis in camera axes where ranges count along the ground, else 0.
+    """
+    # Local names: the compiler then knows that what it writes changes none of them.
+    a0 = rotation[0, 0]
+    a1 = rotation[0, 1]
+    a2 = rotation[0, 2]
+    b0 = rotation[1, 0]
+    b1 = rotation[1, 1]
+    b2 = rotation[1, 2]
+    c0 = rotation[2, 0]
+    c1 = rotation[2, 1]
+    c2 = rotation[2, 2]
+    g0 = ground_up[0]
+    g1 = ground_up[1]
+    g2 = ground_up[2]
+    px = position_m[0]
+    py = position_m[1]
+    pz = position_m[2]
+    bearing = columns_out[0]
+    sine = columns_out[1]
+    start = columns_out[2]
+    value = columns_out[3]
+    for column in range(depth_m.shape[0]):
+        a = across[column]
+        z = depth_m[column]
+        x_ = a * z - px
+        y_ = b * z - py
+        z_ = z - pz
+        x = a0 * x_ + a1 * y_ + a2 * z_
+        y = b0 * x_ + b1 * y_ + b2 * z_
+        up = c0 * x_ + c1 * y_ + c2 * z_
+        per_range = _ONE / np.sqrt(x * x + y * y + up * up)
+        bearing[column] = -y * per_range if x > 0 else np.float32(np.inf)
+        sine[column] = up * per_range
+        up = g0 * x_ + g1 * y_ + g2 * z_
+        square_m2 = x_ * x_ + y_ * y_ + z_ * z_ - up * up
+        start[column] = (np.sqrt(max(square_m2, _ZERO)) - near_m) * bins_per_m
+        square = _ONE / (_ONE + a * a + b * b)
+        value[column] = radiance[column] * square * np.sqrt(square)
+
+
+@compiled(
+    f"int64({_CAMERA}, {_MATRIX}, Array(uint8, 2, 'C', readonly=True), {_MATRIX}, float32[::1],"
+    f" Tuple((float32[:, ::1], float32[::1])), {_GRID}, float32[::1], float32,"
+    " Tuple((float32[::1], int32[::1], boolean[::1])),"
+    " Tuple((int32[::1], float32[::1], int32[::1], float32[::1])), int32[::1])"
+)
+def place_scatterers(
+    camera: Any, radiance: Floats, labels: npt.NDArray[np.uint8], factor: Floats,
+    reflectivity: Floats, sonar: Any, grid: Any, pattern: Floats, widest_sine: float,
+    bins: Any, scatterers: Any, row_end: Integers,
+) -> int:  # fmt: skip
+    """Each lit pixel as scatterers of polar bins; returns how many there are.
+
+    A pixel covers the ranges from its own to that of the pixel below it, where both are one
+    surface.  `power` gets its echo in exact parts.  A scatterer lies anywhere in between, one for
+    each range bin that it covers: at grazing incidence there are fewer pixels than bins.  There
+    its power density changes evenly from row to row, or the rows would show as stripes.
+    Beams of a line of elements are cones: sin(bearing) = sin(azimuth) cos(elevation).
+
+    camera, grid: see above.  radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0;
+    reflectivity: of each, the last of those beyond, too.
+    factor: (H, W) multiplies the radiance, or (0, 0).
+    sonar: rotation and position, sonar axes from camera axes.
+    pattern: vertical intensity pattern at equal steps of sin(elevation) from -1 to 1.
+    bins: out, (bins,) each, summed power and last pixel of a bin (-1: none), and whether a pixel
+    within sin(elevation) of +-widest_sine fills it.
+    scatterers: out, (at least pixels,) each, bin, power, pixel and part: how far towards the pixel
+    below, 0 to 1.  row_end: (H,) out, how many scatterers there are up to the end of each row.
+    """
+    depth_m, across, down = camera
+    rotation, position_m = sonar
+    ground_range, from_m, per_m, rows, edges, first_beam, per_sine = grid
+    near_m = np.float32(from_m)
+    bins_per_m = np.float32(per_m)
+    beam_scale = np.float32(per_sine)
+    power, owner, in_beam = bins
+    bin_of, power_of, pixel_of, part_of = scatterers
+    height, width = depth_m.shape
+    beams = edges.shape[0] - 1
+    low = edges[0]
+    high = edges[beams]
+    most_guess = np.float32(first_beam.shape[0] - 1)
+    half_steps = np.float32(0.5 * (pattern.shape[0] - 1))
+    last_step = np.float32(pattern.shape[0] - 2)
+    last_label = reflectivity.shape[0] - 1
+    beyond = np.float32(rows)
+    last_row = np.float32(rows - 1)
+    ground_up = rotation[2] if ground_range else np.zeros(3, np.float32)
+    row_columns = np.empty((2, 4, width), np.float32)
+    count = 0
+    for row in range(-1, height):
+        under = min(row + 1, height - 1)
+        _row(
+            depth_m[under], radiance[under], across, down[under], rotation, position_m, ground_up,
+            near_m, bins_per_m, row_columns[(row + 1) & 1],
+        )  # fmt: skip
+        if row < 0:
+            continue
+        bearings, sines, starts, values = row_columns[row & 1]
+        below = row_columns[(row + 1) & 1, 2]
+        value_below = row_columns[(row + 1) & 1, 3]
+        for column in range(width):
+            value = values[column]
+            bearing = bearings[column]
+            z = depth_m[row, column]
+            if not (value > _ZERO and low <= bearing and bearing < high):
+                continue
+            # The ground far away is a run of large steps; an outline is a single one.
+            start = end = starts[column]
+            z_below = depth_m[under, column]
+            nearer_m = min(z, z_below)
+            step_m = z_below - z
+            size_m = abs(step_m)
+            first_m = z - depth_m[max(row - 1, 0), column]
+            next_m = depth_m[min(row + 2, height - 1), column] - z_below
+            run_m = max(first_m, next_m) if step_m > 0 else -min(first_m, next_m)
+            sloping = size_m < _LARGE_STEP * nearer_m and size_m < _SLOPE_CHANGE * run_m
+            if size_m < _SMALL_STEP * nearer_m or sloping:
+                end = below[column]
+            near = min(start, end)
+            far = max(start, end)
+            if not (far >= _ZERO and near < beyond):
+                continue
+            beam = first_beam[_bounded((bearing - low) * beam_scale, most_guess)]
+            while bearing >= edges[beam + 1]:
+                beam += 1
+            central = abs(sines[column]) <= widest_sine
+            along = (sines[column] + _ONE) * half_steps
+            step = _bounded(along, last_step)
+            lower = pattern[step]
+            upper = pattern[step + 1]
+            value *= lower + (along - np.float32(step)) * (upper - lower)
+            label = np.int64(labels[row, column]) if labels.shape[0] else 0
+            value *= reflectivity[min(label, last_label)]
+            if factor.shape[0]:
+                value *= factor[row, column]
+            pixel = row * width + column
+            span = far - near
+            # A number of 0 to 1 that belongs to the pixel.
+            chance = np.float32(np.int32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8))
+            chance *= np.float32(2.0**-24)
+            if span <= _ONE and near >= _ZERO and far < beyond:
+                # Most pixels: one bin, or parts of two.
+                first = _bounded(near, last_row)
+                last = _bounded(far, last_row)
+                inside = min((np.float32(last) - near) / max(span, _TINY), _ONE)
+                share = inside if last > first else _ONE
+                nearest = first * beams + beam
+                power[last * beams + beam] += value * (_ONE - share)
+                power[nearest] += value * share
+                owner[nearest] = pixel
+                if central:
+                    in_beam[nearest] = True
+                bin_of[count] = _bounded(start + chance * (end - start), last_row) * beams + beam
+                power_of[count] = value
+                pixel_of[count] = pixel
+                part_of[count] = chance if end != start else _ZERO
+                count += 1
+                continue
+            # At the next row the density is that one's power over its own step.
+            ratio = value_below[column] / values[column]
+            ratio *= (_ground_step_m(step_m, first_m) + size_m) / max(
+                _ground_step_m(step_m, next_m) + size_m, _TINY
+            )
+            ratio = min(max(ratio, _ONE / _MOST_CHANGE), _MOST_CHANGE)
+            tilt = (ratio - _ONE) / (ratio + _ONE) if value_below[column] > _ZERO else _ZERO
+            per_row = _ONE / (end - start) if end != start else _ZERO
+            for bin_row in range(int(max(near, _ZERO)), min(int(far), rows - 1) + 1):
+                first_part = (max(near, np.float32(bin_row)) - start) * per_row
+                last_part = (min(far, np.float32(bin_row + 1)) - start) * per_row
+                inside = _share_before(last_part, tilt) - _share_before(first_part, tilt)
+                power[bin_row * beams + beam] += value * abs(inside)
+                owner[bin_row * beams + beam] = pixel
+                in_beam[bin_row * beams + beam] |= central
+            many = max(min(int(np.ceil(span)), _MOST_PARTS), 1)
+            if count + many + (height - row) * width > bin_of.shape[0]:
+                many = 1
+            for number in range(many):
+                part = (np.float32(number) + chance) / np.float32(many)
+                bin_row = int(np.floor(start + part * (end - start)))
+                if 0 <= bin_row < rows:
+                    bin_of[count] = bin_row * beams + beam
+                    first_part = np.float32(number) / np.float32(many)
+                    last_part = np.float32(number + 1) / np.float32(many)
+                    share = _share_before(last_part, tilt) - _share_before(first_part, tilt)
+                    power_of[count] = value * share
+                    pixel_of[count] = pixel
+                    part_of[count] = part if end != start else _ZERO
+                    count += 1
+        row_end[row] = count
+    return count
+
+
+# --- cells of the world -----------------------------------------------------------------------
+
+
+@compiled(
+    f"void({_PLACES}, int32[::1], {_CAMERA}, float64[:, ::1], float64, uint32[::1], uint32[::1])"
+)
+def cells(
+    scatterers: Any, row_end: Integers, camera: Any, world_from_camera: Doubles, cell_m: float,
+    name_of: Words, place_of: Words,
+) -> None:  # fmt: skip
+    """The world cells in which scatterers lie.
+
+    row_end: as `place` gives it.  cell_m: edge of a cell, a cube.
+    name_of, place_of: (N,) out, the cell of each as a number that looks random, and where to look
+    for it in a table (neighbours are close together).
+    """
+    pixels, parts = scatterers
+    depth_m, across, down = camera
+    height, width = depth_m.shape
+    m = world_from_camera / cell_m
+    m00, m01, m02, m03 = m[0]
+    m10, m11, m12, m13 = m[1]
+    m20, m21, m22, m23 = m[2]
+    # Whole cells apart, for 32 bits are converted faster than 64, and must be enough.
+    w0 = np.floor(m03)
+    w1 = np.floor(m13)
+    w2 = np.floor(m23)
+    m03 = m03 - w0
+    m13 = m13 - w1
+    m23 = m23 - w2
+    i0 = np.int32(np.int64(w0))
+    i1 = np.int32(np.int64(w1))
+    i2 = np.int32(np.int64(w2))
+    xs = np.empty(_BLOCK)
+    ys = np.empty(_BLOCK)
+    zs = np.empty(_BLOCK)
+    us = np.empty(_BLOCK, np.int32)
+    vs = np.empty(_BLOCK, np.int32)
+    ws = np.empty(_BLOCK, np.int32)
+    stop = 0
+    for row in range(height):
+        below = min(row + 1, height - 1)
+        here_m = depth_m[row]
+        below_m = depth_m[below]
+        down_here = np.float64(down[row])
+        down_below = np.float64(down[below])
+        before = np.int32(row * width)
+        start, stop = stop, int(row_end[row])
+        # A block at a time: first what a processor does for many at once, then what it cannot.
+        for begin in range(start, stop, _BLOCK):
+            size = min(_BLOCK, stop - begin)
+            some = pixels[begin : begin + size]
+            some_parts = parts[begin : begin + size]
+            for i in range(size):
+                column = np.uint32(some[i] - before)
+                z = np.float64(here_m[column])
+                part = np.float64(some_parts[i])
+                y = down_here * z
+                z_below = np.float64(below_m[column])
+                ys[i] = y + part * (down_below * z_below - y)
+                zs[i] = z + part * (z_below - z)
+                xs[i] = np.float64(across[column]) * zs[i]
+            for i in range(size):
+                x = xs[i]
+                y = ys[i]
+                z = zs[i]
+                us[i] = np.int32(np.floor(m00 * x + m01 * y + m02 * z + m03))
+                vs[i] = np.int32(np.floor(m10 * x + m11 * y + m12 * z + m13))
+                ws[i] = np.int32(np.floor(m20 * x + m21 * y + m22 * z + m23))
+            names = name_of[begin : begin + size]
+            places = place_of[begin : begin + size]
+            for i in range(size):
+                first = np.int32(us[i] + i0)
+                second = np.int32(vs[i] + i1)
+                third = np.int32(ws[i] + i2)
+                names[i] = mixed(_corner(first, second, third))
+                # Eight cells, a cube, lie side by side: one line of the processor's memory.
+                block = mixed(
+                    _corner(first >> np.int32(1), second >> np.int32(1), third >> np.int32(1))
+                )
+                inside = np.uint32(first) & _1 | (np.uint32(second) & _1) << _1
+                places[i] = np.uint32(block << _3) | inside | (np.uint32(third) & _1) << _2
+
+
+@compiled("boolean(uint32[::1], uint32[::1], int64, uint32[:, ::1], uint32[:, ::1], float32[::1])")
+def count_cells(
+    name_of: Words, place_of: Words, parts: int, table: Words, sorted_: Words, share_of: Floats
+) -> Any:
+    """1 / sqrt(points of its cell) for each point: amplitudes that add up coherently.
+
+    name_of, place_of: as `cells` gives them; share_of: (N,) out.  The cells are counted in parts,
+    a power of two, each with a table that a processor holds close by.
+    table: (slots, 2), slots a power of two; sorted_: (N, 2), both overwritten.
+    Returns False where a part does not fit the table; share_of then says nothing.
+    """
+    mask = np.uint32(table.shape[0] - 1)
+    last = np.uint32(parts - 1)
+    shift = np.uint32(0)
+    while np.uint32(1) << shift <= mask:
+        shift += np.uint32(1)
+    ends = np.zeros(parts + 1, np.int64)
+    for point in range(place_of.shape[0]):
+        ends[np.uint32((place_of[point] >> shift) & last) + np.uint32(1)] += 1
+    for number in range(parts):
+        if ends[number + 1] > np.int64(mask):
+            return False
+    for number in range(parts):
+        ends[number + 1] += ends[number]
+    # Name and place lie side by side: there are then only as many places to write to as parts.
+    free = ends[:-1].copy()
+    for point in range(name_of.shape[0]):
+        place = place_of[point]
+        among = np.uint32((place >> shift) & last)
+        at = np.uint32(free[among])
+        free[among] += 1
+        sorted_[at, 0] = name_of[point]
+        sorted_[at, 1] = place & mask
+    for part in range(parts):
+        table[:] = 0
+        for i in range(ends[part], ends[part + 1]):
+            at = np.uint32(i)
+            name = sorted_[at, 0]
+            slot = sorted_[at, 1]
+            # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
+            # two branches.  Whether a cell is new is unpredictable, and a wrong guess costs much.
+            while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
+                slot = np.uint32(slot + _9) & mask
+            table[slot, 0] = name
+            table[slot, 1] += _1
+            sorted_[at, 1] = slot
+        for i in range(ends[part], ends[part + 1]):
+            at = np.uint32(i)
+            sorted_[at, 0] = table[sorted_[at, 1], 1]
+    # In the order of the points again, each part being read from its beginning.
+    free = ends[:-1].copy()
+    for point in range(place_of.shape[0]):
+        among = np.uint32((place_of[point] >> shift) & last)
+        points_of_cell = np.float32(np.int32(sorted_[np.uint32(free[among]), 0]))
+        free[among] += 1
+        share_of[point] = np.float32(1) / np.sqrt(points_of_cell)
+    return True
+
+
+@compiled(
+    "void(int32[::1], float32[::1], uint32[::1], float32[::1], uint16[::1], uint32,"
+    f" UniTuple({_MATRIX}, 2), float32[:, ::1])"
+)
+def scatter(
+    bin_of: Integers, root_of: Floats, name_of: Words, share_of: Floats,
+    phase_of: npt.NDArray[np.uint16], key: int, tables: Any, bins: Floats,
+) -> None:  # fmt: skip
+    """Add each point's amplitude times the coefficient of its cell to its bin; bins: (bins, 2).
+
+    The amplitude is root_of times share_of; share_of (0,): all 1.  The complex coefficient of a
+    cell is drawn by `key` from the first of the tables (65536, 2) and turned by
+    exp(-2 pi i phase / 65536), whose cosines and sines are the second; phase_of (0,): none.
+    """
+    table, turns = tables
+    for i in range(bin_of.shape[0]):
+        at = bin_of[i]
+        entry = mixed(np.uint32(name_of[i] ^ key)) >> _16
+        real = table[entry, 0]
+        imaginary = table[entry, 1]
+        if share_of.shape[0]:
+            real = share_of[i] * real
+            imaginary = share_of[i] * imaginary
+        real = root_of[i] * real
+        imaginary = root_of[i] * imaginary
+        if phase_of.shape[0]:
+            c = turns[phase_of[i], 0]
+            s = turns[phase_of[i], 1]
+            real, imaginary = real * c + imaginary * s, imaginary * c - real * s
+        bins[at, 0] += real
+        bins[at, 1] += imaginary
+
+
+# A pixel is one surface with its right neighbour up to this step, a part of the depth.
+_STEP = 0.05
+# Points of a pixel across and down, at most.
+_MOST_ACROSS = 16
+_MOST_DOWN = 8
+
+
+@compiled(
+    f"int64({_PLACES}, float32[::1], {_CAMERA}, float64[:, ::1], float64,"
+    " Tuple((uint32[::1], float32[::1], int32[:, ::1])))"
+)
+def gather(
+    scatterers: Any, powers: Floats, camera: Any, world_from_camera: Doubles, cell_m: float,
+    cells: Any,
+) -> Any:  # fmt: skip
+    """Spread the scatterers over the cells of the world; returns how many points that takes.
+
+    Each pixel is filled with points half a cell apart, towards the pixel below and the one to the
+    right where these belong to the same surface.
+    cells: out, their number (looks random, not 0), power (slots,) and place (slots, 3); the first
+    two are zeros, slots a power of two, more than there are cells.  Of no slots it only counts.
+    """
+    pixels, parts = scatterers
+    depth_m, across, down = camera
+    name_of, power_of, place_of = cells
+    height, width = depth_m.shape
+    mask = np.uint32(max(name_of.shape[0] - 1, 0))
+    filling = name_of.shape[0] > 0
+    m = world_from_camera / cell_m
+    half_m = 0.5 * cell_m
+    count = np.int64(0)
+    first = 0
+    size = pixels.shape[0]
+    while first < size:
+        pixel = pixels[first]
+        last = first + 1
+        while last < size and pixels[last] == pixel:
+            last += 1
+        row, column = pixel // width, pixel % width
+        z = np.float64(depth_m[row, column])
+        x = np.float64(across[column]) * z
+        y = np.float64(down[row]) * z
+        dx = dy = dz = np.float64(0)
+        if parts[first] != 0 and row + 1 < height:
+            below = np.float64(depth_m[row + 1, column])
+            dx = np.float64(across[column]) * below - x
+            dy = np.float64(down[row + 1]) * below - y
+            dz = below - z
+        ex = ey = ez = np.float64(0)
+        if column + 1 < width:
+            right = np.float64(depth_m[row, column + 1])
+            if abs(right - z) < _STEP * z:
+                ex = np.float64(across[column + 1]) * right - x
+                ey = np.float64(down[row]) * right - y
+                ez = right - z
+        many = last - first
+        sideways = int(np.ceil(np.sqrt(ex * ex + ey * ey + ez * ez) / half_m))
+        downward = int(np.ceil(np.sqrt(dx * dx + dy * dy + dz * dz) / many / half_m))
+        sideways = min(max(sideways, 1), _MOST_ACROSS)
+        downward = min(max(downward, 1), _MOST_DOWN)
+        count += many * sideways * downward
+        for number in range(many if filling else 0):
+            share = powers[first + number] / np.float32(sideways * downward)
+            for b in range(downward):
+                v = (number + (b + 0.5) / downward) / many
+                for a in range(sideways):
+                    u = (a + 0.5) / sideways - 0.5
+                    px = x + v * dx + u * ex
+                    py = y + v * dy + u * ey
+                    pz = z + v * dz + u * ez
+                    i = np.floor(m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz + m[0, 3])
+                    j = np.floor(m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3])
+                    k = np.floor(m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + m[2, 3])
+                    name = np.uint32(mixed(_corner(i, j, k)) | _1)
+                    slot = np.uint32(name >> _1) & mask
+                    while name_of[slot] != 0 and name_of[slot] != name:
+                        slot = np.uint32(slot + _1) & mask
+                    if name_of[slot] == 0:
+                        name_of[slot] = name
+                        place_of[slot, 0] = np.int32(i)
+                        place_of[slot, 1] = np.int32(j)
+                        place_of[slot, 2] = np.int32(k)
+                    power_of[slot] += share
+        first = last
+    return count
+
+
+@compiled()
+def _smooth(part: Any) -> Any:
+    """0 to 1 as a step that begins and ends level."""
+    return part * part * (np.float32(3) - part - part)
+
+
+@compiled(f"void(float32[:, ::1], float64[:, ::1], uint32, {_MATRIX}, float32[::1])")
+def lattice(
+    points_m: Floats, lattice_from_camera: Doubles, key: int, table: Floats, normal: Floats
+) -> None:
+    """A standard normal field at (3, N) points, smooth over distances of 1 after (3, 4).
+
+    Random values at the corners of unit cubes, weighted by smooth steps and brought back to unit
+    variance.  table: (65536, 2) normal values of variance 1/2.
+    """
+    m = lattice_from_camera
+    for i in range(points_m.shape[1]):
+        a = points_m[0, i]
+        b = points_m[1, i]
+        c = points_m[2, i]
+        p = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
+        q = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
+        r = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
+        x = np.floor(p)
+        y = np.floor(q)
+        z = np.floor(r)
+        u = _smooth(np.float32(p - x))
+        v = _smooth(np.float32(q - y))
+        w = _smooth(np.float32(r - z))
+        u_ = _ONE - u
+        v_ = _ONE - v
+        w_ = _ONE - w
+        corner = _corner(np.int32(x), np.int32(y), np.int32(z))
+        level = _ZERO
+        for above in range(2):
+            side = _ZERO
+            for beyond in range(2):
+                at = np.uint32(corner + np.uint32(beyond) * _STEPS_Y + np.uint32(above) * _STEPS_Z)
+                left_value = table[mixed(np.uint32(mixed(at) ^ key)) >> _16, 0]
+                at = np.uint32(at + _STEPS_X)
+                right_value = table[mixed(np.uint32(mixed(at) ^ key)) >> _16, 0]
+                side += (v if beyond else v_) * (u_ * left_value + u * right_value)
+            level += (w if above else w_) * side
+        squares = (u * u + u_ * u_) * (v * v + v_ * v_) * (w * w + w_ * w_)
+        normal[i] = level * np.sqrt(_TWO / squares)
+
+
+# --- ghosts -----------------------------------------------------------------------------------
+
+# Weakest amplitude of the straight way that a mirrored one is compared with.
+_FAINTEST = np.float32(1e-4)
+_NEAREST_M = np.float32(1e-3)  # keeps directions finite
+
+
+@compiled(
+    "void(int32[::1], float32[:, ::1], Tuple((float32[:, ::1], float32[::1])),"
+    f" UniTuple(float32, 3), {_TABLE}, float32, float32, float32, int64,"
+    " UniTuple(Tuple((float32[::1], float32[:, ::1])), 2))"
+)
+def mirror(
+    sources: Integers, points_m: Floats, sonar: Any, level: Any, pattern: Floats, loss: float,
+    nepers_per_m: float, bins_per_m: float, beams: int, echoes: Any,
+) -> None:  # fmt: skip
+    """Add to each bin what comes to it by way of a plane; see `noise.paths`.
+
+    sources: (M,) flat bins; points_m: (3, M) where they are, camera axes.  sonar: as of `place`.
+    level: height of the plane above the sonar, cosine and sine of the sonar's tilt.  pattern: as of
+    `place`.  loss: intensity that one reflection leaves; nepers_per_m: absorption of intensity, one
+    way.  echoes: (bins,) intensities and (fields, bins) amplitudes, and the same again, which are
+    added to, but (0,) intensities where all are 0.
+    """
+    m, position_m = sonar
+    height_m, cosine, sine = level
+    (power, planes), (power_out, planes_out) = echoes
+    bins = power.shape[0]
+    steps = np.float32((pattern.shape[0] - 1) / 2)
+    # What absorption leaves of the longer way, in steps of a range bin, linear in between.
+    left = np.empty(2 * (bins // beams) + 2, np.float32)
+    for step in range(left.shape[0]):
+        left[step] = loss * np.exp(-nepers_per_m * np.float32(step) / bins_per_m)
+    most = np.float32(left.shape[0] - 2)
+    for i in range(sources.shape[0]):
+        u = points_m[0, i] - position_m[0]
+        v = points_m[1, i] - position_m[1]
+        w = points_m[2, i] - position_m[2]
+        x = m[0, 0] * u + m[0, 1] * v + m[0, 2] * w
+        y = m[1, 0] * u + m[1, 1] * v + m[1, 2] * w
+        z = m[2, 0] * u + m[2, 1] * v + m[2, 2] * w
+        ahead = x * cosine + z * sine
+        up = z * cosine - x * sine
+        up_image = _TWO * height_m - up
+        flat2 = ahead * ahead + y * y
+        r = max(np.sqrt(flat2 + up * up), _NEAREST_M)
+        r_image = max(np.sqrt(flat2 + up_image * up_image), _NEAREST_M)
+        longer = max(r_image - r, _ZERO)
+        # The direction of departure in the sonar's own axes.
+        image_sine = (up_image * cosine + ahead * sine) / r_image
+        towards = pattern[int(np.rint((image_sine + _ONE) * steps))]
+        straight = np.sqrt(pattern[int(np.rint((z / r + _ONE) * steps))])
+        spread = r / (r + longer)
+        away = min(longer * bins_per_m, most)
+        whole = int(away)
+        lower = left[whole]
+        upper = left[whole + 1]
+        once = np.sqrt(towards) / max(straight, _FAINTEST) * spread * spread
+        once *= lower + (away - np.float32(whole)) * (upper - lower)
+        source = np.int64(sources[i])
+        target = source + beams * np.int64(np.rint(longer * bins_per_m / _TWO))
+        if target >= bins:
+            continue
+        amplitude = _TWO * np.sqrt(once)
+        for plane in range(planes.shape[0]):
+            planes_out[plane, target] += amplitude * planes[plane, source]
+        if power_out.shape[0]:
+            power_out[target] += _FOUR * once * power[source]
+        twice = source + beams * np.int64(np.rint(longer * bins_per_m))
+        if twice < bins:
+            for plane in range(planes.shape[0]):
+                planes_out[plane, twice] += once * planes[plane, source]
+            if power_out.shape[0]:
+                power_out[twice] += once * once * power[source]

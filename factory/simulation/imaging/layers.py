@@ -1,0 +1,71 @@
+"""What lies behind each pixel of an image: optional layers that no noise touches.
+
+An image has lost the elevation, and the object that an echo came from.  Both are known here: each
+range bin of each beam tells of the strongest echo in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ...common.errors import FrameError
+from ..sonar import polar
+from ..sonar.surface import LitSurface
+
+Pixels = npt.NDArray[np.generic]
+
+_OF_ECHOES = {"range", "azimuth", "elevation", "elevation_min", "elevation_max", "segmentation"}
+
+
+def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Pixels]:
+    """(range_bins, beams) images of the requested layers, by the names of `OPTIONAL_LAYERS`.
+
+    requested: of range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
+        segmentation (which brings instance); other names are ignored.
+    Raises FrameError when labels are requested of a frame that has none.
+    """
+    frame = surface.frame
+    sonar = surface.sonar
+    layers = dict[str, Pixels]()
+    shape = sonar.range_bins, sonar.beams
+    if "valid_azimuth" in requested:
+        beams = polar.seen_beams(surface.window, sonar)
+        layers["valid_azimuth"] = np.repeat(beams[None], sonar.range_bins, axis=0)
+    if not _OF_ECHOES.intersection(requested):
+        return layers
+    echoes, pixel, _ = surface.insonified
+    bins = polar.bin_index(echoes, surface.window, sonar)
+    # Of several echoes in a bin the last one assigned stays: the strongest.
+    order = np.argsort(echoes.strength, kind="stable")
+    strongest = np.full(sonar.range_bins * sonar.beams, -1, np.intp)
+    strongest[bins[order]] = order
+
+    def paint_strongest(values: npt.NDArray[np.generic], nothing: float) -> Pixels:
+        shown = np.where(strongest >= 0, values[strongest], values.dtype.type(nothing))
+        return shown.reshape(shape)
+
+    for name, values in (("range", echoes.range_m), ("elevation", echoes.elevation_rad)):
+        if name in requested:
+            layers[name] = paint_strongest(values, np.nan)
+    for name, take in (("elevation_min", np.fmin), ("elevation_max", np.fmax)):
+        if name in requested:
+            limit = np.full(strongest.size, np.nan, np.float32)
+            take.at(limit, bins, echoes.elevation_rad)
+            layers[name] = limit.reshape(shape)
+    if "azimuth" in requested:
+        azimuth_rad = echoes.azimuth_rad
+        if surface.conical:  # bearings, whose sine has the elevation in it
+            sine = np.sin(azimuth_rad) / np.cos(echoes.elevation_rad)
+            azimuth_rad = np.arcsin(np.clip(sine, -1, 1))
+        layers["azimuth"] = paint_strongest(azimuth_rad, np.nan)
+    if "segmentation" in requested:
+        if frame.segmentation is None or frame.instance is None:
+            raise FrameError(
+                f"{frame.ref.name}: has no labels; leave segmentation out of dataset.layers"
+            )
+        layers["segmentation"] = paint_strongest(frame.segmentation.ravel()[pixel], 0)
+        layers["instance"] = paint_strongest(frame.instance.ravel()[pixel], 0)
+    return layers

@@ -1,0 +1,220 @@
+"""From an untrusted mesh file to arrays; runs in a process of its own, where Open3D may crash.
+
+.ply and .stl are read by Open3D, .glb and .gltf too (see `gltf_files`), .obj by `obj_files`, and a
+.blend is exported by Blender first.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import re
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ...common.errors import FactoryError
+from ...common.small_files import one_line
+from .blend_files import export_blend, linked_by_blend
+from .gltf_files import linked_by_gltf, material_number, with_own_materials
+from .obj_files import RawPart, linked_by_obj, read_obj
+from .painted import linear_albedo, paint_surface
+from .triangle_mesh import GREY, Mesh, join, mesh
+
+MOST_FACES = 2_000_000
+MOST_PARTS = 65_535
+"""What instance numbers of 16 bits tell apart."""
+# From y up, z towards the viewer, to z up.
+Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+class Loaded(NamedTuple):
+    """Parts of a file, z up as its format has it; origin: (3,) what was subtracted from them."""
+
+    parts: list[RawPart]
+    origin: npt.NDArray[np.float64]
+
+
+def linked_files(path: Path) -> tuple[list[str], list[str]]:
+    """Files that a mesh needs beside it, and others that it names.  Raises FactoryError."""
+    suffix = path.suffix.lower()
+    needed: list[Path] = []
+    named: list[Path] = []
+    try:
+        if suffix == ".gltf":
+            needed = linked_by_gltf(path)
+        elif suffix == ".obj":
+            needed, named = linked_by_obj(path)
+        elif suffix == ".blend":
+            needed = linked_by_blend(path)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise FactoryError(f"cannot be read ({one_line(error)})") from error
+    return list(map(str, needed)), list(map(str, named))
+
+
+def load(path: Path) -> bytes:
+    """The parts of a file as .npz, each outside out.  Raises FactoryError without the file's name.
+
+    vertices, colours, triangles: of all parts; vertex_counts, face_counts, names, turned: of each.
+    origin: (3,) what was subtracted from the vertices, units of the file.  step: between the
+    numbers that a file of 32 bits can hold there, or 0.
+    """
+    suffix = path.suffix.lower()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            loaded = _read(path, suffix, Path(folder))
+    except ImportError as error:
+        raise FactoryError(
+            f"needs the module open3d ({one_line(error)}): pip install 'simnfnd[open3d]'"
+        ) from error
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OSError) as error:
+        raise FactoryError(f"damaged, or no {suffix} file ({one_line(error)})") from error
+
+    parts = [part for part in loaded.parts if len(part.triangles)]
+    _check(parts)
+    origin, step = _far_origin(parts)
+    meshes = [
+        Mesh((part.vertices - origin).astype(np.float32), part.colours, part.triangles)
+        for part in parts
+    ]
+    is_turned = np.array([_is_inside_out(solid) for solid in meshes])
+    triangles = [
+        solid.triangles[:, :: -1 if turned else 1]
+        for solid, turned in zip(meshes, is_turned, strict=True)
+    ]
+    content = io.BytesIO()
+    np.savez(
+        content,
+        names=np.array([part.name for part in parts]),
+        turned=is_turned,
+        vertices=np.concatenate([solid.vertices for solid in meshes]),
+        colours=np.concatenate([solid.colours for solid in meshes]),
+        triangles=np.concatenate(triangles),
+        vertex_counts=np.array([len(solid.vertices) for solid in meshes]),
+        face_counts=np.array([len(solid.triangles) for solid in meshes]),
+        origin=origin + loaded.origin,
+        step=step,
+    )
+    return content.getvalue()
+
+
+def _check(parts: list[RawPart]) -> None:
+    """Raise FactoryError for what no reader of frames could use."""
+    face_count = sum(len(part.triangles) for part in parts)
+    if not face_count:
+        raise FactoryError("has no faces (points alone?); export a mesh of triangles")
+    if face_count > MOST_FACES:
+        raise FactoryError(f"has {face_count:,} faces; at most {MOST_FACES:,} go: decimate it")
+    if len(parts) > MOST_PARTS:
+        raise FactoryError(f"has {len(parts):,} parts; at most {MOST_PARTS:,} go: join some")
+    for part in parts:
+        if not np.isfinite(part.vertices).all():
+            raise FactoryError("has vertices that are no numbers; export it again")
+        if part.triangles.min() < 0 or part.triangles.max() >= len(part.vertices):
+            raise FactoryError("damaged: its faces name vertices that are not there")
+
+
+def _far_origin(parts: list[RawPart]) -> tuple[npt.NDArray[np.float64], float]:
+    """What to subtract so that 32 bits hold the shape, and the step of a file of 32 bits there.
+
+    (3,) whole units, 0 along axes where the mesh is near; georeferenced meshes are far.
+    """
+    low = np.min([part.vertices.min(axis=0) for part in parts], axis=0).astype(np.float64)
+    high = np.max([part.vertices.max(axis=0) for part in parts], axis=0).astype(np.float64)
+    centre = (low + high) / 2
+    size = float((high - low).max())
+    step = np.spacing(np.abs(centre).astype(np.float32)).astype(np.float64)
+    is_far = (np.abs(centre) > 100 * size) | ((np.abs(centre) > 3 * size) & (step > 1e-3))
+    origin = np.where(is_far, np.round(centre), 0.0)
+    holds_32_bits = all(
+        np.array_equal(part.vertices, part.vertices.astype(np.float32)) for part in parts
+    )
+    is_coarse = is_far.any() and holds_32_bits and step.max() > 1e-4 * size
+    return origin, float(step.max()) if is_coarse else 0.0
+
+
+def _is_inside_out(solid: Mesh) -> bool:
+    """Whether it is closed and its faces look inwards; light comes from outside."""
+    corners = solid.vertices.astype(np.float64)[solid.triangles]
+    corners -= corners.mean(axis=(0, 1))
+    a = corners[:, 0]
+    b = corners[:, 1]
+    c = corners[:, 2]
+    outward = np.cross(b - a, c - a)
+    # The areas of a closed surface, as vectors, add up to nothing.
+    area = np.linalg.norm(outward, axis=1).sum()
+    is_closed = np.linalg.norm(outward.sum(axis=0)) < 1e-3 * area
+    return bool(is_closed and (a * outward).sum() < 0)
+
+
+def _read(path: Path, suffix: str, folder: Path) -> Loaded:
+    """folder: for a copy, an empty one."""
+    if suffix == ".obj":
+        return Loaded(read_obj(path, MOST_FACES, MOST_PARTS), np.zeros(3))
+    open3d: Any = importlib.import_module("open3d")
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+    if suffix in (".ply", ".stl"):
+        return Loaded([_read_single(open3d.io, path)], np.zeros(3))
+    if suffix == ".blend":
+        source = path
+        path = folder / "scene.glb"
+        export_blend(source, path)
+    return _read_gltf(open3d.io, path, folder)
+
+
+def _read_single(reader: Any, path: Path) -> RawPart:
+    """The one mesh of a .ply or .stl."""
+    solid = reader.read_triangle_mesh(str(path))
+    colours: npt.ArrayLike = GREY
+    if solid.has_vertex_colors():
+        colours = linear_albedo(np.asarray(solid.vertex_colors) * 255)
+    else:  # .stl has each corner of each face
+        solid.remove_duplicated_vertices()
+    vertices = np.asarray(solid.vertices, np.float64)
+    triangles = np.asarray(solid.triangles, np.int32)
+    with path.open("rb") as file:
+        claimed = re.search(rb"^element face (\d{1,18})", file.read(1 << 16), re.MULTILINE)
+    if claimed and int(claimed[1]) > len(triangles):  # Open3D says nothing of the rest
+        raise ValueError(f"claims {int(claimed[1]):,} faces, holds {len(triangles):,}")
+    shades = np.broadcast_to(np.asarray(colours, np.float32), vertices.shape)
+    return RawPart(path.stem, vertices, shades.copy(), triangles)
+
+
+def _read_gltf(reader: Any, path: Path, folder: Path) -> Loaded:
+    """A part for each node of the default scene that has faces."""
+    copy = with_own_materials(path, folder)
+    model = reader.read_triangle_model(str(copy.path))
+    if copy.owners and not model.meshes:
+        raise ValueError("Open3D reads nothing of it; compressed?")
+    pieces: dict[Any, list[Mesh]] = {owner: [] for owner in copy.owners}
+    for piece in model.meshes:
+        # Materials come in the order in which they are used first.
+        number = material_number(model.materials[piece.material_idx].base_roughness)
+        pieces[copy.owners[number]].append(_of_model(piece, model).rotated(Z_UP))
+    joined = [(owner.name, join(own)) for owner, own in pieces.items() if own]
+    parts = [
+        RawPart(name, solid.vertices.astype(np.float64), solid.colours, solid.triangles)
+        for name, solid in joined
+    ]
+    return Loaded(parts, Z_UP @ copy.origin)
+
+
+def _of_model(piece: Any, model: Any) -> Mesh:
+    """One mesh of Open3D's model, in the colours of its vertices, texture or material."""
+    solid = piece.mesh
+    material = model.materials[piece.material_idx]
+    vertices = np.asarray(solid.vertices)
+    triangles = np.asarray(solid.triangles)
+    colour = np.asarray(material.base_color[:3], np.float32)
+    image = np.asarray(material.albedo_img) if material.albedo_img else np.empty(0)
+    if image.ndim == 3 and solid.has_triangle_uvs():
+        places = np.asarray(solid.triangle_uvs).reshape(-1, 3, 2) * (1, -1) + (0, 1)
+        # The material's colour is a factor of its texture.
+        albedo = linear_albedo(image[..., :3]) * colour
+        corners = vertices[triangles].astype(np.float32)
+        points, painted, cut = paint_surface(corners, places, albedo)
+        return Mesh(points.astype(np.float32), painted, cut)
+    return mesh(vertices, triangles, solid.vertex_colors if solid.has_vertex_colors() else colour)

@@ -1,0 +1,454 @@
+"""One frame -> its pairs: the whole method (Yang et al. 2024, section 3).
+
+    frame -> render (light at the sonar) -> observed scene -+-> clean image T
+                                                   + noise -+-> noisy image X
+
+Clean and noisy images come from the same scene, through the same image formation (`acoustics`:
+pointwise as in the paper, or coherent) and the same transfer curve.  Only the noise differs.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ...common.errors import FrameError
+from ...dataset.fan_geometry import FanGeometry
+from ...dataset.frame_ref import FrameRef
+from ...dataset.labels import class_names
+from ...dataset.schema import Axis, Column, Pair
+from ..config.selection import choose_frames
+from ..devices import draw as devices
+from ..frames.frame import Frame
+from ..imaging import layers as truth
+from ..imaging.coherent import CoherentScene
+from ..imaging.contract import Floats, Sample
+from ..imaging.pointwise import PointwiseScene
+from ..imaging.settings import CoherentSettings, with_materials
+from ..labels.camera_layers import Camera, CameraLayers
+from ..labels.image_axes import image_axes
+from ..labels.insonified import check_share, insonified_share
+from ..moving.compose import Echo, compose
+from ..moving.recordings import Moment, Recordings
+from ..noise.draws import Draws, StreamNames, draw
+from ..sonar import polar, surface, transfer
+from ..sonar.fan import lay_out, lay_out_nearest, rasterised
+from ..sonar.window import Window, conical, fit_window, set_window
+from .compilation import compile_needed
+from .requested_columns import requested, requested_row
+from .sample_table import columns, record
+from .views import CachedViews, Views, open_views
+
+if TYPE_CHECKING:
+    from ..config.root import FactoryConfig
+    from ..noise.registry import NoiseSettings
+    from ..render.base import Rendered
+
+Scene = PointwiseScene | CoherentScene
+ImageType = TypeVar("ImageType", bound=np.generic)
+
+_DRAWS = 40
+"""Maximum attempts to draw a device that sees part of the frame."""
+_MOST_KEPT_FRAMES = 24
+"""Observed frames that may stay in memory: each takes 30 bytes a pixel of its camera image."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedFrame:
+    """What all pairs of a frame share; nothing in it is random.
+
+    window: range and azimuth limits of the image.  has_pose: whether the frame has a pose.
+    shadow: (H, W) bool image.  layers: (H, W) images of the surface behind each pixel, by the names
+    of `dataset.layers`.  columns: the columns that `dataset.columns` requests.
+    continuous: whether the frames of its recording share the parameters of the noise.
+    later_groups: what the second and further groups of beams observe; see `ArraySettings`.
+    """
+
+    ref: FrameRef
+    has_pose: bool
+    window: Window
+    scene: PointwiseScene | CoherentScene
+    shadow: npt.NDArray[np.bool_]
+    layers: Mapping[str, npt.NDArray[np.generic]]
+    columns: Mapping[str, float | str]
+    continuous: bool = False
+    later_groups: tuple[Scene, ...] = ()
+
+
+class PairMaker:
+    """Makes pairs of renders; a `dataset.schema.PairSource`.  Needs no renderer."""
+
+    def __init__(
+        self,
+        config: FactoryConfig,
+        views: Views,
+        camera: CameraLayers | None = None,
+        *,
+        kept_frames: int = 0,
+    ) -> None:
+        """camera: source of the layers rgb and depth; None: the recordings.
+
+        kept_frames: number of observed frames that stay in memory, for frames that are requested
+        repeatedly.
+        """
+        self.config = config
+        self.views = views
+        self._kept_frames = kept_frames
+        self._observed: OrderedDict[FrameRef, ObservedFrame] = OrderedDict()
+        self._recordings = Recordings(config.scenes, config.seed)
+        self._camera = camera or Camera(config, choose_frames)
+
+    def axes(self) -> tuple[Axis, Axis]:
+        """Row and column axes of the images."""
+        return image_axes(self.config.sonar)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the sample table."""
+        config = self.config
+        if config.devices is not None:
+            return columns(config.noise, "coherent") + devices.columns(config.devices)
+        return columns(config.noise, config.acoustics.formation) + requested(config.dataset.columns)
+
+    def pairs(
+        self, ref: FrameRef, variants: tuple[int, ...], noise: NoiseSettings | None = None
+    ) -> list[Pair]:
+        """The requested variants of one frame.
+
+        noise: used instead of the configuration's; it must have the same effects.
+        Raises FrameError when the frame is bad, NotRendered when its render is not at hand.
+        """
+        config = self.config if noise is None else replace(self.config, noise=noise)
+        if config.devices is None:
+            observed = self._observed_frame(ref)
+            pairs = [make_pair(observed, variant, config) for variant in variants]
+        else:
+            moment = self._moment(ref)
+            pairs = [pair_by_drawn_device(moment, variant, config) for variant in variants]
+        camera_layers = self._camera.layers(ref)
+        if not camera_layers:
+            return pairs
+        return [replace(pair, layers={**pair.layers, **camera_layers}) for pair in pairs]
+
+    def _moment(self, ref: FrameRef) -> Moment:
+        view = self.views.view(ref)
+        return self._recordings.moment(view.frame(ref), view.rendered())
+
+    def _observed_frame(self, ref: FrameRef) -> ObservedFrame:
+        """The frame as the configured device observes it, which does not depend on the noise."""
+        if ref in self._observed:
+            self._observed.move_to_end(ref)
+            return self._observed[ref]
+        observed = observe_moment(self._moment(ref), self.config)
+        if self._kept_frames:
+            self._observed[ref] = observed
+            if len(self._observed) > self._kept_frames:
+                self._observed.popitem(last=False)
+        return observed
+
+    def set_cache_keys(self, keys: Mapping[str, str]) -> None:
+        """Take the cache keys of finished renders; see `dataset.schema.PairSource`."""
+        if isinstance(self.views, CachedViews):
+            self.views.set_cache_keys(keys)
+
+
+def frames_worth_keeping(frames: int) -> int:
+    """Return `kept_frames` for frames in random order: all of a few, none of many."""
+    return frames if frames <= _MOST_KEPT_FRAMES else 0
+
+
+def pair_maker(config: FactoryConfig, *, kept_frames: int = 0) -> PairMaker:
+    """Open the pair maker of a configuration with the renders it refers to.  See `PairMaker`."""
+    moves = "seabed" if config.scenes.is_continuous else ""
+    compile_needed(scenes=moves, field=config.acoustics.formation == "coherent")
+    return PairMaker(config, open_views(config), kept_frames=kept_frames)
+
+
+def observe(
+    frame: Frame, rendered: Rendered, config: FactoryConfig, window: Window | None = None
+) -> ObservedFrame:
+    """A rendered frame as the sonar observes it; `observe_moment` of a scene where nothing moves.
+
+    window: the result of `fitted_window` if the caller has it; None: fitted here.
+    Raises FrameError when the sonar's sector holds no insonified surface.
+    """
+    return observe_moment(Moment(frame, rendered), config, window)
+
+
+def observe_moment(
+    moment: Moment, config: FactoryConfig, window: Window | None = None
+) -> ObservedFrame:
+    """A frame with its moving objects as the sonar observes it.
+
+    The static scene alone determines the range window and the grey scale of the images, so that
+    both remain constant while objects come and go.
+    """
+    sonar = config.sonar
+    if window is None:
+        window = fitted_window(moment.frame, moment.rendered, config)
+    if _has_conical_beams(config):
+        window = conical(window, sonar)
+    lit, scene, later_groups = _observe_scene(moment, window, config)
+    share = insonified_share(scene.filled, window, sonar)
+    check_share(moment.frame.ref, share, config.frames.min_insonified)
+    shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
+    layers = {
+        name: lay_out_nearest(image, window, sonar)
+        for name, image in truth.layer_images(config.dataset.layers, lit).items()
+    }
+    return ObservedFrame(
+        ref=moment.frame.ref,
+        has_pose=moment.frame.world_from_camera is not None,
+        window=window,
+        scene=scene,
+        shadow=lay_out_nearest(shadow, window, sonar),
+        layers=layers,
+        columns=requested_row(lit, config),
+        continuous=moment.is_continuous,
+        later_groups=later_groups,
+    )
+
+
+class _ObservedScene(NamedTuple):
+    """What the sonar observes of a moment: the surface, its echoes, and those of later groups."""
+
+    lit: surface.LitSurface
+    scene: Scene
+    later_groups: tuple[Scene, ...]
+
+
+def _observe_scene(moment: Moment, window: Window, config: FactoryConfig) -> _ObservedScene:
+    lit = _lit_surface(moment.frame, moment.rendered, window, config)
+    scene = _scene_of(lit, config)
+    # A recording with moving objects, even where none is in this frame.
+    if not (moment.bodies or moment.cast):
+        return _ObservedScene(lit, scene, ())
+    static = _held_static_scene(moment, scene, window, config)
+    later_groups = _observe_later_groups(moment, static, window, config)
+    if not moment.bodies:
+        return _ObservedScene(lit, static, later_groups)
+    lit = _with_bodies(moment, window, config)
+    return _ObservedScene(lit, _scene_of(lit, config, static), later_groups)
+
+
+def _observe_later_groups(
+    moment: Moment, static: Scene, window: Window, config: FactoryConfig
+) -> tuple[Scene, ...]:
+    """The scene of each group of beams after the first; none where all beams ping at once."""
+    groups = config.sonar.array.beam_groups
+    if groups == 1 or not _has_conical_beams(config):
+        return ()
+    wait_s = 2 * window.range_max_m / config.water.sound_speed_m_s()
+    scenes: list[Scene] = []
+    for number in range(1, groups):
+        later = moment.later(number * wait_s)
+        if later.bodies:
+            scenes.append(_scene_of(_with_bodies(later, window, config), config, static))
+        else:
+            scenes.append(static)
+    return tuple(scenes)
+
+
+def _by_beam_group(images: Sequence[npt.NDArray[ImageType]]) -> npt.NDArray[ImageType]:
+    """(range_bins, beams) the beams of each group, taken from its own image."""
+    if len(images) == 1:
+        return images[0]
+    merged = images[0].copy()
+    for number, image in enumerate(images):
+        merged[:, number :: len(images)] = image[:, number :: len(images)]
+    return merged
+
+
+def _has_conical_beams(config: FactoryConfig) -> bool:
+    return config.acoustics.formation == "coherent"
+
+
+def _lit_surface(
+    frame: Frame, rendered: Rendered, window: Window, config: FactoryConfig
+) -> surface.LitSurface:
+    return surface.LitSurface(frame, rendered, window, config.sonar, _has_conical_beams(config))
+
+
+def _held_static_scene(
+    moment: Moment, scene: Scene, window: Window, config: FactoryConfig
+) -> Scene:
+    """Return the recording's cached static scene if its settings match, otherwise `scene`."""
+    if moment.static is None:
+        return scene
+    settings = (window, config.sonar, config.water, config.acoustics, config.resample)
+    return moment.static.equal(scene, settings)
+
+
+def _with_bodies(moment: Moment, window: Window, config: FactoryConfig) -> surface.LitSurface:
+    """Return the surface of a frame with its moving objects placed into it."""
+    composed = compose(
+        moment.frame,
+        moment.rendered,
+        moment.bodies,
+        config.sonar.mount,
+        _class_echoes(config),
+        config.sonar.frequency_khz,
+    )
+    return _lit_surface(composed.frame, composed.rendered, window, config)
+
+
+def _class_echoes(config: FactoryConfig) -> list[Echo]:
+    """Return how surfaces of each class echo.
+
+    Pointwise images know no materials but the user's own.
+    """
+    acoustics = config.acoustics
+    if not isinstance(acoustics, CoherentSettings):
+        classes = class_names(config.scenes.own_classes())
+        acoustics = with_materials(CoherentSettings(), classes, config.scenes.own())
+    return [Echo(coefficient, exponent) for coefficient, exponent in acoustics.of_classes()]
+
+
+def _scene_of(lit: surface.LitSurface, config: FactoryConfig, static: Scene | None = None) -> Scene:
+    """The echoes of a surface.  static: the same scene without moving objects; None: none move."""
+    acoustics = config.acoustics
+    if isinstance(acoustics, CoherentSettings):
+        assert static is None or isinstance(static, CoherentScene)
+        return CoherentScene(lit, config.water, acoustics, static)
+    assert static is None or isinstance(static, PointwiseScene)
+    return PointwiseScene(lit, config.seed, config.resample, static)
+
+
+def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Window:
+    """Fit the range window of the frame's images.  Raises FrameError as `observe` does."""
+    sonar = set_window(config.sonar, config.seed, frame.ref)
+    try:
+        return fit_window(surface.extent(frame, rendered, sonar), sonar)
+    except FrameError as error:
+        raise FrameError(f"{frame.ref.name}: {error}") from error
+
+
+def observe_by(
+    device: devices.Device,
+    moment: Moment,
+    config: FactoryConfig,
+    *,
+    any_size: bool = False,
+) -> tuple[ObservedFrame, FactoryConfig]:
+    """A frame as a drawn device observes it, and the configuration of its images.
+
+    any_size: whether the device also draws the size of its images.
+    Raises FrameError as `observe` does.
+    """
+    config = devices.configured(config, device, any_size=any_size)
+    window = fitted_window(moment.frame, moment.rendered, config)
+    config = devices.resolved(config, device, window, any_size=any_size)
+    observed = observe_moment(moment, config, window)
+    return observed, devices.fitted(config, device, observed.scene.static or observed.scene)
+
+
+def pair_by_drawn_device(moment: Moment, variant: int, config: FactoryConfig) -> Pair:
+    """A variant of a frame, observed by the device that `config.devices` draws for it.
+
+    Draws again, up to `_DRAWS` times, while the window of the device shows nothing of the frame.
+    Raises FrameError as `observe` does when no drawn device sees the frame.
+    """
+    assert config.devices is not None
+    ref = moment.frame.ref
+    stream_names: tuple[str | int, ...] = (ref.location, ref.scene, ref.frame, variant)
+    if moment.is_continuous:
+        stream_names = ref.location, ref.scene, variant
+    for attempt in range(_DRAWS):
+        retry_name = (attempt,) if attempt else ()
+        device = devices.draw(config.devices, config.seed, *stream_names, *retry_name)
+        try:
+            observed, device_config = observe_by(device, moment, config)
+        except FrameError as error:
+            last_error = error
+        else:
+            return make_pair(observed, variant, device_config, device)
+    raise last_error
+
+
+def make_pair(
+    observed: ObservedFrame,
+    variant: int,
+    config: FactoryConfig,
+    device: devices.Device | None = None,
+) -> Pair:
+    """One (noisy, clean) pair; the same frame, variant and configuration give the same bytes.
+
+    device: the drawn device that observed the frame; None: the configured one.
+    """
+    names = StreamNames.of(observed.ref, variant, observed.has_pose)
+    draws = draw(config.noise, config.seed, names, continuous=observed.continuous)
+    # One sample for each group of beams.
+    scenes = observed.scene, *observed.later_groups
+    samples = [scene.sample(variant, draws.effects) for scene in scenes]
+    layout = _Layout(observed.window, config, is_drawn=device is not None)
+    layers = dict(observed.layers)
+    for name, values in _measured_values(samples, draws, config).items():
+        layers[name] = lay_out_nearest(values, observed.window, config.sonar)
+    if "effects" in config.dataset.layers:
+        for name in draws.names:
+            grey = _by_beam_group([sample.noisy({name}) for sample in samples])
+            layers[f"layers/{name}"] = layout.image(grey, is_noisy=True)
+    if "static" in config.dataset.layers:
+        static_scene = observed.scene.static or observed.scene
+        static_clean = static_scene.sample(variant, draws.effects).clean
+        layers["static"] = layout.image(static_clean, is_noisy=False)
+
+    # Images of drawn devices have the columns of the coherent ones, whatever formed them.
+    formation = config.acoustics.formation if device is None else "coherent"
+    row = record(observed.ref, variant, observed.window, config.sonar, samples[0], draws, formation)
+    if device is not None:
+        row |= device.row()
+    row |= observed.columns
+    noisy = _by_beam_group([sample.noisy(draws.names) for sample in samples])
+    clean = _by_beam_group([sample.clean for sample in samples])
+    return Pair(
+        noisy=layout.image(noisy, is_noisy=True),
+        clean=layout.image(clean, is_noisy=False),
+        shadow=observed.shadow,
+        record=row,
+        layers=layers,
+        formation=config.acoustics.formation if device is None else "",
+        geometry=FanGeometry.from_sonar(
+            config.sonar,
+            observed.window.range_min_m,
+            observed.window.range_max_m,
+            observed.window.azimuth_min_rad,
+            observed.window.azimuth_max_rad,
+        ),
+    )
+
+
+def _measured_values(
+    samples: Sequence[Sample], draws: Draws, config: FactoryConfig
+) -> dict[str, npt.NDArray[np.generic]]:
+    """(range_bins, beams) of the measured layers, by name; each beam from the sample of its group.
+
+    samples: one for each group of beams.
+    """
+    measured = [sample.measured(draws.names, config.dataset.layers) for sample in samples]
+    return {name: _by_beam_group([values[name] for values in measured]) for name in measured[0]}
+
+
+class _Layout:
+    """Lays polar images out as a dataset stores them.
+
+    is_drawn: whether the device was drawn; its programs then rasterise every image.
+    """
+
+    def __init__(self, window: Window, config: FactoryConfig, *, is_drawn: bool) -> None:
+        self._window = window
+        self._sonar = config.sonar
+        self._dtype = config.dataset.dtype
+        self._is_plain = config.sonar.image.plain and not is_drawn
+
+    def image(self, grey: Floats, *, is_noisy: bool) -> npt.NDArray[np.generic]:
+        """(range_bins, beams) grey values -> (H, W) uint8 or float32."""
+        if self._is_plain:
+            laid_out = lay_out(grey, self._window, self._sonar)
+        else:
+            laid_out = rasterised(grey, self._window, self._sonar, noisy=is_noisy)
+        return transfer.quantise(laid_out, self._dtype)

@@ -1,0 +1,192 @@
+"""Any RGBD set, listed in a CSV file of one camera.
+
+    rgb,depth,scene                          a header is optional, and so is the third column
+    dive1/0001.png,dive1/0001_depth.tif,dive1
+
+Paths are relative to the CSV file.  Depth is a TIFF, PNG, PFM or .npy: floating-point metres or
+integer millimetres where `depth_scale` says nothing else.  `scene` is what train and test are split
+by; without it the whole list is one scene, named as the file.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from ...common.errors import FactoryError, FrameError
+from ...common.settings import STRICT
+from ...common.text_tables import numbered_lines
+from ...dataset.frame_ref import FrameRef
+from ..frames.frame import Frame, Intrinsics
+from .base import BadDepth, Discovery, Root, SceneSettings, discovery
+from .frame_files import image_size, in_metres, read_frame, read_rgb, refuse_mark, stored_depth
+
+_EXPECTED = "a CSV file of rgb,depth lines"
+
+
+_Positive = Annotated[float, Field(gt=0)]
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class CsvListSettings(SceneSettings):
+    """Keys of `scenes=csv_list`.
+
+    file: the CSV file.
+    intrinsics: fx, fy, cx, cy of the images as they are, pixels.
+    depth_scale: what the numbers in the depth files are divided by to give metres; None: integers
+        by 1000 (millimetres), and floating-point numbers are metres already.
+    invalid_below_m: depths at or below this are pixels without a measurement; None: only 0 is.
+    invalid_above_m: depths at or above this are, too (a rendered sky, for example); None: a map in
+        which many pixels hold the largest number of its type is refused.
+    bad_depth: see `BadDepth`.
+    """
+
+    kind: Literal["csv_list"] = "csv_list"
+    file: Root
+    intrinsics: tuple[_Positive, _Positive, float, float]
+    depth_scale: _Positive | None = None
+    invalid_below_m: float | None = 0.0
+    invalid_above_m: _Positive | None = None
+    bad_depth: BadDepth = "reject"
+
+
+class CsvListReader:
+    """Reads the frames of the list."""
+
+    def __init__(self, settings: CsvListSettings) -> None:
+        self.settings = settings
+        self._lens = Intrinsics(*settings.intrinsics)
+
+    def discover(self) -> Discovery:
+        """See `simnfnd.factory.simulation.scenes.base.Reader`."""
+        path = Path(self.settings.file).expanduser()
+        key = f"scenes.file={self.settings.file}"
+        if not path.is_file():
+            fault = "is a folder" if path.is_dir() else "no such file"
+            raise FactoryError(f"{key}: {fault}; give {_EXPECTED}")
+
+        rows = _rows(path)
+        frames = _named(path.parent, rows)
+        # Unlike Path.is_file, os.path.isfile raises nothing.
+        if frames and not any(os.path.isfile(file) for ref in frames for file in ref.paths):
+            raise FactoryError(
+                f"{key}: none of the {len(frames)} frames listed exists, the first is "
+                f"{frames[0].paths[0]}; paths are relative to the CSV file"
+            )
+        self._check_sizes(key, frames)
+        skipped = {"listed twice": len(rows) - len(frames)}
+        return discovery(frames, f"{key}: no line lists a frame; give {_EXPECTED}", skipped)
+
+    def _check_sizes(self, key: str, frames: list[FrameRef]) -> None:
+        """Raise FactoryError unless all images have one size, which the intrinsics can be of.
+
+        Images that cannot be read are left to `load`.
+        """
+        first_of_size: dict[tuple[int, int], FrameRef] = {}
+        for ref in frames:
+            size = image_size(Path(ref.paths[0]))
+            if size is not None:
+                first_of_size.setdefault(size, ref)
+        misfits = {size: self._lens.misfit(*size) for size in first_of_size}
+        if len(misfits) == 1:
+            (misfit,) = misfits.values()
+            if misfit:
+                raise FactoryError(f"scenes.intrinsics: {misfit}")
+        if len(misfits) < 2:
+            return
+
+        examples = [
+            f"{width}x{height} ({ref.paths[0]})" for (width, height), ref in first_of_size.items()
+        ]
+        fitting = [f" and fit {w}x{h}" for (w, h), misfit in misfits.items() if misfit is None]
+        raise FactoryError(
+            f"{key}: images of {len(misfits)} sizes, {', '.join(examples[:3])}; scenes.intrinsics "
+            f"are of one{fitting[0] if len(fitting) == 1 else ''}; list the frames of each size "
+            "apart"
+        )
+
+    def load(self, ref: FrameRef) -> Frame:
+        """See `simnfnd.factory.simulation.scenes.base.Reader`."""
+        settings = self.settings
+        image_path, depth_path = map(Path, ref.paths)
+        rgb = read_rgb(image_path)
+        stored = stored_depth(depth_path)
+        if settings.invalid_above_m is None:
+            refuse_mark(depth_path, stored, settings.depth_scale)
+        depth_m = in_metres(stored, settings.depth_scale)
+
+        negative_count = np.count_nonzero(depth_m < 0)
+        if negative_count and not (depth_m > 0).any():
+            raise FrameError(
+                f"{depth_path}: {negative_count} depths are negative and none is positive; store "
+                "distances along the optical axis as positive numbers"
+            )
+        low = -np.inf if settings.invalid_below_m is None else settings.invalid_below_m
+        high = np.inf if settings.invalid_above_m is None else settings.invalid_above_m
+        # NaN and infinities stay to be refused.
+        is_invalid = np.isfinite(depth_m) & ((depth_m <= low) | (depth_m >= high))
+        depth_m = np.where(is_invalid, np.float32(0), depth_m)
+        return read_frame(ref, rgb, depth_m, self._lens, settings.bad_depth)
+
+
+def _rows(path: Path) -> list[tuple[str, str, str]]:
+    """(rgb, depth, scene) of every line; a header, empty lines and `#` comments are left out."""
+    rows = []
+    for index, (number, line) in enumerate(numbered_lines(path)):
+        cells = [cell.strip() for cell in next(csv.reader([line]), [])]
+        if index == 0 and [cell.lower() for cell in cells[:2]] == ["rgb", "depth"]:
+            continue
+        rgb, depth, scene = (*cells, "")[:3] if len(cells) in (2, 3) else ("", "", "")
+        if not rgb or not depth:
+            raise FactoryError(
+                f"{path}:{number}: expected `rgb,depth` or `rgb,depth,scene`, got {line[:80]!r}; "
+                "repair the line"
+            )
+        if "/" in scene or "\\" in scene:
+            raise FactoryError(f"{path}:{number}: a scene name must not hold a slash: {scene!r}")
+        rows.append((rgb, depth, scene or path.stem))
+    return rows
+
+
+def _named(folder: Path, rows: list[tuple[str, str, str]]) -> list[FrameRef]:
+    """A frame for each pair of files and scene, the first time that it is listed.
+
+    It is named by the image's stem; where that comes again in the scene, by the image's path
+    without suffix; where that does, too, by both paths and a number.
+    """
+    distinct: dict[tuple[str, str, str], tuple[str, str]] = {}
+    for rgb, depth, scene in rows:
+        image_file = os.path.normpath(folder / rgb)
+        depth_file = os.path.normpath(folder / depth)
+        distinct.setdefault((image_file, depth_file, scene), (rgb, depth))
+
+    stems = Counter((scene, Path(rgb).stem) for rgb, _, scene in rows)
+    paths = Counter((scene, _dashed(rgb)) for (*_, scene), (rgb, _) in distinct.items())
+    frames: dict[tuple[str, str], FrameRef] = {}
+    for (*_, scene), (rgb, depth) in distinct.items():
+        name = Path(rgb).stem
+        if stems[scene, name] > 1:
+            name = _dashed(rgb)
+        if paths[scene, name] > 1 and stems[scene, Path(rgb).stem] > 1:
+            name = f"{_dashed(rgb, keep_suffix=True)}-{_dashed(depth)}"
+        unique = name
+        number = 2
+        while (scene, unique) in frames:
+            unique = f"{name}-{number}"
+            number += 1
+        files = (str(folder / rgb), str(folder / depth))
+        frames[scene, unique] = FrameRef("", scene, unique, files)
+    return list(frames.values())
+
+
+def _dashed(file: str, keep_suffix: bool = False) -> str:
+    """A relative path as one word, its folders joined by dashes."""
+    path = Path(file) if keep_suffix else Path(file).with_suffix("")
+    return "-".join(part for part in path.parts if part not in (path.anchor, "..", "."))

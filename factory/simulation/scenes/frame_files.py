@@ -1,0 +1,313 @@
+"""From files to a Frame: colour images and depth maps (TIFF, PNG, JPEG, PFM, .npy).
+
+Pillow decodes, because it refuses a truncated file where other libraries return half an image.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ...common.errors import FrameError
+from ...common.quiet import quiet_stderr
+from ...common.small_files import one_line
+from ...dataset.frame_ref import FrameRef
+from ..frames.frame import Frame, Intrinsics, checked
+from .base import INTEGERS_PER_M
+
+# Pillow modes whose conversion to RGB loses nothing but transparency.
+_COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})
+_ORIENTATION_TAG = 0x0112
+# Orientations that exchange width and height (Exif 2.32, tag Orientation).
+_LYING_ORIENTATIONS = frozenset({5, 6, 7, 8})
+_READABLE_DEPTH = (
+    "give PNG or TIFF (16- or 32-bit integers, 32- or 64-bit floats), PFM, or .npy of (H, W)"
+)
+
+# First bytes of a file -> its format.  Pillow decodes the first group, so that a failure there
+# means damage.
+_DECODED_SIGNATURES = {
+    b"\x89PNG": "PNG",
+    b"\xff\xd8\xff": "JPEG",
+    b"II*\0": "TIFF",
+    b"MM\0*": "TIFF",
+    b"II+\0": "BigTIFF",
+    b"MM\0+": "BigTIFF",
+    b"\x93NUMPY": ".npy array",
+    b"Pf\n": "PFM",
+    b"P5": "PGM",
+}
+_FOREIGN_SIGNATURES = {
+    b"\x76\x2f\x31\x01": "an OpenEXR image",
+    b"\x89HDF\r\n\x1a\n": "an HDF5 file",
+    b"PK\x03\x04": "an .npz or ZIP archive",
+    b"\x80\x04": "a Python pickle",
+    b"\x1f\x8b": "a gzip archive",
+    b"MATLAB": "a MATLAB file",
+}
+
+_SAMPLE_FORMATS = {1: "unsigned integers", 2: "signed integers", 3: "floats", 6: "complex numbers"}
+
+_INTEGER_TYPES = ("int16", "uint16", "int32", "uint32", "int64", "uint64")
+# A share of the pixels that no surface at the largest storable distance takes.
+_LEAST_MARKED_SHARE = 0.01
+# No imaging sonar sees farther.
+_FARTHEST_M = 300.0
+# What uint16 depth is commonly divided by, also before it is stored as floating-point metres.
+_COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 10000.0)
+
+
+def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
+    """(H, W, 3) uint8 colour image, upright; grey images are repeated in the three channels.
+
+    An EXIF orientation is applied, as image viewers and OpenCV do.
+    Raises FrameError when the file is missing, damaged or not an 8-bit image.
+    """
+    image = _decode(path)
+    mode = getattr(image, "mode", "none")
+    if mode not in _COLOUR_MODES:
+        raise FrameError(
+            f"{path}: colour image must be 8-bit RGB or grey, this one has Pillow's mode {mode}; "
+            "convert it"
+        )
+    return np.ascontiguousarray(np.asarray(image.convert("RGB"), dtype=np.uint8))
+
+
+def read_depth(path: Path, units_per_m: float | None = None) -> npt.NDArray[np.float32]:
+    """(H, W) float32 depth in metres; see `stored_depth` and `in_metres`."""
+    return in_metres(stored_depth(path), units_per_m)
+
+
+def stored_depth(path: Path) -> npt.NDArray[Any]:
+    """(H, W) depth exactly as stored: NaN, negatives and 0 are kept.
+
+    dtype: integers of 16 bits or more, or floating point.
+    Raises FrameError when the file is missing, damaged or not a single-channel depth map.
+    """
+    stored = np.asarray(_decode(path))
+    if stored.ndim == 3 and stored.shape[2] == 1:
+        stored = stored[:, :, 0]
+    if stored.ndim != 2:
+        raise FrameError(f"{path}: depth must be one channel (H, W), got shape {stored.shape}")
+    is_integer = stored.dtype.kind in "iu" and stored.dtype.itemsize > 1
+    if not is_integer and stored.dtype.kind != "f":
+        raise FrameError(
+            f"{path}: depth is stored as {stored.dtype}, which holds no distances; "
+            "give floating-point metres or integers of 16 bits or more"
+        )
+    return stored
+
+
+def in_metres(
+    stored: npt.NDArray[Any], units_per_m: float | None = None
+) -> npt.NDArray[np.float32]:
+    """(H, W) float32 metres.
+
+    units_per_m: what the stored numbers are divided by (1000: millimetres); None: integers by
+        `INTEGERS_PER_M`, and floating-point numbers are metres already.
+    """
+    # Half floats would overflow at what many a scale is.
+    exact = stored.astype(np.promote_types(stored.dtype, np.float32), copy=False)
+    with np.errstate(over="ignore"):  # too large for float32 becomes infinite: checked later
+        depth_m = exact / _divisor(stored, units_per_m)
+        return np.ascontiguousarray(depth_m, dtype=np.float32)
+
+
+def refuse_mark(path: Path, stored: npt.NDArray[Any], units_per_m: float | None) -> None:
+    """Raise FrameError when the largest number marks pixels without a measurement.
+
+    It does where many pixels hold it, and it is the largest of the stored type, of uint16 (also
+    scaled before it became floating point), or a distance that no sonar reaches.
+    """
+    largest = float(stored.max(initial=0, where=np.isfinite(stored)))
+    share = np.count_nonzero(stored == largest) / max(stored.size, 1)
+    if largest <= 0 or share < _LEAST_MARKED_SHARE:
+        return
+
+    largest_m = largest / _divisor(stored, units_per_m)
+    reason = _mark_reason(stored.dtype, largest, largest_m)
+    if reason:
+        raise FrameError(
+            f"{path}: {100 * share:.0f} % of the depth is {largest:.8g} ({largest_m:.4g} m), "
+            f"{reason}: no measurement? Set scenes.invalid_above_m={0.999 * largest_m:.4g} "
+            "to leave these pixels out, or a larger value to keep them"
+        )
+
+
+def _mark_reason(dtype: np.dtype[Any], largest: float, largest_m: float) -> str:
+    """Why a number that many pixels share is hardly a distance; empty when it may be one."""
+    largest_integers = {float(np.iinfo(kind).max): kind for kind in _INTEGER_TYPES}
+    if dtype.kind in "iu" and largest in largest_integers:
+        return f"the largest number of {largest_integers[largest]}"
+    if dtype.kind == "f":
+        scaled = np.iinfo(np.uint16).max / np.array(_COMMON_SCALES)
+        if np.isclose(largest, scaled, rtol=1e-6, atol=0).any():
+            return "the largest number of uint16, scaled"
+    if largest_m > _FARTHEST_M:
+        return f"farther than any imaging sonar sees ({_FARTHEST_M:g} m)"
+    return ""
+
+
+def _divisor(stored: npt.NDArray[Any], units_per_m: float | None) -> float:
+    return units_per_m or (INTEGERS_PER_M if stored.dtype.kind in "iu" else 1.0)
+
+
+def image_size(path: Path) -> tuple[int, int] | None:
+    """Width and height of an upright image by its header alone; None when it cannot be read."""
+    from PIL import Image
+
+    if not os.path.isfile(path):
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as image:
+                width, height = image.size
+                # Pillow turns the size of a TIFF itself.
+                lies = image.format != "TIFF" and _orientation(image) in _LYING_ORIENTATIONS
+    except MemoryError:
+        raise
+    except Exception:  # what is wrong with it is said when it is loaded
+        return None
+    return (height, width) if lies else (width, height)
+
+
+def exif_orientation(path: Path) -> int:
+    """The EXIF orientation of an image, 1 (upright) to 8; 1 when the file states none."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as image:
+                return _orientation(image)
+    except Exception:  # read for a remark beside another error
+        return 1
+
+
+def _orientation(image: Any) -> int:
+    stated = image.getexif().get(_ORIENTATION_TAG, 1)
+    return stated if stated in range(1, 9) else 1
+
+
+def _decode(path: Path) -> Any:
+    """An upright Pillow image with all its pixels in memory, or the array of an .npy."""
+    from PIL import Image, ImageOps
+
+    if not os.path.isfile(path):  # a pipe may make wait for ever
+        raise FrameError(f"{path}: no such file; copy or download the file again")
+    try:
+        # libtiff writes straight to the process's stderr what the exception says.
+        with quiet_stderr(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if path.suffix.lower() == ".npy":
+                return np.load(path, allow_pickle=False)
+            _teach_float64_tiff()
+            with Image.open(path) as image:
+                _refuse_stack(path, image)
+                image.load()
+                ImageOps.exif_transpose(image, in_place=True)
+                return image
+    except (MemoryError, FrameError):
+        raise
+    except Exception as error:  # a damaged file makes decoders raise nearly anything
+        raise FrameError(f"{path}: {_undecodable(path, error)}") from error
+
+
+def _refuse_stack(path: Path, image: Any) -> None:
+    """Raise FrameError when a TIFF holds several images of one size, none of which is meant."""
+    count = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
+    if count < 2:
+        return
+    first_size = image.size
+    image.seek(1)
+    second_size = image.size
+    image.seek(0)
+    if first_size == second_size:  # smaller ones are overviews of the first
+        raise FrameError(f"{path}: holds {count} images; give each frame a file of its own")
+
+
+def _undecodable(path: Path, error: Exception) -> str:
+    """What keeps a file from being decoded: its format, or damage."""
+    with open(path, "rb") as file:
+        head = file.read(16)
+    foreign = _format_of(head, _FOREIGN_SIGNATURES)
+    if not foreign and b"&" in head and head.split(b"&")[0].isdigit():
+        foreign = "a COLMAP depth map"
+    if foreign:
+        return f"is {foreign}, which is not read; {_READABLE_DEPTH}"
+
+    known = _format_of(head, _DECODED_SIGNATURES)
+    if "TIFF" in known and (kind := _tiff_kind(path)):
+        return f"is a TIFF of {kind}, which is not read; {_READABLE_DEPTH}"
+    if "Object arrays" in str(error):
+        return f"is an .npy of Python objects, which is not read; {_READABLE_DEPTH}"
+    if head and not known and type(error).__name__ == "UnidentifiedImageError":
+        return f"is of no format that is read ({path.suffix or 'no suffix'}); {_READABLE_DEPTH}"
+    reason = one_line(error) or type(error).__name__
+    return f"truncated or damaged file ({reason}); copy or download the file again"
+
+
+def _format_of(head: bytes, signatures: dict[bytes, str]) -> str:
+    return next((name for start, name in signatures.items() if head.startswith(start)), "")
+
+
+def _tiff_kind(path: Path) -> str:
+    """`16-bit floats`, for example, of a TIFF whose pixels Pillow has no mode for; else empty."""
+    from PIL import TiffImagePlugin
+
+    try:
+        with open(path, "rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            head = file.read(8)
+            head += file.read(8) if head[2:4] in (b"+\0", b"\0+") else b""
+            directory = TiffImagePlugin.ImageFileDirectory_v2(head)
+            file.seek(directory.next)
+            directory.load(file)
+        bits = directory[TiffImagePlugin.BITSPERSAMPLE]
+        formats = directory.get(TiffImagePlugin.SAMPLEFORMAT, (1,))
+        photometric = directory.get(TiffImagePlugin.PHOTOMETRIC_INTERPRETATION, 0)
+    except Exception:  # damaged, as the caller then says
+        return ""
+    order = directory.get(TiffImagePlugin.FILLORDER, 1)
+    endian = directory.prefix
+    key = (endian, photometric, formats[:1], order, bits, ())
+    if key in TiffImagePlugin.OPEN_INFO:
+        return ""
+    numbers = _SAMPLE_FORMATS.get(formats[0], "numbers of an unknown kind")
+    return f"{bits[0]}-bit {numbers}" + (f" in {len(bits)} channels" if len(bits) > 1 else "")
+
+
+def _teach_float64_tiff() -> None:
+    """Let Pillow read TIFFs of 64-bit floats, numpy's default, for which it has the decoders."""
+    from PIL import TiffImagePlugin
+
+    for photometric in (0, 1):
+        for endian, raw_mode in ((b"II", "F;64F"), (b"MM", "F;64BF")):
+            key = (endian, photometric, (3,), 1, (64,), ())
+            TiffImagePlugin.OPEN_INFO.setdefault(key, ("F", raw_mode))
+
+
+def read_frame(
+    ref: FrameRef,
+    rgb: npt.NDArray[np.uint8],
+    depth_m: npt.NDArray[np.float32],
+    intrinsics: Intrinsics,
+    bad_depth: str,
+) -> Frame:
+    """A checked frame of what was read; see `Frame`.  Raises FrameError that names the depth file.
+
+    bad_depth: see `simnfnd.factory.simulation.frames.frame.checked`.
+    """
+    try:
+        return checked(Frame(ref, rgb, depth_m, intrinsics), bad_depth=bad_depth)
+    except FrameError as error:
+        orientation = exif_orientation(Path(ref.paths[0]))
+        turned = f"; colour was turned by its EXIF orientation {orientation}"
+        remark = turned if orientation != 1 and rgb.shape[:2] != depth_m.shape else ""
+        raise FrameError(f"{error}{remark} [{ref.paths[1]}]") from error

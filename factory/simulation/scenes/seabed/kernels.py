@@ -1,0 +1,403 @@
+"""Compiled loops of procedural scenes: random fields, z-buffer, relief and colours of a view.
+
+Imported where it is used: see `simnfnd.factory.common.compiled`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ....common.compiled import compiled
+from ....common.elementary import exponential
+from ...meshes.kernels import in_camera_axes
+
+STEPS = 25  # steps per standard deviation of the noise that textures images
+TEXTURE_M = 3.7  # side of the noise tile, which textures images at two scales
+FINE_M = 0.7  # side of the same tile at the finer scale
+
+_F = np.float32
+_ZERO = _F(0)
+_HALF = _F(0.5)
+_ONE = _F(1)
+_TURNS = _F(1 / (2 * np.pi))
+_STEP = _F(1 / STEPS)
+_BITS = np.int32(24)
+_BLOCK = 1024
+_NEAR_M = 0.02  # what is nearer to the lens is not seen
+_SHADE_M = _F(0.04)  # how far behind an object its shadow begins
+# Of an index with a sign every access asks whether it is negative.
+_U = np.uint64
+
+_LINE, _ROWS = (f"Array(float32, {n}, 'C', readonly=True)" for n in (1, 2))
+_WHOLES = "Array(int32, 2, 'C', readonly=True)"
+_OWNERS = "Array(uint16, 1, 'C', readonly=True)"
+_PLANE = "float32[:, ::1]"
+_VECTORS = "float32[:, :, ::1]"
+_CAMERA = "Tuple((float64[::1], float64[:, ::1], float64[::1]))"
+_SIGHT = "Tuple((float32[::1], float32[:, ::1], float32[::1]))"
+_SEEN = "Tuple((float32[:, ::1], int32[:, ::1]))"
+_MESH = f"Tuple(({_ROWS}, {_ROWS}, {_ROWS}, {_WHOLES}))"
+
+
+@compiled()
+def _tile_at(tile: Any, u_m: Any, v_m: Any, scale: Any) -> Any:
+    """Value of a periodic (S, S) tile between its pixels; `scale`: of (u, v) in periods."""
+    side = tile.shape[0]
+    x, y = u_m * scale, v_m * scale
+    x = (x - np.floor(x)) * _F(side)
+    y = (y - np.floor(y)) * _F(side)
+    column, row = int(x), int(y)
+    right, down = x - _F(column), y - _F(row)
+    column, row = column & (side - 1), row & (side - 1)
+    after = (column + 1) & (side - 1)
+    below = (row + 1) & (side - 1)
+    upper = tile[row, column] + right * (tile[row, after] - tile[row, column])
+    lower = tile[below, column] + right * (tile[below, after] - tile[below, column])
+    return upper + down * (lower - upper)
+
+
+@compiled(f"{_VECTORS}({_VECTORS})")
+def normals_of_grid(points: Any) -> Any:
+    """(R, C, 3) unit normals of a grid of points, turned upward, by central differences."""
+    normals = np.empty_like(points)
+    rows, columns = points.shape[:2]
+    for row in range(rows):
+        above = points[max(row - 1, 0)]
+        below = points[min(row + 1, rows - 1)]
+        for column in range(columns):
+            left = points[row, max(column - 1, 0)]
+            right = points[row, min(column + 1, columns - 1)]
+            dx = below[column, 0] - above[column, 0]
+            rx = right[0] - left[0]
+            dy = below[column, 1] - above[column, 1]
+            ry = right[1] - left[1]
+            dz = below[column, 2] - above[column, 2]
+            rz = right[2] - left[2]
+            x = ry * dz - rz * dy
+            y = rz * dx - rx * dz
+            z = rx * dy - ry * dx
+            up = -_ONE if z < 0 else _ONE
+            x = x * up
+            y = y * up
+            z = z * up
+            length = max(np.sqrt(x * x + y * y + z * z), _F(1e-20))
+            normal = normals[row, column]
+            normal[0] = x / length
+            normal[1] = y / length
+            normal[2] = z / length
+    return normals
+
+
+@compiled(
+    f"void({_VECTORS}, {_VECTORS}, UniTuple({_PLANE}, 3), UniTuple({_ROWS}, 2), float32[::1], "
+    f"float32[::1], {_VECTORS})"
+)
+def add_relief(
+    points: Any, normals: Any, shares: Any, tiles: Any, offset: Any, heights: Any, attributes: Any
+) -> None:
+    """Move points (R, C, 3) of the ground along their normals by its fine relief.
+
+    shares: (R, C) each, rockiness, share of gravel, ripples.  tiles: relief of rock and of sand.
+    heights: (3,) metres of a standard deviation of rock and sand, and of a ripple's crest.
+    Written, too: attributes (R, C, 3), see `Terrain.seen_from`.
+    """
+    rock, gravel, crest = shares
+    rock_tile, sand_tile = tiles
+    rock_m = heights[0]
+    sand_m = heights[1]
+    crest_m = heights[2]
+    coarse = _ONE / _F(9.1)
+    fine = _ONE / _F(2.3)
+    sandy = _ONE / _F(6.7)
+    pebbly = _ONE / _F(1.7)
+    first = offset[0]
+    second = offset[1]
+    for row in range(points.shape[0]):
+        for column in range(points.shape[1]):
+            point = points[row, column]
+            normal = normals[row, column]
+            x = point[0]
+            y = point[1]
+            z = point[2]
+            bare = rock[row, column]
+            pebbles = gravel[row, column]
+            ripple = crest[row, column]
+            stone = sand = stones = _ZERO
+            if bare > 0:
+                # The tile is laid on from the three axes and mixed by the normal.
+                sx = normal[0] ** 2
+                sy = normal[1] ** 2
+                sz = normal[2] ** 2
+                sx = sx * sx
+                sy = sy * sy
+                sz = sz * sz
+                total = max(sx + sy + sz, _F(1e-12))
+                sx = sx / total
+                sy = sy / total
+                sz = sz / total
+                px = x + first
+                py = y + first
+                pz = z + second
+                qy = y + second
+                stone = sx * _tile_at(rock_tile, py, pz, coarse)
+                stone += sy * _tile_at(rock_tile, px, pz, coarse)
+                stone += sz * _tile_at(rock_tile, px, qy, coarse)
+                small = sx * _tile_at(rock_tile, py, pz, fine)
+                small += sy * _tile_at(rock_tile, px, pz, fine)
+                small += sz * _tile_at(rock_tile, px, qy, fine)
+                stone += _F(0.35) * small
+            loose = _ONE - bare
+            if loose != 0:
+                sand = _tile_at(sand_tile, x + first, y + second, sandy)
+            if pebbles != 0:
+                stones = _tile_at(rock_tile, x + first, y + second, pebbly)
+            relief = rock_m * bare * stone + sand_m * loose * sand
+            relief += _F(0.011) * pebbles * stones + crest_m * ripple
+            tone = _F(0.4) * sand + _F(0.8) * ripple + _HALF * pebbles * stones
+            for k in range(3):
+                point[k] += normal[k] * relief
+            attributes[row, column, 0] = bare
+            attributes[row, column, 1] = pebbles
+            attributes[row, column, 2] = bare * stone + loose * tone
+
+
+@compiled()
+def _ramp(low: Any, high: Any, x: Any) -> Any:
+    """0 below `low`, 1 above `high`, smooth between; see `terrain.smoothstep`."""
+    t = min(max((x - low) / (high - low), _ZERO), _ONE)
+    return t * t * (_F(3) - _F(2) * t)
+
+
+@compiled()
+def _noise(tile: Any, u: Any, v: Any, rate: Any, strength: Any) -> Any:
+    """The four channels of a texture at (u, v) metres, `rate` periods a metre; see `tiles`."""
+    side = tile.shape[0]
+    x, y = u * rate, v * rate
+    column = np.int32((x - np.floor(x)) * _F(side)) & (side - 1)
+    row = np.int32((y - np.floor(y)) * _F(side)) & (side - 1)
+    word = np.int32(tile[_U(row), _U(column)])
+    broad = _F(np.int32(word << _BITS) >> _BITS)
+    grain = _F(np.int32(word << 16) >> _BITS)
+    cells = _F(np.int32(word << 8) >> _BITS)
+    speckle = _F(word >> _BITS)
+    broad = broad * _STEP
+    grain = grain * _STEP
+    cells = cells * _STEP
+    speckle = speckle * _STEP
+    return broad * strength, grain * strength, cells * strength, speckle * strength
+
+
+@compiled()
+def _ground(noise: Any, detail: Any, close: Any, surface: Any, turf: Any) -> Any:
+    """Shades of sand, gravel and rock; shares of gravel, rock, algae and crust; roughness.
+
+    noise, detail: what the texture says there, broad and fine.  close: 1 nearby, 0 where detail is
+    finer than a pixel.  surface: rockiness, share of gravel, relief.
+    """
+    broad, grain, cells, speckle = noise
+    bare, stones, tone = surface
+    fine_broad, fine_grain, fine_cells, fine_speckle = detail
+    rock = _ramp(_F(0.3), _F(0.7), bare + _F(0.22) * grain * close + _F(0.1) * cells)
+    gravel = _ramp(_F(0.35), _F(0.65), stones + _F(0.18) * cells)
+    fine = _F(0.06) * fine_grain + _F(0.05) * fine_speckle + _F(0.03) * speckle
+    sand_shade = _ONE + _F(0.07) * (broad + tone) + close * fine
+    gravel_shade = _ONE + _F(0.1) * broad + _F(0.16) * tone
+    gravel_shade += close * (_F(0.22) * fine_cells + _F(0.1) * speckle)
+    grown = _ramp(_F(0.9) - _F(1.6) * turf, _F(1.7) - _F(1.6) * turf, broad + _HALF * cells)
+    crust = _ramp(_F(0.9), _F(1.5), fine_broad + _F(0.4) * speckle)
+    crust *= (_ONE - _F(0.6) * grown) * _F(0.7)
+    rock_shade = _ONE + _F(0.14) * tone + _F(0.12) * grain
+    rock_shade += close * (_F(0.14) * fine_cells + _F(0.12) * fine_grain)
+    # Crevices are dark, edges are worn bright.
+    rock_shade *= _F(0.75) + _HALF * _ramp(_F(-2.0), _F(1.2), tone)
+    rough = _F(0.1) + _F(0.35) * gravel + rock * (_HALF - _F(0.35) * gravel)
+    return (sand_shade, gravel_shade, rock_shade), (gravel, rock, grown, crust), rough
+
+
+@compiled()
+def _thing(noise: Any, detail: Any, close: Any, up: Any, finish: Any) -> Any:
+    """How an object looks: as `_ground`, with the object for rock, and sand on it for sand.
+
+    up: of its normal.  finish: fouling, silt and bump.
+    """
+    broad, grain, cells, speckle = noise
+    fouling = finish[0]
+    silt = finish[1]
+    bump = finish[2]
+    fine_broad, fine_grain, fine_cells, _ = detail
+    patchy = _F(0.6) * broad + _HALF * cells + _F(0.4) * fine_broad
+    grown = _ramp(_ZERO, _F(0.9), patchy + _F(2.2) * fouling - _F(1.3)) * _F(0.85)
+    crust = _ramp(_ONE, _F(1.5), fine_broad + _HALF * speckle) * min(fouling * _F(1.5), _F(0.8))
+    dusted = _ramp(_F(0.45), _F(0.95), up + _F(0.12) * grain + _F(0.1) * broad) * silt
+    shade = _ONE + _F(0.1) * grain + close * _F(0.1) * (fine_grain + fine_cells)
+    rough = bump * _F(0.55) * (_ONE - _HALF * dusted)
+    sand = _F(0.8) * (_ONE + _F(0.07) * fine_grain)
+    return (sand, _ONE, shade), (_ZERO, dusted, grown, crust), rough
+
+
+@compiled()
+def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
+    """Where a ray meets a triangle of a mesh: its side (positive: from behind), normal, paint."""
+    corners, facings, paints, triangles = mesh
+    x, y, z = ray
+    a = _U(triangles[number, 0])
+    b = _U(triangles[number, 1])
+    c = _U(triangles[number, 2])
+    px = corners[a, 0] - eye[0]
+    py = corners[a, 1] - eye[1]
+    pz = corners[a, 2] - eye[2]
+    qx = corners[b, 0] - eye[0]
+    qy = corners[b, 1] - eye[1]
+    qz = corners[b, 2] - eye[2]
+    rx = corners[c, 0] - eye[0]
+    ry = corners[c, 1] - eye[1]
+    rz = corners[c, 2] - eye[2]
+    weight_a = x * (qy * rz - qz * ry) + y * (qz * rx - qx * rz) + z * (qx * ry - qy * rx)
+    weight_b = x * (ry * pz - rz * py) + y * (rz * px - rx * pz) + z * (rx * py - ry * px)
+    weight_c = x * (py * qz - pz * qy) + y * (pz * qx - px * qz) + z * (px * qy - py * qx)
+    facing = weight_a + weight_b + weight_c
+    share = _ONE / facing
+    u = weight_a * share
+    v = weight_b * share
+    w = weight_c * share
+    normal = (
+        u * facings[a, 0] + v * facings[b, 0] + w * facings[c, 0],
+        u * facings[a, 1] + v * facings[b, 1] + w * facings[c, 1],
+        u * facings[a, 2] + v * facings[b, 2] + w * facings[c, 2],
+    )
+    return facing, normal, (
+        u * paints[a, 0] + v * paints[b, 0] + w * paints[c, 0],
+        u * paints[a, 1] + v * paints[b, 1] + w * paints[c, 1],
+        u * paints[a, 2] + v * paints[b, 2] + w * paints[c, 2],
+    )  # fmt: skip
+
+
+@compiled(
+    f"{_VECTORS}({_MESH}, {_MESH}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, float32, "
+    f"float32[::1], {_WHOLES}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
+)
+def shade_pixels(
+    ground: Any, things: Any, owners: Any, finishes: Any, sight: Any, planes: Any, palette: Any,
+    turf: Any, offset: Any, texture: Any, water: Any, sun: Any, sun_sight: Any, sun_inverse: Any,
+) -> Any:  # fmt: skip
+    """(h, w, 3) linear colour of every second pixel and row, from what a z-buffer met.
+
+    ground, things: points, normals, attributes or colours, and triangles.  sight: eye, axes, lens.
+    planes: see `rasterise_mesh`.  finishes: (N, 3) fouling, silt and bump of each object.
+    palette, turf, water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a
+    camera in the sun and its (S, S) image of the objects.
+    """
+    eye, axes, lens = sight
+    inverse, which = planes
+    sun_eye, sun_axes, sun_lens = sun_sight
+    side = sun_inverse.shape[0]
+    height, width = which.shape
+    colour = np.empty(((height + 1) // 2, (width + 1) // 2, 3), np.float32)
+    for i in range(colour.shape[0]):
+        row = 2 * i
+        y0 = (_F(row) - lens[3]) / lens[1]
+        for j in range(colour.shape[1]):
+            column = 2 * j
+            number = which[row, column]
+            if number < 0:
+                for k in range(3):
+                    colour[i, j, k] = water[1, k]
+                continue
+            depth = _ONE / inverse[row, column]
+            x0 = (_F(column) - lens[2]) / lens[0]
+            x = axes[0, 0] * x0 + axes[0, 1] * y0 + axes[0, 2]
+            y = axes[1, 0] * x0 + axes[1, 1] * y0 + axes[1, 2]
+            z = axes[2, 0] * x0 + axes[2, 1] * y0 + axes[2, 2]
+            on_ground = number < len(ground[3])
+            if not on_ground:
+                number -= len(ground[3])
+            solid = ground if on_ground else things
+            facing, (nx, ny, nz), surface = _met(solid, number, eye, (x, y, z))
+            # Thin sheets and inner sides are seen from behind: turn their normals to the camera.
+            if not on_ground and facing > 0 and nx * x + ny * y + nz * z > 0:
+                nx = -nx
+                ny = -ny
+                nz = -nz
+            # The noise tiles are laid on along one axis, by chance in proportion to the normal.
+            ex = eye[0] + depth * x
+            ey = eye[1] + depth * y
+            ez = eye[2] + depth * z
+            sx = nx * nx
+            sy = ny * ny
+            sz = nz * nz
+            sx = sx * sx
+            sy = sy * sy
+            sz = sz * sz
+            dither = np.uint32(row * 0x9E3779B1) ^ np.uint32(column * 0x85EBCA77)
+            dither = np.uint32((dither ^ (dither >> np.uint32(15))) * np.uint32(0x2C1B3C6D))
+            chance = _F(dither >> np.uint32(8)) * _F(2.0**-24) * (sx + sy + sz)
+            across = (ey if chance < sx else ex) + offset[0]
+            along = (ez if chance < sx + sy else ey) + offset[1]
+            noise = _noise(texture, across, along, _F(1 / TEXTURE_M), _ONE)
+            # It is finer than a pixel from a few metres on, and varies the less.
+            detail = _noise(texture, across, along, _F(1 / FINE_M), _F(0.55))
+            # Detail that is finer than a pixel would only sparkle: fade it out with distance.
+            close = min(max(_F(1.25) - depth * _F(1 / 9), _ZERO), _ONE)
+            if on_ground:
+                shades, shares, rough = _ground(noise, detail, close, surface, turf)
+            else:
+                finish = finishes[owners[number]]
+                shades, shares, rough = _thing(noise, detail, close, nz, finish)
+            # Light: the sun by the cosine of a rough surface unless an object is in between, and
+            # the sky from above.
+            shine = nx * sun[0] + ny * sun[1] + nz * sun[2]
+            slope = detail[1] * rough * (_F(0.25) + _F(0.75) * close)
+            shine = max(shine + _HALF * slope, _ZERO)
+            left, down, far = in_camera_axes((ex, ey, ez), sun_eye, sun_axes)
+            at_x = int(left / far * sun_lens[0] + sun_lens[2] + _HALF)
+            at_y = int(down / far * sun_lens[1] + sun_lens[3] + _HALF)
+            if 0 <= at_x < side and 0 <= at_y < side:
+                shade = sun_inverse[at_y, at_x]
+                if shade > 0 and _ONE / shade < far - _SHADE_M:
+                    shine = _ZERO
+            sky = (_F(0.55) + _F(0.45) * nz) * (_ONE + _HALF * slope)
+            range_m = depth * np.sqrt(_ONE + x0 * x0 + y0 * y0)
+            sand_shade, gravel_shade, shade = shades
+            gravel, share, grown, crust = shares
+            for k in range(3):
+                loose = palette[0, k] * sand_shade
+                loose += gravel * (palette[1, k] * gravel_shade - loose)
+                firm = palette[2, k] if on_ground else surface[k]
+                firm += grown * (palette[3, k] - firm)
+                firm = (firm + crust * (palette[4, k] - firm)) * shade
+                under, over = (loose, firm) if on_ground else (firm, loose)
+                tint = min(max(under + share * (over - under), _F(0.01)), _F(0.95))
+                haze = water[1, k]
+                lit = tint * (shine * water[2, k] + sky * water[3, k])
+                colour[i, j, k] = haze + (lit - haze) * exponential(-water[0, k] * range_m)
+    return colour
+
+
+@compiled(
+    f"uint8[:, :, ::1]({_VECTORS}, float32[::1], float32, Array(uint8, 1, 'C', readonly=True), "
+    "int64, int64)"
+)
+def expose(colour: Any, black: Any, gain: Any, gamma: Any, height: int, width: int) -> Any:
+    """An image (H, W, 3) of linear colours of every second pixel, those between by their mean.
+
+    black: (3,) black level.  gain: exposure.  gamma: (L,) codes of levels from 0 to 1.
+    """
+    image = np.empty((height, width, 3), np.uint8)
+    rows, columns = colour.shape[:2]
+    most = _F(len(gamma) - 1)
+    for row in range(height):
+        above = colour[row // 2]
+        below = colour[min((row + 1) // 2, rows - 1)]
+        for column in range(width):
+            left = column // 2
+            right = min((column + 1) // 2, columns - 1)
+            for k in range(3):
+                total = above[left, k] + above[right, k] + below[left, k] + below[right, k]
+                value = (_F(0.25) * total - black[k]) * gain
+                over = value - _F(0.75)
+                value /= _ONE + (over if over > _ZERO else _ZERO)  # highlights roll off
+                value = min(max(value, _ZERO), _ONE) * most
+                image[row, column, k] = gamma[_U(value)]
+    return image

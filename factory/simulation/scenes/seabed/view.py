@@ -1,0 +1,272 @@
+"""Frames of a location: which way a camera on its path looks, what it sees and measures."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from ....common.seeds import stream
+from ....dataset.frame_ref import FrameRef
+from ...frames.frame import Frame, Intrinsics, Surroundings
+from ...meshes.arrays import Draws, Floats
+from ...meshes.camera import Optics, Pose, Stance, ZBuffer, camera, centred, moved, pose
+from ...meshes.triangle_mesh import grid_triangles
+from .terrain import FAR_M, TILE, WORLD_SEED, Ground, tiles
+from .world import World
+
+Movement = Mapping[str, float]
+_SUN_M = 400.0  # how far away the camera in the sun is
+_SHADE_M = 14.0  # side of the ground that it sees
+_SHADE_CELLS = 512  # pixels on a side of its image
+_FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the water
+
+
+def take(
+    world: World,
+    frame: int,
+    ref: FrameRef,
+    optics: Optics,
+    movement: Movement | None,
+    boxes: bool,
+    stance: Stance,
+) -> Frame:
+    """Take frame number `frame` of a location.
+
+    The pose is the one that FLSea's camera would choose, however wide this one sees, or as its
+    stance says; with a movement, of a platform that begins there.
+    """
+    viewpoint = choose_pose(world, frame, stance)
+    if movement is not None:
+        viewpoint = moved(viewpoint, movement)
+    azimuths, elevations = field_of_view(viewpoint, optics)
+    # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
+    fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
+    shape = (int(370 * fine), int(280 * fine * optics.across))
+    ground = world.terrain.seen_from(viewpoint.eye, azimuths, elevations, shape)
+    z_buffer = ZBuffer(viewpoint, optics, world.objects, ground.points)
+    rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
+    rgb = camera_image(world, ground, z_buffer, rng.uniform(0.68, 0.92))
+    depth_m = z_buffer.depth_m
+    clear_m = world.look.clear_m
+    intrinsics = Intrinsics(*optics.lens)
+    x, y = intrinsics.directions(optics.height, optics.width)
+    lengths = np.sqrt(1 + (x**2).astype(np.float32) + (y[:, None] ** 2).astype(np.float32))
+    range_m = depth_m * lengths
+    keep = measured(rng, depth_m, range_m, clear_m)
+    segmentation, instance = (of * (range_m < clear_m) for of in z_buffer.shown)
+    height_m = world.terrain.height_m(*viewpoint.eye[:2, None])[0]
+    return Frame(
+        ref=ref,
+        rgb=rgb,
+        depth_m=np.where(keep, depth_m, np.float32(0)),
+        intrinsics=intrinsics,
+        world_from_camera=viewpoint.matrix,
+        segmentation=segmentation,
+        instance=instance,
+        time_s=None if movement is None else movement.get("time_s"),
+        altitude_m=float(viewpoint.eye[2] - height_m),
+        boxes=z_buffer.boxes(instance) if boxes else None,
+    )
+
+
+_AROUND_M = 24  # half the side of the known ground
+_AROUND_STEP_M = 1.0  # spacing of its heights
+
+
+def surroundings(world: World, stance: Stance) -> Surroundings:
+    """Where the recording of a location begins, and the ground around."""
+    start = choose_pose(world, 0, stance)
+    steps_m = np.arange(-_AROUND_M, _AROUND_M + 1) * _AROUND_STEP_M
+    x, y = np.meshgrid(start.eye[0] + steps_m, start.eye[1] + steps_m)
+    return Surroundings(start.matrix, world.terrain.height_m(x, y), _AROUND_STEP_M)
+
+
+def field_of_view(
+    viewpoint: Pose, optics: Optics
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Azimuths (in order, within a turn) and elevations, with a margin, of a view's directions."""
+    every = max(optics.width // 121, 1)
+    toward = optics.directions(viewpoint.rotation, every, every).astype(np.float64)
+    border = np.concatenate([toward[0], toward[-1], toward[:, 0], toward[:, -1]])
+    middle = toward[toward.shape[0] // 2, toward.shape[1] // 2]
+    centre = np.arctan2(middle[1], middle[0])
+    aside = np.arctan2(border[:, 1], border[:, 0]) - centre
+    aside = (aside + np.pi) % (2 * np.pi) - np.pi
+    up = np.arctan2(border[:, 2], np.hypot(border[:, 0], border[:, 1]))
+    # Walls lean over the edge of the view by their relief, hence the margin.
+    azimuths = (float(centre + aside.min() - 0.06), float(centre + aside.max() + 0.06))
+    return azimuths, (float(up.min() - 0.04), float(up.max() + 0.04))
+
+
+def camera_image(
+    world: World, ground: Ground, z_buffer: ZBuffer, exposure: float
+) -> npt.NDArray[np.uint8]:
+    """The (H, W, 3) image of what a z-buffer met.
+
+    exposure: how bright its bright parts are, 0 to 1.  Colours are those of every second pixel.
+    """
+    from . import kernels
+
+    look = world.look
+    objects = world.objects
+    sun = sunlit(world, z_buffer.viewpoint)
+    sights = [tuple(part.astype(np.float32) for part in buffer.sight) for buffer in (z_buffer, sun)]
+    colour = kernels.shade_pixels(
+        (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground.points.shape[:2])),
+        (objects.mesh.vertices, objects.normals, objects.mesh.colours, objects.mesh.triangles),
+        objects.owner, world.finishes, sights[0], (z_buffer.inverse, z_buffer.which),
+        look.palette, np.float32(look.turf), world.terrain.offset_m,
+        tiles().texture, look.water, look.sun_direction.astype(np.float32),
+        sights[1], sun.inverse,
+    )  # fmt: skip
+    # The camera sets its black level to the uniform part of the haze, and lets the
+    # bright parts of the image fill most of the scale, whatever the water.
+    some = colour[::4, ::4]
+    haze = look.water[1]
+    black = haze * np.float32(0.6 * np.percentile(some.max(axis=-1), 1) / haze.max())
+    bright = max(float(np.percentile((some - black).max(axis=-1), 97)), 1e-3)
+    gamma = np.round(255 * (np.arange(4096) / 4095) ** (1 / 2.2)).astype(np.uint8)
+    gain = np.float32(exposure / bright)
+    rgb: npt.NDArray[np.uint8] = kernels.expose(colour, black, gain, gamma, *z_buffer.which.shape)
+    return rgb
+
+
+def sunlit(world: World, viewpoint: Pose) -> ZBuffer:
+    """What a camera in the sun sees of the objects before a camera."""
+    x, y, z = world.look.sun_direction
+    ahead = viewpoint.rotation[:2, 2] / np.sqrt((viewpoint.rotation[:2, 2] ** 2).sum())
+    middle = np.append(viewpoint.eye[:2] + 0.4 * _SHADE_M * ahead, viewpoint.eye[2] - 1)
+    heading, pitch = np.rad2deg([np.arctan2(-y, -x), np.arcsin(z)])
+    sun = pose(middle + _SUN_M * np.array([x, y, z]), heading, pitch, 0)
+    optics = centred(_SUN_M * _SHADE_CELLS / _SHADE_M, _SHADE_CELLS, _SHADE_CELLS)
+    return ZBuffer(sun, optics, world.objects)
+
+
+def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> npt.NDArray[np.bool_]:
+    """(H, W) bool: pixels that keep their depth, decided for every second one.
+
+    As in depth maps computed from camera images: far water, depth edges and patches have none.
+    depth_m, range_m: (H, W), inf where there is only water.  clear_m: how far the water lets
+    matching work; the border is ragged.  About 8 to 38 % are lost, small shares more often.
+    """
+    from .kernels import STEPS
+
+    scale = depth_m.shape[1] / 968
+    near_m = np.minimum(depth_m[::2, ::2], np.float32(1e4))
+    range_m = range_m[::2, ::2]
+    rows, columns = (
+        (rng.integers(TILE) + np.arange(size) / scale).astype(np.int64) % (TILE // 2)
+        for size in near_m.shape
+    )
+    words = tiles().texture[rows[:, None], columns]
+    step = np.float32(1 / STEPS)
+    broad, grain = ((words << bits >> 24) * step for bits in (24, 16))  # its first two channels
+    # Cracks along depth edges, on the far side, of a width that varies.
+    noise = broad + grain
+    ragged = np.minimum(np.float32(0.06) * broad + np.float32(0.03) * grain, np.float32(0.2))
+    keep = range_m < clear_m * (1 + ragged)
+    for reach, level in ((max(round(2 * scale), 1), 0.6), (1, -0.7)):
+        behind = near_m > np.float32(1.12) * least_around(near_m, reach)
+        keep &= ~(behind & (noise > np.float32(level)))
+    missing = 0.08 + 0.3 * rng.random() ** 2 - float(1 - keep.mean())
+    if missing > 0 and keep.any():
+        # Matching fails first far away, then near the image's border; a few blobs are anywhere.
+        down, across = (np.linspace(-1, 1, size, dtype=np.float32) ** 8 for size in keep.shape)
+        doubt = np.float32(0.3) * broad + np.float32(0.1) * grain
+        doubt += np.float32(0.9) * np.maximum(across, down[:, None])
+        doubt += np.float32(2.4 / clear_m) * np.minimum(range_m, np.float32(clear_m))
+        keep &= doubt <= np.quantile(doubt[keep], 1 - min(missing / keep.mean(), 1))
+    whole = keep.repeat(2, axis=0).repeat(2, axis=1)[: depth_m.shape[0], : depth_m.shape[1]]
+    return np.asarray(whole & (depth_m < _FURTHEST_M))
+
+
+def least_around(values: Floats, reach: int) -> Floats:
+    """(H, W) the least of the (2 reach + 1) x (2 reach + 1) values around each."""
+    for _ in range(2):  # down the columns, then along the rows
+        wide = np.pad(values, ((reach, reach), (0, 0)), constant_values=np.inf)
+        shifted = (wide[k : k + len(values)] for k in range(2 * reach + 1))
+        values = functools.reduce(np.minimum, shifted).T
+    return values
+
+
+# Two such cameras, to the left and to the right, see all that any candidate sees.
+_LOOKOUT = Optics((70.0, 70.0, 101.0, 54.0), 203, 122)
+
+
+@functools.lru_cache(maxsize=2)  # all frames of a moving platform begin at one
+def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
+    """The pose of a frame: of a few ways to look from its place, the one that shows most.
+
+    A good view has ground to throw shadows on, objects at middle range, something missing but not
+    much, and nothing right before the lens.
+    """
+    eye, heading, pitch, roll = world.path.view(frame)
+    lowers = [lower for lower in (0, -5, 8, 16) if 8 <= pitch + lower <= 35]  # one at least
+    if stance.altitude_m is not None:
+        eye = np.array([*eye[:2], world.terrain.height_m(*eye[:2, None])[0] + stance.altitude_m])
+    if stance.tilt_deg is not None:
+        pitch = stance.tilt_deg
+        roll = 0.0
+        lowers = [0]
+    # Between walls the way ahead is the view; in the open the camera turns to what lies there.
+    turning = 0.012 if world.terrain.banks is not None else 0.004
+    views = [
+        (pose(eye, heading + yaw, pitch + lower, roll), turning * abs(yaw) + 0.01 * abs(lower))
+        for yaw in (0, 14, -14, 28, -28, 45, -45, 70, -70)
+        for lower in lowers
+    ]
+    lookouts = [pose(eye, heading + side_deg, 20, 0) for side_deg in (50, -50)]
+    objects = world.objects
+    clear_m = world.look.clear_m
+    # Coarse ground ahead and beside, without the fine relief.
+    ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
+    azimuths = np.deg2rad(heading) + np.deg2rad(np.linspace(-112, 112, 144))[None]
+    x = eye[0] + ranges * np.cos(azimuths)
+    y = eye[1] + ranges * np.sin(azimuths)
+    ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).astype(np.float32)
+    images = []
+    for lookout in lookouts:
+        z_buffer = ZBuffer(lookout, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
+        images.append((z_buffer.inverse, z_buffer.shown[1]))
+    rays = camera(968, 608).directions(np.eye(3), 32).reshape(-1, 3)
+    length = np.sqrt((rays**2).sum(axis=1))
+    fx, fy, cx, cy = _LOOKOUT.lens
+
+    def cost(candidate: Pose) -> float:
+        toward = np.einsum("ij,rj->ir", candidate.rotation, rays)
+        axes = [np.einsum("ij,ir->jr", lookout.rotation, toward) for lookout in lookouts]
+        # The lookout on whose side a ray is: the one that looks more its way.
+        left = axes[0][2] >= axes[1][2]
+        x, y, ahead = np.where(left, *axes)
+        column = np.clip((x / ahead * fx + cx + 0.5).astype(np.int64), 0, _LOOKOUT.width - 1)
+        row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
+        inverse, thing = (
+            np.where(left, left_plane[row, column], right_plane[row, column])
+            for left_plane, right_plane in zip(*images, strict=True)
+        )
+        has_surface = inverse * ahead > 0
+        depth_m = 1 / np.where(has_surface, inverse * ahead, 1e-9)
+        range_m = depth_m * length
+        has_object = (thing > 0) & (range_m < 0.8 * clear_m)
+        shown = np.unique(thing[has_object])
+        own_count = np.count_nonzero(shown >= world.first_own)
+
+        missing_share = (range_m > clear_m).mean()
+        near_share = (depth_m < 0.9).mean()
+        object_share = has_object.mean()
+        middle_m = float(np.median(depth_m[has_surface])) if has_surface.any() else 99.0
+        # Up to a third out of sight is fine; none at all is not.
+        penalty = 8 * max(missing_share - 0.34, 0) + 60 * max(missing_share - 0.42 + 0.06, 0)
+        penalty += 30 * max(0.03 - missing_share, 0)
+        # Little right before the lens, and most at middle range.
+        penalty += 12 * max(near_share - 0.02, 0)
+        penalty += max(1.4 - middle_m, 0) + 0.4 * max(middle_m - 4, 0)
+        # Objects on up to a quarter of the image, of many kinds, one's own first.
+        penalty += 4 * max(object_share - 0.42, 0) - min(object_share, 0.25) * 4
+        penalty -= 0.05 * min(len(shown), 14)
+        return float(penalty) - 1.2 * min(own_count, 2)
+
+    return min(views, key=lambda view: cost(view[0]) + view[1])[0]

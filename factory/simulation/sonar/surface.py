@@ -1,0 +1,146 @@
+"""From the pixels of a rendered frame to the echoes that a sonar's window holds.
+
+A pixel's point is P = z K^-1 (u, v, 1)^T (Yang et al. 2024, Eq. 2), seen from the sonar's mount.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..frames.frame import Frame
+from ..render.base import Mount, Rendered
+from . import polar
+from .polar import Echoes
+from .settings import SonarSettings
+from .window import Extent, Window
+
+# Beyond this a surface is seen edge on and its area is not known.
+_GRAZING_COSINE = 0.05
+_EDGE_RATIO = 0.1
+
+Pixels = npt.NDArray[np.int32]
+
+
+class Insonified(NamedTuple):
+    """The lit surface inside a window.
+
+    echoes: strength = radiance * range ** (tvg_db_per_decade / 10), in the order of the pixels.
+    pixel: (N,) int32 flat camera pixel of each.
+    hit: (range_bins, beams) bool, the bins that hold one.
+    """
+
+    echoes: Echoes
+    pixel: Pixels
+    hit: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class LitSurface:
+    """A rendered frame behind a window of the sonar.
+
+    conical: whether the sonar's beams are cones about a line of elements, not vertical planes;
+        azimuths of echoes are then bearings, sin(bearing) = sin(azimuth) cos(elevation).
+    """
+
+    frame: Frame
+    rendered: Rendered
+    window: Window
+    sonar: SonarSettings
+    conical: bool = False
+
+    @cached_property
+    def insonified(self) -> Insonified:
+        """Its echoes; found once, when something first asks for them."""
+        surface = insonified(self.frame, self.rendered, self.window, self.sonar)
+        echoes = surface.echoes
+        if not self.sonar.mount.colocated:
+            weight = mount_weight(self.frame, self.sonar.mount, 2).reshape(-1)
+            echoes = replace(echoes, strength=echoes.strength * weight[surface.pixel])
+        if self.conical:
+            bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
+            echoes = replace(echoes, azimuth_rad=bearing)
+        return surface._replace(echoes=echoes)
+
+
+def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
+    """What the window of an image is fitted to."""
+    from . import kernels  # loads numba
+
+    lit_m = np.empty(frame.depth_m.size + 1, np.float32)
+    limits = sonar.range
+    half_hfov, half_vfov, near_m, far_m = map(
+        np.float32, (*np.deg2rad([sonar.hfov_deg, sonar.vfov_deg]) / 2, limits.min_m, limits.max_m)
+    )
+    pixels = _pixels(frame, rendered, sonar)
+    top_view = sonar.projection == "top_view"
+    lit, *edges_rad = kernels.list_lit_distances(
+        pixels, half_hfov, half_vfov, top_view, near_m, far_m, lit_m
+    )
+    return Extent(lit_m[: int(lit)], *edges_rad)
+
+
+def insonified(
+    frame: Frame, rendered: Rendered, window: Window, sonar: SonarSettings
+) -> Insonified:
+    """The lit surface inside the window, with time-varying gain."""
+    from . import kernels  # loads numba
+
+    size = frame.depth_m.size + 1
+    echo_values = tuple(np.empty(size, np.float32) for _ in range(4))
+    pixel = np.empty(size, np.int32)
+    hit = np.zeros(sonar.range_bins * sonar.beams + 1, np.bool_)
+    half_vfov_rad = np.float32(np.deg2rad(sonar.vfov_deg) / 2)
+    grid = polar.polar_grid(window, sonar)
+    count = kernels.insonified(
+        _pixels(frame, rendered, sonar),
+        half_vfov_rad,
+        tuple(grid.even),
+        grid.edges_rad,
+        sonar.tvg_db_per_decade / 10,
+        echo_values,
+        pixel,
+        hit,
+    )
+    echoes = Echoes(*(values[:count] for values in echo_values))
+    in_bins = hit[:-1].reshape(sonar.range_bins, sonar.beams)
+    return Insonified(echoes, pixel[:count], in_bins)
+
+
+def mount_weight(
+    frame: Frame, mount: Mount, exponent: float | npt.NDArray[np.float64]
+) -> npt.NDArray[np.float32]:
+    """(H, W) float32: what the render times a pixel's solid angle lacks of the sonar's echo.
+
+    The render is albedo cos_s / r_s^2 with the sonar's incidence and range, a pixel sees the area
+    r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
+    cos_s^(n - 1) / cos_c (r_c / r_s)^2.  exponent: n, of all pixels or (H, W).
+    """
+    from ..render import kernels  # loads numba, as the next
+    from ..render.surface import grid_of
+
+    sonar_m = mount.position_camera_m().astype(np.float32)
+    filled = tuple(np.empty(frame.depth_m.shape, np.float32) for _ in range(3))
+    # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
+    kernels.facing(grid_of(frame.depth_m, frame.intrinsics, _EDGE_RATIO), sonar_m, filled)
+    cosine_camera, cosine, nearer = filled
+    cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
+    cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
+    power = np.float32(exponent - 1)
+    return np.asarray(cosine**power / cosine_camera * nearer, np.float32)
+
+
+def _pixels(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> tuple[Any, ...]:
+    across, down = frame.intrinsics.directions(*frame.depth_m.shape)
+    return (
+        np.ascontiguousarray(frame.depth_m, dtype=np.float32),
+        np.ascontiguousarray(rendered.radiance, dtype=np.float32),
+        np.ascontiguousarray(rendered.surface),
+        across.astype(np.float32),
+        down.astype(np.float32),
+        *sonar.mount.axes(),
+    )

@@ -1,0 +1,235 @@
+"""What `simnfnd denoise` is given: files, where range and bearing lie in them, what is done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+
+from ...factory.common.errors import FactoryError
+from ...factory.dataset.fan_geometry import FanGeometry
+from . import DATASET, READERS, is_bag_folder, kind_of
+from .arrays import is_shard_file, is_table
+from .base import ARRAY_SUFFIX, ARRAY_SUFFIXES, HDF5_SUFFIXES
+from .fan_finder import find_geometry
+from .fan_tables import read_fans
+from .fan_tracking import FanTracker
+from .names import sequences_of
+
+SUFFIXES = (*(suffix for _, suffixes in READERS.values() for suffix in suffixes), *HDF5_SUFFIXES)
+
+FIND = "find"
+POLAR = "polar"
+NONE = "none"
+_MOST_FOLDERS_SAID = 5
+
+
+@dataclass(frozen=True)
+class Item:
+    """One input file (or a folder that is a bag) and its name below the output folder.
+
+    dataset: of recordings, which a shard belongs to; None for all other files.
+    """
+
+    source: Path
+    relative: Path
+    dataset: Path | None = None
+
+    @property
+    def compared(self) -> Path:
+        """Name of the sheet to compare by, below the output folder."""
+        is_png = self.relative.suffix.lower() == ".png"
+        name = self.relative if is_png else Path(f"{self.relative}.png")
+        return Path("compare") / name
+
+    def results(self) -> tuple[Path, Path]:
+        """Names of the result and of the sheet to compare by, below the output folder."""
+        return self.relative, self.compared
+
+    @cached_property
+    def kind(self) -> str:
+        """`shard`, or the kind of recording; one image is of kind `images`."""
+        if self.source.suffix.lower() in HDF5_SUFFIXES:
+            return "array" if self.relative.suffix == ARRAY_SUFFIX else "shard"
+        return kind_of(self.source) or "images"
+
+
+def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> list[Item]:
+    """The files to denoise, in a fixed order.
+
+    A folder stands for all such files below it, a dataset's folder for its shards alone.
+    compare: whether sheets to compare by are written, too.
+
+    Raises FactoryError when there is nothing, and where a file that will be written is an input or
+    the same as another.
+    """
+    items = {
+        (item.relative, item.source.resolve()): item
+        for path in inputs
+        for item in _of_input(path, out)
+    }
+    sources = {source for _, source in items}
+    written: dict[Path, Item] = {}
+    for item in items.values():
+        for relative in (item.relative, item.compared) if compare else (item.relative,):
+            path = (out / relative).resolve()
+            first_item = written.setdefault(path, item)
+            if first_item is not item:
+                raise FactoryError(
+                    f"{first_item.source} and {item.source} would both become {relative}; "
+                    "denoise them into different folders"
+                )
+            if path in sources:
+                raise FactoryError(f"--out {out}: would overwrite the input {path}")
+    return list(items.values())
+
+
+def sequences(items: Sequence[Item]) -> list[list[Item]]:
+    """Image files that follow each other in time, as their names say; other files alone.
+
+    The files of a sequence lie in one folder; see `sequences_of`.  Shards of a dataset of
+    recordings come together.
+    """
+    runs: list[list[Item]] = []
+    for folder, in_folder in _by_folder(items).items():
+        if folder is None:
+            runs += [[item] for item in in_folder if item.dataset is None]
+            datasets = dict.fromkeys(item.dataset for item in in_folder if item.dataset)
+            for dataset in datasets:
+                runs.append([item for item in in_folder if item.dataset == dataset])
+            continue
+        names = [item.source.name for item in in_folder]
+        runs += [[in_folder[index] for index in sequence] for sequence in sequences_of(names)]
+    return runs
+
+
+def _by_folder(items: Sequence[Item]) -> dict[Path | None, list[Item]]:
+    """Image files by their folder, and other files under None, in the order of the items."""
+    folders: dict[Path | None, list[Item]] = {}
+    for item in items:
+        folder = item.source.parent if item.kind == "images" else None
+        folders.setdefault(folder, []).append(item)
+    return folders
+
+
+def said_of_sequences(items: Sequence[Item]) -> Iterator[str]:
+    """One line a folder of several images: as how many sequences their names read."""
+    folders = [(folder, some) for folder, some in _by_folder(items).items() if folder and some[1:]]
+    for folder, some in folders[:_MOST_FOLDERS_SAID]:
+        sizes = [len(sequence) for sequence in sequences(some)]
+        alone = sizes.count(1)
+        count = len(sizes) - alone
+        parts = [f"{count} sequence{'s' * (count != 1)}"] if count else []
+        parts += [f"{alone} single image{'s' * (alone != 1)}"] if alone else []
+        said = " and ".join(parts)
+        yield f"sequences: the {len(some)} images of {folder} make {said}, by their names"
+    if len(folders) > _MOST_FOLDERS_SAID:
+        yield f"sequences: {len(folders) - _MOST_FOLDERS_SAID} more folders"
+
+
+def _of_input(path: Path, out: Path) -> list[Item]:
+    if kind_of(path) == DATASET:
+        return [Item(path, Path(path.name))]
+    if not path.exists():
+        raise FactoryError(f"{path}: no such file or folder")
+    if path.is_dir() and is_bag_folder(path):
+        return [Item(path, Path(path.resolve().name))]
+    if path.is_dir():
+        # These load h5py, which a single image can do without.
+        from ...factory.dataset import PairDataset
+        from ...factory.dataset.manifest import load_manifest
+        from ...factory.dataset.recordings import is_of_recordings
+
+        manifest = load_manifest(path)
+        if manifest is not None:
+            # Each is looked at when it is opened.
+            shards = PairDataset(path, "all", trusted=True).paths
+            dataset = path if is_of_recordings(manifest.config) else None
+            return [Item(shard, shard.relative_to(path), dataset) for shard in shards]
+        items = items_below(path, out)
+    else:
+        items = [_item(path, path.parent)] if path.suffix.lower() in SUFFIXES else []
+    if not items:
+        raise FactoryError(f"{path}: no image, shard, video or recording ({', '.join(SUFFIXES)})")
+    return items
+
+
+def items_below(folder: Path, out: Path) -> list[Item]:
+    """All files (and folders that are bags) below a folder, but for those below `out`.
+
+    What begins with a dot is no result yet, of this program or of one that copies.
+    """
+    bags = [file.parent for file in folder.rglob("metadata.yaml") if is_bag_folder(file.parent)]
+    files = [
+        file
+        for file in folder.rglob("*")
+        if file.suffix.lower() in SUFFIXES
+        and not any(part.startswith(".") for part in file.relative_to(folder).parts)
+        and file.is_file()
+        and file.parent not in bags
+        and not is_table(file)
+    ]
+    return [
+        _item(file, folder)
+        for file in sorted([*bags, *files])
+        if not file.resolve().is_relative_to(out.resolve())
+    ]
+
+
+def _item(file: Path, folder: Path) -> Item:
+    """A file below a folder: arrays of all formats become .npy files."""
+    relative = file.relative_to(folder)
+    suffix = file.suffix.lower()
+    is_foreign = suffix in HDF5_SUFFIXES and not is_shard_file(file)
+    is_array = suffix in ARRAY_SUFFIXES or is_foreign
+    return Item(file, relative.with_suffix(ARRAY_SUFFIX) if is_array else relative)
+
+
+class Geometries:
+    """Geometry of images, as `--geometry` says.
+
+    chosen: `find` it in each image (in a video, stack or bag where it changes); `polar`: rows are
+    ranges, near range first, and the columns span 30 degrees; `none`; or the path of a table of
+    fans.
+    """
+
+    def __init__(self, chosen: str) -> None:
+        """Raises FactoryError for a table that cannot be read."""
+        self.chosen = chosen
+        self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
+        # By the size of the images, too: a bag may have several topics.
+        self._trackers: dict[tuple[Path, tuple[int, ...]], FanTracker] = {}
+        self._fans_found: dict[Path, dict[Path, bool]] = {}  # by folder, then by image
+
+    def of(self, item: Item, image: npt.NDArray[Any]) -> FanGeometry | None:
+        """The geometry of an image of `item`; None where it is not known.
+
+        Frames of a recording are to be asked for in order.
+        """
+        if self.chosen == POLAR:
+            return FanGeometry.polar().with_size(*image.shape[:2])
+        if self.chosen != FIND:
+            return self._table.get(item.source.name)
+        if item.kind != "images":
+            key = item.source, image.shape
+            return self._trackers.setdefault(key, FanTracker()).geometry(image)
+        geometry = find_geometry(image)
+        fan_found = self._fans_found.setdefault(item.source.parent, {})
+        fan_found[item.source] = geometry is not None
+        return geometry
+
+    def summary(self) -> Iterator[str]:
+        """One line a folder, image, video or bag that was searched."""
+        said = "geometry: fan found in {} of {} images searched ({})"
+        for folder, fan_found in self._fans_found.items():
+            first, *others = fan_found
+            place = folder if others else first
+            yield said.format(sum(fan_found.values()), len(fan_found), place)
+        for (source, _), tracker in self._trackers.items():
+            line = said.format(tracker.fans_found, tracker.searched, source)
+            times = "once" if tracker.changes == 1 else f"{tracker.changes} times"
+            yield f"{line}; it changes {times}" if tracker.changes else line
