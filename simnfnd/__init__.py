@@ -49,14 +49,14 @@ __all__ = [
 
 _MODULES = {
     "DatasetResult": "making",
-    "FactoryError": "factory.errors",
-    "FrameError": "factory.errors",
+    "FactoryError": "factory.common.errors",
+    "FrameError": "factory.common.errors",
     "OpenRecording": "api",
     "Pair": "factory.dataset.schema",
     "PairDataset": "factory.dataset",
     "PairStream": "models.data.pair_stream",
     "RecordedFrame": "api",
-    "RunProgress": "factory.progress",
+    "RunProgress": "factory.common.progress",
     "__version__": "factory",
     "denoise": "api",
     "make_dataset": "making",

@@ -21,8 +21,8 @@ from simnfnd.evaluation.judging import recorded
 from simnfnd.evaluation.judging.settings import FitSettings, Grid
 from simnfnd.evaluation.metrics import features as statistics
 from simnfnd.evaluation.metrics.features import FEATURES, features_of
+from simnfnd.evaluation.realism import calibrate as search
 from simnfnd.evaluation.realism.calibrate import Simulation
-from simnfnd.evaluation.realism.report import calibrate as search
 from simnfnd.evaluation.realism.report import distances, real_images, to_polar
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build

@@ -21,8 +21,9 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.viewer.viewer import Shown, Viewer, open_shown, page_server
-from simnfnd.evaluation.viewer.viewer import viewer as server
+from simnfnd.evaluation.viewer import page_server
+from simnfnd.evaluation.viewer import viewer as server
+from simnfnd.evaluation.viewer.viewer import Shown, Viewer, open_shown
 from simnfnd.factory.common.errors import FactoryError
 from tests.evaluation.browser import CHROMIUM, kept_by_page
 from tests.factory.production.export.export_dataset import SHAPE, write
