@@ -120,7 +120,7 @@ def denoise(
     path = find_weights(weights)
     if not 0 <= strength <= 1:
         raise ValueError(f"strength={strength}: expected 0 to 1")
-    network = _denoiser(path, path.stat().st_mtime_ns, device, strength)
+    network = _denoiser(path, path.stat().st_mtime_ns, device)
     if isinstance(geometry, str) and geometry not in ("find", "polar"):
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
 
@@ -130,7 +130,7 @@ def denoise(
         return find_geometry(image) if isinstance(geometry, str) else geometry
 
     known = values.astype(np.float32) if values.dtype.kind == "f" else values
-    denoising = Denoising(network, frames=frames, causal=causal, calibrated=strength == 1)
+    denoising = Denoising(network, frames=frames, causal=causal, strength=strength)
     if values.ndim == 2 or values.shape[2] <= 4:
         single = denoising.denoise_image(known, place)
         denoised_image = single.image.astype(values.dtype)
@@ -148,11 +148,11 @@ def denoise(
 
 
 @lru_cache(maxsize=2)
-def _denoiser(path: Path, changed_ns: int, device: str, strength: float) -> Denoiser:
+def _denoiser(path: Path, changed_ns: int, device: str) -> Denoiser:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
     from .models.denoise.denoiser import Denoiser
 
-    return Denoiser(path, device, strength=strength)
+    return Denoiser(path, device)
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,15 +50,13 @@ def main(arguments: Sequence[str]) -> int:
     geometries = Geometries(options.geometry)
     check_writable(out, "--out")
 
-    load = cache(partial(Denoiser, device=options.device, strength=options.strength))
+    load = cache(partial(Denoiser, device=options.device))
     denoise = load(options.weights)
-    # A strength that was asked for is not the one that predicts other frames of a recording.
-    calibrated = options.strength == 1
     denoising = Denoising(
         denoise,
         frames=options.frames,
         causal=options.causal,
-        calibrated=calibrated,
+        strength=options.strength,
         inverts=options.invert,
     )
     with (

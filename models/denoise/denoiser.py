@@ -53,19 +53,15 @@ class Denoiser:
     tile = 1024
     overlap = 96
 
-    def __init__(
-        self, weights: str | Path | None = None, device: str = "auto", *, strength: float = 1.0
-    ) -> None:
+    def __init__(self, weights: str | Path | None = None, device: str = "auto") -> None:
         """weights: a file, or a name, as `pretrained.find_weights` takes it.
 
-        strength: part of the change that an image gets, 0 to 1.
         Raises FactoryError for weights that are not there and a GPU that is not.
         """
         path = find_weights(weights)
         self.runtime = open_runtime(path, device)
         self.name = path.name if path.stem == "weights" else path.stem
         self.digest = sha256_of(path)
-        self.strength = np.float32(strength)
         self.knows_frames = "frames" in self.runtime.extras
 
     def __call__(
@@ -107,8 +103,6 @@ class Denoiser:
             denoised = by_scales(shown, maps, self._denoise_whole, widest)
         if bright:
             denoised = np.where(outside, grey, denoised)
-        if self.strength != 1:
-            denoised = np.clip(grey + self.strength * (denoised - grey), 0, 1).astype(np.float32)
         return presentation.undone(denoised)
 
     def _denoise_whole(self, grey: Grey, maps: Maps) -> Grey:

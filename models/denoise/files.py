@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from ...factory.common.errors import FactoryError, FrameError
-from ...factory.common.files import remove_stale_temporaries
+from ...factory.common.files import remove_stale_temporaries, write_atomically
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from ..recordings.images import read_image
 from ..recordings.inputs import Item
+from ..recordings.portable_grey import white_of_file
 from ..recordings.views import fan_of, grey_of, polar_geometry
 from .images import Denoised, Pixels
 from .job import Job
@@ -27,6 +28,7 @@ from .temporal.stream import Shot
 from .video_writer import TimedImage
 from .writers import COMPARED, Compared, write_compared, write_frames, write_image
 
+_LOSSY = (".jpg", ".jpeg")
 _PING = re.compile(r"\d{6}(_polar)?\.png")
 
 
@@ -83,8 +85,10 @@ def _write_results(item: Item, image: Pixels, denoised: Denoised, job: Job) -> N
     if item.source.suffix.lower() == ARRAY_SUFFIX:
         with ArrayFile(item.source) as array:
             write_frames(path, [TimedImage(denoised.image)], array)
+    elif item.source.suffix.lower() in _LOSSY and np.array_equal(image, denoised.image):
+        write_atomically(path, item.source.read_bytes(), key="--out")
     else:
-        write_image(path, denoised.image)
+        write_image(path, denoised.image, largest=white_of_file(item.source))
     if job.video is not None:
         job.video.add(image, denoised.image)
     if job.compare:

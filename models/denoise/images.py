@@ -46,11 +46,14 @@ class Denoised:
 class _Source:
     """An image on its way.
 
-    shown: the image as it is denoised, inverted where it has a `white`.  levels: float32 in 0..1.
-    painted: of a colour map; None: of none.
+    image: as it is stored.  shown: as it is denoised, inverted where it has a `white`.
+    levels: float32 in 0..1.  painted: of a colour map; None: of none.
+    strength: part of the change that it gets, 0 to 1.
     """
 
     key: Any
+    image: Pixels
+    strength: np.float32
     shown: Pixels
     levels: Grey
     painted: Painted | None
@@ -59,6 +62,10 @@ class _Source:
     def result(self, levels: Grey) -> Denoised:
         """levels: (H, W) or (H, W, C), what became of its own."""
         painted = self.painted
+        if self.strength != 1:
+            levels = self.levels + self.strength * (levels - self.levels)
+        if self.strength == 0:
+            return Denoised(self.key, self.image.copy(), Removed(self.levels, levels))
         image = restored(levels, self.shown) if painted is None else painted.repainted(levels)
         if self.white is None:
             return Denoised(self.key, image, Removed(self.levels, levels))
@@ -68,7 +75,8 @@ class _Source:
 class Denoising:
     """What a run does to images, and what it did.
 
-    network, frames, causal, calibrated, keeps_outside: see `InTime`.
+    network, frames, causal, keeps_outside: see `InTime`.
+    strength: part of the whole change, of fusion and network, that an image gets, 0 to 1.
     inverts: whether images show dark echoes on a bright ground.
     maps: colour map -> how many images had it.
     """
@@ -79,7 +87,7 @@ class Denoising:
         *,
         frames: int = FRAMES,
         causal: bool = False,
-        calibrated: bool = True,
+        strength: float = 1.0,
         keeps_outside: bool = True,
         inverts: bool = False,
     ) -> None:
@@ -96,10 +104,10 @@ class Denoising:
         self._in_time = partial(
             InTime,
             causal=causal,
-            calibrated=calibrated,
             keeps_outside=keeps_outside,
             tally=self._tally,
         )
+        self._strength = np.float32(strength)
         self._inverts = inverts
         self.maps: Counter[str] = Counter()
         self._last_map: Palette | None = None
@@ -140,7 +148,7 @@ class Denoising:
         if is_tracked:
             fan()  # in the order of the frames
         levels = levels_of(plain)
-        source = _Source(key, shown, levels, painted, white)
+        source = _Source(key, image, self._strength, shown, levels, painted, white)
         return Shot(source, levels, fan, shift_px, wanted, is_tracked)
 
     def sequence(self, shots: Iterable[Shot], *, alone: bool = False) -> Iterator[Denoised]:

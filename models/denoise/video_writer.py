@@ -83,6 +83,7 @@ CONTAINERS: dict[str, tuple[str, Codec]] = {
 }
 """Suffix -> FFmpeg's name of the container, and the codec that is written into it."""
 FALLBACK = ".mkv"
+_EQUAL_TIMES = ("matroska",)
 
 
 def target_of(path: Path, video: VideoProperties) -> tuple[Path, str]:
@@ -112,6 +113,8 @@ def write_video(
     container, codec = CONTAINERS[suffix]
     # Without the time of writing and random identifiers: the same images make the same bytes.
     with av.open(str(file), "w", format=container, options={"fflags": "+bitexact"}) as output:
+        for name, text in video.texts.items():
+            output.metadata[name] = text
         writer: _StreamWriter | None = None
         for number, timed in enumerate(images):
             if writer is None:
@@ -139,12 +142,16 @@ class _StreamWriter:
         stream = output.add_stream(codec.name, rate=rate)
         stream.height, stream.width = self._size
         stream.pix_fmt = self._format
+        if video.pixel_aspect != 1:
+            stream.codec_context.sample_aspect_ratio = video.pixel_aspect
         stream.options = dict(codec.options)
         if self._format.startswith("yuv"):
             stream.codec_context.color_range = _FULL_RANGE
         stream.time_base = stream.codec_context.time_base = video.time_base_s
         self._stream = stream
-        self._last_tick = -1
+        # Matroska alone may show two frames at one time.
+        self._least_step = 0 if output.format.name in _EQUAL_TIMES else 1
+        self._last_tick = -self._least_step
         self._durations: dict[int, int] = {}
 
     def write(self, number: int, timed: TimedImage) -> None:
@@ -174,11 +181,12 @@ class _StreamWriter:
         return round(seconds / float(self._video.time_base_s))
 
     def _tick(self, number: int, timed: TimedImage) -> int:
-        """When a frame is shown, in units of the time base; later than the one before."""
+        """When a frame is shown, in units of the time base; not before the one before."""
         time_s = timed.time_s
         if time_s is None:
             time_s = number / float(self._video.rate)
-        self._last_tick = max(self._ticks(self._video.start_s + time_s), self._last_tick + 1)
+        tick = self._ticks(self._video.start_s + time_s)
+        self._last_tick = max(tick, self._last_tick + self._least_step)
         return self._last_tick
 
     def _frame(self, image: Image) -> Any:

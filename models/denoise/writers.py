@@ -17,6 +17,9 @@ from ..recordings.animations import Animation
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import FULL_SCALE, Recording, swapped
 from ..recordings.numpy_files import write_array
+from ..recordings.portable_grey import encode_portable_grey
+from ..recordings.stacks import StackFile
+from ..recordings.tiff import DESCRIPTION, Tags
 from ..recordings.videos import VideoFile
 from .animation_writer import write_animation
 from .removed import SHOWN
@@ -81,21 +84,34 @@ def write_frames(path: Path, images: Iterable[TimedImage], source: Recording) ->
             with partial.open("wb") as file:
                 write_array(file, (timed.image for timed in images), source.stored)
         else:
-            _write_pages(partial, images)
+            tags = source.tags if isinstance(source, StackFile) else {}
+            _write_pages(partial, images, tags)
     return ""
 
 
-def _write_pages(partial: Path, images: Iterable[TimedImage]) -> None:
+def _write_pages(partial: Path, images: Iterable[TimedImage], tags: Tags) -> None:
+    """Write a TIFF file.  tags: of each page; the description is that of the first."""
     with TiffImagePlugin.AppendingTiffWriter(str(partial), new=True) as pages:
-        for timed in images:
+        for number, timed in enumerate(images):
             page = Image.fromarray(np.ascontiguousarray(swapped(timed.image)))
-            page.save(pages, format="TIFF", compression="tiff_adobe_deflate")
+            page_tags = TiffImagePlugin.ImageFileDirectory_v2()
+            for tag, value in tags.items():
+                if tag != DESCRIPTION or number == 0:
+                    is_fraction = isinstance(value, tuple)
+                    page_tags[tag] = TiffImagePlugin.IFDRational(*value) if is_fraction else value
+            page.save(pages, format="TIFF", compression="tiff_adobe_deflate", tiffinfo=page_tags)
             pages.newFrame()
 
 
-def write_image(path: Path, image: Pixels) -> None:
-    """An image by the suffix of its name.  FrameError when the format does not hold it."""
+def write_image(path: Path, image: Pixels, *, largest: int | None = None) -> None:
+    """An image by the suffix of its name.  FrameError when the format does not hold it.
+
+    largest: number of white in a PGM file whose source has its own; None: full scale.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
+    if largest is not None and image.ndim == 2:
+        write_atomically(path, encode_portable_grey(image, largest), key="--out")
+        return
     try:
         done, content = cv2.imencode(path.suffix, image, _QUALITY.get(path.suffix.lower(), ()))
     except cv2.error:  # WebP has 8 bits alone

@@ -7,6 +7,7 @@ may crash look at it in another process first.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from .base import (
     explained,
     swapped,
 )
-from .hdf5_files import is_shard, list_hdf5, load_hdf5
+from .hdf5_files import LEAST_BEAMS, is_shard, list_hdf5, load_hdf5
 from .listed_arrays import LEAST_SIDE_PX, Listed, listed_of_rows
 from .matlab_files import list_mat, load_mat
 from .numpy_files import list_npy, list_npz, load_npy, load_npz
@@ -38,8 +39,8 @@ _MOST_NAMED = 6
 class ArrayFile(Recording):
     """A `Recording` of the images in a file's one array of them, in BGR order (red first there).
 
-    stored: the array, (H, W), (N, H, W), or either with channels; mapped in a .npy file.  MATLAB
-    files have the number of the image as their last axis.
+    stored: the array, (H, W), (N, H, W), or either with channels; mapped in a .npy file.  In MATLAB
+    files either end may count the images, see `counting_axis`.
     """
 
     def _open(self) -> None:
@@ -66,6 +67,18 @@ class ArrayFile(Recording):
         if self._listed.parts is not None:
             self.count = self._listed.parts
             self.warning = f"{self.path}: is cut short; its {self.count} whole frames are read"
+        elif self._listed.matlab_shape is not None:
+            sides = " x ".join(map(str, self._listed.matlab_shape))
+            self.warning = (
+                f"{self.path}: {self._listed.name} ({sides}) is read as {self.count} images of "
+                f"{height} x {width}, the last axis counts them; if the first one does, save "
+                "permute(x, [2 3 1])"
+            )
+        elif not self._listed.is_single and _is_rather_last(shape):
+            self.warning = (
+                f"{self.path}: is read as {shape[0]} images of {height} x {width}, the first axis "
+                "counts them; if the last one does, save np.moveaxis(x, -1, 0)"
+            )
 
     @cached_property
     def stored(self) -> Samples:
@@ -77,6 +90,13 @@ class ArrayFile(Recording):
         name = f"{self.path}: image {number + 1}" if self.count > 1 else str(self.path)
         page = self.stored if self._listed.is_single else self.stored[number]
         return Frame(number, as_samples(np.ascontiguousarray(swapped(page)), name))
+
+
+def _is_rather_last(shape: Sequence[int]) -> bool:
+    """Whether the last axis of an array that is no MATLAB's rather counts images than the first."""
+    if len(shape) != 3:
+        return False
+    return min(shape[1:]) < LEAST_BEAMS <= min(shape[:2])
 
 
 def kind_of_array(path: Path) -> str | None:

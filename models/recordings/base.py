@@ -98,6 +98,7 @@ class Frame:
     time_s: seconds since 1970 (UTC), or since the start where the file has no clock; None: unknown.
     duration_s: how long a video or an animation shows it; None: unknown.
     geometry: where range and bearing lie in an image, if the file says it.
+    sequence: the channel, slice or topic that it belongs to, where the file holds several.
     """
 
     number: int
@@ -108,6 +109,7 @@ class Frame:
     pose: Pose = field(default_factory=Pose)
     device: Device = field(default_factory=Device)
     geometry: FanGeometry | None = None
+    sequence: str = ""
 
 
 class Ended(FrameError):

@@ -10,8 +10,11 @@ import numpy as np
 
 from ...factory.common.errors import FactoryError
 from .base import Samples
-from .listed_arrays import Listed, Row
+from .listed_arrays import LEAST_SIDE_PX, Listed, Row
 
+_COLOURS = (1, 2, 3, 4)
+LEAST_BEAMS = 40
+"""Of a multibeam sonar; the shorter side of its images and pings has as many pixels."""
 MATLAB_DTYPES = {"double": "f8", "single": "f4"} | {
     f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4)
 }
@@ -40,8 +43,11 @@ def list_hdf5(path: str, is_matlab: bool) -> list[Row]:
             and (kind.decode() if isinstance(kind, bytes) else str(kind)) not in MATLAB_DTYPES
         ):
             return
-        shape = images_first(item.shape[::-1]) if is_matlab else [int(size) for size in item.shape]
-        rows.append([name, shape, item.dtype.str])
+        rows.append(
+            matlab_row(name, item.shape[::-1], item.dtype.str)
+            if is_matlab
+            else [name, [int(size) for size in item.shape], item.dtype.str]
+        )
 
     try:
         with h5py.File(path, "r") as file:
@@ -49,6 +55,12 @@ def list_hdf5(path: str, is_matlab: bool) -> list[Row]:
     except OSError as error:
         raise FactoryError(f"{error}") from error
     return rows
+
+
+def matlab_row(name: str, shape: Sequence[int], dtype: str) -> Row:
+    """The row of an array of MATLAB, with its own shape where either end may count images."""
+    row: Row = [name, images_first(shape), dtype]
+    return [*row, [int(size) for size in shape]] if is_ambiguous(shape) else row
 
 
 def _matlab_class(dataset: Any) -> str:
@@ -67,11 +79,50 @@ def is_shard(path: str) -> bool:
         raise FactoryError(f"{error}") from error
 
 
+def counting_axis(shape: Sequence[int]) -> int | None:
+    """The axis of an array of MATLAB that counts images, 0 or -1; None for a single image.
+
+    MATLAB's own functions have it last, (H, W, N) or (H, W, 3, N); arrays that Python or a user
+    arranged, first.  Sides too short for an image of a sonar tell which; otherwise it is the last.
+    """
+    sides = [int(side) for side in shape]
+    if len(sides) == 2 or sides[2:] == [3]:  # four are rather four images
+        return None
+    if len(sides) == 4 and sides[3] in _COLOURS and sides[2] not in _COLOURS:
+        return 0
+    if len(sides) != 3:
+        return -1
+    least_of_last = min(sides[:2])
+    least_of_first = min(sides[1:])
+    for least in (LEAST_SIDE_PX, LEAST_BEAMS):
+        if least_of_last < least <= least_of_first:
+            return 0
+        if least_of_first < least <= least_of_last:
+            return -1
+    return -1
+
+
+def is_ambiguous(shape: Sequence[int]) -> bool:
+    """Whether the first axis of an array of MATLAB could count images as well as the last."""
+    sides = [int(side) for side in shape]
+    is_three = len(sides) == 3 and counting_axis(sides) is not None
+    if not is_three:
+        return False
+    least_of_last = min(sides[:2])
+    least_of_first = min(sides[1:])
+    return min(least_of_last, least_of_first) >= LEAST_BEAMS
+
+
 def images_first(shape: Sequence[int]) -> list[int]:
-    """The shape with the last axis first where it counts images, (H, W, N) or (H, W, 3, N)."""
+    """The shape of an array of MATLAB with the axis first that counts images."""
     sizes = [int(size) for size in shape]
-    single = len(sizes) == 2 or sizes[2:] == [3]  # four are rather four images
-    return sizes if single else [sizes[-1], *sizes[:-1]]
+    return [sizes[-1], *sizes[:-1]] if counting_axis(sizes) == -1 else sizes
+
+
+def with_images_first(array: Samples) -> Samples:
+    """An array of MATLAB with the axis first that counts images."""
+    is_last = counting_axis(array.shape) == -1
+    return np.asarray(np.moveaxis(array, -1, 0) if is_last else array)
 
 
 def load_hdf5(path: Path, listed: Listed, *, is_matlab: bool) -> Samples:
@@ -82,6 +133,4 @@ def load_hdf5(path: Path, listed: Listed, *, is_matlab: bool) -> Samples:
         array = np.asarray(file[listed.name][...])
     if not is_matlab:
         return array
-    array = array.transpose()
-    is_stack = images_first(array.shape) != list(array.shape)
-    return np.asarray(np.moveaxis(array, -1, 0) if is_stack else array)
+    return with_images_first(array.transpose())

@@ -24,10 +24,12 @@ from .base import (
     as_samples,
     ask_pixels,
     explained,
+    swapped,
 )
 from .names import in_order
 from .orientation import EXIF_ORIENTATION, UPRIGHT, Orientation, orientation_of_exif
-from .tiff import ORIENTATION, TIFF_HEADS, directories_of, with_upright_tags
+from .portable_grey import decode_portable_grey, portable_grey_header
+from .tiff import BITS, ORIENTATION, TIFF_HEADS, Directory, directories_of, with_upright_tags
 
 
 class Images(Recording):
@@ -76,23 +78,45 @@ def decoded(content: bytes, name: str) -> Samples:
 
     name: names it in errors.  Raises FrameError when it cannot be read or is too large.
     """
+    grey_header = portable_grey_header(content)
+    if grey_header is not None:
+        return decode_portable_grey(content, grey_header, name)
     # Its size first: a small file can decode to gigabytes.
+    directory: Directory | None = None
     if content[:4] in TIFF_HEADS:
-        content, orientation = _tiff_header(content, name)
+        content, directory = _tiff_header(content, name)
+        orientation = orientation_of_exif(directory.number(ORIENTATION, 1))
     else:
         with _opened(BytesIO(content), name) as header:
             ask_pixels(name, *header.size)
             orientation = _orientation_of(header)
+    if directory is not None and directory.is_planar and directory.number(BITS, 8) > 8:
+        return as_samples(orientation.upright(read_planes(BytesIO(content), name)), name)
     # libjpeg and libtiff write to the terminal about damage that they pass over.
     with explained(f"{name}: not a readable image"), quiet_stderr():
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise FrameError(f"{name}: not a readable image")
+    if directory is not None and directory.is_white_zero and image.dtype.kind == "u":
+        image = np.iinfo(image.dtype).max - image
     return as_samples(orientation.upright(np.asarray(image)), name)
 
 
-def _tiff_header(content: bytes, name: str) -> tuple[bytes, Orientation]:
-    """The file with its first page said to be upright, and how that page is to be turned.
+def read_planes(file: Path | IO[bytes], name: str, page: int = 0) -> Samples:
+    """A page of a TIFF file whose colours lie one behind the other, (H, W, C), blue first.
+
+    OpenCV and Pillow take those of 16 bits or more for interleaved ones.  name: names the file in
+    errors.  Raises FrameError.
+    """
+    import tifffile
+
+    with explained(f"{name}: cannot be read", reason=True), tifffile.TiffFile(file) as tiff:
+        planes = np.asarray(tiff.pages[page].asarray())
+        return np.ascontiguousarray(swapped(np.moveaxis(planes, 0, -1)))
+
+
+def _tiff_header(content: bytes, name: str) -> tuple[bytes, Directory]:
+    """The file with its first page said to be upright, and what it says of this page.
 
     OpenCV turns some pages itself and fails at others.
     """
@@ -100,8 +124,7 @@ def _tiff_header(content: bytes, name: str) -> tuple[bytes, Orientation]:
     if not directories:
         raise FrameError(f"{name}: not a readable image; it is damaged or cut short")
     ask_pixels(name, *directories[0].size)
-    orientation = orientation_of_exif(directories[0].number(ORIENTATION, 1))
-    return with_upright_tags(content, directories[0]), orientation
+    return with_upright_tags(content, directories[0]), directories[0]
 
 
 def _orientation_of(header: Image.Image) -> Orientation:

@@ -13,7 +13,8 @@ LEAST_SIDE_PX = 16
 _CHANNELS = ((1,), (2,), (3,), (4,))
 
 Row = list[Any]
-"""[name, shape, dtype] of an array, as an isolated process can return it."""
+"""[name, shape, dtype] of an array, as an isolated process can return it; see `Listed.matlab_shape`
+for a fourth."""
 
 
 @dataclass(frozen=True)
@@ -21,13 +22,15 @@ class Listed:
     """An array in a file, not unpacked.
 
     shape: the number of the image first.  parts: how many of its images are whole where the file
-    is cut short; None: all.
+    is cut short; None: all.  matlab_shape: of an array of MATLAB whose first axis could count
+    images as well as its last, which is taken; None: of others.
     """
 
     name: str
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     parts: int | None = None
+    matlab_shape: tuple[int, ...] | None = None
 
     @property
     def is_single(self) -> bool:
@@ -50,4 +53,8 @@ def has_one_image(shape: Sequence[int]) -> bool:
 
 def listed_of_rows(rows: Sequence[Row]) -> list[Listed]:
     """The arrays that the rows describe."""
-    return [Listed(name, tuple(shape), np.dtype(kind)) for name, shape, kind in rows]
+    listed = []
+    for name, shape, kind, *matlab_shapes in rows:
+        matlab_shape = tuple(matlab_shapes[0]) if matlab_shapes else None
+        listed.append(Listed(name, tuple(shape), np.dtype(kind), matlab_shape=matlab_shape))
+    return listed

@@ -12,7 +12,7 @@ import numpy as np
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.isolated import call_isolated
 from .base import Samples
-from .hdf5_files import MATLAB_DTYPES, images_first, list_hdf5, load_hdf5
+from .hdf5_files import MATLAB_DTYPES, list_hdf5, load_hdf5, matlab_row, with_images_first
 from .listed_arrays import Listed, Row, listed_of_rows
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -75,7 +75,7 @@ def list_matlab(path: str) -> list[Row]:
     except Exception as error:  # SciPy raises nearly anything for damaged files
         raise FactoryError(f"{type(error).__name__}: {error}") from error
     rows = [
-        [name, images_first(shape), MATLAB_DTYPES[kind]]
+        matlab_row(name, shape, MATLAB_DTYPES[kind])
         for name, shape, kind in variables
         if kind in MATLAB_DTYPES
     ]
@@ -100,8 +100,8 @@ def _list_nested(value: Any, name: str, depth: int) -> Iterator[Row]:
     if array is not None and array.dtype.kind in "uif":
         # Cells and arrays of structures count images first.
         is_joined = value.dtype.hasobject
-        shape = list(array.shape) if is_joined else images_first(array.shape)
-        yield [name, shape, array.dtype.str]
+        row: Row = [name, list(array.shape), array.dtype.str]
+        yield row if is_joined else matlab_row(name, array.shape, array.dtype.str)
 
 
 def _of_field(value: Any, field: str) -> Any:
@@ -136,9 +136,7 @@ def _load_matlab_5(path: Path, listed: Listed) -> Samples:
             value = _of_field(value, field)
         array = _joined(value)
         assert array is not None
-        is_stack = not value.dtype.hasobject and images_first(array.shape) != list(array.shape)
-    else:
-        # With its class: whole numbers of class double are stored as smaller ones.
-        array = scipy.io.loadmat(path, mat_dtype=True, variable_names=[name])[name]
-        is_stack = images_first(array.shape) != list(array.shape)
-    return np.asarray(np.moveaxis(array, -1, 0) if is_stack else array)
+        return array if value.dtype.hasobject else with_images_first(array)
+    # With its class: whole numbers of class double are stored as smaller ones.
+    array = scipy.io.loadmat(path, mat_dtype=True, variable_names=[name])[name]
+    return with_images_first(np.asarray(array))

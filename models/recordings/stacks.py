@@ -22,13 +22,20 @@ from .base import (
     swapped,
     untinted,
 )
+from .images import read_planes
+from .page_axes import PageAxes
 from .tiff import (
     BITS,
+    DESCRIPTION,
     PHOTOMETRIC,
+    RESOLUTION_UNIT,
     SAMPLES,
     STRIP_OFFSETS,
     WHITE_IS_ZERO,
+    X_RESOLUTION,
+    Y_RESOLUTION,
     Directory,
+    Tags,
     directories_of,
 )
 
@@ -52,7 +59,10 @@ class StackFile(Recording):
     """A TIFF file; a `Recording` of images, (H, W) or (H, W, 3) BGR, one a page.
 
     ImageJ and tifffile may write one directory, and the images behind each other without
-    compression; then so many are read as are there.
+    compression; then so many are read as are there.  Channels are sequences of their own, and so
+    are slices where there are times as well (`PageAxes`).
+
+    tags: tag -> value, of the description and the resolution, which a copy keeps.
     """
 
     def _open(self) -> None:
@@ -74,12 +84,29 @@ class StackFile(Recording):
         if is_cut or self.count < stated:
             self.warning = f"{name}: is cut short; its {self.count} whole pages are read"
         ask_bytes(name, self.count * first.page_bytes, self.size, streamed=True)
-        if first.number(SAMPLES, 1) >= 3 and first.number(BITS, 8) > 8:
-            raise FrameError(
-                f"{name}: pages in colours of {first.number(BITS)} bits cannot be read; save them "
-                "in 8 bits, or one page a file"
-            )
-        self._image = None if self._is_contiguous else _opened(self._file)
+        axes = first.axes
+        is_stated = axes is not None and axes.page_count == stated
+        self._axes = axes if axes is not None and is_stated else PageAxes("T", (self.count,))
+        # Pillow has 8 bits a colour alone.
+        self._is_deep = first.number(SAMPLES, 1) >= 3 and first.number(BITS, 8) > 8
+        is_for_pillow = not self._is_contiguous and not self._is_deep
+        self._image = _opened(self._file) if is_for_pillow else None
+
+    @property
+    def tags(self) -> Tags:
+        """See the class."""
+        first = self._first
+        tags: Tags = {}
+        for tag in (X_RESOLUTION, Y_RESOLUTION):
+            if tag in first.fractions:
+                tags[tag] = first.fractions[tag]
+        if RESOLUTION_UNIT in first.numbers:
+            tags[RESOLUTION_UNIT] = first.number(RESOLUTION_UNIT)
+        # Doubles are written as floats, of which such a text would say too much.
+        axes = first.axes if first.number(BITS, 8) < 64 else None
+        if axes is not None and axes.page_count == self.count:
+            tags[DESCRIPTION] = first.text.encode("latin-1")
+        return tags
 
     def _whole_images(self, directories: list[Directory]) -> int:
         if self._is_contiguous:
@@ -98,7 +125,15 @@ class StackFile(Recording):
         if page.shape[:2] not in ((height, width), (width, height)):
             own = f"{page.shape[1]} x {page.shape[0]}"
             raise FrameError(f"{name} has {own} pixels, the first {width} x {height}")
-        return Frame(number, as_samples(page, name))
+        samples = as_samples(page, name)
+        time_s = self._axes.time_s(number)
+        return Frame(
+            number,
+            samples,
+            time_s=time_s,
+            duration_s=self._axes.interval_s,
+            sequence=self._axes.sequence_of(number),
+        )
 
     def _contiguous(self, number: int, name: str) -> Samples:
         first = self._first
@@ -107,15 +142,21 @@ class StackFile(Recording):
         (offset, *_) = first.numbers[STRIP_OFFSETS]
         content = self.bytes_at(offset + number * first.page_bytes, first.page_bytes, name)
         width, height = first.size
-        shape = (height, width, first.number(SAMPLES, 1))
-        page = np.frombuffer(content, first.dtype).reshape(shape)
-        page = page[..., 0] if shape[2] == 1 else page
+        samples = first.number(SAMPLES, 1)
+        page = np.frombuffer(content, first.dtype)
+        if first.is_planar:
+            page = np.moveaxis(page.reshape(samples, height, width), 0, -1)
+        else:
+            page = page.reshape(height, width, samples)
+        page = page[..., 0] if samples == 1 else page
         if first.number(PHOTOMETRIC, 1) == WHITE_IS_ZERO and page.dtype.kind == "u":
             page = np.iinfo(page.dtype).max - page
         # The most significant byte may come first.
         return np.ascontiguousarray(swapped(page))
 
     def _page(self, number: int, name: str) -> Samples:
+        if self._is_deep and self._first.is_planar:
+            return read_planes(self.path, name, number)
         if self._image is None:
             return self._by_opencv(number, name)
         with explained(f"{name} cannot be read"), quiet_stderr():
@@ -124,6 +165,8 @@ class StackFile(Recording):
             image = self._image.copy()
             page = np.asarray(image.convert("RGB") if is_palette else image)
         page = np.ascontiguousarray(swapped(page))
+        if self._first.is_white_zero and page.dtype.kind == "u":
+            page = np.iinfo(page.dtype).max - page
         return untinted(page) if is_palette else page
 
     def _by_opencv(self, number: int, name: str) -> Samples:

@@ -6,12 +6,12 @@ checked against the size of the file before it is used.
 
 from __future__ import annotations
 
-import json
-import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import IO, NamedTuple
+
+from .page_axes import PageAxes, axes_of
 
 WIDTH = 256
 HEIGHT = 257
@@ -22,22 +22,32 @@ STRIP_OFFSETS = 273
 ORIENTATION = 274
 SAMPLES = 277
 STRIP_BYTES = 279
+X_RESOLUTION = 282
+Y_RESOLUTION = 283
+PLANES = 284
+RESOLUTION_UNIT = 296
 TILE_OFFSETS = 324
 TILE_BYTES = 325
 SAMPLE_FORMAT = 339
 PHOTOMETRIC = 262
 WHITE_IS_ZERO = 0
 UNCOMPRESSED = 1
+SEPARATE_PLANES = 2
 TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 _TYPES = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
 _TEXT = 2
+_FRACTION = 5
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
 _SIZES |= {16: 8, 17: 8, 18: 8}
 _MOST_ENTRIES = 4096
 _MOST_VALUES = 1 << 22
 _MOST_PAGES = 1 << 20
 _FORMATS = {1: "u", 2: "i", 3: "f"}
+
+
+Tags = dict[int, bytes | int | tuple[int, int]]
+"""Tag -> its text, whole number, or fraction."""
 
 
 class _Form(NamedTuple):
@@ -52,13 +62,15 @@ class Directory:
     """What a file says of one page.
 
     numbers: tag -> its whole numbers.  text: the description.  places: tag -> where its value
-    stands in the file.  order: `<` or `>`, of the file's numbers.
+    stands in the file.  order: `<` or `>`, of the file's numbers.  fractions: tag -> numerator and
+    denominator.
     """
 
     numbers: dict[int, tuple[int, ...]]
     text: str
     places: dict[int, int]
     order: str
+    fractions: dict[int, tuple[int, int]]
 
     def number(self, tag: int, default: int = 0) -> int:
         """The first number of a tag."""
@@ -92,6 +104,27 @@ class Directory:
         )
 
     @property
+    def axes(self) -> PageAxes | None:
+        """How the pages of the file are counted; None where the description does not say."""
+        width, height = self.size
+        samples = self.number(SAMPLES, 1)
+        page_shape: tuple[int, ...] = (height, width)
+        if samples > 1:
+            page_shape = (samples, *page_shape) if self.is_planar else (*page_shape, samples)
+        return axes_of(self.text, page_shape)
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the colours of a page lie one behind the other, each a plane."""
+        return self.number(PLANES, 1) == SEPARATE_PLANES and self.number(SAMPLES, 1) > 1
+
+    @property
+    def is_white_zero(self) -> bool:
+        """Whether 0 is white in whole numbers that libraries pass on as they are stored."""
+        is_inverted = self.number(PHOTOMETRIC, 1) == WHITE_IS_ZERO
+        return is_inverted and self.number(SAMPLES, 1) == 1 and self.number(BITS, 1) > 8
+
+    @property
     def images_behind(self) -> int:
         """How many images lie one behind the other from the first strip on, as the text says.
 
@@ -100,25 +133,8 @@ class Directory:
         """
         if self.number(COMPRESSION, 1) != UNCOMPRESSED or STRIP_OFFSETS not in self.numbers:
             return 1
-        count = re.search(r"^images=(\d{1,9})$", self.text, re.MULTILINE)
-        if self.text.startswith("ImageJ=") and count is not None:
-            return max(1, int(count[1]))
-        return _count_of_shape(self.text, self.size)
-
-
-def _count_of_shape(text: str, size: tuple[int, int]) -> int:
-    """How many pages tifffile says that it has written; 1 where it does not say."""
-    if not text.startswith('{"shape"'):
-        return 1
-    try:
-        shape = json.loads(text).get("shape")
-    except (ValueError, RecursionError, AttributeError):
-        return 1
-    width, height = size
-    is_stack = isinstance(shape, list) and len(shape) >= 3 and shape[1:3] == [height, width]
-    if not is_stack or not isinstance(shape[0], int) or not 0 < shape[0] < 1 << 30:
-        return 1
-    return int(shape[0])
+        axes = self.axes
+        return 1 if axes is None else axes.page_count
 
 
 def directories_of(
@@ -170,6 +186,7 @@ def _directory_at(
         return None
     numbers: dict[int, tuple[int, ...]] = {}
     places: dict[int, int] = {}
+    fractions: dict[int, tuple[int, int]] = {}
     text = ""
     for number in range(count):
         at = offset + head + number * entry
@@ -184,12 +201,15 @@ def _directory_at(
         places[tag] = place
         if kind in _TYPES:
             numbers[tag] = tuple(_numbers_at(file, place, length, form.order + _TYPES[kind]))
-        elif kind == _TEXT and tag == DESCRIPTION:
+        elif kind == _FRACTION and length == 1:
+            numerator, denominator = _numbers_at(file, place, 2, f"{form.order}I")
+            fractions[tag] = (numerator, denominator)
+        elif kind == _TEXT and tag == DESCRIPTION and not text:
             file.seek(place)
             text = file.read(length).rstrip(b"\0").decode("latin-1")
     following = next(_numbers_at(file, link_place, 1, f"{form.order}{link}"), 0)
     values = {tag: value_list for tag, value_list in numbers.items() if value_list}
-    return Directory(values, text, places, form.order), following
+    return Directory(values, text, places, form.order, fractions), following
 
 
 def _numbers_at(file: IO[bytes], place: int, count: int, kind: str) -> Iterator[int]:

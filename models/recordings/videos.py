@@ -7,7 +7,7 @@ other files and addresses to open.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -37,13 +37,21 @@ _MOST_RATE_HZ = 10_000
 _USUAL_RATE = Fraction(25)  # FFmpeg's, where a file says nothing of its rate
 
 
+KEPT_TEXTS = (
+    *("creation_time", "date", "title", "comment", "description", "artist", "copyright"),
+    *("location", "location-eng"),
+)
+"""Metadata of a container that say what was recorded, when, where and by whom."""
+
+
 @dataclass(frozen=True)
 class VideoProperties:
     """What a copy of a video keeps.
 
     bits: of a sample as stored.  is_grey: whether its pixels can hold grey alone.
     time_base_s: unit of its time stamps.  rate: mean frames a second.
-    start_s: stamp of its first frame.
+    start_s: stamp of its first frame.  pixel_aspect: width of a pixel by its height.
+    texts: name -> text of the container's metadata, of `KEPT_TEXTS`.
     """
 
     bits: int
@@ -51,6 +59,8 @@ class VideoProperties:
     time_base_s: Fraction
     rate: Fraction
     start_s: float = 0.0
+    pixel_aspect: Fraction = Fraction(1)
+    texts: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -102,6 +112,12 @@ class VideoFile(Recording):
                 time_base_s=stream.time_base,
                 rate=Fraction(rate) if is_rate else _USUAL_RATE,
                 start_s=float((first.pts or 0) * stream.time_base),
+                pixel_aspect=_pixel_aspect_of(stream, first),
+                texts={
+                    name: text
+                    for name, text in stream.container.metadata.items()
+                    if name.lower() in KEPT_TEXTS
+                },
             )
         # A frame takes a byte at least, whatever the file says.
         self.count = min(stated, self.size)
@@ -307,6 +323,15 @@ def _is_cover(stream: Any) -> bool:
 
 def _is_grey_format(pixel_format: Any) -> bool:
     return len(pixel_format.components) == 1 and pixel_format.name.startswith(("gray", "mono"))
+
+
+def _pixel_aspect_of(stream: Any, first: Any) -> Fraction:
+    """Width of a pixel by its height, as the file says, of its images turned upright."""
+    stated = stream.sample_aspect_ratio
+    if not stated or stated <= 0:
+        return Fraction(1)
+    aspect = Fraction(stated)
+    return 1 / aspect if _orientation_of(first).is_transposed else aspect
 
 
 def _orientation_of(decoded: Any) -> Orientation:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ....factory.dataset.fan_geometry import FanGeometry
+from ..saturated import with_saturated
 from .fusion import Fused, Fusion, Neighbour
 from .motion import Aligner, Grey, grey_of, laid_over
 from .strength import Predictors, Strength, Weights
@@ -246,8 +247,10 @@ class InTime:
         return self._fusion.noise.at(image) / (root if image.ndim == 2 else root[..., None])
 
     def _restore(self, frame: _FusedFrame, predictor_weights: Weights, levels: Grey) -> Grey:
-        """The denoised frame; around a fan it keeps its own levels."""
+        """The denoised frame; around a fan and in saturated echoes it keeps its own levels."""
         denoised = self._denoise(frame, predictor_weights)
+        if self._network is not None:
+            denoised = with_saturated(denoised, levels)
         geometry = frame.geometry
         if not self._keeps_outside or geometry is None or geometry.layout == "polar":
             return denoised

@@ -1,0 +1,35 @@
+"""Saturated echoes keep their level: where a receiver clips, an image has no noise to remove.
+
+A network that never saw a flat patch of white takes it for ground and darkens it.  What is clipped
+and even in a small window is put back as it was.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Grey = npt.NDArray[np.float32]
+
+_NEAR_WHITE = np.float32(0.98)  # of the largest grey value: codecs change clipped samples a little
+_SIDE_PX = 5  # of a square that must be clipped
+_BRIGHT = 0.02  # a largest grey value below it is darkness, not saturation
+
+
+def with_saturated(denoised: Grey, levels: Grey) -> Grey:
+    """A denoised image with the saturated echoes of the noisy one, (H, W) or (H, W, C) in 0..1.
+
+    An echo counts as saturated where a square of `_SIDE_PX` is as bright as the brightest pixel.
+    """
+    largest = levels.max()
+    if largest < _BRIGHT:
+        return denoised
+    clipped = levels >= _NEAR_WHITE * largest
+    if np.count_nonzero(clipped) < _SIDE_PX * _SIDE_PX:
+        return denoised
+    square = np.ones((_SIDE_PX, _SIDE_PX), np.uint8)
+    saturated = cv2.morphologyEx(
+        clipped.astype(np.uint8), cv2.MORPH_OPEN, square, borderType=cv2.BORDER_REPLICATE
+    )
+    return np.where(saturated > 0, np.maximum(denoised, levels), denoised)
