@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable
+from ...factory.common.plots import Curve, Plot, draw_plots
 from ...factory.common.workers.tasks import TaskPool
 from ..judging.recorded import Stretch, frame_of, open_input
 from ..judging.settings import DetectSettings
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, interval, plain, written
-from .curves import Plot, draw_plots
 from .judge import Outcome, judge
 from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, Estimate, MethodFigures
 from .sheet import crop_sheet
@@ -67,7 +67,7 @@ def write(settings: DetectSettings, outcome: Outcome) -> str:
     about += "".join(f"{note}. " for note in outcome.notes)
     table = overall_table(outcome)
     labels = list(outcome.figures)
-    curves = draw_plots(_plots(outcome.figures)).encode()
+    curves = draw_plots(_plots(outcome.figures))
     drawings = [Drawing("curves.svg", "What each method leaves to find", curves)]
     if outcome.examples:
         sheet = crop_sheet(outcome.examples, labels)
@@ -144,21 +144,20 @@ def _plots(figures: dict[str, MethodFigures]) -> Sequence[Plot]:
     """Detections over false alarms, and ROC curves of the matched filter."""
     return (
         Plot(
-            "Detector",
-            "false alarms per frame",
-            "targets found",
-            CURVE_ALARMS,
-            {label: method.curve for label, method in figures.items()},
-            (0.1, 0.3, 1, 3, 10),
-            logarithmic=True,
+            title="Detector",
+            x_label="false alarms per frame",
+            y_label="targets found",
+            curves={label: Curve(CURVE_ALARMS, row.curve) for label, row in figures.items()},
+            ticks=(0.1, 0.3, 1, 3, 10),
+            is_logarithmic=True,
+            y_limits=(0, 1),
         ),
         Plot(
-            "Matched filter (ROC)",
-            "false-positive rate",
-            "true-positive rate",
-            CURVE_RATES,
-            {label: method.roc for label, method in figures.items()},
-            (0, 0.2, 0.4, 0.6, 0.8, 1),
+            title="Matched filter (ROC)",
+            x_label="false-positive rate",
+            y_label="true-positive rate",
+            curves={label: Curve(CURVE_RATES, row.roc) for label, row in figures.items()},
+            y_limits=(0, 1),
         ),
     )
 

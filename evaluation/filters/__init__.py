@@ -31,9 +31,7 @@ from .classical import (
 )
 from .rivals.dual_tree import dual_tree
 from .rivals.lpmsde import lpmsde
-from .rivals.ridgelet import ridgelet
 from .rivals.sar2sar import sar2sar
-from .rivals.structural import structural
 
 Number = int | float
 Parameters = dict[str, Number]
@@ -122,12 +120,6 @@ _RIVALS = (
     Baseline("dual_tree", dual_tree, {"strength": 1.0, "levels": 5},
              {"strength": (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 1000.0), "levels": (1, 2, 3, 5, 8)},
              "Isar, Moga and Isar 2009, from the paper"),
-    Baseline("ridgelet", ridgelet, {"strength": 1.0, "block_px": 11},
-             {"strength": (0.5, 1.0, 1.4, 2.0, 4.0, 1000.0), "block_px": (7, 11, 17, 31)},
-             "Shang et al. 2008, after the abstract"),
-    Baseline("structural", structural, {"strength": 1.0, "patches": 64},
-             {"strength": (0.35, 0.7, 1.0, 1.4, 2.0, 4.0, 1000.0), "patches": (16, 64, 256)},
-             "Jin et al. 2019, non-local, after the abstract"),
     Baseline("sar2sar", sar2sar, {"amplitude": 300.0},
              {"amplitude": (30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0)},
              "Dalsasso et al. 2021 (deepdespeckling), for radar"),

@@ -22,7 +22,7 @@ from ...factory.simulation.pairs.views import ViewMaker, Views, open_views
 from ...factory.simulation.render.base import Mount, RenderSettings
 from ...factory.simulation.render.view import View
 from ...factory.simulation.scenes import Scenes, open_reader
-from .exports import Base, Exports, change_words, command_line, put, recipe, sweep_line
+from .exports import Base, Exports, command_line, put, recipe, sweep_line
 from .parameters import Parameter, parameters_of
 
 Changes = Mapping[str, Any]
@@ -146,10 +146,6 @@ class Session:
         while inert := self.inert(config, acting, acting):
             acting = {key: value for key, value in acting.items() if key not in inert}
         return acting
-
-    def words_with(self, changes: Changes) -> list[str]:
-        """The words of `simnfnd make` that mean the changed configuration."""
-        return [*self.words, *change_words(self._acting(self.configured(changes), changes))]
 
 
 def _differs_in_noise_alone(

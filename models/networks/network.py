@@ -45,10 +45,6 @@ class Network(nn.Module):
         """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         raise NotImplementedError
 
-    def stages(self, noisy: Tensor, **extras: Tensor) -> list[Tensor]:
-        """Images that are all taught, the last as of `forward`; one but for a network of stages."""
-        return [self(noisy, **extras)]
-
     def own_loss(self, noisy: Tensor, progress: float) -> Tensor | None:
         """The loss of a network that learns from noisy images alone, scalar; else None.
 

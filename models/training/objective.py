@@ -45,11 +45,6 @@ def taught_loss(
     network cannot do shows as noise in the gradients when it learns from clean images alone; the
     images of a larger one are nearer to what it can do.
     """
-    if not network.has_heads:
-        images = network.stages(batch["noisy"], **known_extras(network, batch))
-        batch = completed(batch, images[-1], teacher)
-        losses = [loss(image, batch["clean"], batch) for image in images]
-        return torch.stack(losses).mean()
     prediction, heads = _predicted(network, batch)
     batch = completed(batch | heads, prediction, teacher)
     return loss(prediction, batch["clean"], batch)

@@ -18,6 +18,7 @@ from hydra.experimental.callback import Callback
 from ...common.errors import FactoryError
 from ...common.progress import RunReporter, print_fact, print_warning
 from . import markdown
+from .extras import install_command
 from .sweep_curve import draw_curve
 
 if TYPE_CHECKING:
@@ -163,10 +164,19 @@ def write_table() -> None:
     with suppress(FactoryError, OSError):
         if len(datasets) > 1 and side_by_side(datasets, sheet := folder / "sweep.png"):
             print(f"sweep: {sheet}: the same frames of every point, clean and noisy")
-    if curve := draw_curve(names, rows):
-        (folder / "sweep.svg").write_text(curve)
-        print(f"sweep: {folder / 'sweep.svg'}: noise against the swept values")
+    _write_curve(folder / "sweep.svg", names, rows)
     print(f"sweep: {folder / 'sweep.md'}")
+
+
+def _write_curve(path: Path, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
+    try:
+        curve = draw_curve(names, rows)
+    except ImportError:
+        print(f"sweep: {path.name} needs matplotlib: {install_command('figures')}")
+        return
+    if curve:
+        path.write_bytes(curve)
+        print(f"sweep: {path}: noise against the swept values")
 
 
 def equal_points(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -19,7 +19,6 @@ _INTERPOLATION = re.compile(r"\$\{")
 _RESOLVER = re.compile(r"\$\{[A-Za-z_][\w.]*:[^{}]*\}", re.ASCII)
 _REFERENCE = re.compile(r"\$\{([A-Za-z_]\w*)(?:\.\w+)*\}", re.ASCII)
 _SWEEP_FUNCTION = re.compile(r"(choice|range|interval|glob|sort|shuffle|tag)\(.*\)", re.DOTALL)
-_SEQUENCES = (tuple, list, Sequence, frozenset, set)
 _OPENING = {"[": "]", "{": "}", "(": ")"}
 
 

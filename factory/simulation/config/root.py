@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -238,31 +236,18 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
 
 
 def _with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values with the names that version 0.4 gave to the formations replaced.
-
-    Prints once what is to be written instead.
-    """
+    """The values of a stored configuration, with version 0.4's names of the formations replaced."""
     current = dict(values)
     acoustics = {"formation": "pointwise", **(current.get("acoustics") or {})}
     name = acoustics["formation"]
     if name in FORMATION_NAMES_OF_0_4:
         acoustics["formation"] = FORMATION_NAMES_OF_0_4[name]
-        _say_renamed(name)
     if name == "points":
         # All other keys of the group, and the water, did nothing then.
         acoustics = {"formation": "pointwise"}
         current.pop("water", None)
     current["acoustics"] = acoustics
     return current
-
-
-@cache
-def _say_renamed(name: str) -> None:
-    print(
-        f"note: acoustics={name} is now acoustics={FORMATION_NAMES_OF_0_4[name]}; the next version "
-        "refuses the old name",
-        file=sys.stderr,
-    )
 
 
 def _refuse_keys_of_the_other_formation(acoustics: Mapping[str, Any]) -> None:

@@ -34,7 +34,6 @@ _FOUR = np.float32(4)
 _TINY = np.float32(1e-6)
 
 _NOTHING = np.uint64(0)
-_HALF = np.int32(1)
 _BLOCK = 1024
 
 _TABLE = "Array(float32, 1, 'C', readonly=True)"

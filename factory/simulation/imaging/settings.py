@@ -83,7 +83,7 @@ AcousticsSettings = Annotated[
 
 Formation = Literal["pointwise", "coherent"]
 FORMATION_NAMES_OF_0_4: dict[str, Formation] = {"points": "pointwise", "field": "coherent"}
-"""Accepted for one version more."""
+"""In the configurations of datasets that version 0.4 wrote."""
 SETTINGS_OF: dict[Formation, type[PointwiseSettings] | type[CoherentSettings]] = {
     "pointwise": PointwiseSettings,
     "coherent": CoherentSettings,

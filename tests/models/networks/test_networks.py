@@ -54,7 +54,7 @@ def test_every_network_learns(kind: str) -> None:
     clean = torch.nn.functional.interpolate(coarse, (16, 16), mode="bilinear") * 0.6
     noisy = clean + 0.3 + 0.05 * torch.randn(clean.shape, generator=source)
     optimizer = torch.optim.AdamW(network.parameters(), lr=0.01)
-    for _ in range(40 if kind == "three_stage" else 24):
+    for _ in range(24):
         loss = (network(noisy) - clean).square().mean()
         optimizer.zero_grad()
         loss.backward()

@@ -10,11 +10,6 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 
 TINY: dict[str, dict[str, Any]] = {
-    "dae": {"widths": [8, 12]},
-    "dgp_srgan": {
-        **{"width": 4, "blocks": 2, "critic_width": 4},
-        **{"adversarial": 0.001, "penalty": 10.0},
-    },
     "log_residual": {
         **{"width": 8, "blocks": 1, "variance": 0.1175},
         **{"statistics": 0.4, "structure": 0.15, "median": 0.3},
@@ -23,7 +18,6 @@ TINY: dict[str, dict[str, Any]] = {
         **{"width": 4, "blocks": 1, "heads": 2, "critic_width": 4},
         **{"style": 1.0, "similarity": 0.1, "adversarial": 0.005},
     },
-    "three_stage": {"width": 4, "growth": 2, "blocks": 1, "full_blocks": 1},
     "nafnet": {"width": 4, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]},
     "restormer": {
         **{"width": 8, "blocks": [1, 1, 1], "refinement": 1},

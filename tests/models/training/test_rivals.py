@@ -1,4 +1,4 @@
-"""Networks of other authors: a critic in turns, noisy images alone, several stages."""
+"""Networks of other authors: a critic in turns, noisy images alone."""
 
 from __future__ import annotations
 
@@ -10,16 +10,12 @@ import torch
 from torch import Tensor
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.common.settings import build
-from simnfnd.models.networks.rivals.dgp_srgan import slope_penalty
 from simnfnd.models.networks.rivals.log_residual import LogResidual, median_of, structure_of
 from simnfnd.models.networks.rivals.sid_tgan import hinge
 from simnfnd.models.training.adversarial import Opponent
 from simnfnd.models.training.loop import Loop
-from simnfnd.models.training.losses import Loss
-from simnfnd.models.training.objective import taught_loss
 from simnfnd.models.training.train import train
-from tests.models.networks.tiny_networks import TINY, stirred, tiny
+from tests.models.networks.tiny_networks import TINY, tiny
 from tests.models.training.small_training import config_for
 from tests.small_dataset import write_dataset
 
@@ -44,27 +40,8 @@ def test_hinge_is_satisfied_by_clear_judgements() -> None:
     assert hinge(torch.tensor([-1.0]), torch.tensor([3.0])).item() == 6
 
 
-class Slope(torch.nn.Module):
-    """A critic whose slope has the same length everywhere."""
-
-    def __init__(self, length: float) -> None:
-        super().__init__()
-        self.length = torch.nn.Parameter(torch.tensor(length))
-
-    def forward(self, image: Tensor) -> Tensor:
-        value: Tensor = self.length * image.flatten(1).sum(dim=1) / image[0].numel() ** 0.5
-        return value
-
-
-def test_the_penalty_is_how_far_slopes_are_from_one() -> None:
-    images = torch.rand(3, 1, 5, 8)
-    for length, expected in ((1.0, 0.0), (3.0, 4.0), (0.0, 1.0)):
-        assert slope_penalty(Slope(length), images).item() == pytest.approx(expected, abs=1e-5)
-
-
-@pytest.mark.parametrize("kind", ["sid_tgan", "dgp_srgan"])
 def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
-    kind: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     critics: list[Opponent] = []
     update = Loop.update
@@ -83,38 +60,23 @@ def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
     starts: list[dict[str, Tensor]] = []
     with monkeypatch.context() as patch:
         patch.setattr(Opponent, "__init__", noted)
-        train(*config_for(dataset, tmp_path / "whole", *words_of(kind)))
+        train(*config_for(dataset, tmp_path / "whole", *words_of("sid_tgan")))
     end = critics[0].state_dict()["critic"]
     moved = [name for name, values in starts[0].items() if not torch.equal(values, end[name])]
     assert len(moved) > 0.8 * len(end)
     with monkeypatch.context() as patch:
         patch.setattr(Loop, "update", stopped)
         with pytest.raises(OSError, match="pulled the plug"):
-            train(*config_for(dataset, tmp_path / "cut", *words_of(kind)))
-    train(*config_for(dataset, tmp_path / "cut", *words_of(kind)))
+            train(*config_for(dataset, tmp_path / "cut", *words_of("sid_tgan")))
+    train(*config_for(dataset, tmp_path / "cut", *words_of("sid_tgan")))
     files = [tmp_path / folder / "weights.safetensors" for folder in ("whole", "cut")]
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
 def test_a_critic_and_a_teacher_exclude_each_other(dataset: Path, tmp_path: Path) -> None:
-    words = [*words_of("dgp_srgan"), "train.teacher=simnfnd"]
+    words = [*words_of("sid_tgan"), "train.teacher=simnfnd"]
     with pytest.raises(FactoryError, match=r"train\.teacher=simnfnd: .*critic"):
         train(*config_for(dataset, tmp_path, *words))
-
-
-def test_every_stage_is_taught() -> None:
-    network = stirred(tiny("three_stage"))
-    noisy, clean = torch.rand(2, 2, 1, 18, 21)
-    stages = network.stages(noisy)
-    assert [stage.shape for stage in stages] == [noisy.shape] * 3
-    assert torch.equal(stages[-1], network(noisy))
-    loss: Loss = build(Loss, {"kind": "l1"}, "loss")
-    batch = {"noisy": noisy, "clean": clean}
-    computed = taught_loss(network, batch, loss)
-    expected = torch.stack([(stage - clean).abs().mean() for stage in stages]).mean()
-    torch.testing.assert_close(computed, expected)
-    computed.backward()
-    assert all(weights.grad is not None for weights in network.parameters())
 
 
 def test_a_network_learns_from_noisy_images_alone(dataset: Path, tmp_path: Path) -> None:

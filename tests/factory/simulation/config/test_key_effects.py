@@ -437,14 +437,6 @@ def test_a_mapping_names_each_of_its_keys_and_a_distribution_none() -> None:
     assert named_keys(words) == ["sonar.range.auto", "sonar.range.max_m", "resample.rate", "water"]
 
 
-@pytest.mark.parametrize(("old", "name"), [("points", "pointwise"), ("field", "coherent")])
-def test_the_old_names_of_the_formations_still_mean_them(old: str, name: str) -> None:
-    words = [] if old == "points" else ["noise=physical"]
-    assert compose_config([f"acoustics={old}", *words]) == compose_config(
-        [f"acoustics={name}", *words]
-    )
-
-
 def test_settings_that_0_4_wrote_for_points_are_read() -> None:
     """All keys of the complex field stood in them and did nothing."""
     values = plain(compose_config([]))
