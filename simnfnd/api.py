@@ -239,7 +239,7 @@ def open_recording(path: str | Path) -> OpenRecording:
     """Open the recording of a sonar, a bag, a video, or a folder of images.
 
     path: `.aris`, `.ddf`, Oculus `.raw`, bags of ROS 1 and 2 (extra `ros`), `.avi` and other
-        videos, images; docs/recordings.md has them all.
+        videos, images; docs/how-to/recordings.md has them all.
 
     Frames are read when they are asked for.  Raises FactoryError, one line, for a file that is not
     there, of no known kind, or damaged.

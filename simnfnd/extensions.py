@@ -1,7 +1,7 @@
 """All that an extension is written with: effects of noise, readers of RGBD recordings, methods.
 
 An extension is one object: an `Effect`, a `ReaderEntry` or a `Baseline`.  A package names it as an
-entry point, a script registers it (docs/extending.md).
+entry point, a script registers it (docs/how-to/extending.md).
 """
 
 from __future__ import annotations

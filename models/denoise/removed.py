@@ -45,8 +45,8 @@ _BEYOND = 4.0
 _LIMIT = 6.5
 _LIMIT_RISE = 0.2
 """Limit that grain does not reach in one image, in spreads, and its increase per unit of
-ln(number of images).  Measured on real recordings (docs/recordings.md): with the mean over time as
-the denoised frame, 58 frames of grain reach 6.6."""
+ln(number of images).  Measured on real recordings (docs/how-to/recordings.md): with the mean over
+time as the denoised frame, 58 frames of grain reach 6.6."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def main(arguments: Sequence[str]) -> int:
     add("--out", required=True, help="file to write")
     form = (
         "safetensors: 16 bits with a model card (default); onnx: for other programs, see "
-        "docs/deploy.md; runtime: the graph without weights by which `simnfnd denoise` does "
+        "docs/how-to/deploy.md; runtime: the graph without weights by which `simnfnd denoise` does "
         "without torch"
     )
     add("--to", choices=tuple(SUFFIXES), default="safetensors", help=form)

@@ -1,6 +1,6 @@
 """A package outside of the repository adds an effect, a reader, a method and presets.
 
-It is written from the code of docs/extending.md, which thereby runs.
+It is written from the code of docs/how-to/extending.md, which thereby runs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from simnfnd.factory.simulation.noise.registry import EFFECTS
 from tests.project.test_face import PLACE, frame
 from tests.project_files import ROOT
 
-PAGE = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/how-to/extending.md").read_text(encoding="utf-8")
 FAST = (
     "render=analytic", "scenes.locations=2", "scenes.frames_per_location=2", "scenes.width=160",
     "scenes.height=100", "scheduler.workers=2", "dataset.preview_pairs=0",

@@ -40,7 +40,8 @@ IN_ORDER = sorted(RUN_HERE.values(), key=lambda step: (PAGES.index(step.page), s
 
 def test_no_command_hides_and_each_says_how_long_it_takes() -> None:
     for page in PAGES:
-        assert {language for language, _, _ in fences(page)} <= {"sh", "python", "text", "yaml"}
+        languages = {language for language, _, _ in fences(page)}
+        assert languages <= {"sh", "bash", "python", "py", "text", "yaml"}, page
         silent = [step.text for step in STEPS[page] if step.kind == "sh" and not step.time_s]
         assert [text for text in silent if not text.startswith(NOT_HERE)] == [], page
 

@@ -1,7 +1,7 @@
 """Workers of a Dask cluster: one on this machine, or any that a scheduler's address leads to.
 
 Each worker has one thread and a nanny that replaces it when it dies, and takes tasks of all kinds.
-Dask is to retry nothing itself: docs/cluster.md says how to start such a cluster elsewhere.
+Dask is to retry nothing itself: docs/how-to/cluster.md says how to start such a cluster elsewhere.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class DaskBackend(Backend):
             key = f"address={address}" if address else "backend=dask"
             raise FactoryError(
                 f"scheduler.{key}: no Dask cluster answers ({error}); check the address, or start "
-                "one (docs/cluster.md)"
+                "one (docs/how-to/cluster.md)"
             ) from error
         threading.Thread(target=self._watch, daemon=True).start()
 

@@ -59,7 +59,7 @@ def locked(folder: Path, part: str = "") -> Iterator[None]:
             raise FactoryError(
                 f"{folder}: its file system has no locks ({error.strerror}), which keep two runs "
                 "apart; mount it with locks (NFS: start lockd, or mount with nfsvers=4), or give a "
-                "folder elsewhere with dataset.dir= (docs/cluster.md)"
+                "folder elsewhere with dataset.dir= (docs/how-to/cluster.md)"
             ) from error
     try:
         with explain_os_errors(folder):
