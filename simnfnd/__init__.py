@@ -3,9 +3,9 @@
     from simnfnd import PairDataset, denoise, make_dataset, make_pair, open_recording
 
 PairDataset reads a dataset (numpy and h5py are enough), `make_dataset` makes one, `make_pair` makes
-a pair of an RGBD frame in memory, `denoise` takes an image in memory, `open_recording` reads the
-frames of a sonar's recording (docs/python.md).  What a caller can correct is a FactoryError, one
-line; a frame that cannot be used is a FrameError.
+a pair of an RGBD frame in memory.  `denoise` takes an image in memory, `Denoiser` the frames of a
+live sonar; `open_recording` reads the frames of a sonar's recording (docs/python.md).  What a
+caller can correct is a FactoryError, one line; a frame that cannot be used is a FrameError.
 
 Each name is imported when it is first used, so `import simnfnd` costs nothing.
 """
@@ -24,15 +24,21 @@ if TYPE_CHECKING:
     from .factory.common.errors import FactoryError, FrameError
     from .factory.common.progress import RunProgress
     from .factory.dataset import PairDataset
+    from .factory.dataset.fan_geometry import FanGeometry
     from .factory.dataset.schema import Pair
+    from .live import Denoiser
     from .making import DatasetResult, make_dataset, make_pair
     from .models.data.pair_stream import PairStream
+    from .models.recordings.base import Beams
 
 __path__ = search_path(Path(__file__).parent)
 
 __all__ = [
+    "Beams",
     "DatasetResult",
+    "Denoiser",
     "FactoryError",
+    "FanGeometry",
     "FrameError",
     "OpenRecording",
     "Pair",
@@ -48,8 +54,11 @@ __all__ = [
 ]
 
 _MODULES = {
+    "Beams": "models.recordings.base",
     "DatasetResult": "making",
+    "Denoiser": "live",
     "FactoryError": "factory.common.errors",
+    "FanGeometry": "factory.dataset.fan_geometry",
     "FrameError": "factory.common.errors",
     "OpenRecording": "api",
     "Pair": "factory.dataset.schema",

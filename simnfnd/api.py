@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,11 +13,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 import numpy as np
 import numpy.typing as npt
 
+from .python_words import in_python_words
+
 if TYPE_CHECKING:
     from .factory.dataset.fan_geometry import FanGeometry
     from .factory.dataset.schema import Pair
     from .models.denoise.denoiser import Denoiser
     from .models.recordings import Frame
+    from .models.recordings.base import Beams, Samples
     from .models.recordings.fan_tracking import FanTracker
 
 
@@ -33,10 +38,11 @@ class DenoisedImage(NamedTuple):
 
 @overload
 def denoise(
-    image: npt.ArrayLike | Pair,
+    image: npt.ArrayLike | Pair | RecordedFrame,
     *,
     weights: str | Path | None = None,
-    geometry: Literal["find", "polar"] | FanGeometry | None = "find",
+    geometry: Literal["find", "polar"] | FanGeometry | RecordedFrame | None = "find",
+    opening_deg: float | None = None,
     strength: float = 1.0,
     frames: int = 7,
     causal: bool = False,
@@ -47,10 +53,11 @@ def denoise(
 
 @overload
 def denoise(
-    image: npt.ArrayLike | Pair,
+    image: npt.ArrayLike | Pair | RecordedFrame,
     *,
     weights: str | Path | None = None,
-    geometry: Literal["find", "polar"] | FanGeometry | None = "find",
+    geometry: Literal["find", "polar"] | FanGeometry | RecordedFrame | None = "find",
+    opening_deg: float | None = None,
     strength: float = 1.0,
     frames: int = 7,
     causal: bool = False,
@@ -60,10 +67,11 @@ def denoise(
 
 
 def denoise(
-    image: npt.ArrayLike | Pair,
+    image: npt.ArrayLike | Pair | RecordedFrame,
     *,
     weights: str | Path | None = None,
-    geometry: Literal["find", "polar"] | FanGeometry | None = "find",
+    geometry: Literal["find", "polar"] | FanGeometry | RecordedFrame | None = "find",
+    opening_deg: float | None = None,
     strength: float = 1.0,
     frames: int = 7,
     causal: bool = False,
@@ -75,13 +83,17 @@ def denoise(
     image: (H, W), (N, H, W), or (H, W, C): C is 1, 2 (grey and alpha), 3 or 4 (colours, with
         alpha); uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.  Of a `Pair` the
-        noisy image is denoised, with the geometry of the pair.
+        noisy image is denoised, with the geometry of the pair; of a frame of `open_recording` the
+        stored samples, with the geometry that the recording states.
     weights: a weights.safetensors of a training or the name of weights that ship: `simnfnd` for
         real sonars, `simnfnd-paper` for the points that the paper simulates.  They stay loaded for
         the next call.  None: `simnfnd`, and for a pointwise `Pair` `simnfnd-paper`.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
         in each image, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
-        the columns span 30 degrees.  None: not known.
+        the columns span `opening_deg`.  A recorded frame: as it states for its samples, or for its
+        image, whichever has the shape of the array.  None: not known.
+    opening_deg: angle from the left edge of the first column to the right edge of the last one,
+        degrees, of geometry="polar"; without it 30 are assumed, with a warning.
     strength: part of the change that an image gets, 0 to 1.
     frames: of a stack whose images follow each other in time: up to so many, odd, are laid over
         each other and fused where they show the same; 1: each alone.
@@ -90,48 +102,28 @@ def denoise(
     return_removed: whether the removed signal is returned, too.
 
     Returns an array of the same shape and dtype, or a `DenoisedImage`.
-    Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
-    weights that are not there, a missing GPU, and where the extra `denoise` is not installed.
+    Raises ValueError for another shape or dtype, NaN, floats outside 0..1, a geometry that does not
+    fit the image, and parameters out of range; FactoryError for weights that are not there, a
+    missing GPU, and where the extra `denoise` is not installed.
     """
-    from .factory.production.cli.extras import Need, require
-
-    needed = ("onnxruntime", "safetensors", "cv2", "scipy")
-    require(Need("simnfnd.denoise", module) for module in needed)
-    from .factory.dataset.fan_geometry import FanGeometry
-    from .factory.dataset.schema import Pair
+    if isinstance(image, RecordedFrame):
+        geometry = image if isinstance(geometry, str) and geometry == "find" else geometry
+        image = image.samples
+    weights, geometry, image = _of_pair(image, weights, geometry)
+    values = _values_of(image)
+    network = _loaded_denoiser(weights, device, strength, frames)
+    is_single = values.ndim == 2 or values.shape[2] <= 4
+    rows, columns = values.shape[:2] if is_single else values.shape[1:]
+    known_geometry = _checked_geometry(geometry, opening_deg, (rows, columns), stacklevel=3)
     from .models.denoise.images import Denoising
-    from .models.pretrained import POINTS, find_weights
     from .models.recordings.fan_finder import find_geometry
 
-    if isinstance(image, Pair):
-        if weights is None and image.formation == "pointwise":
-            weights = POINTS
-        if geometry == "find" and image.geometry is not None:
-            geometry = image.geometry
-        image = image.noisy
-    if isinstance(image, str | Path):
-        raise ValueError(
-            f"{image}: expected an array; read the file first (cv2.imread, open_recording), or "
-            "run `simnfnd denoise FILE --out FOLDER`"
-        )
-    values = np.asarray(image)
-    if values.ndim not in (2, 3):
-        raise ValueError(f"image has shape {values.shape}; expected (H, W), (N, H, W) or (H, W, 3)")
-    path = find_weights(weights)
-    if not 0 <= strength <= 1:
-        raise ValueError(f"strength={strength}: expected 0 to 1")
-    network = _denoiser(path, path.stat().st_mtime_ns, device)
-    if isinstance(geometry, str) and geometry not in ("find", "polar"):
-        raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
-
     def place(image: npt.NDArray[Any]) -> FanGeometry | None:
-        if geometry == "polar":
-            return FanGeometry.polar().with_size(*image.shape[:2])
-        return find_geometry(image) if isinstance(geometry, str) else geometry
+        return find_geometry(image) if isinstance(known_geometry, str) else known_geometry
 
     known = values.astype(np.float32) if values.dtype.kind == "f" else values
     denoising = Denoising(network, frames=frames, causal=causal, strength=strength)
-    if values.ndim == 2 or values.shape[2] <= 4:
+    if is_single:
         single = denoising.denoise_image(known, place)
         denoised_image = single.image.astype(values.dtype)
         if return_removed:
@@ -145,6 +137,136 @@ def denoise(
         if return_removed:
             removed[denoised.key] = denoised.removed.signal
     return DenoisedImage(result, removed) if return_removed else result
+
+
+_ASSUMED_OPENING_DEG = 30.0
+_LEAST_INSIDE = 0.6
+"""Part of a fan that must lie in the image that it is said to belong to; screens crop a little."""
+_MOST_FRAMES = 31
+
+
+def _of_pair(image: Any, weights: Any, geometry: Any) -> tuple[Any, Any, Any]:
+    """Weights, geometry and image, of a `Pair` those of the pair where the caller left them out."""
+    from .factory.dataset.schema import Pair
+
+    if not isinstance(image, Pair):
+        return weights, geometry, image
+    if weights is None and image.formation == "pointwise":
+        from .models.pretrained import POINTS
+
+        weights = POINTS
+    if isinstance(geometry, str) and geometry == "find" and image.geometry is not None:
+        geometry = image.geometry
+    return weights, geometry, image.noisy
+
+
+def _values_of(image: Any) -> npt.NDArray[Any]:
+    """An image or a stack as an array.  Raises ValueError for a path, and for other shapes."""
+    if isinstance(image, str | Path):
+        raise ValueError(
+            f"{image}: expected an array; read the file first (cv2.imread, open_recording), or "
+            "run `simnfnd denoise FILE --out FOLDER`"
+        )
+    values = np.asarray(image)
+    if values.ndim not in (2, 3):
+        raise ValueError(f"image has shape {values.shape}; expected (H, W), (N, H, W) or (H, W, 3)")
+    return values
+
+
+def _loaded_denoiser(
+    weights: str | Path | None, device: str, strength: float, frames: int
+) -> Denoiser:
+    """The network, its parameters checked.  Raises what `denoise` raises."""
+    from .factory.production.cli.extras import Need, require
+
+    needed = ("onnxruntime", "safetensors", "cv2", "scipy")
+    require(Need("simnfnd.denoise", module) for module in needed)
+    from .models.pretrained import find_weights
+
+    if device not in ("auto", "cpu", "gpu"):
+        raise ValueError(f"device={device!r}: expected 'auto', 'cpu' or 'gpu' (CUDA)")
+    if not 0 <= strength <= 1:
+        raise ValueError(f"strength={strength}: expected 0 to 1")
+    if not (1 <= frames <= _MOST_FRAMES and frames % 2):
+        raise ValueError(f"frames={frames}: expected an odd number from 1 to {_MOST_FRAMES}")
+    with in_python_words():
+        path = find_weights(weights)
+        return _denoiser(path, path.stat().st_mtime_ns, device)
+
+
+def _checked_geometry(
+    geometry: Any,
+    opening_deg: float | None,
+    shape: tuple[int, int] | None,
+    *,
+    stacklevel: int,
+) -> FanGeometry | Literal["find"] | None:
+    """The geometry of images of a shape; None: of any, which `fitting_geometry` completes.
+
+    stacklevel: of the warning where the opening angle is assumed.
+    """
+    from .factory.dataset.fan_geometry import FanGeometry
+
+    if opening_deg is not None and geometry != "polar":
+        raise ValueError('opening_deg: belongs to geometry="polar"')
+    if isinstance(geometry, RecordedFrame):
+        return _stated_geometry(geometry, shape)
+    if isinstance(geometry, str) and geometry == "find":
+        return "find"
+    if isinstance(geometry, str) and geometry == "polar":
+        if opening_deg is None:
+            warnings.warn(
+                f"geometry='polar': assumes {_ASSUMED_OPENING_DEG:g} degrees; state opening_deg=",
+                stacklevel=stacklevel,
+            )
+            opening_deg = _ASSUMED_OPENING_DEG
+        if not 0 < opening_deg <= 360:
+            raise ValueError(f"opening_deg={opening_deg}: expected more than 0, up to 360")
+        geometry = FanGeometry.polar(math.radians(opening_deg))
+    if geometry is not None and not isinstance(geometry, FanGeometry):
+        raise ValueError(
+            f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry, a recorded frame or "
+            "None"
+        )
+    if geometry is None or shape is None:
+        return geometry
+    return fitting_geometry(geometry, *shape)
+
+
+def _stated_geometry(frame: RecordedFrame, shape: tuple[int, int] | None) -> FanGeometry | None:
+    """What a recording states of arrays of the shape of a frame's samples, or of its image."""
+    samples_shape = frame.samples.shape[:2]
+    if shape in (None, samples_shape):
+        return frame.samples_geometry
+    if shape == frame.image.shape[:2]:
+        return frame.geometry
+    raise ValueError(
+        f"geometry: the frame has samples of {samples_shape} and an image of "
+        f"{frame.image.shape[:2]}; the array is {shape}"
+    )
+
+
+def fitting_geometry(geometry: FanGeometry, rows: int, columns: int) -> FanGeometry:
+    """The geometry of an image of this size.  Raises ValueError where it cannot be its own."""
+    if geometry.layout == "polar":
+        geometry = geometry.with_size(rows, columns)
+        size = geometry.range_bins, len(geometry.beam_azimuths_rad)
+        if size != (rows, columns):
+            raise ValueError(
+                f"geometry: is of {size[0]} ranges and {size[1]} beams, the image of "
+                f"{rows} x {columns}"
+            )
+        return geometry
+    width_rad = geometry.azimuth_max_rad - geometry.azimuth_min_rad
+    area_px = width_rad / 2 * (geometry.far_px**2 - geometry.near_px**2) * geometry.x_scale
+    inside_px = float(geometry.maps(0, 0, rows, columns)["sector"].sum())
+    if inside_px < _LEAST_INSIDE * area_px:
+        raise ValueError(
+            f"geometry: only {100 * inside_px / area_px:.0f} % of its fan lie in this image of "
+            f"{rows} x {columns} pixels; give that of this image (of a recorded frame's samples: "
+            "the frame itself)"
+        )
+    return geometry
 
 
 @lru_cache(maxsize=2)
@@ -173,6 +295,25 @@ class RecordedFrame:
     frame: Frame
 
     @property
+    def samples(self) -> Samples:
+        """What the file holds: (ranges, beams) of a ping, near range first, or the pixels."""
+        return self.frame.samples
+
+    @property
+    def beams(self) -> Beams | None:
+        """Bearings of the columns of `samples` and its range window; None of images."""
+        return self.frame.beams
+
+    @property
+    def samples_geometry(self) -> FanGeometry | None:
+        """Where range and bearing are in `samples`; of images `geometry`."""
+        if self.frame.beams is None:
+            return self.geometry
+        from .models.recordings.views import polar_geometry
+
+        return polar_geometry(self.frame.beams, len(self.frame.samples))
+
+    @property
     def picture(self) -> npt.NDArray[Any]:
         """`image` by its name of version 0.4."""
         return self.image
@@ -181,11 +322,13 @@ class RecordedFrame:
 class OpenRecording:
     """An opened recording: iterate, index or measure it; close it, or use it in `with`."""
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, topic: str | Sequence[str] | None = None) -> None:
         """See `open_recording`."""
         from .models.recordings import open_recording as opened
 
-        self._recording = opened(path)
+        topics = (topic,) if isinstance(topic, str) else tuple(topic or ())
+        with in_python_words():
+            self._recording = opened(path, topics)
         self._trackers: dict[tuple[int, ...], FanTracker] = {}
 
     def __len__(self) -> int:
@@ -193,11 +336,14 @@ class OpenRecording:
 
     def __getitem__(self, number: int) -> RecordedFrame:
         """One frame, from 0.  Raises IndexError, and FrameError when it is damaged."""
-        return self._shown(self._recording[number])
+        with in_python_words():
+            return self._shown(self._recording[number])
 
     def __iter__(self) -> Iterator[RecordedFrame]:
         """All frames in order.  Raises FrameError at one that is damaged."""
-        return map(self._shown, self._recording)
+        with in_python_words():
+            for frame in self._recording:
+                yield self._shown(frame)
 
     @property
     def warning(self) -> str:
@@ -235,13 +381,15 @@ class OpenRecording:
         return RecordedFrame(samples, geometry, frame.time_s, frame)
 
 
-def open_recording(path: str | Path) -> OpenRecording:
+def open_recording(path: str | Path, *, topic: str | Sequence[str] | None = None) -> OpenRecording:
     """Open the recording of a sonar, a bag, a video, or a folder of images.
 
     path: `.aris`, `.ddf`, Oculus `.raw`, bags of ROS 1 and 2 (extra `ros`), `.avi` and other
         videos, images; docs/how-to/recordings.md has them all.
+    topic: of a bag, whose messages are the frames, one or several; None: those of sonars, or else
+        the only one with images.
 
     Frames are read when they are asked for.  Raises FactoryError, one line, for a file that is not
-    there, of no known kind, or damaged.
+    there, of no known kind, damaged, or without such a topic.
     """
-    return OpenRecording(path)
+    return OpenRecording(path, topic)

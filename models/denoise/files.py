@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -13,14 +12,14 @@ import numpy as np
 
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.files import remove_stale_temporaries, write_atomically
-from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings import SEQUENCES, Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from ..recordings.images import read_image
 from ..recordings.inputs import Item
 from ..recordings.portable_grey import white_of_file
-from ..recordings.views import fan_of, grey_of, polar_geometry
+from ..recordings.views import fan_of, grey_of
+from .frame_shots import FrameShots
 from .images import Denoised, Pixels
 from .job import Job
 from .shards import denoise_shards
@@ -167,11 +166,7 @@ def _write_pings(folder: Path, frames: Iterable[tuple[Frame, Pixels]]) -> None:
 
 def _opened(item: Item, topics: Sequence[str]) -> Recording:
     try:
-        if item.kind != "rosbag":
-            return open_recording(item.source)
-        from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
-
-        return RosBag(item.source, topics)
+        return open_recording(item.source, topics)
     except FactoryError as error:
         raise FrameError(str(error)) from error
 
@@ -180,21 +175,12 @@ def _frames(
     item: Item, recording: Recording, job: Job, shown: list[Compared]
 ) -> Iterator[tuple[Frame, Pixels]]:
     """Each frame and what became of it; the first are shown to compare."""
-
-    def place(frame: Frame, image: Pixels) -> FanGeometry | None:
-        if frame.beams is not None:
-            return polar_geometry(frame.beams, len(image))
-        return frame.geometry or job.geometries.of(item, image)
+    shot_of = FrameShots(job.denoising, partial(job.geometries.of, item))
 
     def read() -> Iterator[Shot]:
-        before = None
         for frame in recording:
-            turned_px = _turned_px(frame, before)
-            before = frame
             try:
-                yield job.denoising.shot(
-                    frame, frame.samples, partial(place, frame), turned_px, is_tracked=True
-                )
+                yield shot_of(frame)
             except ValueError as error:
                 raise FrameError(f"{item.source}: frame {frame.number}: {error}") from error
 
@@ -213,18 +199,6 @@ def _frames(
             job.video.add(before, after, frame.time_s)
         yield frame, denoised.image
         job.bar.update()
-
-
-def _turned_px(frame: Frame, before: Frame | None) -> tuple[float, float] | None:
-    """How far a scene moved across the beams since the frame before, by the compass."""
-    now_deg = frame.pose.heading_deg
-    before_deg = before.pose.heading_deg if before is not None else None
-    if now_deg is None or before_deg is None or frame.beams is None:
-        return None
-    azimuths = frame.beams.azimuths_rad
-    turned_deg = (now_deg - before_deg + 180) % 360 - 180
-    spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
-    return -math.radians(turned_deg) / spacing, 0.0
 
 
 def _view(frame: Frame, samples: Pixels) -> Pixels:

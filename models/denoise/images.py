@@ -78,7 +78,7 @@ class Denoising:
     network, frames, causal, keeps_outside: see `InTime`.
     strength: part of the whole change, of fusion and network, that an image gets, 0 to 1.
     inverts: whether images show dark echoes on a bright ground.
-    maps: colour map -> how many images had it.
+    maps: colour map -> how many images had it.  tally: see `InTime`.
     """
 
     def __init__(
@@ -98,14 +98,14 @@ class Denoising:
                 "before it as after it"
             )
         self.frames = frames
-        self._tally = defaultdict[str, float](float)
+        self.tally = defaultdict[str, float](float)
         self._strengths: list[str] = []
         self._network = network
         self._in_time = partial(
             InTime,
             causal=causal,
             keeps_outside=keeps_outside,
-            tally=self._tally,
+            tally=self.tally,
         )
         self._strength = np.float32(strength)
         self._inverts = inverts
@@ -152,30 +152,30 @@ class Denoising:
         return Shot(source, levels, fan, shift_px, wanted, is_tracked)
 
     def sequence(self, shots: Iterable[Shot], *, alone: bool = False) -> Iterator[Denoised]:
-        """What became of each image of a sequence, in order.
+        """What became of each image of a sequence, in order; see `open_sequence`."""
+        yield from self.open_sequence(alone=alone).run(shots)
+
+    def open_sequence(self, *, alone: bool = False, at_once: int | None = None) -> FrameSequence:
+        """A sequence of images, to be denoised in order.
 
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
         Copies of the image before, as a video holds of a slower sonar, are fused once.
-        alone: whether each is denoised alone.
+        alone: whether each is denoised alone.  at_once: see `InTime`; by default a core each.
         """
         # The first image is looked at anew, so that a sequence depends on none before it.
         self._last_map = None
-        yield from self._denoised(shots, alone)
+        if alone:
+            return self._opened(1, at_once or 1)
+        return self._opened(self.frames, at_once or usable_cores())
 
     def denoise_image(self, image: Pixels, place: Place) -> Denoised:
         """Denoise one image alone.  Raises ValueError as `shot` does."""
-        (denoised,) = self._denoised([self.shot(None, image, place)], alone=True)
+        (denoised,) = self._opened(1, 1).run([self.shot(None, image, place)])
         return denoised
 
-    def _denoised(self, shots: Iterable[Shot], alone: bool) -> Iterator[Denoised]:
-        frames, at_once = (1, 1) if alone else (self.frames, usable_cores())
+    def _opened(self, frames: int, at_once: int) -> FrameSequence:
         stream = self._in_time(self._network, frames=frames, at_once=at_once)
-        denoised = Unrepeated(stream, self._tally)(shots) if frames > 1 else stream(shots)
-        source: _Source
-        for source, levels in denoised:
-            yield source.result(levels)
-        if stream.strength.measured:
-            self._strengths.append(str(stream.strength))
+        return FrameSequence(stream, self.tally, self._strengths)
 
     def summary(self) -> Iterator[str]:
         """A line if colours stood for levels, and lines of what was done in time."""
@@ -185,19 +185,55 @@ class Denoising:
                 f"colour maps: {named}; their levels were denoised and painted again "
                 f"({SUM}: a map that is not known, by the sum of its channels)"
             )
-        if images := self._tally["images"]:
+        if images := self.tally["images"]:
             yield (
-                f"in time: {self._tally['frames'] / images:.1f} of up to {self.frames} frames "
-                f"fused in a pixel, {100 * self._tally['moved'] / images:.1f} % of pixels moved, "
-                f"{self._tally['alone']:.0f} of {images:.0f} frames matched no neighbour"
+                f"in time: {self.tally['frames'] / images:.1f} of up to {self.frames} frames "
+                f"fused in a pixel, {100 * self.tally['moved'] / images:.1f} % of pixels moved, "
+                f"{self.tally['alone']:.0f} of {images:.0f} frames matched no neighbour"
             )
-        if repeats := self._tally["repeats"]:
+        if repeats := self.tally["repeats"]:
             yield (
                 f"repeated frames: {repeats:.0f} of {images + repeats:.0f} are copies of the one "
                 "before and were fused once"
             )
         for strength in self._strengths:
             yield f"strength fitted to the recording: {strength}"
+
+
+class FrameSequence:
+    """A sequence of images on its way: shots in, denoised images out, in order."""
+
+    def __init__(self, stream: InTime, tally: dict[str, float], strengths: list[str]) -> None:
+        """tally: see `InTime`.  strengths: to which the one that was fitted is added at the end."""
+        self._in_time = stream
+        self._stream = Unrepeated(stream, tally) if stream.window > 1 else stream
+        self._strengths = strengths
+
+    def run(self, shots: Iterable[Shot]) -> Iterator[Denoised]:
+        """Denoise a whole sequence."""
+        for shot in shots:
+            yield from self.push(shot)
+        yield from self.finish()
+
+    def push(self, shot: Shot) -> Iterator[Denoised]:
+        """Take the next image; yields those that are denoised by now."""
+        yield from _results(self._stream.push(shot))
+
+    def finish(self) -> Iterator[Denoised]:
+        """Yield the images that are left; the sequence has ended."""
+        yield from _results(self._stream.finish())
+        if self._in_time.strength.measured:
+            self._strengths.append(str(self._in_time.strength))
+
+    def close(self) -> None:
+        """Let go of the threads of a sequence that is not finished."""
+        self._stream.close()
+
+
+def _results(denoised: Iterable[tuple[Any, Grey]]) -> Iterator[Denoised]:
+    source: _Source
+    for source, levels in denoised:
+        yield source.result(levels)
 
 
 def check(image: Pixels) -> None:

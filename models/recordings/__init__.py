@@ -6,6 +6,7 @@ says which files it reads.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -102,9 +103,10 @@ def dataset_of(path: Path) -> Path | None:
     return None
 
 
-def open_recording(path: str | Path) -> Recording:
+def open_recording(path: str | Path, topics: Sequence[str] = ()) -> Recording:
     """The recording in a file or folder.
 
+    topics: of a bag, as `RosBag` takes them.
     Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
     """
     location = Path(path).expanduser()
@@ -121,5 +123,6 @@ def open_recording(path: str | Path) -> Recording:
     module, name = READERS[kind][0].split(":")
     if module not in ("sonar_files", "simulated"):
         require([Need(f"{path}", "cv2")])
-    recording: Recording = getattr(import_module(f".{module}", __name__), name)(location)
+    reader = getattr(import_module(f".{module}", __name__), name)
+    recording: Recording = reader(location, topics) if kind == "rosbag" else reader(location)
     return recording

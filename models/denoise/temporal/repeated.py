@@ -43,38 +43,65 @@ class Unrepeated:
         self._tally = tally
         self._finder = RepeatFinder()
         self._runs: deque[_Run] = deque()  # whose results are to come
+        self._newest: _Run | None = None
+        self._waits = False  # whether the newest frame waits for a copy that is wanted
+        self._last: tuple[_Run, Grey] | None = None  # the last result
 
     def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
         """The key of each frame that is wanted and its levels, denoised, in order."""
-        last: tuple[_Run, Grey] | None = None
-        for key, denoised in self._stream(self._originals(shots)):
-            if last is not None:  # copies that came after their frame was done
-                yield from self._copies(*last)
-            run = self._runs.popleft()
-            if run.shot.wanted:
-                yield key, denoised
-            yield from self._copies(run, denoised)
-            last = run, denoised
-        if last is not None:
-            yield from self._copies(*last)
-
-    def _originals(self, shots: Iterable[Shot]) -> Iterator[Shot]:
-        newest: _Run | None = None
-        waits = False
         for shot in shots:
-            is_repeat = self._finder.is_repeat(grey_of(shot.levels))
-            if is_repeat and newest is not None and newest.count < _MOST_COPIES:
-                self._add_copy(newest, shot)
-                continue
-            if newest is not None and waits:
-                yield self._passed(newest)
-            newest = _Run(shot)
-            # Of a frame that is not wanted a copy may be.
-            waits = not shot.wanted
-            if not waits:
-                yield self._passed(newest)
-        if newest is not None and waits:
-            yield self._passed(newest)
+            yield from self.push(shot)
+        yield from self.finish()
+
+    def push(self, shot: Shot) -> Iterator[tuple[Any, Grey]]:
+        """Take the next frame; yields those that are denoised by now, a copy at once."""
+        is_repeat = self._finder.is_repeat(grey_of(shot.levels))
+        newest = self._newest
+        if is_repeat and newest is not None and newest.count < _MOST_COPIES:
+            self._add_copy(newest, shot)
+            if self._last is not None and self._last[0] is newest:
+                yield from self._copies(*self._last)
+            return
+        yield from self._pass_waiting()
+        self._newest = _Run(shot)
+        # Of a frame that is not wanted a copy may be.
+        self._waits = not shot.wanted
+        if not self._waits:
+            yield from self._pass_on(self._newest)
+
+    def settle(self) -> Iterator[tuple[Any, Grey]]:
+        """See `InTime.settle`."""
+        yield from self._results(self._stream.settle())
+
+    def finish(self) -> Iterator[tuple[Any, Grey]]:
+        """See `InTime.finish`."""
+        yield from self._pass_waiting()
+        yield from self._results(self._stream.finish())
+
+    def close(self) -> None:
+        """See `InTime.close`."""
+        self._stream.close()
+
+    def _pass_waiting(self) -> Iterator[tuple[Any, Grey]]:
+        if self._newest is not None and self._waits:
+            self._waits = False
+            yield from self._pass_on(self._newest)
+
+    def _pass_on(self, run: _Run) -> Iterator[tuple[Any, Grey]]:
+        """Give the frame of a run to the stream, wanted where a copy is."""
+        wanted = run.shot.wanted or bool(run.copies)
+        if wanted:
+            self._runs.append(run)
+        yield from self._results(self._stream.push(replace(run.shot, wanted=wanted)))
+
+    def _results(self, denoised: Iterable[tuple[Any, Grey]]) -> Iterator[tuple[Any, Grey]]:
+        """Each result of the stream, where its frame is wanted, and those of its copies."""
+        for key, levels in denoised:
+            run = self._runs.popleft()
+            self._last = run, levels
+            if run.shot.wanted:
+                yield key, levels
+            yield from self._copies(run, levels)
 
     def _add_copy(self, run: _Run, shot: Shot) -> None:
         run.count += 1
@@ -82,13 +109,6 @@ class Unrepeated:
         if shot.wanted:
             is_exact = np.array_equal(shot.levels, run.shot.levels)
             run.copies.append((shot.key, None if is_exact else shot.levels))
-
-    def _passed(self, run: _Run) -> Shot:
-        """The frame of a run for the stream, wanted where a copy is."""
-        wanted = run.shot.wanted or bool(run.copies)
-        if wanted:
-            self._runs.append(run)
-        return replace(run.shot, wanted=wanted)
 
     def _copies(self, run: _Run, denoised: Grey) -> Iterator[tuple[Any, Grey]]:
         while run.copies:

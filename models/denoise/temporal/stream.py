@@ -96,7 +96,7 @@ class InTime:
         number of frames averaged at a pixel and of the share of pixels that moved.
     at_once: frames that the network denoises at the same time; with 1 a frame comes out as soon as
         its window is complete.
-    strength: the weights of the predictors, as fitted so far.
+    strength: the weights of the predictors, as fitted so far.  window: `frames`.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class InTime:
         at_once: int = 1,
     ) -> None:
         self._network = network
-        self._window = frames
+        self.window = frames
         self._causal = causal
         self._before = frames - 1 if causal else frames // 2
         self._after = 0 if causal else frames // 2
@@ -139,27 +139,43 @@ class InTime:
     def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
         """The key of each frame and its levels, denoised, in order."""
         for shot in shots:
-            self._newest += 1
-            self._shots[self._newest] = shot
-            if self._window > 1:
-                self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
-                # Cache the motion between consecutive frames; longer motions start from it.
-                self._aligner.motion(self._newest, self._newest - 1)
-            while self._next <= self._newest - self._lookahead():
-                yield from self._denoise_next()
+            yield from self.push(shot)
+        yield from self.finish()
+
+    def push(self, shot: Shot) -> Iterator[tuple[Any, Grey]]:
+        """Take the next frame; yields the key and the levels of each that is denoised by now."""
+        self._newest += 1
+        self._shots[self._newest] = shot
+        if self.window > 1:
+            self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
+            # Cache the motion between consecutive frames; longer motions start from it.
+            self._aligner.motion(self._newest, self._newest - 1)
+        while self._next <= self._newest - self._lookahead():
+            yield from self._denoise_next()
+
+    def settle(self) -> Iterator[tuple[Any, Grey]]:
+        """Yield the frames that are still being denoised."""
+        yield from self._finished(0)
+
+    def finish(self) -> Iterator[tuple[Any, Grey]]:
+        """Yield all frames that are left; the sequence has ended."""
         while self._next <= self._newest:
             yield from self._denoise_next()
         yield from self._finished(0)
-        self._pool.shutdown()
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the threads."""
+        self._pool.shutdown(cancel_futures=True)
 
     def _lookahead(self) -> int:
         """How many frames must have come after the next one before it is denoised."""
         if self._causal or not self._calibrated:
             return self._after
-        is_starting = self._next == 0 and self._newest < self._window
+        is_starting = self._next == 0 and self._newest < self.window
         if is_starting:
             # The first calibration takes a whole window and a frame beyond it.
-            return self._window
+            return self.window
         # Every later one takes a frame beyond the window as its target.
         return self._after + 1
 
@@ -170,9 +186,9 @@ class InTime:
             self._calibrate_if_due(number)
         shot = self._shots[number]
         # Nothing is measured on frames that are denoised alone.
-        if shot.wanted or self._window > 1:
+        if shot.wanted or self.window > 1:
             frame = self._fused_early.pop(number, None) or self._fuse(number)
-            if self._window > 1:
+            if self.window > 1:
                 self._count(frame.fused)
             if shot.wanted:
                 weights = self.strength.weights
@@ -231,7 +247,7 @@ class InTime:
         if shot.is_tracked:
             return shot.place()
         # To find a fan anew in each frame costs more than the network.
-        self._geometries.pop(number - self._window, None)
+        self._geometries.pop(number - self.window, None)
         nearest = min(self._geometries, key=lambda neighbour: abs(neighbour - number), default=None)
         if nearest is None or self._aligner.motion(number, nearest) is None:
             self._geometries[number] = shot.place()
@@ -241,7 +257,7 @@ class InTime:
 
     def _sigma(self, image: Grey, frame_count: Grey) -> Grey:
         """Standard deviation of the noise in each pixel; zeros where it is not measured."""
-        if self._window == 1:
+        if self.window == 1:
             return np.zeros_like(image)
         root: Grey = np.sqrt(frame_count)
         return self._fusion.noise.at(image) / (root if image.ndim == 2 else root[..., None])
@@ -274,7 +290,7 @@ class InTime:
                 self._denoise(_channel(frame, channel), predictor_weights) for channel in channels
             ]
             return np.stack(planes, axis=-1)
-        if self._window == 1:
+        if self.window == 1:
             return self._network(fused.image, frame.geometry)
         predictors = frame.predictors or self._compute_predictors(frame)
         return predictor_weights.apply(predictors, fused.frame_count)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import simnfnd
 from simnfnd.factory.common.errors import FactoryError, FrameError
 from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.models.recordings import kind_of, open_recording
@@ -158,6 +159,10 @@ def test_which_topics_are_frames(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "a.mcap", both)
     with pytest.raises(FactoryError, match=r"/front, /back.*--topic"):
         open_recording(path)
+    with pytest.raises(FactoryError, match=r"/front, /back.*topic="):
+        simnfnd.open_recording(path)
+    assert len(simnfnd.open_recording(path, topic="/front")) == 3
+    assert len(simnfnd.open_recording(path, topic=["/front", "/back"])) == 5
     assert len(RosBag(path, ["/back"])) == 2
     assert len(RosBag(path, ["/back", "/front"])) == 5
     with pytest.raises(FactoryError, match=r"/notes.*/front, /back"):

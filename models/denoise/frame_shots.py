@@ -1,0 +1,50 @@
+"""Frames of one recording as shots of a sequence: what the command and a live stream share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+from ...factory.dataset.fan_geometry import FanGeometry
+from ..recordings.base import Frame
+from ..recordings.views import polar_geometry
+from .images import Denoising, Pixels
+from .temporal.stream import Shot
+
+
+class FrameShots:
+    """Turns the frames of a recording into shots, in order."""
+
+    def __init__(
+        self, denoising: Denoising, find_geometry: Callable[[Pixels], FanGeometry | None]
+    ) -> None:
+        """find_geometry: of an image whose file does not state it; called in order."""
+        self._denoising = denoising
+        self._find_geometry = find_geometry
+        self._previous: Frame | None = None
+
+    def __call__(self, frame: Frame) -> Shot:
+        """The shot of the next frame.  Raises ValueError as `Denoising.shot` does."""
+        shift_px = _turned_px(frame, self._previous)
+        place = partial(self._geometry, frame)
+        shot = self._denoising.shot(frame, frame.samples, place, shift_px, is_tracked=True)
+        self._previous = frame
+        return shot
+
+    def _geometry(self, frame: Frame, image: Pixels) -> FanGeometry | None:
+        if frame.beams is not None:
+            return polar_geometry(frame.beams, len(image))
+        return frame.geometry or self._find_geometry(image)
+
+
+def _turned_px(frame: Frame, previous: Frame | None) -> tuple[float, float] | None:
+    """How far a scene moved across the beams since the previous frame, by the compass."""
+    heading_deg = frame.pose.heading_deg
+    previous_deg = previous.pose.heading_deg if previous is not None else None
+    if heading_deg is None or previous_deg is None or frame.beams is None:
+        return None
+    azimuths = frame.beams.azimuths_rad
+    turned_deg = (heading_deg - previous_deg + 180) % 360 - 180
+    spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
+    return -math.radians(turned_deg) / spacing, 0.0

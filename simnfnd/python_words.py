@@ -1,0 +1,33 @@
+"""Messages of the command line in the words of Python: `--topic NAME` becomes `topic=NAME`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from .factory.common.errors import FactoryError
+
+_WITH_VALUE = re.compile(r"^--([a-z]+) (\S+?):")
+_OPTION = re.compile(r"--([a-z]+)\b")
+
+
+def python_words(message: str) -> str:
+    """The message with parameters for options; commands in backticks stay as they are."""
+    parts = message.split("`")
+    parts[0] = _WITH_VALUE.sub(r"\1=\2:", parts[0])
+    return "`".join(
+        part if number % 2 else _OPTION.sub(r"\1=", part) for number, part in enumerate(parts)
+    )
+
+
+@contextmanager
+def in_python_words() -> Iterator[None]:
+    """Within the block, a FactoryError names parameters and not options."""
+    try:
+        yield
+    except FactoryError as error:
+        words = python_words(str(error))
+        if words == str(error):
+            raise
+        raise type(error)(words) from error
