@@ -24,6 +24,7 @@ class DataSettings:
     batch: Count
     crops: Count
     weaker: Share
+    displays: Share = 0.0
     validation: Annotated[float, Field(gt=0, lt=1)]
     validation_limit: Count | None
     reuse: Annotated[int, Field(ge=1, le=1000)]

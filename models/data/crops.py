@@ -19,6 +19,7 @@ from torch.utils.data import Dataset, Sampler
 from ...factory.common.seeds import stream
 from ...factory.dataset.pair_dataset import mixed_order
 from ..settings import DataSettings
+from .displays import Display, Window, draw_display, resized_planes, show, with_greys
 from .pairs import Batch, Sample, Source
 
 LANES = 8
@@ -27,6 +28,8 @@ KEPT_IN_LANE = 12
 """Images of a lane that are visited again."""
 KEPT = LANES * KEPT_IN_LANE
 """Images in memory; one of 700x500 pixels takes 4 MB."""
+_AS_IT_IS = Display()
+_HALF = 0.5  # of a pixel inside the sector makes it one of the sector
 
 
 class Visit(NamedTuple):
@@ -60,13 +63,21 @@ class Crops(Dataset[Batch]):
         sample = self.source.sample(visit.image, visit.round)
         rng = stream(self.seed, "crop", visit.number)
         shape = tuple(min(self.data.patch, side) for side in sample.noisy.shape)
+        display = Display()
+        if self.data.displays:
+            draws = stream(self.seed, "display", visit.number)
+            if draws.random() < self.data.displays:
+                display = draw_display(draws)
+        extent = extent_of(shape, sample.noisy.shape, display.scale)
         parts = []
         for _ in range(self.data.crops):
             top, left = (
                 int(rng.integers(whole - side + 1))
-                for whole, side in zip(sample.noisy.shape, shape, strict=True)
+                for whole, side in zip(sample.noisy.shape, extent, strict=True)
             )
-            parts.append(crop(sample, (top, left), shape, bool(rng.random() < 0.5), self.extras))
+            flip = bool(rng.random() < 0.5)
+            part = crop(sample, (top, left), extent, flip, self.extras, display)
+            parts.append(part if extent == shape else scaled(part, shape))
         return concatenate(parts)
 
 
@@ -75,14 +86,26 @@ def whole_image(sample: Sample, extras: Sequence[str] = ()) -> Batch:
     return crop(sample, (0, 0), sample.noisy.shape, False, extras)
 
 
+def extent_of(
+    shape: tuple[int, ...], image_shape: tuple[int, ...], scale: float
+) -> tuple[int, ...]:
+    """Sides of the window that a crop of `shape` shows at a scale, as far as the image allows."""
+    least = max(side / whole for side, whole in zip(shape, image_shape, strict=True))
+    return tuple(round(side / max(scale, least)) for side in shape)
+
+
 def crop(
     sample: Sample,
     corner: tuple[int, int],
     shape: tuple[int, ...],
     flip: bool,
     extras: Sequence[str] = (),
+    display: Display = _AS_IT_IS,
 ) -> Batch:
-    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not."""
+    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not.
+
+    display: how noisy and clean image are shown, but for its size, which `scaled` changes.
+    """
     top, left = corner
     height, width = shape
     window = np.s_[top : top + height, left : left + width]
@@ -94,7 +117,13 @@ def crop(
     planes["shadow"] = np.full_like(sample.noisy, np.nan) if shadow is None else shadow
     if "frames" in extras:
         planes["frames"] = np.zeros_like(sample.noisy) if frames is None else frames
-    images = {name: plane[window][:, ::step] for name, plane in planes.items()}
+    parts = {name: plane[window] for name, plane in planes.items()}
+    if display != _AS_IT_IS:
+        rows, columns = sample.noisy.shape
+        place = Window(top, left, (height, width), (rows, columns))
+        parts["clean"] = show(parts["clean"], display, place)
+        parts["noisy"] = with_greys(show(parts["noisy"], display, place), display.greys)
+    images = {name: part[:, ::step] for name, part in parts.items()}
     if sample.geometry is not None and extras:
         maps = sample.geometry.maps(top, left, height, width)
         images |= {name: maps[name][:, ::step] for name in extras if name in maps}
@@ -102,6 +131,16 @@ def crop(
             images["azimuth_rad"] = -images["azimuth_rad"]
     batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
     return batch | {"taught": torch.full((1, 1, 1, 1), sample.taught)}
+
+
+def scaled(part: Batch, shape: tuple[int, ...]) -> Batch:
+    """A crop at another size, (rows, columns)."""
+    rows, columns = shape
+    planes = {name: plane[0, 0].numpy() for name, plane in part.items() if name != "taught"}
+    resized = resized_planes(planes, (rows, columns))
+    if "sector" in resized:
+        resized["sector"] = (resized["sector"] > _HALF).astype(np.float32)
+    return part | {name: torch.from_numpy(plane)[None, None] for name, plane in resized.items()}
 
 
 def concatenate(batches: Sequence[Batch]) -> Batch:

@@ -38,7 +38,8 @@ _TAUGHT = 0.5  # of the target of a recording's single frame, what a teacher mak
 _AS_RECORDED = 0.4  # part of the visits of a recording that are not shown at another size and gain
 _SCALES = (0.55, 1.15)
 _GAINS = (0.5, 1.3)
-_LOUD = 0.12  # part of the images that get a loud beam
+_LOUD = 0.18  # part of the images that get a loud beam
+_LOUD_WIDTHS_RAD = (0.0012, 0.014)  # standard deviation across
 # Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight.
 _FEWEST = 0.15
 _FULL = 0.7
@@ -246,7 +247,8 @@ def with_loud_beam(sample: Sample, rng: np.random.Generator) -> Sample:
     low = float(azimuth[inside].min())
     high = float(azimuth[inside].max())
     middle = 0.0 if low < 0 < high and rng.random() < 0.4 else rng.uniform(low, high)
-    beam = np.exp(-0.5 * ((azimuth - middle) / rng.uniform(0.0012, 0.009)) ** 2)
+    width_rad = np.exp(rng.uniform(*np.log(_LOUD_WIDTHS_RAD)))
+    beam = np.exp(-0.5 * ((azimuth - middle) / width_rad) ** 2)
     profile = np.interp(radius, np.linspace(0, 1, 9), rng.uniform(0.5, 1, 9))
     looks = 4 * (1 if sample.frames is None else float(np.exp2(np.median(sample.frames))))
     speckle = 1 + rng.uniform(0.2, 1.2) * (rng.gamma(looks, 1 / looks, azimuth.shape) - 1)

@@ -86,6 +86,8 @@ _NOT_IN_GRAPH = "forget", "wide_grain", "average_cells"
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of a `model` configuration that determine the graph."""
     every = {"told": True, "frames": False, "mirror": False, "channels": 1, **model}
+    if not every.get("even_level"):
+        every.pop("even_level", None)  # which graphs of earlier versions do not name
     return {key: value for key, value in every.items() if key not in _NOT_IN_GRAPH}
 
 

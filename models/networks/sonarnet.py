@@ -6,6 +6,8 @@
 - Range, bearing and the insonified sector of every cell are inputs.  What is to be removed scales
   and shifts the features of every level (FiLM, Perez et al. 2018), and so does, pixel by pixel, how
   many frames were averaged, which changes nothing for a single frame.
+- It sees the image over its local level, and its change is multiplied by that level (`even_level`):
+  a gain over part of an image changes what is done elsewhere hardly at all.
 - Means along whole beams and arcs are part of the features (`LineContext`).
 - A second head predicts shadow, in which the image is black; a third (`BlendHead`) weighs the
   change of the whole image.
@@ -32,6 +34,7 @@ from ...factory.simulation.imaging.effect import ARTEFACTS
 from . import DEFAULT, GEOMETRY, vector
 from .blend_head import BlendHead
 from .blocks import residual_blocks, zeroed
+from .even_level import CELL_PX, evening_gain
 from .line_context import GridLines, LineContext, Lines, MapLines
 from .network import Network, NetworkOutput, Step, down_and_up, padded
 from .polar_grid import PolarGrid, polar_grid, sampled
@@ -59,8 +62,11 @@ class SonarNetSettings:
     average_cells: bool = False
     told: bool = True
     frames: bool = False
+    even_level: bool = False
 
     def __post_init__(self) -> None:
+        if self.even_level and CELL_PX > 2 ** len(self.widths):
+            raise ValueError("even_level: needs widths of three resolutions or more")
         if self.average_cells and not self.polar:
             raise ValueError("average_cells: needs the polar grid; set polar=true")
         if self.frames and self.polar:
@@ -213,6 +219,10 @@ class SonarNet(Network):
         """
         height, width = planes[0].shape[-2:]
         inputs = [padded(plane, self.core_stride) for plane in planes]
+        gain = None
+        if self.settings.even_level:
+            gain = evening_gain(inputs[0], _sector(inputs[-1]))
+            inputs[0] = gain * inputs[0]
         levels: list[Tensor] = []
         if frames is not None:
             frames = padded(frames, self.core_stride)
@@ -228,13 +238,14 @@ class SonarNet(Network):
         *encoders, middle = self._conditioned(remove, levels)
         x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
-        noisy = planes[0]
+        noisy = planes[0] if gain is None else inputs[0][..., :height, :width]
         change = heads[:, :1]
         logits = heads[:, 1:]
-        # The last plane is the sector's complement, or -1 where it is unknown.
-        sector = 1 - planes[-1].clamp_min(0)
+        sector = _sector(planes[-1])
         denoised = self.gated(noisy + change, logits)
         weight = self.blend(x, noisy, denoised - noisy, sector)
+        if gain is not None:
+            change = change / gain[..., :height, :width]
         return CoreOutput(change, logits, weight)
 
     def _conditioned(self, remove: Tensor, levels: list[Tensor]) -> list[Step]:
@@ -268,6 +279,11 @@ def _after(film: Tensor, blocks: Step) -> Step:
 def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:
     """The maps as the first layer gets them, centred: otherwise they drown the image."""
     return 2 * range_fraction - 1, azimuth_rad, 1 - sector
+
+
+def _sector(last_plane: Tensor) -> Tensor:
+    """The sector by the last plane, which is its complement, or -1 where it is unknown."""
+    return 1 - last_plane.clamp_min(0)
 
 
 def _unknown(noisy: Tensor) -> tuple[Tensor, ...]:
