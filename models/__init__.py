@@ -5,6 +5,10 @@
 
 WEIGHTS_NAME = "weights.safetensors"
 """The weights file of a training; named here, where importing it does not load torch."""
+CONFIG_NAME = "config.yaml"
+"""All settings of a training, after a line with its command."""
+COMMAND_MARK = "# "
+"""What that line begins with."""
 
 if __name__ == "models":
     from simnfnd.rooms import refuse_modules_of

@@ -65,7 +65,7 @@ class SonarNetSettings:
     even_level: bool = False
 
     def __post_init__(self) -> None:
-        if self.even_level and CELL_PX > 2 ** len(self.widths):
+        if self.even_level and 2 ** len(self.widths) < CELL_PX:
             raise ValueError("even_level: needs widths of three resolutions or more")
         if self.average_cells and not self.polar:
             raise ValueError("average_cells: needs the polar grid; set polar=true")

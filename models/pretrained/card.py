@@ -16,6 +16,7 @@ from typing import Any
 
 from ...factory import __version__
 from ...factory.common.errors import FactoryError
+from .. import COMMAND_MARK, CONFIG_NAME
 from .learned_files import KEY as LEARNED_FROM
 from .learned_files import as_front_matter, entries_of
 
@@ -45,7 +46,7 @@ A denoiser for forward-looking sonar images, made by `simnfnd train` of SimNFND 
 
 ## Recipe
 
-{recipe}
+{command}{recipe}
 
 `start` and `train.teacher` name weights by their hash. Recordings that it learned from: {recordings}.
 
@@ -127,12 +128,23 @@ def write_card(
         name=file.name,
         version=__version__,
         file=_table(["what", ""], list(about.items())),
+        command=_command_of(run / CONFIG_NAME),
         recipe=_settings_table({"model": dict(model), **settings}),
         learned=as_front_matter(learned),
         recordings=", ".join(entry.file for entry in learned) or "none",
         curve=_curve_of(run / _METRICS_NAME),
         figures="\n\n".join(figures) or "None were given (`--figures`).",
     )
+
+
+def _command_of(config: Path) -> str:
+    """A sentence with the command that a training was started with, where it is known."""
+    if not config.is_file():
+        return ""
+    first_line = config.read_text(encoding="utf-8").partition("\n")[0]
+    if not first_line.startswith(COMMAND_MARK):
+        return ""
+    return f"`{first_line.removeprefix(COMMAND_MARK)}` makes these weights.\n\n"
 
 
 def _read_cost(run: Path) -> dict[str, str]:

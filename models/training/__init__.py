@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from ...factory.common.settings import build
@@ -38,6 +40,7 @@ def run(config: DictConfig) -> None:
     """Train as the configuration says."""
     from ..settings import ModelsSettings
 
+    command = shlex.join(["simnfnd", "train", *HydraConfig.get().overrides.task])
     # Hydra composes one configuration at a time, and data may compose that of a dataset.
     GlobalHydra.instance().clear()
     values: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
@@ -45,7 +48,7 @@ def run(config: DictConfig) -> None:
     # torch takes seconds to import: only when there is something to train.
     from .train import output_folder, train
 
-    best = train(settings, values)
+    best = train(settings, values, command)
     print(
         f"validation: {best['psnr_noisy']:.2f} -> {best['psnr']:.2f} dB "
         f"({best['gain_db']:+.2f}), SSIM {best['ssim_noisy']:.3f} -> {best['ssim']:.3f}, "

@@ -19,7 +19,7 @@ from torch import Tensor
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, write_atomically
 from ...factory.common.settings import build
-from .. import WEIGHTS_NAME
+from .. import COMMAND_MARK, CONFIG_NAME, WEIGHTS_NAME
 from ..data.crops import whole_image
 from ..data.pairs import Batch, Data, Image, spread
 from ..data.sources import open_data
@@ -44,10 +44,11 @@ _GAP = 4  # pixels between the images of samples.png
 _SHOWN = 4  # its rows
 
 
-def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
+def train(settings: ModelsSettings, config: Mapping[str, Any], command: str) -> Row:
     """Train, or continue, or find it done; returns the metrics row of the weights that were kept.
 
-    config: the same settings as plain values, for config.yaml.  Writes weights.safetensors,
+    config: the same settings as plain values, for config.yaml.  command: that was given, which
+    config.yaml begins with and a model card prints.  Writes weights.safetensors,
     config.yaml, metrics.csv, samples.png and checkpoint.ckpt into `output_folder(settings)`.
     Raises FactoryError for unusable data, configuration, folder or a loss that became NaN, and
     `Stopped` after Ctrl-C or SIGTERM, with a checkpoint of the last step.
@@ -68,7 +69,7 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         # With the precision that was chosen: the file is to make the same weights elsewhere.
         values = {**config, "train": {**config["train"], "precision": precision}}
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
-        write_atomically(out / "config.yaml", text.encode())
+        write_atomically(out / CONFIG_NAME, f"{COMMAND_MARK}{command}\n{text}".encode())
         rows = Training(settings, recipe, data, device, checkpoint).run()
     _write_samples(out, data)
     return best_row(rows)

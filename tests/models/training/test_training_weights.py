@@ -70,6 +70,8 @@ def test_a_card_holds_recipe_curve_cost_and_figures(weights: Path, tmp_path: Pat
     (tmp_path / "metrics.csv").write_text("\n".join([head, *rows]), encoding="utf-8")
     cost = {"cpu_s": 5400.0, "elapsed_s": 3600.0, "sittings": 2}
     (tmp_path / "cost.json").write_text(json.dumps(cost), encoding="utf-8")
+    config = "# simnfnd train experiment=own\nseed: 3\n"
+    (tmp_path / "config.yaml").write_text(config, encoding="utf-8")
     report = {
         "name": "lamprey2", "best_filter": {"psnr_db": "tv"},
         "rows": [
@@ -82,7 +84,13 @@ def test_a_card_holds_recipe_curve_cost_and_figures(weights: Path, tmp_path: Pat
     out = tmp_path / "own.safetensors"
     assert main([str(weights), "--out", str(out), "--figures", str(tmp_path / "real.json")]) == 0
     card = out.with_suffix(".md").read_text(encoding="utf-8")
-    for words in (sha256_of(out), sha256_of(weights), recipe_digest(FACTS), "| 1.50, 1.00 h"):
+    for words in (
+        sha256_of(out),
+        sha256_of(weights),
+        recipe_digest(FACTS),
+        "| 1.50, 1.00 h",
+        "`simnfnd train experiment=own`",
+    ):
         assert words in card
     assert "| own | 33.60 | 0.700 |" in card
     assert "median" not in card
