@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -44,6 +44,16 @@ class Distribution:
         else:
             value = float(rng.normal(self.values[0], self.values[1]))
         return min(max(value, self.low), self.high)
+
+    def draws_only(self, value: float) -> bool:
+        """Whether all draws give this value."""
+        return self.kind in ("number", "choice", "uniform") and set(self.values) == {value}
+
+    def mapped(self, change: Callable[[float], float]) -> Distribution:
+        """The distribution whose numbers are changed; exact where `change` is a shift or scale."""
+        spread = self.values[1:] if self.kind == "normal" else ()
+        values = self.values[:1] if self.kind == "normal" else self.values
+        return replace(self, values=(*map(change, values), *spread))
 
     def plain(self) -> float | dict[str, list[float]]:
         """As it is written in a config."""
@@ -125,6 +135,7 @@ AnyNumber = Annotated[Distribution, _within(-math.inf, math.inf), _plain]
 NonNegative = Annotated[Distribution, _within(0.0, math.inf), _plain]
 Fraction = Annotated[Distribution, _within(0.0, 1.0), _plain]
 Positive = Annotated[Distribution, _within(1e-6, math.inf), _plain]
+Angle = Annotated[Distribution, _within(-90.0, 90.0), _plain]
 # A rate of 0 would keep no point at all; the limit is far below any use.
 PositiveFraction = Annotated[Distribution, _within(1e-6, 1.0), _plain]
 

@@ -15,6 +15,10 @@ ObjectName = Literal[
 CLASSES: tuple[str, ...] = ("Background", *get_args(ObjectName))
 
 
+FITTING = "Fitting"
+"""What belongs to a place and is no object to be found, such as a rope: a class without numbers."""
+
+
 def class_names(own: Iterable[str]) -> tuple[str, ...]:
     """CLASSES and, from their end on, the classes of the user's own objects."""
     return tuple(dict.fromkeys((*CLASSES, *own)))

@@ -37,7 +37,12 @@ _LATER: dict[str, Any] = {
     "scenes.boxes": False,
     "scenes.camera_altitude_m": None,
     "scenes.camera_tilt_deg": None,
+    "scenes.depth_gaps": True,
     "sonar.altitude_m": None,
+    "sonar.sector": "seen",
+    "devices.reflectivity_db": {},
+    "devices.objects_db": None,
+    "devices.per": "image",
     "sonar.tilt_deg": None,
     "frames.min_insonified": None,
     "scenes.up": "auto",
@@ -80,9 +85,9 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     if own_classes := config.scenes.own_classes():
         values["classes"] = list(own_classes)
     _drop_keys_without_bytes(values)
-    _drop_later_keys_at_their_defaults(values)
     if config.devices is None:
         values.pop("devices")
+    _drop_later_keys_at_their_defaults(values)
     if isinstance(config.acoustics, PointwiseSettings):
         # None of them reaches pointwise images.
         del values["acoustics"], values["water"], values["sonar"]["array"]
@@ -174,6 +179,8 @@ def _digest_objects(scenes: Mapping[str, Any]) -> None:
 def _drop_later_keys_at_their_defaults(values: dict[str, Any]) -> None:
     for name, default in _LATER.items():
         *groups, key = name.split(".")
+        if groups[0] not in values:
+            continue
         group = reduce(getitem, groups, values)
         if key in group and group[key] == default:
             group.pop(key)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -29,7 +30,7 @@ from ..imaging.settings import (
 )
 from ..meshes.camera import HFOV_DEG
 from ..noise.registry import EFFECTS, NoiseSettings, blocks
-from ..render.base import CacheSettings, RenderSettings
+from ..render.base import CacheSettings, Mount, RenderSettings
 from ..scenes import Scenes, has_labels
 from ..scenes.mesh import MeshSettings
 from ..scenes.seabed import SeabedSettings
@@ -122,11 +123,17 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
                 "it out, or use scenes=seabed"
             )
     sonar = config.sonar
-    if sonar.altitude_m is not None and sonar.tilt_deg is None and not sonar.mount.colocated:
-        yield (
-            "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
-            "give sonar.tilt_deg, too"
-        )
+    if sonar.altitude_m is not None and not sonar.mount.colocated:
+        if sonar.tilt_deg is None:
+            yield (
+                "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
+                "give sonar.tilt_deg, too"
+            )
+        elif sonar.tilt_deg.kind != "number":
+            yield (
+                "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
+                "give sonar.tilt_deg as a number, or set sonar.mount.translation_m=[0, 0, 0]"
+            )
     if config.devices is not None:
         yield from _conflicts_of_drawn_devices(config)
     elif isinstance(config.acoustics, PointwiseSettings):
@@ -167,11 +174,30 @@ def _conflicts_of_drawn_devices(config: FactoryConfig) -> Iterator[str]:
             "acoustics=pointwise: devices draws the formation of each image, and the coherent ones "
             "need its settings; set acoustics=coherent (experiment=any_sonar), or devices=fixed"
         )
-    if _received_layers(config) or config.dataset.columns:
+    assert config.devices is not None
+    field_share = config.devices.field_share
+    is_coherent = field_share is None or field_share.draws_only(1.0)
+    received = _received_layers(config)
+    if (received or "calibration" in config.dataset.columns) and not is_coherent:
         yield (
-            "dataset.layers: intensity_db, field and dataset.columns need one device; leave them "
-            "out or set devices=fixed"
+            f"dataset: {(received or ['calibration'])[0]} is of coherent images alone; set "
+            "devices.field_share=1, or leave it out"
         )
+    if "field" in received and config.sonar.samples_per_bin > 1:
+        yield (
+            "dataset.layers: field is of raw samples, and sonar.samples_per_bin averages them; "
+            "set sonar.samples_per_bin=1"
+        )
+    if config.sonar.image.layout == "polar":
+        for name in ("beams", "bins_per_px"):
+            if getattr(config.devices, name) is not None:
+                yield (
+                    f"devices.{name}: the polar images of a dataset have one size; set "
+                    f"devices.{name}=null, or sonar.image.layout=fan"
+                )
+    for name in config.devices.reflectivity_db:
+        if name not in class_names(config.scenes.own_classes()):
+            yield f"devices.reflectivity_db: no class is called {name}"
 
 
 def _conflicts_of_pointwise(config: FactoryConfig) -> Iterator[str]:
@@ -276,17 +302,25 @@ def _scenes_as_the_sonar_needs(config: FactoryConfig) -> Scenes:
     altitude_m = scenes.camera_altitude_m
     tilt_deg = scenes.camera_tilt_deg
     if sonar.tilt_deg is not None:
-        tilt_deg = sonar.mount.camera_tilt_deg(sonar.tilt_deg)
-        if tilt_deg is None:
-            raise FactoryError(
-                f"sonar.tilt_deg={sonar.tilt_deg:g}: no camera has it with sonar.mount.yaw_deg="
-                f"{sonar.mount.yaw_deg:g}; give a smaller yaw or tilt"
-            )
+        tilt_deg = sonar.tilt_deg.mapped(partial(_camera_tilt_deg, sonar.mount))
     if sonar.altitude_m is not None:
         altitude_m = sonar.altitude_m
         if not sonar.mount.colocated:
-            altitude_m -= sonar.mount.height_above_camera_m(tilt_deg or 0.0)
+            camera_tilt_deg = 0.0 if tilt_deg is None else tilt_deg.values[0]
+            sonar_above_m = sonar.mount.height_above_camera_m(camera_tilt_deg)
+            altitude_m = altitude_m.mapped(lambda sonar_m: sonar_m - sonar_above_m)
     return replace(scenes, camera_altitude_m=altitude_m, camera_tilt_deg=tilt_deg)
+
+
+def _camera_tilt_deg(mount: Mount, sonar_tilt_deg: float) -> float:
+    """Tilt of a camera whose sonar has this one.  Raises FactoryError where no tilt gives it."""
+    tilt_deg = mount.camera_tilt_deg(sonar_tilt_deg)
+    if tilt_deg is None:
+        raise FactoryError(
+            f"sonar.tilt_deg={sonar_tilt_deg:g}: no camera has it with sonar.mount.yaw_deg="
+            f"{mount.yaw_deg:g}; give a smaller yaw or tilt"
+        )
+    return tilt_deg
 
 
 def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:

@@ -11,11 +11,13 @@ import numpy as np
 from ...common import seeds
 from ...common.distribution import number
 from ...dataset.fan_geometry import fan_size
+from ...dataset.labels import class_names
 from ...dataset.schema import Column
 from ..imaging.coherent import CoherentScene
 from ..imaging.effect import EffectSettings
 from ..imaging.pointwise import PointwiseScene
 from ..imaging.settings import (
+    GROUND_DB,
     AcousticsSettings,
     CoherentSettings,
     Formation,
@@ -24,13 +26,16 @@ from ..imaging.settings import (
 )
 from ..noise.registry import EFFECTS, NoiseSettings, blocks, with_blocks
 from ..sonar.array import WaterSettings
-from ..sonar.settings import RangeSettings, SonarSettings, TransferSettings
+from ..sonar.settings import ImageSettings as FanSettings
+from ..sonar.settings import RangeSettings, SonarSettings, TransferKind, TransferSettings
 from ..sonar.window import Window
 from .settings import DeviceSettings, distributions
 
 _SOUND_SPEED_M_S = 1480.0
 """Turns a range resolution into a bandwidth; the water's own speed is within 4 % of it."""
 _FEWEST_BINS = 64
+_ANY_RANGE_M = (0.2, 30.0)
+"""Limits of a fitted window."""
 _LARGEST_POINTS_PX = 512
 """Beyond, an image of points has fewer echoes than pixels."""
 _POINTS_HFOV_DEG = 30.0
@@ -65,7 +70,7 @@ Config = TypeVar("Config", bound=ImageSettings)
 class Device:
     """What was drawn for one image.
 
-    values: by the keys of `DeviceSettings`; shares are drawn as 1 or 0.
+    values: by the keys of `distributions`; shares are drawn as 1 or 0.
     coins: effect -> whether a coin leaves it on, of `fewer_share` or, for odd ones, `odd_share`.
     """
 
@@ -75,7 +80,7 @@ class Device:
     @property
     def formation(self) -> Formation:
         """Which formation makes the image."""
-        return "coherent" if self.values["field_share"] else "pointwise"
+        return "coherent" if self.values.get("field_share", 1.0) else "pointwise"
 
     def row(self) -> dict[str, float]:
         """The values of `columns`."""
@@ -101,7 +106,7 @@ def columns(settings: DeviceSettings) -> tuple[Column, ...]:
     """Columns of the sample table: what was drawn for the device of each image."""
     units = {"deg": "deg", "khz": "kHz", "px": "px", "m": "m", "db": "dB"}
     return tuple(
-        Column(f"device.{name}", "f8", units.get(name.rsplit("_", 1)[-1], "1"))
+        Column(f"device.{name}", "f8", units.get(name.partition(".")[0].rsplit("_", 1)[-1], "1"))
         for name in distributions(settings)
     )
 
@@ -113,31 +118,24 @@ def configured(config: Config, device: Device, *, any_size: bool) -> Config:
     """
     drawn = device.values
     sonar = config.sonar
-    image = config.sonar.image
     points = device.formation == "pointwise"
-    height = round(drawn["height_px"]) if any_size else image.height_px
-    polar = any_size and drawn["polar_share"] and not points
-    quality = min(max(round(drawn["jpeg_quality"]), 1), 100)
-    image = replace(
-        image,
-        height_px=height,
-        layout="polar" if polar else image.layout,
-        sampling="nearest" if drawn["nearest_share"] and not points else "bilinear",
-        enlarged=min(max(drawn["enlarged"], 1.0), 4.0) if drawn["enlarged_share"] else 1.0,
-        jpeg_quality=quality if drawn["jpeg_share"] else None,
-    )
-    fixed = not points and not drawn["auto_range_share"]
-    near_m, far_m = (drawn["range_min_m"], drawn["range_max_m"]) if fixed else (0.2, 30.0)
+    image = _image(config.sonar.image, device, any_size=any_size)
+    range_bins = sonar.range_bins
+    if "bins_per_px" in drawn:
+        range_bins = max(round(image.height_px * drawn["bins_per_px"]), _FEWEST_BINS)
+    table = sonar.beam_azimuths_deg
+    if "beams" in drawn or "hfov_deg" in drawn:
+        table = None
     sonar = replace(
         sonar,
-        hfov_deg=drawn["hfov_deg"],
-        vfov_deg=drawn["vfov_deg"],
-        frequency_khz=drawn["frequency_khz"],
-        beam_azimuths_deg=None,
-        beams=round(drawn["beams"]),
-        range_bins=max(round(height * drawn["bins_per_px"]), _FEWEST_BINS),
+        hfov_deg=drawn.get("hfov_deg", sonar.hfov_deg),
+        vfov_deg=drawn.get("vfov_deg", sonar.vfov_deg),
+        frequency_khz=drawn.get("frequency_khz", sonar.frequency_khz),
+        beam_azimuths_deg=table,
+        beams=round(drawn.get("beams", sonar.beams)),
+        range_bins=range_bins,
         image=image,
-        range=RangeSettings(auto=not fixed, min_m=near_m, max_m=far_m),
+        range=_range(sonar.range, device),
         transfer=_transfer(sonar.transfer, device),
     )
     acoustics = _acoustics(config.acoustics, device)
@@ -160,19 +158,69 @@ def configured(config: Config, device: Device, *, any_size: bool) -> Config:
     return replace(config, **changed)
 
 
+def _image(image: FanSettings, device: Device, *, any_size: bool) -> FanSettings:
+    """The image of the device; see `configured`."""
+    drawn = device.values
+    points = device.formation == "pointwise"
+    changed: dict[str, Any] = {}
+    if any_size and "height_px" in drawn:
+        changed["height_px"] = round(drawn["height_px"])
+    if any_size and drawn.get("polar_share") and not points:
+        changed["layout"] = "polar"
+    if "nearest_share" in drawn:
+        changed["sampling"] = "nearest" if drawn["nearest_share"] and not points else "bilinear"
+    if "enlarged" in drawn:
+        is_enlarged = drawn.get("enlarged_share", 1.0)
+        changed["enlarged"] = min(max(drawn["enlarged"], 1.0), 4.0) if is_enlarged else 1.0
+    if "jpeg_quality" in drawn:
+        quality = min(max(round(drawn["jpeg_quality"]), 1), 100)
+        changed["jpeg_quality"] = quality if drawn.get("jpeg_share", 1.0) else None
+    return replace(image, **changed)
+
+
+def _range(limits: RangeSettings, device: Device) -> RangeSettings:
+    """The range window of the device, or what it is fitted within."""
+    drawn = device.values
+    if device.formation == "pointwise":
+        return RangeSettings(auto=True, min_m=_ANY_RANGE_M[0], max_m=_ANY_RANGE_M[1])
+    if drawn.get("auto_range_share"):
+        return RangeSettings(auto=True, min_m=_ANY_RANGE_M[0], max_m=_ANY_RANGE_M[1])
+    if "range_min_m" not in drawn and "range_max_m" not in drawn:
+        return limits
+    near_m = drawn.get("range_min_m", limits.min_m)
+    far_m = drawn.get("range_max_m", limits.max_m)
+    return RangeSettings(auto=False, min_m=near_m, max_m=far_m)
+
+
 def _acoustics(acoustics: AcousticsSettings, device: Device) -> AcousticsSettings:
     """The image formation of the device."""
     if device.formation == "pointwise":
         return PointwiseSettings()
     assert isinstance(acoustics, CoherentSettings)  # the configuration refuses others
     drawn = device.values
-    return replace(
-        acoustics,
-        standing=drawn["standing"] if drawn["standing_share"] else 0.0,
-        reflectivity_db=acoustics.reflectivity_db | {"Background": drawn["background_db"]},
-        tvg_log=drawn["tvg_log"],
-        lambert_exponent=drawn["lambert_exponent"],
-    )
+    changed: dict[str, Any] = {
+        name: drawn[name] for name in ("tvg_log", "lambert_exponent", "standing") if name in drawn
+    }
+    if not drawn.get("standing_share", 1.0):
+        changed["standing"] = 0.0
+    return replace(acoustics, reflectivity_db=_reflectivity_db(acoustics, device), **changed)
+
+
+def _reflectivity_db(acoustics: CoherentSettings, device: Device) -> dict[str, float]:
+    """Backscatter coefficient of each class by name, dB."""
+    drawn = device.values
+    echo_db = dict(acoustics.reflectivity_db)
+    ground_db = echo_db.get("Background", GROUND_DB)
+    if shift_db := drawn.get("objects_db", 0.0):
+        names = class_names(echo_db)[1:]
+        echo_db |= {name: echo_db.get(name, ground_db) + shift_db for name in names}
+    if "background_db" in drawn:
+        echo_db["Background"] = drawn["background_db"]
+    for key, level_db in drawn.items():
+        group, _, name = key.partition(".")
+        if group == "reflectivity_db":
+            echo_db[name] = level_db
+    return echo_db
 
 
 def resolved(config: Config, device: Device, window: Window, *, any_size: bool) -> Config:
@@ -182,11 +230,14 @@ def resolved(config: Config, device: Device, window: Window, *, any_size: bool) 
     drawn = device.values
     sonar = config.sonar
     image = config.sonar.image
-    resolution_m = window.range_span_m / sonar.range_bins * drawn["resolution_bins"]
-    bandwidth_khz = float(np.clip(_SOUND_SPEED_M_S / (2000 * resolution_m), 1, 2000))
-    width_deg = sonar.hfov_deg / sonar.beams * drawn["beamwidth_beams"]
-    beamwidth_deg = float(np.clip(width_deg, 0.05, 60))
-    array = replace(sonar.array, bandwidth_khz=bandwidth_khz, beamwidth_deg=beamwidth_deg)
+    array = sonar.array
+    if "resolution_bins" in drawn:
+        resolution_m = window.range_span_m / sonar.range_bins * drawn["resolution_bins"]
+        bandwidth_khz = float(np.clip(_SOUND_SPEED_M_S / (2000 * resolution_m), 1, 2000))
+        array = replace(array, bandwidth_khz=bandwidth_khz)
+    if "beamwidth_beams" in drawn:
+        width_deg = sonar.hfov_deg / sonar.beams * drawn["beamwidth_beams"]
+        array = replace(array, beamwidth_deg=float(np.clip(width_deg, 0.05, 60)))
     if any_size and image.layout == "fan":
         across, ahead = fan_size(sonar.hfov_deg, window.near_fraction)
         image = replace(image, width_px=int(np.ceil(image.height_px * (across / ahead))) + 1)
@@ -196,6 +247,8 @@ def resolved(config: Config, device: Device, window: Window, *, any_size: bool) 
 def fitted(config: Config, device: Device, scene: PointwiseScene | CoherentScene) -> Config:
     """The same once the scene is known: the receiver's noise lies so far over its median echo."""
     receiver = config.noise.receiver
+    if "receiver_db" not in device.values:
+        return config
     if isinstance(scene, PointwiseScene) or receiver is None or not receiver.enabled:
         return config
     echoes = scene.expected[scene.expected > 0]
@@ -219,21 +272,38 @@ def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
 
 def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
     drawn = device.values
-    if device.formation == "pointwise" and not drawn["points_log_share"]:
+    if device.formation == "pointwise" and not drawn.get("points_log_share", 0.0):
         return replace(transfer, kind="linear", percentile=90.0, reference=1.0)
-    range_db = drawn["dynamic_range_db"]
+    range_db = drawn.get("dynamic_range_db", transfer.dynamic_range_db)
     if device.formation == "pointwise":
         transfer = replace(transfer, kind="log", percentile=90.0, reference=0.9)
         # Decibels of an energy: half as many as of an amplitude.
         return replace(transfer, dynamic_range_db=range_db / 2)
-    if drawn["log_share"]:
-        soft = bool(drawn["soft_share"])
-        reference = drawn["log_reference"]
-        black = min(drawn["black"], _DARKEST * reference) if soft else 0.0
-        transfer = replace(transfer, kind="soft_log" if soft else "log", black=black)
-        return replace(transfer, percentile=50.0, reference=reference, dynamic_range_db=range_db)
-    transfer = replace(transfer, kind="power", exponent=drawn["exponent"])
-    return replace(transfer, percentile=95.0, reference=drawn["power_reference"])
+    kind = transfer.kind
+    if "log_share" in drawn:
+        kind = "log" if drawn["log_share"] else "power"
+    if kind in ("log", "soft_log") and "soft_share" in drawn:
+        kind = "soft_log" if drawn["soft_share"] else "log"
+    if kind in ("log", "soft_log"):
+        return _log_transfer(replace(transfer, dynamic_range_db=range_db), kind, drawn)
+    changed: dict[str, Any] = {"kind": kind, "exponent": drawn.get("exponent", transfer.exponent)}
+    if "power_reference" in drawn:
+        changed |= {"percentile": 95.0, "reference": drawn["power_reference"]}
+    return replace(transfer, black=0.0, **changed)
+
+
+def _log_transfer(
+    transfer: TransferSettings, kind: TransferKind, drawn: Mapping[str, float]
+) -> TransferSettings:
+    """A logarithmic display of the drawn reference and black level."""
+    changed: dict[str, Any] = {"kind": kind, "black": 0.0}
+    reference = drawn.get("log_reference", transfer.reference)
+    if "log_reference" in drawn:
+        changed |= {"percentile": 50.0, "reference": reference}
+    if kind == "soft_log":
+        black = drawn.get("black", transfer.black)
+        changed["black"] = min(black, _DARKEST * reference)
+    return replace(transfer, **changed)
 
 
 def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
@@ -243,9 +313,11 @@ def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
     changed: dict[str, EffectSettings] = {}
     for name, block in blocks(noise).items():
         effect = EFFECTS[name]
-        odd = effect.artefact in _ODD and not points
-        on = block.enabled and (effect.stage == "points") == points and not drawn["quiet_share"]
-        on &= device.coins[name] or not (drawn["fewer_share"] or odd)
-        on &= bool(drawn["odd_share"]) or not odd
+        odd = "odd_share" in drawn and effect.artefact in _ODD and not points
+        on = block.enabled and not drawn.get("quiet_share", 0.0)
+        if "field_share" in drawn:
+            on &= (effect.stage == "points") == points
+        on &= device.coins[name] or not (drawn.get("fewer_share", 0.0) or odd)
+        on &= not odd or bool(drawn["odd_share"])
         changed[name] = replace(block, enabled=on)
     return with_blocks(noise, changed)

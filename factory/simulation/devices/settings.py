@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import field, fields
+from typing import Literal
 
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber, Fraction, NonNegative, Positive, PositiveFraction
+from ...common.distribution import (
+    AnyNumber,
+    Distribution,
+    Fraction,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+)
 from ...common.settings import STRICT
 
 
@@ -43,45 +51,62 @@ class DeviceSettings:
     enlarged_share: part of the images that are made larger and shrunk to their size, by
         `enlarged`.  jpeg_share: part that went through JPEG of jpeg_quality.
     polar_share: part that is polar, not a fan; none in datasets.
+    reflectivity_db: of object classes, by name; see `acoustics.reflectivity_db`.
+    objects_db: added to the reflectivity of all classes but Background.
+    per: image (drawn anew for each image) or place (one device for all images of a place).
+
+    A key that is null is not drawn: the image has what the configuration says.
     """
 
-    field_share: Fraction
-    hfov_deg: Positive
-    vfov_deg: Positive
-    frequency_khz: Positive
-    height_px: Positive
-    bins_per_px: Positive
-    beams: Positive
-    resolution_bins: Positive
-    beamwidth_beams: Positive
-    auto_range_share: Fraction
-    range_min_m: NonNegative
-    range_max_m: Positive
-    tvg_log: NonNegative
-    lambert_exponent: NonNegative
-    background_db: AnyNumber
-    standing_share: Fraction
-    standing: Fraction
-    log_share: Fraction
-    dynamic_range_db: Positive
-    log_reference: PositiveFraction
-    soft_share: Fraction
-    black: Fraction
-    exponent: Positive
-    power_reference: PositiveFraction
-    points_log_share: Fraction
-    receiver_db: AnyNumber
-    quiet_share: Fraction
-    fewer_share: Fraction
-    odd_share: Fraction
-    nearest_share: Fraction
-    enlarged_share: Fraction
-    enlarged: Positive
-    jpeg_share: Fraction
-    jpeg_quality: Positive
-    polar_share: Fraction
+    field_share: Fraction | None = None
+    hfov_deg: Positive | None = None
+    vfov_deg: Positive | None = None
+    frequency_khz: Positive | None = None
+    height_px: Positive | None = None
+    bins_per_px: Positive | None = None
+    beams: Positive | None = None
+    resolution_bins: Positive | None = None
+    beamwidth_beams: Positive | None = None
+    auto_range_share: Fraction | None = None
+    range_min_m: NonNegative | None = None
+    range_max_m: Positive | None = None
+    tvg_log: NonNegative | None = None
+    lambert_exponent: NonNegative | None = None
+    background_db: AnyNumber | None = None
+    standing_share: Fraction | None = None
+    standing: Fraction | None = None
+    log_share: Fraction | None = None
+    dynamic_range_db: Positive | None = None
+    log_reference: PositiveFraction | None = None
+    soft_share: Fraction | None = None
+    black: Fraction | None = None
+    exponent: Positive | None = None
+    power_reference: PositiveFraction | None = None
+    points_log_share: Fraction | None = None
+    receiver_db: AnyNumber | None = None
+    quiet_share: Fraction | None = None
+    fewer_share: Fraction | None = None
+    odd_share: Fraction | None = None
+    nearest_share: Fraction | None = None
+    enlarged_share: Fraction | None = None
+    enlarged: Positive | None = None
+    jpeg_share: Fraction | None = None
+    jpeg_quality: Positive | None = None
+    polar_share: Fraction | None = None
+    reflectivity_db: dict[str, AnyNumber] = field(default_factory=dict)
+    objects_db: AnyNumber | None = None
+    per: Literal["image", "place"] = "image"
 
 
-def distributions(settings: DeviceSettings) -> dict[str, AnyNumber]:
-    """Key -> what its value is drawn from, in order."""
-    return {item.name: getattr(settings, item.name) for item in fields(settings)}
+def distributions(settings: DeviceSettings) -> dict[str, Distribution]:
+    """Key -> what its value is drawn from, in order; only keys that are drawn.
+
+    Of a class the key is reflectivity_db.CLASS.
+    """
+    drawn = {}
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        if isinstance(value, Distribution):
+            drawn[item.name] = value
+    of_classes = settings.reflectivity_db.items()
+    return drawn | {f"reflectivity_db.{name}": value for name, value in of_classes}

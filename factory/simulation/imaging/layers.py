@@ -1,7 +1,7 @@
 """What lies behind each pixel of an image: optional layers that no noise touches.
 
 An image has lost the elevation, and the object that an echo came from.  Both are known here: each
-range bin of each beam tells of the strongest echo in it.
+range bin of each beam tells of the strongest echo in it, and of the object with most of its power.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Pix
         layers["valid_azimuth"] = np.repeat(beams[None], sonar.range_bins, axis=0)
     if not _OF_ECHOES.intersection(requested):
         return layers
-    echoes, pixel, _ = surface.insonified
+    echoes, pixel, _ = surface.shown
     bins = polar.bin_index(echoes, surface.window, sonar)
     # Of several echoes in a bin the last one assigned stays: the strongest.
     order = np.argsort(echoes.strength, kind="stable")
@@ -66,6 +66,39 @@ def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Pix
             raise FrameError(
                 f"{frame.ref.name}: has no labels; leave segmentation out of dataset.layers"
             )
-        layers["segmentation"] = paint_strongest(frame.segmentation.ravel()[pixel], 0)
-        layers["instance"] = paint_strongest(frame.instance.ravel()[pixel], 0)
+        own = _loudest(
+            bins, echoes.strength, frame.segmentation, frame.instance, pixel, strongest.size
+        )
+        has_echo = strongest >= 0
+        shown_pixel = pixel[own[has_echo]]
+        for name, plane in (("segmentation", frame.segmentation), ("instance", frame.instance)):
+            labels = np.zeros(strongest.size, plane.dtype)
+            labels[has_echo] = plane.ravel()[shown_pixel]
+            layers[name] = labels.reshape(shape)
     return layers
+
+
+def _loudest(
+    bins: npt.NDArray[np.integer],
+    strength: npt.NDArray[np.float32],
+    segmentation: npt.NDArray[np.uint8],
+    instance: npt.NDArray[np.uint16],
+    pixel: npt.NDArray[np.int32],
+    bin_count: int,
+) -> npt.NDArray[np.intp]:
+    """For each flat bin an echo of the object, or the ground, that has most of the bin's power.
+
+    bins, strength, pixel: (N,) of the echoes.  Entries of bins without an echo mean nothing.
+    """
+    of_echo = instance.ravel()[pixel].astype(np.int64)
+    # What has no number, ground and fittings, is told apart by its class.
+    of_echo = of_echo * 256 + np.where(of_echo > 0, 0, segmentation.ravel()[pixel])
+    key = bins.astype(np.int64) * (1 << 24) + of_echo
+    keys, first, group = np.unique(key, return_index=True, return_inverse=True)
+    power = np.bincount(group, strength)
+    order = np.argsort(power, kind="stable")
+    loudest = np.zeros(bin_count + 1, np.intp)
+    # Of several objects in a bin the last one assigned stays: the one with most power.
+    loudest[keys[order] >> 24] = first[order]
+    # The last is of what lies outside.
+    return loudest[:bin_count]

@@ -34,7 +34,6 @@ from .settings import CoherentSettings
 Floats = npt.NDArray[np.float32]
 
 _BEAM_STEPS = 16_384
-_PATTERN_STEPS = 4096
 # Of one part of the table of cells: what the second cache of a core holds, in so few parts that
 # sorting into them is fast.
 _SLOTS = 131_072
@@ -300,8 +299,6 @@ def bin_centres_m(window: Window, sonar: SonarSettings) -> Floats:
     return np.asarray(window.range_min_m + fraction * window.range_span_m, np.float32)
 
 
-@lru_cache(maxsize=8)
 def vertical_table(sonar: SonarSettings) -> Floats:
     """(4097,) two-way vertical intensity pattern at equal steps of sin(elevation) from -1 to 1."""
-    sine = np.linspace(-1, 1, _PATTERN_STEPS + 1)
-    return array.vertical_pattern(sine, sonar.vfov_deg, sonar.array).astype(np.float32)
+    return array.vertical_table(sonar.vfov_deg, sonar.array)

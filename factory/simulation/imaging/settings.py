@@ -19,6 +19,8 @@ from ...dataset.labels import CLASSES, class_names
 from ..scenes.base import OwnClass
 
 Decibel = Annotated[float, Field(ge=-80, le=20)]
+GROUND_DB = -25.0
+"""Backscatter coefficient of Background where nothing is said of it."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -56,7 +58,7 @@ class CoherentSettings:
     target: Literal["mean_log", "restored"] = "mean_log"
     standing: Annotated[float, Field(ge=0, le=1)] = 0.0
     lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
-    reflectivity_db: dict[str, Decibel] = field(default_factory=lambda: {"Background": -25.0})
+    reflectivity_db: dict[str, Decibel] = field(default_factory=lambda: {"Background": GROUND_DB})
     lambert_exponents: dict[str, Annotated[float, Field(ge=0, le=8)]] = field(default_factory=dict)
     materials: str | None = None
     tvg_log: Annotated[float, Field(ge=0, le=80)] = 30.0
@@ -69,7 +71,7 @@ class CoherentSettings:
         """
         echo_db = self.reflectivity_db
         usual = self.lambert_exponent
-        ground_db = echo_db.get("Background", -25.0)
+        ground_db = echo_db.get("Background", GROUND_DB)
         return [
             (10 ** (echo_db.get(name, ground_db) / 10), self.lambert_exponents.get(name, usual))
             for name in class_names(echo_db)
@@ -141,7 +143,7 @@ def with_materials(
             raise FactoryError(
                 f"acoustics: no class is called {name}; there are {', '.join(classes)}"
             )
-    ground_db = echo_db.get("Background", -25.0)
+    ground_db = echo_db.get("Background", GROUND_DB)
     echo_db |= {name: echo_db.pop(name, ground_db) for name in classes[len(CLASSES) :]}
     return replace(acoustics, reflectivity_db=echo_db, lambert_exponents=exponents)
 

@@ -40,7 +40,7 @@ def boxes_row(lit: LitSurface, classes: Sequence[str]) -> dict[str, float | str]
         raise FrameError(f"{frame.ref.name}: has no boxes; leave boxes out of dataset.columns")
 
     instance_of_pixel = frame.instance.ravel()
-    echoes, pixel, _ = lit.insonified
+    echoes, pixel, _ = lit.shown
     has_echo = echoes.strength > 0
     instance_of_echo = instance_of_pixel[pixel[has_echo]]
     range_m = echoes.range_m[has_echo]

@@ -14,7 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ...common.distribution import Distribution
 from ...common.errors import FactoryError
+from ...common.seeds import stream
 from ...common.text_tables import numbered_lines, numbers_in
 from ..frames.frame import BOX_FIELDS
 from .arrays import Floats, Points
@@ -29,6 +31,7 @@ MOVEMENT = ("surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MARGIN_DEG = 1.0  # beyond each edge of a sonar's sector
 _SIDE_PX = 64  # of the image in which an object's outline is counted
 _NEAREST_M = 0.05
+_SEED = 0  # of what is drawn of cameras: the procedural world is one and the same
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,16 @@ class Stance(NamedTuple):
     altitude_m: float | None = None
     tilt_deg: float | None = None
 
+    @classmethod
+    def drawn(
+        cls, altitude_m: Distribution | None, tilt_deg: Distribution | None, *names: str | int
+    ) -> Stance:
+        """The stance that the settings draw under these names; the same names draw the same."""
+        return cls(
+            None if altitude_m is None else altitude_m.draw(stream(_SEED, "altitude", *names)),
+            None if tilt_deg is None else tilt_deg.draw(stream(_SEED, "tilt", *names)),
+        )
+
 
 def pose(eye: Points, heading_deg: float, pitch_deg: float, roll_deg: float) -> Pose:
     """A camera that looks along a heading (counter-clockwise from +x), pitched down, rolled."""
@@ -134,7 +147,15 @@ class Objects:
     labels, instances: (N,) uint8 class, and uint16 number among those that have one, 0 for none.
     """
 
-    def __init__(self, meshes: Sequence[Mesh], labels: npt.NDArray[np.uint8]) -> None:
+    def __init__(
+        self,
+        meshes: Sequence[Mesh],
+        labels: npt.NDArray[np.uint8],
+        numbered: npt.NDArray[np.bool_] | None = None,
+    ) -> None:
+        """numbered: (N,) which get a number; None: all that have a class."""
+        if numbered is None:
+            numbered = labels > 0
         self.mesh = join(meshes)
         points = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
         triangles = np.cumsum([0] + [len(mesh.triangles) for mesh in meshes])
@@ -146,7 +167,7 @@ class Objects:
         self.parts = np.stack([points[:-1], triangles[:-1], points[1:], triangles[1:]], axis=-1)
         self.balls = np.concatenate([(low + high) / 2, radius], axis=1)
         self.labels = labels
-        self.instances = np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16)
+        self.instances = np.where(numbered, np.cumsum(numbered), 0).astype(np.uint16)
 
 
 class ZBuffer:

@@ -16,12 +16,12 @@ from ..frames.frame import MovingPixels
 from ..imaging.scatterers import camera_rays, vertical_table
 from ..sonar import polar
 from ..sonar.fan import lay_out_nearest
-from ..sonar.surface import LitSurface
+from ..sonar.surface import LABELLED_BEAM_DB, LitSurface
 from .compose import PosedBody
 from .course import velocity_m_s
 
 _MOST_BYTES = 24_576
-_FAINTEST = 0.01
+_FAINTEST = 10 ** (-LABELLED_BEAM_DB / 10)
 """Two-way level of the vertical beam, on intensity, below which nothing is heard."""
 TRACKS = (
     Column(

@@ -38,7 +38,7 @@ from ..moving.recordings import Moment, Recordings
 from ..noise.draws import Draws, StreamNames, draw
 from ..sonar import polar, surface, transfer
 from ..sonar.fan import lay_out, lay_out_nearest, rasterised
-from ..sonar.window import Window, conical, fit_window, set_window
+from ..sonar.window import Window, conical, fit_window, set_window, whole_sector
 from .compilation import compile_needed
 from .requested_columns import requested, requested_row
 from .sample_table import columns, record
@@ -110,9 +110,10 @@ class PairMaker:
     def columns(self) -> tuple[Column, ...]:
         """Columns of the sample table."""
         config = self.config
+        more = requested(config.dataset.columns)
         if config.devices is not None:
-            return columns(config.noise, "coherent") + devices.columns(config.devices)
-        return columns(config.noise, config.acoustics.formation) + requested(config.dataset.columns)
+            return columns(config.noise, "coherent") + devices.columns(config.devices) + more
+        return columns(config.noise, config.acoustics.formation) + more
 
     def pairs(
         self, ref: FrameRef, variants: tuple[int, ...], noise: NoiseSettings | None = None
@@ -270,7 +271,12 @@ def _has_conical_beams(config: FactoryConfig) -> bool:
 def _lit_surface(
     frame: Frame, rendered: Rendered, window: Window, config: FactoryConfig
 ) -> surface.LitSurface:
-    return surface.LitSurface(frame, rendered, window, config.sonar, _has_conical_beams(config))
+    acoustics = config.acoustics
+    class_echoes: tuple[float, ...] = ()
+    if isinstance(acoustics, CoherentSettings):
+        class_echoes = tuple(coefficient for coefficient, _ in acoustics.of_classes())
+    conical = _has_conical_beams(config)
+    return surface.LitSurface(frame, rendered, window, config.sonar, conical, class_echoes)
 
 
 def _held_static_scene(
@@ -322,9 +328,10 @@ def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Wi
     """Fit the range window of the frame's images.  Raises FrameError as `observe` does."""
     sonar = set_window(config.sonar, config.seed, frame.ref)
     try:
-        return fit_window(surface.extent(frame, rendered, sonar), sonar)
+        window = fit_window(surface.extent(frame, rendered, sonar), sonar)
     except FrameError as error:
         raise FrameError(f"{frame.ref.name}: {error}") from error
+    return window if sonar.sector == "seen" else whole_sector(window, sonar)
 
 
 def observe_by(
@@ -355,7 +362,7 @@ def pair_by_drawn_device(moment: Moment, variant: int, config: FactoryConfig) ->
     assert config.devices is not None
     ref = moment.frame.ref
     stream_names: tuple[str | int, ...] = (ref.location, ref.scene, ref.frame, variant)
-    if moment.is_continuous:
+    if moment.is_continuous or config.devices.per == "place":
         stream_names = ref.location, ref.scene, variant
     for attempt in range(_DRAWS):
         retry_name = (attempt,) if attempt else ()

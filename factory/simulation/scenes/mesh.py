@@ -23,6 +23,8 @@ import numpy.typing as npt
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from ...common.distribution import Angle as DrawnAngle
+from ...common.distribution import Positive as DrawnPositive
 from ...common.errors import FactoryError
 from ...common.seeds import stream
 from ...common.settings import STRICT
@@ -30,7 +32,7 @@ from ...dataset.frame_ref import FrameRef
 from ...dataset.labels import class_names
 from ..frames.frame import Frame, Intrinsics, Surroundings, checked
 from ..meshes.blend_files import camera_image
-from ..meshes.camera import Objects, Optics, Pose, ZBuffer, camera, centred, pose
+from ..meshes.camera import Objects, Optics, Pose, Stance, ZBuffer, camera, centred, pose
 from ..meshes.mesh_parts import READING, Part, Up, files_of, read_model, stands_like_a_wall
 from .base import Discovery, OwnClass, Root
 from .moving import MovingObject, check_moving, check_paths
@@ -46,6 +48,10 @@ _AROUND_STEP_M = 1.0
 _HIGH_M = 5000.0  # from so far above, all rays go down
 Span = tuple[float, float]
 Points = npt.NDArray[np.float64]
+
+
+PosesAlong = Callable[[float, Stance], Pose]
+"""The pose after so many metres along a drawn path, by a stance."""
 
 
 @dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
@@ -95,8 +101,8 @@ class MeshSettings(RecordingSettings):
     hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
     vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
     boxes: bool = False
-    camera_altitude_m: Annotated[float, Field(gt=0)] | None = None
-    camera_tilt_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    camera_altitude_m: DrawnPositive | None = None
+    camera_tilt_deg: DrawnAngle | None = None
     frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
     moving_objects: tuple[MovingObject, ...] = ()
     own_objects: tuple[OwnObject, ...] = ()
@@ -222,7 +228,12 @@ class MeshReader:
             eye = matrix[:3, 3] - self._world.origin_m
             return Pose(eye, np.ascontiguousarray(matrix[:3, :3]))
         time_s = view / (settings.frame_rate_hz or 1.0)
-        return self._poses_along(int(scene[-4:]))(settings.speed_m_s * time_s)
+        stance = Stance.drawn(
+            settings.camera_altitude_m,
+            settings.camera_tilt_deg,
+            *("mesh", scene, "" if settings.is_recording else frame),
+        )
+        return self._poses_along(int(scene[-4:]))(settings.speed_m_s * time_s, stance)
 
     def _surroundings(self, scene: str) -> Surroundings:
         """Where a recording begins, and the height of the highest things around.
@@ -290,7 +301,7 @@ class MeshReader:
         with Image.open(io.BytesIO(content)) as image:
             return np.array(image.convert("RGB"))
 
-    def _draw_path(self, path: int) -> Callable[[float], Pose]:
+    def _draw_path(self, path: int) -> PosesAlong:
         """Draw a path, and measure the ground under it; metres travelled give the pose."""
         settings = self._settings
         rng = stream(0, "mesh", settings.route, path)
@@ -316,7 +327,7 @@ class MeshReader:
 
     def _orbit(
         self, target: Target, rng: np.random.Generator, height_m: float, heading_rad: float
-    ) -> Callable[[float], Pose]:
+    ) -> PosesAlong:
         """Around the target, which stays in the middle of the image."""
         distance_m = rng.uniform(*self._settings.distance_m)
         side = rng.choice([-1, 1])
@@ -325,18 +336,18 @@ class MeshReader:
         ground_m = self._level_above(around, target)
         level_m = ground_m + height_m
 
-        def orbit(travelled_m: float) -> Pose:
+        def orbit(travelled_m: float, stance: Stance) -> Pose:
             angle = heading_rad + travelled_m / (side * distance_m)
             eye = self._clear(target.centre + distance_m * _level(angle), level_m)
             down_deg = np.rad2deg(np.arctan2(eye[2] - target.centre[2], distance_m))
             heading_deg = float(np.rad2deg(angle + np.pi))
-            return self._standing(eye, heading_deg, float(down_deg), ground_m)
+            return self._standing(eye, heading_deg, float(down_deg), ground_m, stance)
 
         return orbit
 
     def _transect(
         self, target: Target, rng: np.random.Generator, height_m: float, heading_rad: float
-    ) -> Callable[[float], Pose]:
+    ) -> PosesAlong:
         """Straight over the target, looking ahead and down."""
         aside_m = 2 * rng.uniform(-0.25, 0.25) * target.reach_m
         ahead = _level(heading_rad)
@@ -348,10 +359,10 @@ class MeshReader:
         heading_deg = float(np.rad2deg(heading_rad))
         tilt_deg = float(np.rad2deg(tilt_rad))
 
-        def transect(travelled_m: float) -> Pose:
+        def transect(travelled_m: float, stance: Stance) -> Pose:
             place = target.centre + (travelled_m - target.reach_m) * ahead + aside
             eye = self._clear(place, level_m)
-            return self._standing(eye, heading_deg, tilt_deg, ground_m)
+            return self._standing(eye, heading_deg, tilt_deg, ground_m, stance)
 
         return transect
 
@@ -361,20 +372,24 @@ class MeshReader:
         return float(np.median(measured)) if measured else float(target.centre[2])
 
     def _standing(
-        self, eye: Points, heading_deg: float, tilt_deg: float, path_ground_m: float
+        self,
+        eye: Points,
+        heading_deg: float,
+        tilt_deg: float,
+        path_ground_m: float,
+        stance: Stance,
     ) -> Pose:
-        """The pose at a place of a path, as `camera_altitude_m` and `camera_tilt_deg` say.
+        """The pose at a place of a path, as its stance says.
 
         path_ground_m: height of the ground along the path, which counts where none lies below.
         """
-        settings = self._settings
-        if settings.camera_tilt_deg is not None:
-            tilt_deg = settings.camera_tilt_deg
-        if settings.camera_altitude_m is not None:
+        if stance.tilt_deg is not None:
+            tilt_deg = stance.tilt_deg
+        if stance.altitude_m is not None:
             ground_m = self._ground_m(eye)
             if ground_m is None:
                 ground_m = path_ground_m
-            eye = np.array([*eye[:2], ground_m + settings.camera_altitude_m])
+            eye = np.array([*eye[:2], ground_m + stance.altitude_m])
         return pose(eye, heading_deg, tilt_deg, 0.0)
 
     def _clear(self, place: Points, level_m: float) -> Points:

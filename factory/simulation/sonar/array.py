@@ -28,6 +28,7 @@ _ELEMENTS = 256
 _CHUNK = 4096
 _STEPS = 128
 _DECIBELS_KEPT = 60.0
+_PATTERN_STEPS = 4096
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -208,6 +209,13 @@ def vertical_pattern(sine: Floats, vfov_deg: float, array: ArraySettings) -> Flo
     """
     length = aperture_wavelengths(vfov_deg, array.vertical)
     return np.asarray(response(sine * length, array.vertical) ** 4)
+
+
+@lru_cache(maxsize=8)
+def vertical_table(vfov_deg: float, array: ArraySettings) -> npt.NDArray[np.float32]:
+    """(4097,) `vertical_pattern` at equal steps of sin(elevation) from -1 to 1."""
+    sine = np.linspace(-1, 1, _PATTERN_STEPS + 1)
+    return vertical_pattern(sine, vfov_deg, array).astype(np.float32)
 
 
 @lru_cache(maxsize=32)

@@ -10,6 +10,8 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from ...common.distribution import Angle as DrawnAngle
+from ...common.distribution import Positive as DrawnPositive
 from ...common.settings import STRICT
 from ...dataset.fan_geometry import beam_centres_rad
 from ..render.base import Mount
@@ -91,6 +93,9 @@ class ImageSettings:
         return (self.sampling, self.enlarged, self.jpeg_quality) == ("bilinear", 1, None)
 
 
+TransferKind = Literal["linear", "power", "log", "soft_log"]
+
+
 @dataclass(frozen=True, config=STRICT)
 class TransferSettings:
     """From echo level to grey value; the same curve for the clean and the noisy image.
@@ -108,7 +113,7 @@ class TransferSettings:
         acoustics=coherent.  null takes percentile and reference of each frame.
     """
 
-    kind: Literal["linear", "power", "log", "soft_log"] = "linear"
+    kind: TransferKind = "linear"
     percentile: Annotated[float, Field(gt=0, le=100)] = 90.0
     reference: Annotated[float, Field(gt=0, le=1)] = 1.0
     exponent: Positive = 0.5
@@ -143,8 +148,12 @@ class SonarSettings:
     projection: slant_range (what a sonar measures) or top_view (the paper's view from above).
     accumulate: how echoes in one bin become its level: mean, max or sum.
     altitude_m: height of the sonar above the ground right under it; of `scenes=seabed` and drawn
-        paths of `scenes=mesh`; null: as the places and paths have it.
+        paths of `scenes=mesh`; null: as the places and paths have it.  Drawn for each frame; for
+        each place in recordings.
     tilt_deg: how far it looks below the horizon; likewise.
+    sector: which bearings have data: seen (from the first to the last at which the camera measured
+        a surface; the others are black) or whole (all of them; where nothing echoes, the
+        receiver's noise shows).
     tvg_db_per_decade: time-varying gain on the echoes, in dB per tenfold range; 20 undoes the
         1/r^2 of the render.
     """
@@ -166,8 +175,9 @@ class SonarSettings:
     transfer: TransferSettings = field(default_factory=TransferSettings)
     array: ArraySettings = field(default_factory=ArraySettings)
     mount: Mount = field(default_factory=Mount)
-    altitude_m: Positive | None = None
-    tilt_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    altitude_m: DrawnPositive | None = None
+    tilt_deg: DrawnAngle | None = None
+    sector: Literal["seen", "whole"] = "seen"
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -5,6 +5,7 @@ A pixel's point is P = z K^-1 (u, v, 1)^T (Yang et al. 2024, Eq. 2), seen from t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from ..frames.frame import Frame
 from ..render.base import Mount, Rendered
-from . import polar
+from . import array, polar
 from .polar import Echoes
 from .settings import SonarSettings
 from .window import Extent, Window
@@ -22,6 +23,9 @@ from .window import Extent, Window
 # Beyond this a surface is seen edge on and its area is not known.
 _GRAZING_COSINE = 0.05
 _EDGE_RATIO = 0.1
+LABELLED_BEAM_DB = 20.0
+"""Two-way loss of the vertical beam, dB, up to which echoes are labelled: the main lobe without
+its foot, and no sidelobe."""
 
 Pixels = npt.NDArray[np.int32]
 
@@ -45,6 +49,8 @@ class LitSurface:
 
     conical: whether the sonar's beams are cones about a line of elements, not vertical planes;
         azimuths of echoes are then bearings, sin(bearing) = sin(azimuth) cos(elevation).
+    class_echoes: backscatter coefficients of the classes, by which surfaces of a complex field
+        echo; empty for the paper's points, which know no materials.
     """
 
     frame: Frame
@@ -52,11 +58,35 @@ class LitSurface:
     window: Window
     sonar: SonarSettings
     conical: bool = False
+    class_echoes: tuple[float, ...] = ()
 
     @cached_property
     def insonified(self) -> Insonified:
-        """Its echoes; found once, when something first asks for them."""
-        surface = insonified(self.frame, self.rendered, self.window, self.sonar)
+        """Its echoes within `vfov_deg`; found once, when something first asks for them."""
+        return self._within(None)
+
+    @cached_property
+    def shown(self) -> Insonified:
+        """The echoes that the image shows, which labels are made of.
+
+        Of a complex field these are all that the vertical beam pattern lets through with at most
+        LABELLED_BEAM_DB of loss, each as strong as pattern and material make it; of points those
+        of `insonified`.
+        """
+        if not self.conical:
+            return self.insonified
+        surface = self._within(labelled_half_angle_rad(self.sonar))
+        table = array.vertical_table(self.sonar.vfov_deg, self.sonar.array)
+        step = (np.sin(surface.echoes.elevation_rad) + 1) / 2 * (len(table) - 1)
+        strength = surface.echoes.strength * table[np.rint(step).astype(np.intp)]
+        if self.frame.segmentation is not None and self.class_echoes:
+            coefficients = np.array(self.class_echoes, np.float32)
+            strength *= coefficients[self.frame.segmentation.reshape(-1)[surface.pixel]]
+        echoes = replace(surface.echoes, strength=np.asarray(strength, np.float32))
+        return surface._replace(echoes=echoes)
+
+    def _within(self, half_vfov_rad: float | None) -> Insonified:
+        surface = insonified(self.frame, self.rendered, self.window, self.sonar, half_vfov_rad)
         echoes = surface.echoes
         if not self.sonar.mount.colocated:
             weight = mount_weight(self.frame, self.sonar.mount, 2).reshape(-1)
@@ -65,6 +95,16 @@ class LitSurface:
             bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
             echoes = replace(echoes, azimuth_rad=bearing)
         return surface._replace(echoes=echoes)
+
+
+def labelled_half_angle_rad(sonar: SonarSettings) -> float:
+    """Elevation at which the main lobe of the two-way beam has lost LABELLED_BEAM_DB."""
+    pattern = array.vertical_table(sonar.vfov_deg, sonar.array)
+    upper_half = pattern[len(pattern) // 2 :]
+    faint = np.flatnonzero(upper_half < 10 ** (-LABELLED_BEAM_DB / 10))
+    if not len(faint):
+        return math.pi / 2
+    return math.asin(float(faint[0]) / (len(upper_half) - 1))
 
 
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
@@ -85,20 +125,28 @@ def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
 
 
 def insonified(
-    frame: Frame, rendered: Rendered, window: Window, sonar: SonarSettings
+    frame: Frame,
+    rendered: Rendered,
+    window: Window,
+    sonar: SonarSettings,
+    half_vfov_rad: float | None = None,
 ) -> Insonified:
-    """The lit surface inside the window, with time-varying gain."""
+    """The lit surface inside the window, with time-varying gain.
+
+    half_vfov_rad: largest elevation; None: half of `vfov_deg`.
+    """
     from . import kernels  # loads numba
 
     size = frame.depth_m.size + 1
+    if half_vfov_rad is None:
+        half_vfov_rad = math.radians(sonar.vfov_deg) / 2
     echo_values = tuple(np.empty(size, np.float32) for _ in range(4))
     pixel = np.empty(size, np.int32)
     hit = np.zeros(sonar.range_bins * sonar.beams + 1, np.bool_)
-    half_vfov_rad = np.float32(np.deg2rad(sonar.vfov_deg) / 2)
     grid = polar.polar_grid(window, sonar)
     count = kernels.insonified(
         _pixels(frame, rendered, sonar),
-        half_vfov_rad,
+        np.float32(half_vfov_rad),
         tuple(grid.even),
         grid.edges_rad,
         sonar.tvg_db_per_decade / 10,

@@ -98,6 +98,12 @@ def fit_window(surface: Extent, sonar: SonarSettings) -> Window:
     return Window(sonar.projection, near, far, surface.azimuth_min_rad, surface.azimuth_max_rad)
 
 
+def whole_sector(window: Window, sonar: SonarSettings) -> Window:
+    """The same window with data at all bearings of the device."""
+    half_rad = math.radians(sonar.hfov_deg) / 2
+    return replace(window, azimuth_min_rad=-half_rad, azimuth_max_rad=half_rad)
+
+
 def conical(window: Window, sonar: SonarSettings) -> Window:
     """The same window for beams that are cones: bearings that the camera saw at all elevations.
 

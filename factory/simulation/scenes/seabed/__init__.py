@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from ....common.distribution import Angle as DrawnAngle
+from ....common.distribution import Positive as DrawnPositive
 from ....common.errors import FactoryError
 from ....common.settings import STRICT
 from ....dataset.frame_ref import FrameRef
-from ....dataset.labels import ObjectName
+from ....dataset.labels import FITTING, ObjectName, class_names
 from ...frames.frame import Frame, checked
 from ...meshes.camera import Stance, movements
 from ...meshes.camera import camera as optics_of
 from ..base import Discovery, OwnClass, Root, SceneSettings
 from ..moving import Moving, MovingObject, check_moving, check_paths
-from .terrain import PLACE_NAMES, PlaceName
+from .terrain import FITTED_PLACES, PLACE_NAMES, ObjectPlaceName, PlaceName
 
 if TYPE_CHECKING:
     from ...meshes.triangle_mesh import Mesh
@@ -137,14 +139,17 @@ class SeabedSettings(RecordingSettings):
     path: a CSV file of the movements of a platform (see `camera.moved`): its lines are then the
     frames of a location, from the pose of frame 0 on, and `frames_per_location` does not count.
     objects: factor on how many objects lie around.  kinds: only these (null: all).
-    places: only these kinds of place, taken in turn (null: all).
+    places: only these kinds of place, taken in turn (null: all but the flat places where objects
+        are looked for: tank, harbour, flat_sand and mud).
     own_objects: the user's meshes; see `OwnObject`.
     frame_rate_hz: makes a recording of each location: its frames are pings from the first pose (or
         along `path`), so many a second.  Moving objects need it, or a path with times.
     moving_objects: objects that move through the recordings; see `moving.MovingObject`.
     boxes: of each frame's objects; `dataset.columns=[boxes]` sets it.
     camera_altitude_m, camera_tilt_deg: of every camera (of a path, its first pose) instead of what
-    the places draw; `sonar.altitude_m` and `sonar.tilt_deg` set them.
+    the places draw; `sonar.altitude_m` and `sonar.tilt_deg` set them.  Drawn for each frame; for
+    each location in recordings.
+    depth_gaps: whether depth is missing in places, as in depth maps that stereo matching made.
     """
 
     kind: Literal["seabed"] = "seabed"
@@ -158,17 +163,25 @@ class SeabedSettings(RecordingSettings):
     path: Root | None = None
     objects: Annotated[float, Field(ge=0, le=4)] = 1.0
     kinds: tuple[ObjectName, ...] | None = None
-    places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
+    places: Annotated[tuple[PlaceName | ObjectPlaceName, ...], Field(min_length=1)] | None = None
     own_objects: tuple[OwnObject, ...] = ()
     frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
     moving_objects: tuple[MovingObject, ...] = ()
     boxes: bool = False
-    camera_altitude_m: Annotated[float, Field(gt=0)] | None = None
-    camera_tilt_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    camera_altitude_m: DrawnPositive | None = None
+    camera_tilt_deg: DrawnAngle | None = None
+    depth_gaps: bool = True
 
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
         return (*self.own_objects, *self.moving_objects)
+
+    def own_classes(self) -> tuple[str, ...]:
+        """See `SceneSettings`; places with fittings have a class of theirs."""
+        labels = super().own_classes()
+        if FITTED_PLACES.intersection(self.places or ()):
+            return (*labels, FITTING)
+        return labels
 
     @property
     def is_recording(self) -> bool:
@@ -253,13 +266,23 @@ class SeabedReader:
         elif settings.frame_rate_hz is not None:
             number = 0
         world = self._world(int(ref.scene.removeprefix("seabed-")))
-        stance = Stance(settings.camera_altitude_m, settings.camera_tilt_deg)
-        frame = take(world, number, ref, optics, movement, settings.boxes, stance)
+        stance = self._stance(ref)
+        frame = take(
+            world, number, ref, optics, movement, settings.boxes, stance, gaps=settings.depth_gaps
+        )
         if settings.is_recording:
             frame = replace(
                 frame, surroundings=surroundings(world, stance), time_s=settings.time_s(ref)
             )
         return checked(frame)
+
+    def _stance(self, ref: FrameRef) -> Stance:
+        """The stance of a frame, the same in all frames of a recording."""
+        settings = self._settings
+        frame = "" if settings.is_recording else ref.frame
+        return Stance.drawn(
+            settings.camera_altitude_m, settings.camera_tilt_deg, "seabed", ref.scene, frame
+        )
 
     def _movements(self) -> tuple[dict[str, float], ...] | None:
         path = self._settings.path
@@ -282,4 +305,5 @@ class SeabedReader:
             for item, own in self._own
             if item.moving is None
         ]
-        return World(location, places, settings.objects, settings.kinds, lying)
+        classes = class_names(settings.own_classes())
+        return World(location, places, settings.objects, settings.kinds, lying, classes)

@@ -33,6 +33,13 @@ PlaceName = Literal[
 ]
 
 PLACE_NAMES: tuple[PlaceName, ...] = get_args(PlaceName)
+"""Places that datasets take in turn where the user names none."""
+
+ObjectPlaceName = Literal["tank", "harbour", "flat_sand", "mud"]
+"""Flat places where objects are looked for; those that the user names alone."""
+
+FITTED_PLACES: frozenset[str] = frozenset({"tank", "harbour"})
+"""Places with fittings: things that belong there and are no objects to be found."""
 
 
 @functools.cache
@@ -237,8 +244,11 @@ class Terrain:
         rippled = rng.random() < place["ripples"]
         self._ripples = Ripples(rng, place["ripple_cover"]) if rippled else None
         self.banks = Banks(rng, place, heading_rad) if place["banks"] else None
-        self._relief_m = rng.uniform(0.05, 0.11), rng.uniform(0.006, 0.016)
+        rock_m = rng.uniform(0.05, 0.11)
+        sand_m = rng.uniform(0.006, 0.016)
         self.offset_m = np.array([rng.uniform(0, 50), rng.uniform(0, 50)], dtype=np.float32)
+        relief = rng.uniform(*place["relief"])
+        self._relief_m = rock_m * relief, sand_m * relief
 
     def height_m(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
         """(...) float32 height without the fine relief."""

@@ -32,11 +32,14 @@ def take(
     movement: Movement | None,
     boxes: bool,
     stance: Stance,
+    *,
+    gaps: bool = True,
 ) -> Frame:
     """Take frame number `frame` of a location.
 
     The pose is the one that FLSea's camera would choose, however wide this one sees, or as its
     stance says; with a movement, of a platform that begins there.
+    gaps: whether depth is missing where stereo matching would not find it.
     """
     viewpoint = choose_pose(world, frame, stance)
     if movement is not None:
@@ -55,7 +58,11 @@ def take(
     x, y = intrinsics.directions(optics.height, optics.width)
     lengths = np.sqrt(1 + (x**2).astype(np.float32) + (y[:, None] ** 2).astype(np.float32))
     range_m = depth_m * lengths
-    keep = measured(rng, depth_m, range_m, clear_m)
+    if gaps:
+        keep = measured(rng, depth_m, range_m, clear_m)
+    else:
+        clear_m = FAR_M
+        keep = depth_m < _FURTHEST_M
     segmentation, instance = (of * (range_m < clear_m) for of in z_buffer.shown)
     height_m = world.terrain.height_m(*viewpoint.eye[:2, None])[0]
     return Frame(

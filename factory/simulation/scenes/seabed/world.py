@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ....common.seeds import stream
-from ....dataset.labels import CLASSES, class_names
+from ....dataset.labels import CLASSES, FITTING, class_names
 from ...meshes.arrays import Draws, Points
 from ...meshes.camera import Objects
 from ...meshes.triangle_mesh import Mesh, mesh, rotation
 from ...meshes.waves import Waves
-from . import things
+from . import detailed, furniture, things
 from .terrain import WORLD_SEED, Look, Place, Range, Terrain, catalogue
 
 
@@ -154,11 +154,13 @@ class World:
     density: factor on how many things there are.  kinds: only these; None: all.  own: the user's
     objects, put there when all else lies there.  finishes: (N, 3) of each, see `places.yaml`.
     first_own: number in `objects.instances` from which on they are the user's own.
+    classes: names of the classes, see `labels.class_names`.
     """
 
     def __init__(
         self, location: int, places: Sequence[str], density: float,
         kinds: Iterable[str] | None, own: Sequence[Own] = (),
+        classes: Sequence[str] | None = None,
     ) -> None:  # fmt: skip
         self.location = location
         place = catalogue()["places"][places[location % len(places)]]
@@ -173,14 +175,19 @@ class World:
         self._items: list[tuple[Mesh, str | None]] = []  # and its class, None for a pebble (ground)
         self._taken: list[tuple[float, float, float]] = []  # x, y, radius
         self._stretch_m = (0.0, self.path.length_m)  # of the path, beside which things are put
+        self._half_sides_m: tuple[float, float] | None = (
+            None  # of a tank, along the axis and across
+        )
         self._furnish(density, kinds)
-        self.first_own = 1 + sum(kind is not None for _, kind in self._items)
+        self.first_own = 1 + sum(kind not in (None, FITTING) for _, kind in self._items)
         self._place_own(own)
-        classes = class_names(item.kind for item in own)
+        if classes is None:
+            classes = class_names(item.kind for item in own)
         # An empty mesh has no shape: one triangle far below the ground.
         items = self._items or [(mesh(np.eye(3) - [0, 0, 1e4], [[0, 1, 2]]), None)]
         labels = np.array([classes.index(kind) if kind else 0 for _, kind in items], np.uint8)
-        self.objects = Objects([solid for solid, _ in items], labels)
+        numbered = np.array([kind not in (None, FITTING) for _, kind in items], np.bool_)
+        self.objects = Objects([solid for solid, _ in items], labels, numbered)
         del self._items  # tens of megabytes
         known = catalogue()["finishes"]
         finishes = [known.get(kind or "Boulder", known["own"]) for _, kind in items]
@@ -189,22 +196,26 @@ class World:
     def _furnish(self, density: float, allowed: Iterable[str] | None) -> None:
         """Build the place's structure, then scatter its objects, large kinds first."""
         names = set(CLASSES if allowed is None else allowed)
+        draw_model = detailed.drawn_model if self._place["detailed"] else things.drawn_model
         place = self._place
         scatter = self._place["scatter"]
         if place["structure"] == "pier" and "Pillar" in names:
             self._build_pier(self._draws("structure"))
         if place["structure"] == "quay" and "Wall" in names:
             self._build_quay(self._draws("structure"))
+        if place["structure"] == "tank":
+            self._build_tank(self._draws("structure"), "Wall" if "Wall" in names else FITTING)
         for kind in dict.fromkeys((*_LARGE_FIRST, *scatter)):
             if kind in names and kind in scatter:
                 rng = self._draws(kind)
                 for _ in range(round(rng.uniform(*scatter[kind]) * density)):
                     if kind == "Wall":
                         self._lay_wall(rng)
-                    elif kind in ("Chain", "Pipe"):
+                    elif kind in place["lines"]:
                         self._lay_line(rng, kind)
                     else:
-                        self._put(rng, things.drawn_model(rng, kind), kind)
+                        self._put(rng, draw_model(rng, kind), kind)
+        self._put_fittings(self._draws("fittings"))
         rng = self._draws("pebbles")
         self._lay_pebbles(rng, round(rng.uniform(*place["pebbles"]) * min(density, 1.0)))
 
@@ -313,6 +324,57 @@ class World:
         behind = (self._on_axis(along, face + 0.4) for along in np.arange(-20, 20, 0.8))
         self._taken += [(float(x), float(y), 0.8) for x, y, _ in behind]
 
+    def _build_tank(self, rng: Draws, kind: str) -> None:
+        """Four walls around the camera's loop, or a round one."""
+        half_along, half_across = rng.uniform([2.2, 2.0], [4.8, 4.2]).tolist()
+        height = rng.uniform(1.8, 3.2)
+        is_round = rng.random() < 0.25
+        if is_round:
+            half_across = half_along
+        self._half_sides_m = half_along, half_across
+        turn = rotation("z", self._heading_rad)
+        foot = self._on_axis(0.0, 0.0)
+        walls = furniture.round_wall(rng, half_along, height)
+        if not is_round:
+            walls = furniture.square_walls(rng, (half_along, half_across), height)
+        self._items.append((walls.rotated(turn).moved(foot), kind))
+
+    def _put_fittings(self, rng: Draws) -> None:
+        """What belongs to a place: on its floor, along its walls, hanging in the water."""
+        least, most = self._place["fittings"]
+        for _ in range(int(rng.integers(least, most + 1)) if most else 0):
+            fitting = furniture.drawn_fitting(rng)
+            turned = fitting.mesh.turned("z", rng.uniform(0, _TURN))
+            reach = float(np.abs(turned.vertices[:, :2]).max())
+            if fitting.stands_at_wall and self._half_sides_m is not None:
+                spot = self._along_wall(rng)
+            else:
+                aside = rng.exponential(self._place["spread_m"], 1) * rng.choice([-1, 1], 1)
+                x, y = self._near_path(rng, aside)[0].tolist()
+                spot = self._inside(x, y, 0.5 * reach)
+            self._fix(turned, FITTING, self._grounded(*spot), 0.3 * reach)
+
+    def _along_wall(self, rng: Draws) -> tuple[float, float]:
+        """A place at one of the four walls of a tank."""
+        assert self._half_sides_m is not None
+        share = rng.uniform(-0.9, 0.9)
+        side = float(rng.choice([-0.95, 0.95]))
+        shares = (share, side) if rng.random() < 0.5 else (side, share)
+        along, across = (part * half for part, half in zip(shares, self._half_sides_m, strict=True))
+        x, y, _ = self._on_axis(along, across)
+        return float(x), float(y)
+
+    def _inside(self, x: float, y: float, reach: float) -> tuple[float, float]:
+        """The place itself, or the nearest one at which a thing of that reach is in the tank."""
+        if self._half_sides_m is None:
+            return x, y
+        c = np.cos(self._heading_rad)
+        s = np.sin(self._heading_rad)
+        limits = np.maximum(np.array(self._half_sides_m) - reach, 0.1)
+        along, across = np.clip([c * x + s * y, c * y - s * x], -limits, limits).tolist()
+        x, y, _ = self._on_axis(along, across)
+        return float(x), float(y)
+
     def _spot(self, rng: Draws, reach: float, height: float) -> tuple[float, float] | None:
         """A free place for a thing of that reach and height, or None after 40 tries."""
         nearest = 0.0 if height < LOW_M else reach + CLEAR_M
@@ -325,6 +387,9 @@ class World:
             if self.terrain.banks is not None:
                 behind = self.terrain.banks.behind_foot_m(*points.T.astype(np.float32))
                 free &= behind <= 0.3 * reach
+            if self._half_sides_m is not None:
+                inside = [self._inside(x, y, reach) for x, y in points.tolist()]
+                free &= np.isclose(points, inside).all(axis=1)
             apart = np.hypot(*(points[:, :, None] - taken[:, :2].T).transpose(1, 0, 2))
             free &= (apart > reach + taken[:, 2]).all(axis=1)
             if free.any():
