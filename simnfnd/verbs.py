@@ -148,7 +148,7 @@ VERBS: dict[str, Verb] = {
     ),
     "export-weights": Verb(
         DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
-        "simnfnd.models.pretrained.export:main",
+        "simnfnd.models.exporting.export:main",
         (
             "simnfnd export-weights outputs/models/sonarnet/weights.safetensors "
             "--out own.safetensors",

@@ -27,10 +27,10 @@ from simnfnd.models.denoise.runtime import (
     find_graph,
     open_runtime,
 )
+from simnfnd.models.exporting.export import main as export
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import KEY, Arrays, read_weights, save_weights
 from simnfnd.models.pretrained import find_weights, shipped
-from simnfnd.models.pretrained.export import main as export
 from tests.models.recordings.fan_images import fan, preset
 
 Change = Callable[[Arrays], Arrays]

@@ -11,10 +11,10 @@ import torch
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.files import sha256_of
 from simnfnd.models import pretrained
+from simnfnd.models.exporting.export import export, main
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.pretrained.card import recipe_digest
-from simnfnd.models.pretrained.export import export, main
 from simnfnd.models.training.recipe import recipe_of
 from tests.models.data.small_renders import composed
 

@@ -9,8 +9,8 @@ from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, sha256_of, write_atomically
 from ...factory.production.cli import Parser
 from ...factory.production.cli.extras import Need, require
-from . import find_weights
-from .card import CardFile, write_card
+from ..pretrained import find_weights
+from ..pretrained.card import CardFile, write_card
 
 SUFFIXES = {"safetensors": ".safetensors", "onnx": ".onnx", "runtime": ".onnx"}
 """What `--to` may say, and how the files end."""

@@ -17,10 +17,10 @@ import torch
 from simnfnd import open_recording
 from simnfnd.command import main as command
 from simnfnd.factory.common.errors import FactoryError
+from simnfnd.models.exporting.export import main
+from simnfnd.models.exporting.onnx_graph import OPSET, Graph, Layout, compared
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
-from simnfnd.models.pretrained.export import main
-from simnfnd.models.pretrained.onnx_graph import OPSET, Graph, Layout, compared
 from simnfnd.models.recordings.fan_tables import write_fans
 from tests.models.networks.tiny_networks import TINY
 from tests.models.recordings.fan_images import fan, preset

@@ -1,0 +1,1 @@
+"""Weights to pass on: rounded files with a model card, and graphs for onnxruntime."""
