@@ -1,4 +1,4 @@
-"""How good are the images: metrics, measurements over whole datasets, reports."""
+"""Measures how good images are, and reports it: metrics, statistics, whole datasets."""
 
 if __name__ == "evaluation":
     from simnfnd.rooms import refuse_modules_of

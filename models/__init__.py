@@ -1,4 +1,4 @@
-"""Denoisers: networks, losses, training on the factory's pairs, and denoising of any image.
+"""Trains denoisers on the factory's pairs and on recordings, and denoises images.
 
 `simnfnd.models.networks` has the contract between them.
 """

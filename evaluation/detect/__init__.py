@@ -1,1 +1,1 @@
-"""Moving targets inserted into static recordings: what denoising leaves of them."""
+"""Inserts moving targets into static recordings and measures what denoising leaves of them."""

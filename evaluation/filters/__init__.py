@@ -1,4 +1,4 @@
-"""Classical denoisers, the rows that a network has to beat: one registry, one grid each."""
+"""Holds classical denoisers: one registry, and for each the grid that tuning searches."""
 
 from __future__ import annotations
 

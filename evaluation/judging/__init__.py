@@ -1,1 +1,1 @@
-"""Methods times images times metrics: what is judged, tuned and run on worker processes."""
+"""Runs and tunes methods on images and scores the results, on worker processes."""

@@ -1,1 +1,1 @@
-"""`simnfnd lab`: noise parameters chosen by eye, beside a real image."""
+"""Serves the page of `simnfnd lab`: sliders for noise and device beside a real image."""

@@ -1,1 +1,1 @@
-"""Figures of merit of images, and their statistics."""
+"""Computes figures of merit of images, and their statistics."""

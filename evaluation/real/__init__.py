@@ -1,1 +1,1 @@
-"""Images of a real sonar, to which no truth exists: what methods make of them."""
+"""Judges methods on images of a real sonar, for which no ground truth exists."""

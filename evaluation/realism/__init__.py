@@ -1,1 +1,1 @@
-"""How close simulated images come to real ones, and fitting the simulation to them."""
+"""Measures how close simulated images come to real ones, and fits the noise to real ones."""

@@ -1,1 +1,1 @@
-"""The report: what the figures of all rows say together, and the files that show it."""
+"""Combines the figures of all rows, and writes the files that show them."""

@@ -1,1 +1,1 @@
-"""The page of `simnfnd view`, contact sheets, and the server of local pages."""
+"""Serves the page of `simnfnd view`, and draws contact sheets."""

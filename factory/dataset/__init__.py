@@ -1,4 +1,4 @@
-"""The files of a dataset."""
+"""Writes, reads, validates and describes the files of a dataset."""
 
 from .pair_dataset import PairDataset
 

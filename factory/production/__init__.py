@@ -1,1 +1,1 @@
-"""From words to datasets: the command line, its verbs, the scheduler, and exports."""
+"""Turns words into datasets: the command line, its verbs, the scheduler, and exports."""

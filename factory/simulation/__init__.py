@@ -1,4 +1,4 @@
-"""From an RGBD frame to its pair (noisy, clean).
+"""Turns an RGBD frame into its pairs of noisy and clean images.
 
 Bottom up: `frames` and `meshes`, `scenes` (readers), `render`, `sonar`, `imaging`, `noise`,
 `moving` and `devices`, `config` (the whole configuration), `labels`, and `pairs`, which holds the

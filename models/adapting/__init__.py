@@ -1,1 +1,1 @@
-"""Weights fitted to the static stretches of a user's own recordings."""
+"""Fits weights to the static stretches of a user's own recordings."""

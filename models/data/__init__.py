@@ -1,1 +1,1 @@
-"""What networks learn from: pairs, renders with fresh noise, recordings, moving targets."""
+"""Provides what networks learn from: pairs, renders with fresh noise, recordings, targets."""

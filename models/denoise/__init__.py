@@ -1,1 +1,1 @@
-"""From an image or recording to its denoised file."""
+"""Turns an image or recording into its denoised file."""

@@ -1,1 +1,1 @@
-"""Weights to pass on: rounded files with a model card, and graphs for onnxruntime."""
+"""Writes weights to pass on: rounded files with a model card, and graphs for onnxruntime."""

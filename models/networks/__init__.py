@@ -1,4 +1,4 @@
-"""Networks: one file each, one registry, and the contract that all keep.
+"""Defines the networks, one file each, in one registry, and the contract that all keep.
 
 A network is one file beside this one with a settings class and a torch module, and one line in
 `NETWORKS`.  What training, denoising and the losses rely on:

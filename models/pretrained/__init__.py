@@ -1,4 +1,4 @@
-"""The weights that ship: `*.safetensors` beside this file, each with a model card of its name."""
+"""Holds the weights that ship, each with its model card, and finds weights by name."""
 
 from __future__ import annotations
 

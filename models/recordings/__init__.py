@@ -1,4 +1,4 @@
-"""Recordings of real sonars, and of videos and images of them: `open_recording`.
+"""Reads recordings of real sonars, videos and images: `open_recording`.
 
 A reader is a module here with a class that takes a path and is a `base.Recording`; its line below
 says which files it reads.

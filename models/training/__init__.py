@@ -1,4 +1,4 @@
-"""`simnfnd train dataset=DIR [KEY=VALUE ...]`: train a denoiser."""
+"""Trains a denoiser: `simnfnd train dataset=DIR [KEY=VALUE ...]`."""
 
 from __future__ import annotations
 

@@ -91,13 +91,6 @@ def test_links_of_the_docs_are_there_in_a_checkout() -> None:
         assert missing == [], page
 
 
-def test_files_named_on_the_architecture_page_are_there() -> None:
-    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
-    names = re.findall(r"`((?:factory|models|evaluation|simnfnd|conf|docs)/[\w./]+)`", text)
-    assert len(names) > 50
-    assert [name for name in names if not (ROOT / name).exists()] == []
-
-
 def shown(document: nbformat.NotebookNode) -> list[list[str]]:
     """For each cell of code: what kinds of things it shows; text may come in pieces."""
     code = [cell for cell in document.cells if cell.cell_type == "code"]

@@ -1,4 +1,4 @@
-"""Processes that run tasks: what every backend keeps, and the one without processes.
+"""Runs tasks in processes, or without any, behind one interface.
 
 A task is an importable function and one argument that pickles.  Nothing here knows what tasks do.
 """

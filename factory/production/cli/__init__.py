@@ -1,4 +1,4 @@
-"""What the verbs of `simnfnd` share: words in, one clear line and an exit code out."""
+"""Holds what the verbs share: words in, one clear line and an exit code out."""
 
 from __future__ import annotations
 

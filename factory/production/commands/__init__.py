@@ -1,1 +1,1 @@
-"""The verbs of `simnfnd` that make and look after datasets, a module each."""
+"""Holds the verbs that make and maintain datasets, one module each."""

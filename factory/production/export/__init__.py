@@ -1,4 +1,4 @@
-"""Datasets in the formats of other ecosystems."""
+"""Converts datasets to the formats of other ecosystems."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The life of a dataset: plan, lock, run on workers, account for failures, resume."""
+"""Runs a dataset: plans, locks, runs workers, accounts for failures, resumes."""

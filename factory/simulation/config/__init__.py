@@ -1,1 +1,1 @@
-"""The whole configuration: its root, what its keys affect, and the identity of a dataset."""
+"""Holds the whole configuration: its root, what keys affect, the identity of a dataset."""

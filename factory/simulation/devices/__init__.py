@@ -1,1 +1,1 @@
-"""A device of its own for every image: drawn sonar, formation, display and rasterisation."""
+"""Draws a sonar for every image: device, formation, display and rasterisation."""

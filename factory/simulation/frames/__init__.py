@@ -1,1 +1,1 @@
-"""RGBD frames as every reader delivers them."""
+"""Defines RGBD frames as every reader delivers them."""

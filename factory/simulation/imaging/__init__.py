@@ -1,1 +1,1 @@
-"""How echoes become an image: pointwise (the paper) or coherent (the sonar equation)."""
+"""Forms an image of echoes: pointwise (the paper) or coherent (the sonar equation)."""

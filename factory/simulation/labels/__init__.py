@@ -1,1 +1,1 @@
-"""What an image shows: boxes, layers of the camera, axes, and the insonified share."""
+"""Computes the labels of an image: boxes, layers of the camera, axes, insonified share."""

@@ -1,1 +1,1 @@
-"""Triangle meshes: shapes, files of other programs, the camera and its z-buffer."""
+"""Reads and shapes triangle meshes, and draws them through a camera with a z-buffer."""

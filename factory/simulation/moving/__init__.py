@@ -1,4 +1,4 @@
-"""Objects that move through a recording: drawn once, placed in each frame by pure functions.
+"""Moves objects through a recording: draws them once, places them in each frame.
 
 settings -> cast (objects and courses) -> bodies at a time -> pixels of the frame -> tracks
 """

@@ -1,1 +1,1 @@
-"""The noise of a real sonar: `registry` lists the effects, `draws` draws them."""
+"""Adds the noise of a real sonar: `registry` lists the effects, `draws` draws them."""

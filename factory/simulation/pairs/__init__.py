@@ -1,1 +1,1 @@
-"""A frame to its pairs: renders from the cache, the method, and the record of each pair."""
+"""Turns a frame into its pairs: cached renders, the method, the record of each pair."""

@@ -1,4 +1,4 @@
-"""Ideal sonar renders: the light is the sonar, the image is what it would hear without noise."""
+"""Renders the ideal echo: the sonar is the light, the image what it hears without noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RGBD recordings in, checked frames out: one module a layout, chosen by `scenes.kind`."""
+"""Reads RGBD recordings into checked frames: one module for each `scenes.kind`."""
 
 from __future__ import annotations
 

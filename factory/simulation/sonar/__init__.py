@@ -1,1 +1,1 @@
-"""The device: its array and range window, polar and fan images, grey values."""
+"""Models the device: its array and range window, polar and fan images, grey values."""
