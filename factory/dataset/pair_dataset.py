@@ -342,7 +342,7 @@ def sample_numbers(item: Any, count: int) -> list[int]:
 
 
 def _is_scaled(layer: str) -> bool:
-    return layer in ("noisy", "clean", STATIC) or layer.startswith(EFFECT_FOLDER)
+    return layer in ("noisy", "clean", STATIC, "mean") or layer.startswith(EFFECT_FOLDER)
 
 
 def _plain(value: Any) -> float | int | str:

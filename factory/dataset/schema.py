@@ -111,14 +111,15 @@ def _angle(name: str, description: str) -> Layer:
 
 _CORE_LAYERS = (
     _grey("noisy", "sonar image with noise; input of a denoiser"),
-    _grey("clean", "ideal sonar image of the same points; target of a denoiser"),
-    Layer("shadow", "bool", "inside the sector, where no echo arrives in the ideal image"),
+    _grey("clean", "noise-free sonar image of the same scene; target of a denoiser"),
+    Layer("shadow", "bool", "inside the sector, where no echo arrives in the clean image"),
 )
 # Of every shard.
 CORE = tuple(layer.name for layer in _CORE_LAYERS)
 # Written where `dataset.layers` asks for them.
 OPTIONAL_LAYERS = (
     _grey("static", "the clean image of the scene without moving objects"),
+    _grey("mean", "what the mean of noisy images of the scene shows; acoustics=coherent alone"),
     Layer("range", "float32", "slant range of the strongest echo; NaN where there is none", "m"),
     _angle("elevation", "elevation of the strongest echo; NaN where there is none"),
     _angle("elevation_min", "lowest elevation of the echoes in the bin; NaN where there is none"),

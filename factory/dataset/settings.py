@@ -25,7 +25,8 @@ class DatasetSettings:
     compression: none reads five times as fast as gzip, and takes more room.
     compression_level: of gzip.
     layers: more images for each sample: `effects` (the noisy image with one noise effect alone,
-        for each), `static` (the clean image without moving objects), and what lies behind a
+        for each), `static` (the clean image without moving objects), `mean` (what the mean of noisy
+        images shows; of acoustics=coherent), and what lies behind a
         pixel: range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
         segmentation (of procedural scenes; brings instance); of acoustics=coherent also
         what was received: intensity_db and field (complex); and what the camera saw: rgb and

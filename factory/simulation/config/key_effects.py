@@ -168,11 +168,19 @@ def _is_calibrated(config: FactoryConfig) -> bool:
     return _acts(config, "receiver") or bool(stored) or "calibration" in config.dataset.columns
 
 
-def _has_systematic_effects(config: FactoryConfig) -> bool:
-    return any(
-        block.enabled and EFFECTS[name].systematic is not None
-        for name, block in blocks(config.noise).items()
+def _shows_standing_speckle(config: FactoryConfig) -> bool:
+    """Whether the mean of noisy images decides an image, and they have speckle."""
+    is_mean_shown = (
+        config.devices is not None
+        or not isinstance(config.acoustics, CoherentSettings)
+        or config.acoustics.target != "noise_free"
+        or "mean" in config.dataset.layers
     )
+    return is_mean_shown and _acts(config, "speckle", "path_speckle")
+
+
+def _has_noise(config: FactoryConfig) -> bool:
+    return any(block.enabled for block in blocks(config.noise).values())
 
 
 def _is_labelled(config: FactoryConfig) -> bool:
@@ -301,11 +309,11 @@ _RULES = (
         "a polar image has a pixel a bin: set sonar.beams and sonar.range_bins",
     ),
     Rule(("sonar.image.sampling", "sonar.image.enlarged"), _is_fan, "set sonar.image.layout=fan"),
-    Rule(("acoustics.target",), _has_systematic_effects, "switch on systematic effects"),
+    Rule(("acoustics.target",), _has_noise, "switch on noise"),
     Rule(
         ("acoustics.standing",),
-        lambda config: _acts(config, "speckle", "path_speckle"),
-        "set noise.speckle.enabled=true",
+        _shows_standing_speckle,
+        "set noise.speckle.enabled=true and acoustics.target=mean_log, or dataset.layers=[mean]",
     ),
     Rule(
         ("sonar.array.beam_groups",),

@@ -164,8 +164,8 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
 
 
 def _received_layers(config: FactoryConfig) -> list[str]:
-    """The requested layers that say what the receiver got, which a complex field alone has."""
-    return [name for name in ("intensity_db", "field") if name in config.dataset.layers]
+    """The requested layers that need a complex field: what the receiver got, and the mean image."""
+    return [name for name in ("intensity_db", "field", "mean") if name in config.dataset.layers]
 
 
 def _conflicts_of_drawn_devices(config: FactoryConfig) -> Iterator[str]:

@@ -71,12 +71,20 @@ class CoherentSample(Sample):
     @property
     def clean(self) -> Floats:
         """See `Sample`."""
-        ping = self.scene
         acoustics = self.scene.acoustics
-        effects = self.effects
-        if acoustics.target == "restored":
-            effects = [effect for effect in effects if effect.effect.systematic is None]
-        return self._displayed(expected(ping, effects, standing=acoustics.standing), ())
+        if acoustics.target == "noise_free":
+            return self._displayed(expected(self.scene, ()), ())
+        if acoustics.target == "mean_log":
+            return self.mean
+        random_effects = [drawn for drawn in self.effects if drawn.effect.systematic is None]
+        state = expected(self.scene, random_effects, standing=acoustics.standing)
+        return self._displayed(state, ())
+
+    @property
+    def mean(self) -> Floats:
+        """(range_bins, beams) what the mean of noisy images with other random draws shows."""
+        state = expected(self.scene, self.effects, standing=self.scene.acoustics.standing)
+        return self._displayed(state, ())
 
     def noisy(self, effects: Collection[str]) -> Floats:
         """See `Sample`."""

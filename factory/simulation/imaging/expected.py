@@ -6,7 +6,8 @@ look (psi: digamma).  So every effect says what it makes of the expected intensi
 transfer curve is averaged over their distribution, clipping included.
 
 Random effects (speckle, texture, spokes) average out; systematic ones (haze, a wrong gain, ghosts)
-are there in every image: target mean_log keeps them, target restored has none of them.
+are there in every image: target mean_log keeps them, target restored has none of them.  The default
+target, noise_free, has no effect of either kind, nor their bias.
 """
 
 from __future__ import annotations

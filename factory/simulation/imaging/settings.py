@@ -41,8 +41,9 @@ class CoherentSettings:
     What else decides its images: `water`, sonar.array, sonar.frequency_khz and
     sonar.samples_per_bin.
 
-    target: what the clean image is: mean_log (the expected displayed image: random noise averaged,
-        systematic effects kept) or restored (the same without the systematic ones).
+    target: what the clean image is: noise_free (the device without any effect of `noise`), mean_log
+        (the expected displayed image: random noise averaged, systematic effects kept) or restored
+        (the same without the systematic ones).
     standing: part of the speckle's power that stays from ping to ping, 0 to 1.  It does not average
         out, so targets mean_log and restored keep it; 0 for a sonar that moves.
     lambert_exponent: backscatter falls as cos(incidence) to this power, in intensity; 2 is Lambert.
@@ -55,7 +56,7 @@ class CoherentSettings:
     """
 
     formation: Literal["coherent"] = "coherent"
-    target: Literal["mean_log", "restored"] = "mean_log"
+    target: Literal["noise_free", "mean_log", "restored"] = "noise_free"
     standing: Annotated[float, Field(ge=0, le=1)] = 0.0
     lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
     reflectivity_db: dict[str, Decibel] = field(default_factory=lambda: {"Background": GROUND_DB})

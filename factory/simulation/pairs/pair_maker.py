@@ -26,7 +26,7 @@ from ..config.selection import choose_frames
 from ..devices import draw as devices
 from ..frames.frame import Frame
 from ..imaging import layers as truth
-from ..imaging.coherent import CoherentScene
+from ..imaging.coherent import CoherentSample, CoherentScene
 from ..imaging.contract import Floats, Sample
 from ..imaging.pointwise import PointwiseScene
 from ..imaging.settings import CoherentSettings, with_materials
@@ -403,6 +403,11 @@ def make_pair(
         static_scene = observed.scene.static or observed.scene
         static_clean = static_scene.sample(variant, draws.effects).clean
         layers["static"] = layout.image(static_clean, is_noisy=False)
+
+    if "mean" in config.dataset.layers:
+        coherent_samples = [sample for sample in samples if isinstance(sample, CoherentSample)]
+        mean = _by_beam_group([sample.mean for sample in coherent_samples])
+        layers["mean"] = layout.image(mean, is_noisy=False)
 
     # Images of drawn devices have the columns of the coherent ones, whatever formed them.
     formation = config.acoustics.formation if device is None else "coherent"

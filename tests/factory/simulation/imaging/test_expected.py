@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.dataset.schema import Pair
 from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.simulation.frames.frame import Frame
 from simnfnd.factory.simulation.imaging.effect import ARTEFACTS
@@ -35,7 +37,7 @@ def averaged(settings: Any) -> tuple[np.ndarray, np.ndarray]:
     """Mean of many noisy images with the same parameters, and the clean one."""
     observed_frame = observe(*ground(), settings)
     effects = effects_of(settings, observed_frame)
-    clean = observed_frame.scene.sample(0, effects).clean
+    clean = observed_frame.scene.sample(0, effects).mean
     total = np.zeros(clean.shape)
     for seed in range(IMAGE_SETTINGS):
         others = [e if e.name in CONSTANT else replace(e, seed=seed) for e in effects]
@@ -91,6 +93,39 @@ def test_speckle_on_a_log_display_is_2_51_db_below_its_mean_intensity() -> None:
         state.looks = looks
         grey = display(state, 1.0, curve)
         assert 50 * (float(grey[0, 0]) - 0.5) == pytest.approx(bias_db, abs=0.1)
+
+
+def made(noise: dict[str, dict[str, Any]], target: str, *layers: str) -> Pair:
+    """The pair of the ground under some noise, with a target."""
+    settings = config(
+        noise=noise,
+        acoustics={"target": target},
+        dataset={"layers": list(layers)},
+        water={"depth_m": 1.5},
+        sonar={"transfer": {"kind": "log", "dynamic_range_db": 50}},
+    )
+    return make_pair(observe(*ground(), settings), 0, settings)
+
+
+def test_the_clean_image_does_not_move_when_noise_is_swept() -> None:
+    quiet = made({}, "noise_free")
+    loud = made(NOISE, "noise_free")
+    np.testing.assert_array_equal(loud.clean, quiet.clean)
+    np.testing.assert_array_equal(quiet.noisy, quiet.clean)
+    assert np.abs(loud.noisy.astype(float) - quiet.noisy).mean() > 10
+    assert loud.clean[loud.shadow].mean() < 1
+    assert made(NOISE, "mean_log").clean[loud.shadow].mean() > 30
+
+
+def test_the_default_target_is_free_of_noise() -> None:
+    assert config().acoustics.target == "noise_free"
+
+
+def test_the_layer_mean_is_the_target_mean_log() -> None:
+    stored = made(NOISE, "noise_free", "mean")
+    np.testing.assert_array_equal(stored.layers["mean"], made(NOISE, "mean_log").clean)
+    with pytest.raises(FactoryError, match="mean"):
+        compose_config(["dataset.layers=[mean]"])
 
 
 def test_restored_has_no_systematic_effect_and_mean_log_has_them() -> None:
