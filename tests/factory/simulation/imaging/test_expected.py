@@ -113,8 +113,9 @@ def test_the_clean_image_does_not_move_when_noise_is_swept() -> None:
     np.testing.assert_array_equal(loud.clean, quiet.clean)
     np.testing.assert_array_equal(quiet.noisy, quiet.clean)
     assert np.abs(loud.noisy.astype(float) - quiet.noisy).mean() > 10
-    assert loud.clean[loud.shadow].mean() < 1
-    assert made(NOISE, "mean_log").clean[loud.shadow].mean() > 30
+    # Sidelobes alone reach into the shadow; the mean of noisy images has the noise's floor there.
+    mean_log = made(NOISE, "mean_log").clean
+    assert np.quantile(loud.clean[loud.shadow], 0.1) < np.quantile(mean_log[loud.shadow], 0.1) - 20
 
 
 def test_the_default_target_is_free_of_noise() -> None:

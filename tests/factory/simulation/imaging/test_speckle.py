@@ -176,7 +176,7 @@ def grey_of(settings, variant):
     observed_frame = observed(settings)
     effects = effects_of(settings, observed_frame, variant)
     sample = scene_of(observed_frame).sample(variant, effects)
-    return sample.noisy([effect.name for effect in effects]), sample.clean
+    return sample.noisy([effect.name for effect in effects]), sample.mean
 
 
 @pytest.mark.parametrize(("window", "samples"), [("uniform", 2), ("hamming", 4)])
@@ -289,7 +289,7 @@ def images(standing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     observed_frame = observe(*constant_field(), settings)
     sample = observed_frame.scene.sample(0, effects_of(settings, observed_frame))
     noisy = sample.noisy({"speckle"})
-    clean = sample.clean
+    clean = sample.mean
     bare = sample.without({"speckle"})
     return noisy[8:-8, 8:-8], clean[8:-8, 8:-8], bare[8:-8, 8:-8]
 
