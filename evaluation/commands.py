@@ -60,6 +60,13 @@ def detect(words: Sequence[str]) -> int:
     return run_app(_detect, "detect", _named(_as_keys(words), None, "recordings"), DetectSettings)
 
 
+def transfer(words: Sequence[str]) -> int:
+    """`simnfnd evaluate transfer [DATASET] REAL [--quick] [KEY=VALUE ...]`."""
+    from .judging.settings import TransferSettings
+
+    return run_app(_transfer, "transfer", _transfer_words(words), TransferSettings)
+
+
 def realism(words: Sequence[str]) -> int:
     """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
     from .judging.settings import RealismSettings
@@ -98,6 +105,25 @@ def _named(words: Sequence[str], first: str | None, rest: str | None = None) -> 
             raise FactoryError(f"{plain[0]}: unexpected; only one folder is taken here")
         overrides.append(f"{rest}={_listed(plain)}")
     return overrides
+
+
+def _transfer_words(words: Sequence[str]) -> list[str]:
+    """DATASET and REAL as keys; one folder alone is judged with the detector that ships."""
+    folders = [
+        word
+        for word in words
+        if not word.startswith("-") and ("=" not in word or Path(word).exists())
+    ]
+    overrides = [word for word in words if word not in folders and word != "--quick"]
+    if "--quick" in words:
+        overrides.append("quick=true")
+    if len(folders) > 2:
+        raise FactoryError(f"{folders[2]}: unexpected; give DATASET and REAL alone")
+    keys = ("dataset", "real")[-len(folders) :] if folders else ()
+    given = {word.partition("=")[0] for word in words}
+    if keys == ("real",) and not given & {"detector", "dataset"}:
+        overrides.append("detector=simnfnd")
+    return [*overrides, *(f"{key}={quote(word)}" for key, word in zip(keys, folders, strict=True))]
 
 
 def _as_keys(words: Sequence[str]) -> list[str]:
@@ -198,6 +224,15 @@ def _detect(config: DictConfig) -> None:
     from .detect.report import evaluate
 
     evaluate(settings)
+
+
+def _transfer(config: DictConfig) -> None:
+    from .judging.settings import TransferSettings
+
+    settings = _checked(config, TransferSettings, real="a folder of real images with boxes")
+    from .transfer.report import evaluate
+
+    evaluate(settings.quickened())
 
 
 def _realism(config: DictConfig) -> None:

@@ -200,6 +200,14 @@ VERBS: dict[str, Verb] = {
          "models=[simnfnd,own.safetensors] contrasts=[1,2]"),
         needs=("pandas", "skimage", *_SONAR), hydra=True,
     ),
+    "evaluate transfer": Verb(
+        JUDGE, "what a detector that learned from a dataset finds in real images",
+        "simnfnd.evaluation.commands:transfer",
+        ("simnfnd evaluate transfer outputs/objects tank ignore=[Wall]",
+         "simnfnd evaluate transfer outputs/objects tank --quick",
+         "simnfnd evaluate transfer tank detector=simnfnd \"class_names={Tyre: Tire}\""),
+        needs=("pandas", "pycocotools", *_TORCH), hydra=True,
+    ),
     "evaluate realism": Verb(
         JUDGE, "how near datasets are to real images",
         "simnfnd.evaluation.commands:realism",

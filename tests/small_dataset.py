@@ -76,14 +76,21 @@ def write_dataset(
     return root
 
 
-def add_shard(root: Path, relative: str, pairs: Iterable[Pair], *, dtype: str = "uint8") -> None:
+def add_shard(
+    root: Path,
+    relative: str,
+    pairs: Iterable[Pair],
+    *,
+    dtype: str = "uint8",
+    layers: tuple[str, ...] = (),
+) -> None:
     """Write one shard and nothing else: a dataset without a manifest is a dataset, too."""
     pairs = list(pairs)
     axes = tuple(
         Axis(name, "m", np.arange(count, dtype=float))
         for name, count in zip(("range", "across"), pairs[0].noisy.shape, strict=True)
     )
-    settings = DatasetSettings(dtype="float32" if dtype == "float32" else "uint8")
+    settings = DatasetSettings(dtype="float32" if dtype == "float32" else "uint8", layers=layers)
     info = write_shard(root, relative, pairs, (axes[0], axes[1]), COLUMNS, PROVENANCE, settings)
     assert info is not None
 

@@ -1,9 +1,9 @@
-"""The keys of conf/evaluation.yaml, real.yaml and realism.yaml, checked; see the comments there."""
+"""The keys of the configurations of `simnfnd evaluate`, checked; comments stand in conf/*.yaml."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import field
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -136,6 +136,61 @@ class DetectSettings(ReportSettings):
         """Where the report goes."""
         name = Path(self.recordings[0]).expanduser().resolve().name
         return Path(self.out or Path("outputs", "evaluation", f"{name}-detect"))
+
+
+ArmName = Literal["blob", "simulation", "real", "both"]
+
+
+@dataclass(frozen=True, config=STRICT)
+class TransferSettings:
+    """All keys of conf/transfer.yaml."""
+
+    real: Annotated[str, Field(min_length=1)]
+    dataset: str | None
+    annotations: str | None
+    detector: str | None
+    ignore: list[str]
+    class_names: dict[str, str]
+    padding: Annotated[float, Field(ge=0, le=0.2)]
+    clutter: bool
+    arms: Annotated[list[ArmName], Field(min_length=1)]
+    shares: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=1)]
+    folds: Annotated[int, Field(ge=2, le=20)]
+    steps: Count
+    real_steps: Count
+    batch: Annotated[int, Field(ge=2)]
+    learning_rate: Annotated[float, Field(gt=0)]
+    limit: Annotated[int, Field(ge=4)] | None
+    quick: bool
+    examples: Annotated[int, Field(ge=0)]
+    seed: Annotated[int, Field(ge=0)]
+    bootstrap: Annotated[int, Field(ge=20)]
+    out: str | None
+    debug: bool
+
+    @property
+    def name(self) -> str:
+        """Of the real images."""
+        return Path(self.real).expanduser().resolve().name
+
+    @property
+    def folder(self) -> Path:
+        """Where the report and the detectors go."""
+        kind = "transfer-quick" if self.quick else "transfer"
+        return Path(self.out or Path("outputs", kind, self.name)).expanduser()
+
+    def quickened(self) -> Self:
+        """The same comparison, small enough for five minutes."""
+        if not self.quick:
+            return self
+        return replace(
+            self,
+            folds=2,
+            steps=min(self.steps, 100),
+            real_steps=min(self.real_steps, 20),
+            limit=min(self.limit or 200, 200),
+            bootstrap=min(self.bootstrap, 100),
+        )
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -24,6 +24,7 @@ EXTRAS = {
     "safetensors": "denoise",
     "optuna": "report",
     "pandas": "report",
+    "pycocotools": "report",
     "pyarrow": "export",
     "skimage": "report",
     "jinja2": "report",

@@ -1,0 +1,88 @@
+"""What a trained detector finds in images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from .augmentation import place_unchanged
+from .boxes import Boxes, clip_boxes, no_boxes, suppress_duplicates
+from .images import Labels, WorkingImage, canvas_shape
+from .network import DIVISOR, STRIDE, DetectorNetwork, Outputs
+
+_MOST = 40  # detections in an image
+_LEAST_SCORE = 0.01
+_SAME_IOU = 0.45  # detections that overlap more are of one object
+_BATCH = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """In one image, best first.
+
+    boxes: (N, 4) px of the original image.  scores: (N,) in 0..1.  labels: (N,) likeliest class.
+    """
+
+    boxes: Boxes
+    scores: npt.NDArray[np.float32]
+    labels: Labels
+
+
+def no_detections() -> Detections:
+    """Nothing was found."""
+    return Detections(no_boxes(), np.zeros(0, np.float32), np.zeros(0, np.int64))
+
+
+def detect(network: DetectorNetwork, images: Sequence[WorkingImage]) -> list[Detections]:
+    """The objects in each image; outputs of an image and its mirror image are averaged."""
+    found: list[Detections] = []
+    for start in range(0, len(images), _BATCH):
+        batch = images[start : start + _BATCH]
+        shape = canvas_shape(batch, DIVISOR)
+        inputs = np.stack([place_unchanged(working, shape)[0] for working in batch])
+        outputs = _with_mirror(network, torch.from_numpy(inputs))
+        for number, working in enumerate(batch):
+            found.append(_decode(outputs, number, working))
+    return found
+
+
+def _with_mirror(network: DetectorNetwork, inputs: Tensor) -> Outputs:
+    """Probabilities of centres and classes, and sides, averaged over both views."""
+    with torch.inference_mode():
+        plain = network(inputs.contiguous(memory_format=torch.channels_last))
+        mirrored = network(inputs.flip(-1).contiguous(memory_format=torch.channels_last))
+    centre = (plain.centre.sigmoid() + mirrored.centre.flip(-1).sigmoid()) / 2
+    # Left and right change places.
+    sides = (plain.sides + mirrored.sides.flip(-1)[:, [2, 1, 0, 3]]) / 2
+    classes = (plain.classes.softmax(1) + mirrored.classes.flip(-1).softmax(1)) / 2
+    return Outputs(centre, sides, classes)
+
+
+def _decode(outputs: Outputs, number: int, working: WorkingImage) -> Detections:
+    """The peaks of the heat map of one image, as boxes of the original image."""
+    heat = outputs.centre[number : number + 1]
+    is_peak = functional.max_pool2d(heat, 3, stride=1, padding=1) == heat
+    scores, places = (heat * is_peak).flatten().topk(min(_MOST, heat.numel()))
+    is_found = scores >= _LEAST_SCORE
+    scores = scores[is_found]
+    places = places[is_found]
+    if not len(places):
+        return no_detections()
+    columns = heat.shape[-1]
+    x = (places % columns).float() + 0.5
+    y = (places // columns).float() + 0.5
+    sides = outputs.sides[number].flatten(1)[:, places]
+    corners = torch.stack([x - sides[0], y - sides[1], x + sides[2], y + sides[3]], 1)
+    height, width = working.labelled.image.shape
+    boxes = clip_boxes(np.asarray((corners * STRIDE).numpy(), np.float32), height, width)
+    classes = outputs.classes[number].flatten(1)[:, places].argmax(0)
+    values = np.asarray(scores.numpy(), np.float32)
+    kept = suppress_duplicates(boxes, values, _SAME_IOU)
+    original_boxes = boxes[kept] / np.float32(working.scale)
+    return Detections(original_boxes, values[kept], np.asarray(classes.numpy(), np.int64)[kept])

@@ -1,0 +1,85 @@
+"""Images with labelled objects, at the size at which the detector works."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .boxes import Boxes
+
+Grey = npt.NDArray[np.uint8]
+Labels = npt.NDArray[np.int64]
+
+SIDE_PX = 240
+"""The longer side of an image as the detector sees it."""
+
+UNKNOWN = -1
+"""Label of an object whose class the detector does not know."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledImage:
+    """A grey image and its objects.
+
+    image: (H, W) uint8, 0 outside the fan.  boxes: (N, 4) px.  labels: (N,) number of the class of
+    each object, or UNKNOWN.  group: images of one group show nearly the same scene.
+    """
+
+    name: str
+    group: str
+    image: Grey
+    boxes: Boxes
+    labels: Labels
+
+
+@dataclass(frozen=True, eq=False)
+class WorkingImage:
+    """A labelled image scaled so that its longer side has SIDE_PX pixels.
+
+    scale: pixels here for each pixel of the original.  is_fan: (H, W) bool, the insonified sector.
+    """
+
+    labelled: LabelledImage
+    scale: float
+    is_fan: npt.NDArray[np.bool_]
+
+
+def scale_image(source: LabelledImage) -> WorkingImage:
+    """The image at the size of the detector, with its boxes and its fan."""
+    height, width = source.image.shape
+    scale = SIDE_PX / max(height, width)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    image = np.asarray(cv2.resize(source.image, size, interpolation=interpolation), np.uint8)
+    scaled = LabelledImage(
+        source.name,
+        source.group,
+        image,
+        np.asarray(source.boxes * scale, np.float32).reshape(-1, 4),
+        source.labels,
+    )
+    return WorkingImage(scaled, scale, find_fan(image))
+
+
+def find_fan(image: Grey) -> npt.NDArray[np.bool_]:
+    """(H, W) bool: the convex hull of all pixels that are not black.
+
+    Bearings without an echo are black but belong to the fan; a sonar shows its noise there.
+    """
+    filled = np.zeros(image.shape, np.uint8)
+    lit = cv2.findNonZero((image > 2).astype(np.uint8))
+    if lit is not None:
+        cv2.fillConvexPoly(filled, cv2.convexHull(lit), 1)
+    return filled > 0
+
+
+def canvas_shape(images: Sequence[WorkingImage], stride: int) -> tuple[int, int]:
+    """Height and width that hold every image, and divide by the stride of the network."""
+    shapes = [working.labelled.image.shape for working in images]
+    height = max(shape[0] for shape in shapes)
+    width = max(shape[1] for shape in shapes)
+    return -(-height // stride) * stride, -(-width // stride) * stride

@@ -1,0 +1,203 @@
+"""The small detector: boxes, augmentation, targets, training that goes on, and its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.models.detection import training as training_module
+from simnfnd.models.detection.augmentation import place_unchanged, vary
+from simnfnd.models.detection.boxes import (
+    grow_boxes,
+    intersection_over_union,
+    mirror_boxes,
+    share_inside,
+    suppress_duplicates,
+)
+from simnfnd.models.detection.detector import _decode, detect
+from simnfnd.models.detection.images import LabelledImage, WorkingImage, find_fan, scale_image
+from simnfnd.models.detection.network import STRIDE, DetectorNetwork, Outputs
+from simnfnd.models.detection.normalise import normalise
+from simnfnd.models.detection.objective import Targets, detection_loss, draw_targets
+from simnfnd.models.detection.training import (
+    CHECKPOINT_NAME,
+    DETECTOR_NAME,
+    Schedule,
+    Source,
+    train_detector,
+)
+from simnfnd.models.detection.weights import load_detector
+from tests.small_detection import CLASSES, HEIGHT, WIDTH, working_images
+
+
+def as_boxes(*corners: tuple[float, float, float, float]) -> np.ndarray:
+    return np.array(corners, np.float32)
+
+
+def test_overlap_of_boxes() -> None:
+    first = as_boxes((0, 0, 4, 4), (10, 10, 12, 12))
+    second = as_boxes((2, 0, 6, 4))
+    np.testing.assert_allclose(intersection_over_union(first, second), [[8 / 24], [0]])
+    np.testing.assert_allclose(share_inside(first, second), [[0.5], [0]])
+    np.testing.assert_allclose(grow_boxes(first, 3, 12, 12)[1], [7, 7, 12, 12])
+
+
+def test_duplicates_give_way_to_better_ones() -> None:
+    boxes = as_boxes((0, 0, 10, 10), (0, 0, 10, 9), (20, 20, 30, 30))
+    scores = np.array([0.3, 0.9, 0.5], np.float32)
+    assert suppress_duplicates(boxes, scores, 0.5) == [1, 2]
+    assert suppress_duplicates(boxes, scores, 0.95) == [1, 2, 0]
+
+
+def test_input_does_not_depend_on_gain_and_little_on_gamma() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.gamma(2, 0.1, (64, 48)).astype(np.float32)
+    fan = np.ones(image.shape, bool)
+    plain = normalise(image, fan)
+    assert np.abs(plain).max() <= 1
+    louder = normalise(image**0.7 * 3, fan)
+    assert np.abs(plain[0] - louder[0]).mean() < 0.05
+    assert np.abs(plain[0]).mean() > 0.2
+
+
+def test_varied_boxes_stay_on_their_objects() -> None:
+    rng = np.random.default_rng(1)
+    for working in working_images(6):
+        image, boxes, _ = vary(working, (HEIGHT, WIDTH), rng, with_clutter=False)
+        for left, top, right, bottom in np.rint(boxes).astype(int):
+            # Some wide gain may be drawn over an object, so the rim around it is what it exceeds.
+            inside = image[0, top:bottom, left:right].mean()
+            around = image[0, max(0, top - 6) : bottom + 6, max(0, left - 6) : right + 6].mean()
+            assert inside > around
+
+
+def test_same_draws_give_the_same_variation() -> None:
+    (working,) = working_images(1)
+    first, second = (
+        vary(working, (HEIGHT, WIDTH), np.random.default_rng(5), with_clutter=True)
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(first[0], second[0])
+    other = vary(working, (HEIGHT, WIDTH), np.random.default_rng(6), with_clutter=True)
+    assert not np.array_equal(first[0], other[0])
+
+
+def test_scaling_keeps_boxes_and_finds_the_fan() -> None:
+    image = np.zeros((480, 320), np.uint8)
+    image[40:400, 60:260] = 90
+    image[100:400, 150:160] = 0  # a bearing without an echo
+    source = LabelledImage("a", "a", image, as_boxes((60, 40, 160, 140)), np.zeros(1, np.int64))
+    working = scale_image(source)
+    assert working.labelled.image.shape == (240, 160)
+    np.testing.assert_allclose(working.labelled.boxes, [[30, 20, 80, 70]])
+    assert working.is_fan[120, 77]
+    assert not working.is_fan[5, 5]
+
+
+def test_decoded_targets_are_the_boxes() -> None:
+    (working,) = working_images(1)
+    source = working.labelled
+    heat, sides, _, label = draw_targets(source.boxes, source.labels, HEIGHT, WIDTH)
+    classes = np.stack([label == number for number in range(2)]).astype(np.float32)
+    outputs = Outputs(*(torch.from_numpy(array)[None] for array in (heat, sides, classes)))
+    found = _decode(outputs, 0, working)
+    overlap = intersection_over_union(found.boxes, source.boxes)
+    assert len(found.boxes) == len(source.boxes)
+    assert (overlap.max(axis=0) > 0.99).all()
+    np.testing.assert_array_equal(found.labels, source.labels[overlap.argmax(axis=1)])
+
+
+def test_loss_is_least_for_the_targets() -> None:
+    (working,) = working_images(1)
+    source = working.labelled
+    drawn = draw_targets(source.boxes, source.labels, HEIGHT, WIDTH)
+    targets = Targets(*(torch.from_numpy(array)[None] for array in drawn))
+    classes = torch.stack([targets.label == number for number in range(2)], 1) * 20.0
+    logits = torch.where(targets.heat == 1, 12.0, -12.0)
+    perfect = detection_loss(Outputs(logits, targets.sides, classes), targets)
+    shifted = detection_loss(Outputs(logits, targets.sides * 1.5, classes), targets)
+    confused = detection_loss(Outputs(logits, targets.sides, classes.flip(1)), targets)
+    absent = detection_loss(Outputs(-logits, targets.sides, classes), targets)
+    assert perfect < 1e-3
+    assert min(shifted, confused, absent) > perfect + 0.1
+
+
+def test_network_is_small() -> None:
+    network = DetectorNetwork(10)
+    assert sum(parameter.numel() for parameter in network.parameters()) <= 1_000_000
+    outputs = network(torch.zeros(1, 3, HEIGHT, WIDTH))
+    assert outputs.centre.shape == (1, 1, HEIGHT // STRIDE, WIDTH // STRIDE)
+
+
+def train(folder: Path, steps: int, **changes: Any) -> Any:
+    schedule = Schedule(steps, 4, 4e-3, changes.pop("seed", 0))
+    sources = [Source(working_images(8), 1.0, with_clutter=False)]
+    return train_detector(folder, sources, CLASSES, schedule, {"about": "squares"}, **changes)
+
+
+def test_training_finds_what_it_learned(tmp_path: Path) -> None:
+    trained = train(tmp_path, 100)
+    unseen = working_images(4, seed=1)
+    hits = 0
+    for working, found in zip(unseen, detect(trained.network, unseen), strict=True):
+        boxes = found.boxes[: len(working.labelled.boxes)]
+        overlap = intersection_over_union(working.labelled.boxes, boxes)
+        hits += int((overlap.max(axis=1, initial=0) > 0.5).sum())
+    assert hits >= 6  # of 8
+
+
+def test_killed_training_goes_on_with_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(tmp_path / "whole", 4)
+    monkeypatch.setattr(training_module, "_SAVE_EVERY_S", 0)
+    take_step = training_module._Training._take_step
+
+    def take_two_steps(self: Any) -> None:
+        if self.step == 2:
+            raise KeyboardInterrupt
+        take_step(self)
+
+    monkeypatch.setattr(training_module._Training, "_take_step", take_two_steps)
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path / "killed", 4)
+    monkeypatch.setattr(training_module._Training, "_take_step", take_step)
+    assert (tmp_path / "killed" / CHECKPOINT_NAME).is_file()
+    train(tmp_path / "killed", 4)
+    whole, killed = ((tmp_path / name / DETECTOR_NAME).read_bytes() for name in ("whole", "killed"))
+    assert whole == killed
+    assert not (tmp_path / "killed" / CHECKPOINT_NAME).exists()
+
+
+def test_other_recipe_is_refused(tmp_path: Path) -> None:
+    train(tmp_path, 1)
+    with pytest.raises(FactoryError):
+        train(tmp_path, 1, seed=1)
+
+
+@pytest.mark.parametrize("content", [b"", b"no detector", b"\x08\0\0\0\0\0\0\0{}      "])
+def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "odd.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(FactoryError):
+        load_detector(path)
+
+
+def test_black_images_hold_nothing_to_fail_on() -> None:
+    image = np.zeros((HEIGHT, WIDTH), np.uint8)
+    source = LabelledImage("black", "black", image, as_boxes().reshape(0, 4), np.zeros(0, np.int64))
+    working = WorkingImage(source, 1.0, find_fan(image))
+    inputs, _, _ = place_unchanged(working, (HEIGHT, WIDTH))
+    assert not inputs.any()
+    assert len(detect(DetectorNetwork(2).eval(), [working])) == 1
+
+
+def test_mirrored_twice_is_the_same() -> None:
+    boxes = as_boxes((1, 2, 5, 9))
+    np.testing.assert_array_equal(mirror_boxes(boxes, 20), [[15, 2, 19, 9]])
+    np.testing.assert_array_equal(mirror_boxes(mirror_boxes(boxes, 20), 20), boxes)
