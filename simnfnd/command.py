@@ -95,6 +95,8 @@ def find(words: Sequence[str]) -> _Command:
     # By the last word, too: people leave `evaluate` out.
     name_by_last_word = {full_name.rpartition(" ")[2]: full_name for full_name in VERBS}
     close_words = difflib.get_close_matches(word, name_by_last_word, n=3, cutoff=0.5)
+    if word in close_words:
+        close_words = [word]
     near = [name_by_last_word[close_word] for close_word in close_words]
     hint = f"`simnfnd {f'{words[0]} ' if has_second_word else ''}--help` lists them"
     if near:

@@ -61,6 +61,8 @@ def write_labelled_dataset(root: Path, train: int = 8, test: int = 2) -> Path:
     rng = np.random.default_rng(3)
     classes = {"Tire": 9, "Bottle": 1}
     for split, count in (("train", train), ("test", test)):
+        if not count:
+            continue
         pairs = []
         for number in range(count):
             image, instance, _, labels = draw_scene(rng)

@@ -142,11 +142,18 @@ ArmName = Literal["blob", "simulation", "real", "both"]
 
 
 @dataclass(frozen=True, config=STRICT)
+class OptionalDatasetFolder:
+    """A dataset to read, or none."""
+
+    dir: str | None
+
+
+@dataclass(frozen=True, config=STRICT)
 class TransferSettings:
     """All keys of conf/transfer.yaml."""
 
     real: Annotated[str, Field(min_length=1)]
-    dataset: str | None
+    dataset: OptionalDatasetFolder
     annotations: str | None
     detector: str | None
     ignore: list[str]

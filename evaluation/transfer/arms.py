@@ -101,9 +101,7 @@ class Comparison:
             "padding": settings.padding,
             "simulated": digest_of(self.simulated),
         }
-        schedule = Schedule(
-            settings.steps, settings.batch, settings.learning_rate, settings.seed
-        )
+        schedule = Schedule(settings.steps, settings.batch, settings.learning_rate, settings.seed)
         return train_detector(
             settings.folder / "simulation",
             [Source(self.simulated, 1.0, settings.clutter)],
@@ -191,9 +189,9 @@ def open_comparison(settings: TransferSettings, real: RealImages) -> Comparison:
             )
     if not needs_simulation:
         return Comparison(settings, real)
-    if settings.dataset is None:
+    if settings.dataset.dir is None:
         raise FactoryError("dataset: give the folder that `simnfnd make` made before the images")
-    known = simulated_classes(settings.dataset)
+    known = simulated_classes(settings.dataset.dir)
     shared = [name for name in real.classes if name in known]
     if not shared:
         raise FactoryError(
@@ -201,7 +199,7 @@ def open_comparison(settings: TransferSettings, real: RealImages) -> Comparison:
             f"dataset ({', '.join(known)}); map them, as in class_names={{Tyre: Tire}}"
         )
     learned, held_out = read_simulated(
-        settings.dataset, real.classes, padding=settings.padding, limit=settings.limit
+        settings.dataset.dir, real.classes, padding=settings.padding, limit=settings.limit
     )
     return Comparison(settings, real, learned, held_out)
 

@@ -47,9 +47,7 @@ def _detect_in(working: WorkingImage) -> Detections:
     return Detections(boxes[kept] / np.float32(working.scale), scores[kept], labels)
 
 
-def _difference(
-    grey: np.ndarray, fan: np.ndarray, scale_px: float
-) -> np.ndarray:
+def _difference(grey: np.ndarray, fan: np.ndarray, scale_px: float) -> np.ndarray:
     """Mean of a neighbourhood minus that of a wider one, both of pixels of the fan, (H, W)."""
     means = []
     for sigma in (scale_px, 1.6 * scale_px):

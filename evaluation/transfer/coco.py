@@ -73,9 +73,7 @@ def read_coco(
                 known = ", ".join(categories.values())
                 raise FactoryError(f"{word}: {path} has no class {name}; it has {known}")
     judged = {
-        number: renamed.get(name, name)
-        for number, name in categories.items()
-        if name not in ignore
+        number: renamed.get(name, name) for number, name in categories.items() if name not in ignore
     }
     classes = tuple(dict.fromkeys(judged.values()))
     if not classes:
@@ -244,6 +242,4 @@ def _is_whole(value: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    return (
-        isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    )
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.common.files import check_writable
+from ...factory.common.plots import Curve, Plot, draw_plots
 from ...models.detection.detector import detect
 from ...models.detection.training import DETECTOR_NAME
-from ..detect.curves import Plot, draw_plots
+from ..judging.settings import TransferSettings
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, plain, written
-from ..judging.settings import TransferSettings
 from .arms import BLOB, SIMULATION, Arm, Comparison, open_comparison
 from .coco import RealImage, RealImages, read_coco
 from .scores import (
@@ -38,10 +38,11 @@ if TYPE_CHECKING:
 SCHEMA = "simnfnd-transfer/1"
 
 HOW = (
-    "AP50 and AP at IoU .3: average precision of pycocotools at one overlap of boxes. Recall at one "
-    "false alarm: part of the objects found (IoU .5) at the threshold that lets one false detection "
-    "per image pass. All objects count as one class, except in the table of classes. Detections on "
-    "a box of an ignored class (IoU .3, or more than half of their area inside) do not count.",
+    "AP50 and AP at IoU .3: average precision of pycocotools at one overlap of boxes. Recall at "
+    "one false alarm: part of the objects found (IoU .5) at the threshold that lets one false "
+    "detection per image pass. All objects count as one class, except in the table of classes. "
+    "Detections on a box of an ignored class (IoU .3, or more than half of their area inside) do "
+    "not count.",
     "Intervals: 95 % bootstrap that draws groups of images. Arms with real labels are "
     "cross-validated: a group is never split, and a detector never saw images of the groups it is "
     "judged on. The detector is a network of at most one million parameters, the same in all arms; "
@@ -100,9 +101,7 @@ def judge_arm(arm: Arm, real: RealImages, draws: npt.NDArray[np.int64]) -> Judge
     return JudgedArm(arm, figures, matches, by_class, recall_of)
 
 
-def _class_recall(
-    images: Sequence[RealImage], arm: Arm, label: int, threshold: float
-) -> float:
+def _class_recall(images: Sequence[RealImage], arm: Arm, label: int, threshold: float) -> float:
     """Part of the objects of a class that a detection above the threshold overlaps enough."""
     from .sheet import match_greedily
 
@@ -138,13 +137,17 @@ def write(
         about += "A quick run: trainings are far too short for these figures to mean anything. "
     table = overall_table(judged, draws)
     shown = _shown_on_sheet(judged)
-    sheet = detection_sheet(
-        real.images,
-        shown.arm.found,
-        threshold_at(shown.matches, 1.0),
-        settings.examples,
-    ) if settings.examples else None
-    drawings = [Drawing("curves.svg", "What each arm finds", draw_plots(_plots(judged)).encode())]
+    sheet = (
+        detection_sheet(
+            real.images,
+            shown.arm.found,
+            threshold_at(shown.matches, 1.0),
+            settings.examples,
+        )
+        if settings.examples
+        else None
+    )
+    drawings = [Drawing("curves.svg", "What each arm finds", draw_plots(_plots(judged)))]
     if sheet is not None:
         caption = (
             f"{shown.arm.label}, at one false alarm per image: found (green), missed (red), false "
@@ -228,24 +231,28 @@ def _shown_on_sheet(judged: Sequence[JudgedArm]) -> JudgedArm:
 
 
 def _plots(judged: Sequence[JudgedArm]) -> list[Plot]:
-    """Recall over false alarms, in logarithmic and linear steps."""
+    """Recall over false alarms, and precision over recall."""
     return [
         Plot(
-            "All objects, IoU .5",
-            "false alarms per image",
-            "objects found",
-            CURVE_ALARMS,
-            {row.arm.label: recall_at(row.matches, CURVE_ALARMS) for row in judged},
-            (0.05, 0.1, 0.3, 1, 3, 10),
-            logarithmic=True,
+            title="All objects, IoU .5",
+            x_label="false alarms per image",
+            y_label="objects found",
+            curves={
+                row.arm.label: Curve(CURVE_ALARMS, recall_at(row.matches, CURVE_ALARMS))
+                for row in judged
+            },
+            ticks=(0.05, 0.1, 0.3, 1, 3, 10),
+            is_logarithmic=True,
+            y_limits=(0, 1),
         ),
         Plot(
-            "Precision over recall",
-            "objects found",
-            "detections that are objects",
-            _RECALL_STEPS,
-            {row.arm.label: _precision_at(row.matches) for row in judged},
-            (0, 0.2, 0.4, 0.6, 0.8, 1),
+            title="Precision over recall",
+            x_label="objects found",
+            y_label="detections that are objects",
+            curves={
+                row.arm.label: Curve(_RECALL_STEPS, _precision_at(row.matches)) for row in judged
+            },
+            y_limits=(0, 1),
         ),
     ]
 

@@ -82,7 +82,7 @@ def countable(found: Detections, ignored: Boxes) -> Detections:
 def match(
     images: Sequence[RealImage], found: Sequence[Detections], label: int | None, iou: float
 ) -> tuple[Matches, float]:
-    """pycocotools' matches and its average precision at one overlap.
+    """Pycocotools' matches and its average precision at one overlap.
 
     label: of the class that is judged; None: all objects as one class.  found: of each image, those
     that count.
@@ -181,13 +181,17 @@ def average_precision(matches: Matches, weights: npt.NDArray[np.int64] | None = 
     precision = np.maximum.accumulate(precision[::-1])[::-1]
     places = np.searchsorted(recall, _RECALLS, side="left")
     inside = places < len(precision)
-    return float(np.where(inside, precision[np.minimum(places, len(precision) - 1)], 0).mean()) if (
-        len(precision)
-    ) else 0.0
+    return (
+        float(np.where(inside, precision[np.minimum(places, len(precision) - 1)], 0).mean())
+        if (len(precision))
+        else 0.0
+    )
 
 
 def recall_at(
-    matches: Matches, alarms_per_image: Sequence[float], weights: npt.NDArray[np.int64] | None = None
+    matches: Matches,
+    alarms_per_image: Sequence[float],
+    weights: npt.NDArray[np.int64] | None = None,
 ) -> list[float]:
     """The part of the objects that is found with so many false alarms per image, or fewer."""
     counts = _counts(matches, weights)
@@ -246,13 +250,10 @@ def figures_of(
     return figures, strict
 
 
-def difference(
-    first: Matches, second: Matches, draws: npt.NDArray[np.int64]
-) -> Estimate:
+def difference(first: Matches, second: Matches, draws: npt.NDArray[np.int64]) -> Estimate:
     """AP50 of the first minus that of the second, paired over draws of groups."""
     samples = [
-        average_precision(first, weights) - average_precision(second, weights)
-        for weights in draws
+        average_precision(first, weights) - average_precision(second, weights) for weights in draws
     ]
     return _estimate(average_precision(first) - average_precision(second), samples)
 

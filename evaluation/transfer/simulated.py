@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from ...factory.common.errors import FactoryError
+from ...factory.dataset.labels import classes_of
 from ...factory.dataset.pair_dataset import PairDataset
 from ...factory.dataset.reader import Split
 from ...factory.dataset.schema import stored_image
-from ...factory.common.errors import FactoryError
 from ...factory.production.export.objects import MIN_OBJECT_PX, has_labels
-from ...factory.dataset.labels import classes_of
 from ...models.detection.boxes import grow_boxes, no_boxes
 from ...models.detection.images import LabelledImage, WorkingImage, scale_image
 
@@ -101,4 +101,3 @@ def _objects_in(
     if not boxes:
         return no_boxes(), np.zeros(0, np.int64)
     return np.array(boxes, np.float32), np.array(labels, np.int64)
-

@@ -36,9 +36,7 @@ def intersection_over_union(first: Boxes, second: Boxes) -> npt.NDArray[np.float
 
 def share_inside(inner: Boxes, outer: Boxes) -> npt.NDArray[np.float32]:
     """(N, M) in 0..1: which part of each first box lies inside each second one."""
-    return np.asarray(
-        overlaps(inner, outer) / np.maximum(areas(inner), 1e-6)[:, None], np.float32
-    )
+    return np.asarray(overlaps(inner, outer) / np.maximum(areas(inner), 1e-6)[:, None], np.float32)
 
 
 def clip_boxes(boxes: Boxes, height: int, width: int) -> Boxes:

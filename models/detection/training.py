@@ -91,7 +91,9 @@ def train_detector(
     return load_detector(detector_path)
 
 
-def _refuse_other_recipe(folder: Path, stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+def _refuse_other_recipe(
+    folder: Path, stored: Mapping[str, Any], wanted: Mapping[str, Any]
+) -> None:
     keys = [key for key in {**stored, **wanted} if stored.get(key) != wanted.get(key)]
     if keys:
         raise FactoryError(
@@ -111,7 +113,6 @@ class _Training:
         start: TrainedDetector | None,
     ) -> None:
         torch.manual_seed(int(stream(schedule.seed, "detector").integers(2**62)))
-        torch.use_deterministic_algorithms(True, warn_only=True)
         self.sources = sources
         self.schedule = schedule
         self.step = 0
@@ -180,9 +181,7 @@ class _Training:
         for _ in range(self.schedule.batch):
             source = self.sources[int(rng.choice(len(shares), p=shares / shares.sum()))]
             working = source.images[int(rng.integers(len(source.images)))]
-            values, boxes, labels = vary(
-                working, self.shape, rng, with_clutter=source.with_clutter
-            )
+            values, boxes, labels = vary(working, self.shape, rng, with_clutter=source.with_clutter)
             inputs.append(values)
             drawn.append(draw_targets(boxes, labels, *self.shape))
         columns = [torch.from_numpy(np.stack(column)) for column in zip(*drawn, strict=True)]

@@ -141,7 +141,7 @@ def train(folder: Path, steps: int, **changes: Any) -> Any:
 
 
 def test_training_finds_what_it_learned(tmp_path: Path) -> None:
-    trained = train(tmp_path, 100)
+    trained = train(tmp_path, 70)
     unseen = working_images(4, seed=1)
     hits = 0
     for working, found in zip(unseen, detect(trained.network, unseen), strict=True):
