@@ -1,1 +1,1 @@
-"""How far detectors come on real images that learned from simulated ones: `evaluate transfer`."""
+"""Measures how well detectors that learned from simulated images do on real ones."""

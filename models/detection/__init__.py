@@ -1,4 +1,4 @@
-"""A small detector of objects in sonar images: data, augmentation, network, training, detections.
+"""Trains and runs a small detector of objects in sonar images.
 
 It exists to judge labels: what a detector that learned from one set of images finds in another.
 Boxes are float32 arrays (N, 4) of left, top, right, bottom in pixels, right and bottom exclusive.
