@@ -1,17 +1,16 @@
 """From an untrusted mesh file to arrays; runs in a process of its own, where Open3D may crash.
 
-.ply and .stl are read by Open3D, .glb and .gltf too (see `gltf_files`), .obj by `obj_files`, and a
-.blend is exported by Blender first.
+.ply and .stl are read by Open3D, .glb and .gltf by `gltf_files`, .obj by `obj_files`, and a .blend
+is exported by Blender first.
 """
 
 from __future__ import annotations
 
 import importlib
 import io
-import re
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,23 +18,17 @@ import numpy.typing as npt
 from ...common.errors import FactoryError
 from ...common.small_files import one_line
 from .blend_files import export_blend, linked_by_blend
-from .gltf_files import linked_by_gltf, material_number, with_own_materials
+from .gltf_files import Limits, linked_by_gltf, read_gltf
 from .obj_files import RawPart, linked_by_obj, read_obj
-from .painted import linear_albedo, paint_surface
-from .triangle_mesh import GREY, Mesh, join, mesh
+from .painted import linear_albedo, unit_colours
+from .ply_headers import copy_with_header, read_header
+from .triangle_mesh import GREY, Mesh
 
 MOST_FACES = 2_000_000
 MOST_PARTS = 65_535
 """What instance numbers of 16 bits tell apart."""
 # From y up, z towards the viewer, to z up.
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-
-
-class Loaded(NamedTuple):
-    """Parts of a file, z up as its format has it; origin: (3,) what was subtracted from them."""
-
-    parts: list[RawPart]
-    origin: npt.NDArray[np.float64]
 
 
 def linked_files(path: Path) -> tuple[list[str], list[str]]:
@@ -60,12 +53,15 @@ def load(path: Path) -> bytes:
 
     vertices, colours, triangles: of all parts; vertex_counts, face_counts, names, turned: of each.
     origin: (3,) what was subtracted from the vertices, units of the file.  step: between the
-    numbers that a file of 32 bits can hold there, or 0.
+    numbers that a file of 32 bits can hold there, or 0.  remarks: on what is not read.
     """
     suffix = path.suffix.lower()
+    remarks: list[str] = []
     try:
         with tempfile.TemporaryDirectory() as folder:
-            loaded = _read(path, suffix, Path(folder))
+            parts = _read(path, suffix, Path(folder))
+        if suffix == ".ply":
+            remarks = read_header(path).remarks
     except ImportError as error:
         raise FactoryError(
             f"needs the module open3d ({one_line(error)}): pip install 'simnfnd[open3d]'"
@@ -73,7 +69,7 @@ def load(path: Path) -> bytes:
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OSError) as error:
         raise FactoryError(f"damaged, or no {suffix} file ({one_line(error)})") from error
 
-    parts = [part for part in loaded.parts if len(part.triangles)]
+    parts = [part for part in parts if len(part.triangles)]
     _check(parts)
     origin, step = _far_origin(parts)
     meshes = [
@@ -95,8 +91,9 @@ def load(path: Path) -> bytes:
         triangles=np.concatenate(triangles),
         vertex_counts=np.array([len(solid.vertices) for solid in meshes]),
         face_counts=np.array([len(solid.triangles) for solid in meshes]),
-        origin=origin + loaded.origin,
+        origin=origin,
         step=step,
+        remarks=np.array(remarks, np.str_),
     )
     return content.getvalue()
 
@@ -150,71 +147,52 @@ def _is_inside_out(solid: Mesh) -> bool:
     return bool(is_closed and (a * outward).sum() < 0)
 
 
-def _read(path: Path, suffix: str, folder: Path) -> Loaded:
-    """folder: for a copy, an empty one."""
+def _read(path: Path, suffix: str, folder: Path) -> list[RawPart]:
+    """The parts of a file, z up.  folder: for a copy, an empty one."""
     if suffix == ".obj":
-        return Loaded(read_obj(path, MOST_FACES, MOST_PARTS), np.zeros(3))
-    open3d: Any = importlib.import_module("open3d")
-    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+        return read_obj(path, MOST_FACES, MOST_PARTS)
     if suffix in (".ply", ".stl"):
-        return Loaded([_read_single(open3d.io, path)], np.zeros(3))
+        return [_read_single(path, folder)]
     if suffix == ".blend":
         source = path
         path = folder / "scene.glb"
         export_blend(source, path)
-    return _read_gltf(open3d.io, path, folder)
+    parts = read_gltf(path, Limits(MOST_FACES, MOST_PARTS))
+    return [part._replace(vertices=part.vertices @ Z_UP.T) for part in parts]
 
 
-def _read_single(reader: Any, path: Path) -> RawPart:
-    """The one mesh of a .ply or .stl."""
-    solid = reader.read_triangle_mesh(str(path))
-    colours: npt.ArrayLike = GREY
-    if solid.has_vertex_colors():
-        colours = linear_albedo(np.asarray(solid.vertex_colors) * 255)
-    else:  # .stl has each corner of each face
-        solid.remove_duplicated_vertices()
+def _read_single(path: Path, folder: Path) -> RawPart:
+    """The one mesh of a .ply or .stl.  folder: for a copy, an empty one."""
+    open3d: Any = importlib.import_module("open3d")
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+    header = read_header(path) if path.suffix.lower() == ".ply" else None
+    source = path
+    if header is not None and (text := header.with_usual_names()) != header.text:
+        source = folder / "renamed.ply"  # Open3D knows colours by one name alone
+        copy_with_header(path, len(header.text), text, source)
+    solid = open3d.io.read_triangle_mesh(str(source))
     vertices = np.asarray(solid.vertices, np.float64)
     triangles = np.asarray(solid.triangles, np.int32)
-    with path.open("rb") as file:
-        claimed = re.search(rb"^element face (\d{1,18})", file.read(1 << 16), re.MULTILINE)
-    if claimed and int(claimed[1]) > len(triangles):  # Open3D says nothing of the rest
-        raise ValueError(f"claims {int(claimed[1]):,} faces, holds {len(triangles):,}")
-    shades = np.broadcast_to(np.asarray(colours, np.float32), vertices.shape)
+    if header is not None and header.face_count > len(triangles):  # Open3D ignores the rest
+        raise ValueError(f"claims {header.face_count:,} faces, holds {len(triangles):,}")
+
+    if solid.has_vertex_colors():
+        # Open3D takes every number for one of 0 to 255.
+        stored = np.asarray(solid.vertex_colors) * 255
+        colours = linear_albedo(_in_bytes(stored, header.colour_type if header else None))
+        return RawPart(path.stem, vertices, colours, triangles)
+    # A .stl has each corner of each face.
+    solid.remove_duplicated_vertices()
+    vertices = np.asarray(solid.vertices, np.float64)
+    triangles = np.asarray(solid.triangles, np.int32)
+    shades = np.broadcast_to(np.asarray(GREY, np.float32), vertices.shape)
     return RawPart(path.stem, vertices, shades.copy(), triangles)
 
 
-def _read_gltf(reader: Any, path: Path, folder: Path) -> Loaded:
-    """A part for each node of the default scene that has faces."""
-    copy = with_own_materials(path, folder)
-    model = reader.read_triangle_model(str(copy.path))
-    if copy.owners and not model.meshes:
-        raise ValueError("Open3D reads nothing of it; compressed?")
-    pieces: dict[Any, list[Mesh]] = {owner: [] for owner in copy.owners}
-    for piece in model.meshes:
-        # Materials come in the order in which they are used first.
-        number = material_number(model.materials[piece.material_idx].base_roughness)
-        pieces[copy.owners[number]].append(_of_model(piece, model).rotated(Z_UP))
-    joined = [(owner.name, join(own)) for owner, own in pieces.items() if own]
-    parts = [
-        RawPart(name, solid.vertices.astype(np.float64), solid.colours, solid.triangles)
-        for name, solid in joined
-    ]
-    return Loaded(parts, Z_UP @ copy.origin)
-
-
-def _of_model(piece: Any, model: Any) -> Mesh:
-    """One mesh of Open3D's model, in the colours of its vertices, texture or material."""
-    solid = piece.mesh
-    material = model.materials[piece.material_idx]
-    vertices = np.asarray(solid.vertices)
-    triangles = np.asarray(solid.triangles)
-    colour = np.asarray(material.base_color[:3], np.float32)
-    image = np.asarray(material.albedo_img) if material.albedo_img else np.empty(0)
-    if image.ndim == 3 and solid.has_triangle_uvs():
-        places = np.asarray(solid.triangle_uvs).reshape(-1, 3, 2) * (1, -1) + (0, 1)
-        # The material's colour is a factor of its texture.
-        albedo = linear_albedo(image[..., :3]) * colour
-        corners = vertices[triangles].astype(np.float32)
-        points, painted, cut = paint_surface(corners, places, albedo)
-        return Mesh(points.astype(np.float32), painted, cut)
-    return mesh(vertices, triangles, solid.vertex_colors if solid.has_vertex_colors() else colour)
+def _in_bytes(stored: npt.NDArray[np.float64], type_name: str | None) -> npt.NDArray[np.float64]:
+    """Colours in 0 to 255, as the type of a .ply tells what full scale is."""
+    if type_name in (None, "uchar", "uint8"):
+        return stored
+    if type_name in ("ushort", "uint16"):
+        return stored / 257
+    return 255 * unit_colours(stored)

@@ -116,6 +116,7 @@ def read_model(
     _check_size(path, key, stored.parts, scale, largest_m)
 
     notes = [*_turned_note(path, stored.parts)]
+    notes += [f"{path.name}: {remark}" for remark in stored.remarks]
     parts = [part._replace(mesh=part.mesh.moved(scale=scale)) for part in stored.parts]
     origin = stored.origin
     turn = _turn_up(path, key, stored.parts, up)
@@ -188,11 +189,12 @@ def _turned_note(path: Path, parts: tuple[Part, ...]) -> tuple[str, ...]:
 
 
 class _Stored(NamedTuple):
-    """Parts in units of the file; origin and step as of `mesh_loading.load`."""
+    """Parts in units of the file; origin, step and remarks as of `mesh_loading.load`."""
 
     parts: tuple[Part, ...]
     origin: npt.NDArray[np.float64]
     step: float
+    remarks: tuple[str, ...]
 
 
 @lru_cache(maxsize=16)
@@ -213,4 +215,5 @@ def _stored(path: str, _modified_ns: int) -> _Stored:
             Part(str(name), Mesh(vertices, colours, triangles), bool(turned))
             for name, vertices, colours, triangles, turned in pieces
         )
-        return _Stored(parts, saved["origin"], float(saved["step"]))
+        remarks = tuple(map(str, saved["remarks"]))
+        return _Stored(parts, saved["origin"], float(saved["step"]), remarks)

@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from ...common.errors import FactoryError
 from .arrays import Colour
-from .painted import linear_albedo, paint_surface
+from .concave_faces import cut_concave_faces
+from .painted import linear_albedo, paint_surface, read_image, unit_colours
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -139,9 +140,10 @@ def _colour(path: Path, rest: str) -> Colour:
         values = [float(word) for word in rest.split()[:3]]
     except ValueError:  # `spectral FILE` and `xyz`
         return _DEFAULT_COLOUR
-    if not values or not np.isfinite(values).all():
+    if not values or not np.isfinite(values).all() or min(values) < 0:
         raise FactoryError(f"its material library {path.name} has a colour {rest[:40]!r}")
-    red, green, blue = values if len(values) == 3 else 3 * values[:1]
+    values = values if len(values) == 3 else 3 * values[:1]
+    red, green, blue = map(float, unit_colours(np.array(values)))
     return red, green, blue
 
 
@@ -200,6 +202,7 @@ class _Geometry:
     coordinates, texture_coordinates, colours: flat numbers, three, two and three for each.
     corners: of triangles, three of each: numbers of vertices.  places: of texture coordinates, -1:
         none.  groups, materials: of each triangle, numbers in the lists of names.
+    polygons: of each face of more than three corners its first triangle and number of corners.
     """
 
     coordinates: array[float] = field(default_factory=lambda: array("d"))
@@ -208,6 +211,7 @@ class _Geometry:
     corners: array[int] = field(default_factory=lambda: array("q"))
     places: array[int] = field(default_factory=lambda: array("q"))
     groups: array[int] = field(default_factory=lambda: array("q"))
+    polygons: array[int] = field(default_factory=lambda: array("q"))
     materials: array[int] = field(default_factory=lambda: array("q"))
     group_names: dict[tuple[str, str], int] = field(default_factory=dict)
     material_names: dict[str, int] = field(default_factory=dict)
@@ -222,7 +226,10 @@ def read_obj(path: Path, most_faces: int, most_parts: int) -> list[RawPart]:
     geometry = _read_geometry(path, most_faces)
     vertices = np.array(geometry.coordinates, np.float64).reshape(-1, 3)
     has_colours = len(geometry.colours) == len(geometry.coordinates) > 0
-    colours = np.array(geometry.colours, np.float32).reshape(-1, 3) if has_colours else None
+    colours = None
+    if has_colours:
+        stored_colours = np.array(geometry.colours, np.float32).reshape(-1, 3)
+        colours = unit_colours(stored_colours).astype(np.float32)
     uv = np.array(geometry.texture_coordinates, np.float64).reshape(-1, 2)
     corners = np.array(geometry.corners, np.int64).reshape(-1, 3)
     places = np.array(geometry.places, np.int64).reshape(-1, 3)
@@ -230,6 +237,8 @@ def read_obj(path: Path, most_faces: int, most_parts: int) -> list[RawPart]:
         raise FactoryError("damaged: its faces name vertices that are not there")
     if len(places) and places.max() >= len(uv):
         raise FactoryError("damaged: its faces name texture coordinates that are not there")
+    polygons = np.array(geometry.polygons, np.int64).reshape(-1, 2)
+    cut_concave_faces(vertices, polygons, corners, places)
 
     library: dict[str, Material] = {}
     for file in geometry.libraries:
@@ -288,7 +297,10 @@ def _read_geometry(path: Path, most_faces: int) -> _Geometry:
 
 
 def _add_face(geometry: _Geometry, rest: str) -> int:
-    """Add a polygon as a fan of triangles; returns their number."""
+    """Add a polygon as a fan of triangles; returns their number.
+
+    A fan fills what is concave; `cut_concave_faces` puts it right once all vertices are known.
+    """
     vertex_count = len(geometry.coordinates) // 3
     place_count = len(geometry.texture_coordinates) // 2
     corners = []
@@ -300,6 +312,8 @@ def _add_face(geometry: _Geometry, rest: str) -> int:
         corners.append(number - 1 if number > 0 else vertex_count + number)
         number = int(place) if place else 0
         places.append(number - 1 if number >= 0 else place_count + number)
+    if len(corners) > 3:
+        geometry.polygons.extend((len(geometry.groups), len(corners)))
     for second in range(1, len(corners) - 1):
         geometry.corners.extend((corners[0], corners[second], corners[second + 1]))
         geometry.places.extend((places[0], places[second], places[second + 1]))
@@ -334,7 +348,9 @@ def _pieces(
             coordinates = np.clip(coordinates, 0, 1)
         from_top = coordinates * (1, -1) + (0, 1)
         points, painted, triangles = paint_surface(
-            vertices[corners[is_painted]], from_top, linear_albedo(_image(texture.path))
+            vertices[corners[is_painted]],
+            from_top,
+            linear_albedo(read_image(texture.path.read_bytes())),
         )
         pieces.append(RawPart("", points, painted, triangles))
     if not is_painted.all():
@@ -357,10 +373,3 @@ def _joined(name: str, pieces: list[RawPart]) -> RawPart:
             or [np.empty((0, 3), np.int32)]
         ),
     )
-
-
-def _image(path: Path) -> npt.NDArray[np.uint8]:
-    from PIL import Image
-
-    with Image.open(path) as image:
-        return np.array(image.convert("RGB"))
