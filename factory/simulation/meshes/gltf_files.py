@@ -2,7 +2,7 @@
 
 A part is a node with faces, or one of its instances.  Positions may be integers
 (KHR_mesh_quantization); the weights of morph targets, joints and instances
-(EXT_mesh_gpu_instancing) are applied in 64 bits.  An extension that a document requires and that
+(EXT_mesh_gpu_instancing) are applied.  An extension that a document requires and that
 this reader does not know is refused by name, as glTF 2.0 asks for.
 """
 
@@ -23,14 +23,17 @@ from .obj_files import RawPart
 from .painted import linear_albedo, paint_surface, read_image, unit_colours
 from .triangle_mesh import GREY
 
-Matrix = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.floating[Any]]
+Matrix = Numbers
+Dtype = type[np.float32] | type[np.float64]
 
 # Each takes some hundred bytes once it is parsed; base64 of buffers has none of these.
 _MOST_VALUES = 3_000_000
 _TRIANGLES = 4
 _STRIP = 5
 _FAN = 6
+# Translations beyond it are not left to arithmetic of 32 bits.
+_FAR = 10_000.0
 # Required extensions without which a part would have another shape, and that are read; of those
 # that begin so, only the looks that no sonar sees are lost.
 _KNOWN_EXTENSIONS = frozenset(
@@ -131,7 +134,13 @@ class _SceneReader:
         self._document = buffers.document
         self._limits = limits
         self._nodes: list[Document] = self._document.get("nodes", [])
-        self._in_world = _world_matrices(self._nodes, _roots(self._document))
+        roots = _roots(self._document)
+        self._dtype: Dtype = np.float32
+        self._in_world = _world_matrices(self._nodes, roots, self._dtype)
+        places = [np.abs(matrix[:3, 3]).max() for matrix in self._in_world.values()]
+        if max(places, default=0.0) > _FAR:
+            self._dtype = np.float64
+            self._in_world = _world_matrices(self._nodes, roots, self._dtype)
         self._albedos: dict[int, npt.NDArray[np.float32]] = {}
         self._shapes: dict[tuple[int, tuple[float, ...], int | None], list[Shape]] = {}
 
@@ -194,14 +203,14 @@ class _SceneReader:
         used, own_corners = np.unique(triangles, return_inverse=True)
 
         surface = self._surface(primitive)
-        colours = np.broadcast_to(np.array(surface.colour, np.float32), vertices.shape)
+        colours = np.broadcast_to(np.array(surface.colour or GREY), vertices.shape)
         if "COLOR_0" in attributes:
             stored = self._buffers.stored(attributes["COLOR_0"])[:, :3]
-            colours = colours * unit_colours(stored)
+            colours = np.array(surface.colour or (1.0, 1.0, 1.0)) * unit_colours(stored)
         places = None
         if surface.texture is not None and f"TEXCOORD_{surface.coordinates}" in attributes:
             places = self._buffers.numbers(attributes[f"TEXCOORD_{surface.coordinates}"])[:, :2]
-            places = surface.placed(places)
+            places = _turned_twice(surface.placed(places))
         albedo = self._albedo(surface.texture) if places is not None else None
         return Shape(
             vertices[used],
@@ -220,13 +229,13 @@ class _SceneReader:
 
     def _surface(self, primitive: Document) -> _Surface:
         if "material" not in primitive:
-            return _Surface(GREY)
+            return _Surface()
         material = self._document["materials"][primitive["material"]]
         older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         if older is not None:
             return _surface(older, "diffuseFactor", "diffuseTexture")
-        if "pbrMetallicRoughness" not in material:
-            return _Surface(GREY)
+        if not material.get("pbrMetallicRoughness"):
+            return _Surface()
         return _surface(material["pbrMetallicRoughness"], "baseColorFactor", "baseColorTexture")
 
     def _albedo(self, texture_number: int | None) -> npt.NDArray[np.float32]:
@@ -245,7 +254,7 @@ class _SceneReader:
     def _instances(self, node: Document, number: int) -> list[Matrix]:
         """(4, 4) of each instance of a node in the world; one where it has no instances."""
         # Joints put a skinned mesh into the world, and not its node.
-        world = np.eye(4) if "skin" in node else self._in_world[number]
+        world = np.eye(4, dtype=self._dtype) if "skin" in node else self._in_world[number]
         extension = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
         if extension is None:
             return [world]
@@ -260,7 +269,7 @@ class _SceneReader:
         instances = []
         for place in range(count):
             own = {name.lower(): values[place] for name, values in columns.items()}
-            instances.append(world @ _matrix(own))
+            instances.append(_product(world, _matrix(own, self._dtype)))
         return instances
 
     def _joint_matrices(self, skin_number: int) -> Numbers:
@@ -286,12 +295,13 @@ class _SceneReader:
 class _Surface(NamedTuple):
     """What a material says of its colour.
 
-    colour: linear albedo, a factor of the texture.  texture: its number.
+    colour: linear albedo, a factor of the texture and of the vertices' colours; None: not said.
+    texture: its number.
     coordinates: number of the set of texture coordinates.
     offset, rotation_rad, scale: of KHR_texture_transform.
     """
 
-    colour: tuple[float, ...]
+    colour: tuple[float, ...] | None = None
     texture: int | None = None
     coordinates: int = 0
     offset: tuple[float, float] = (0.0, 0.0)
@@ -339,7 +349,7 @@ def _part(name: str, shapes: list[Shape], matrix: Matrix) -> RawPart:
 
 
 def _piece(shape: Shape, matrix: Matrix) -> tuple[Numbers, npt.NDArray[np.float32], Any]:
-    vertices = shape.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+    vertices = _moved(shape.vertices, matrix)
     triangles = shape.triangles
     if np.linalg.det(matrix[:3, :3]) < 0:  # a mirror image would be inside out
         triangles = triangles[:, ::-1]
@@ -349,6 +359,15 @@ def _piece(shape: Shape, matrix: Matrix) -> tuple[Numbers, npt.NDArray[np.float3
         vertices[triangles], shape.places[triangles], shape.albedo, shape.colours[triangles]
     )
     return painted.vertices, painted.colours, painted.triangles
+
+
+def _turned_twice(places: Numbers) -> Numbers:
+    """Texture coordinates rounded as by readers that count v from the bottom and back.
+
+    Earlier versions read glTF through one of them, and datasets keep their bytes.
+    """
+    from_bottom = np.float32(1) - places[:, 1].astype(np.float32)
+    return np.stack([places[:, 0], 1 - from_bottom.astype(np.float64)], axis=-1)
 
 
 def _triangles(corners: npt.NDArray[np.int64], mode: int) -> npt.NDArray[np.int64]:
@@ -385,7 +404,7 @@ def _roots(document: Document) -> list[int]:
     return [number for number in range(len(nodes)) if number not in children]
 
 
-def _world_matrices(nodes: list[Document], roots: list[int]) -> dict[int, Matrix]:
+def _world_matrices(nodes: list[Document], roots: list[int], dtype: Dtype) -> dict[int, Matrix]:
     """(4, 4) of each node that is shown: no hidden ones, what hangs on these, or coarser models.
 
     Raises ValueError when a node is its own ancestor, or has two parents.
@@ -396,7 +415,7 @@ def _world_matrices(nodes: list[Document], roots: list[int]) -> dict[int, Matrix
         for number in node.get("extensions", {}).get("MSFT_lod", {}).get("ids", ())
     }
     in_world: dict[int, Matrix] = {}
-    waiting = [(number, np.eye(4)) for number in roots]
+    waiting: list[tuple[int, Matrix]] = [(number, np.eye(4, dtype=dtype)) for number in roots]
     while waiting:
         number, parent = waiting.pop()
         if number in in_world:
@@ -405,23 +424,39 @@ def _world_matrices(nodes: list[Document], roots: list[int]) -> dict[int, Matrix
         visibility = node.get("extensions", {}).get("KHR_node_visibility", {})
         if number in coarser or visibility.get("visible", True) is False:
             continue
-        in_world[number] = parent @ _matrix(node)
+        in_world[number] = _product(parent, _matrix(node, dtype))
         waiting += [(child, in_world[number]) for child in node.get("children", ())]
     return in_world
 
 
-def _matrix(node: Document) -> Matrix:
+def _matrix(node: Document, dtype: Dtype) -> Matrix:
     """(4, 4) of a node: column-major `matrix`, or translation, rotation (x, y, z, w) and scale."""
     if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    quaternion = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    x, y, z, w = quaternion / (np.linalg.norm(quaternion) or 1.0)
+        return np.array(node["matrix"], dtype).reshape(4, 4).T
+    quaternion = np.array(node.get("rotation", (0, 0, 0, 1)), dtype)
+    length = np.linalg.norm(quaternion)
+    if abs(length - 1) > 1e-3 and length > 0:  # integers of few bits
+        quaternion = quaternion / length
+    x, y, z, w = quaternion
     rotation = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.array(rotation) * np.array(node.get("scale", (1, 1, 1)), np.float64)
+    matrix = np.eye(4, dtype=dtype)
+    matrix[:3, :3] = np.array(rotation, dtype) * np.array(node.get("scale", (1, 1, 1)), dtype)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix
+
+
+def _product(left: Matrix, right: Matrix) -> Matrix:
+    """(4, 4), summed in order: a matrix product of numpy rounds as the machine's library does."""
+    terms = [left[:, place, None] * right[None, place] for place in range(4)]
+    return terms[0] + terms[1] + terms[2] + terms[3]
+
+
+def _moved(points: Numbers, matrix: Matrix) -> Numbers:
+    """Points (V, 3) moved by (4, 4), in its precision."""
+    x, y, z = points.astype(matrix.dtype).T
+    columns = [x * row[0] + y * row[1] + z * row[2] + row[3] for row in matrix[:3]]
+    return np.stack(columns, axis=-1)
