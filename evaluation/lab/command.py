@@ -57,11 +57,11 @@ def read_words(words: Sequence[str]) -> Subject:
 
     Raises FactoryError, one line, for a word that names nothing, or one kind of thing twice.
     """
-    settings = [word for word in words if "=" in word]
+    settings = [word for word in words if _is_setting(word)]
     devices = choices_of("sonar")
     named: dict[str, str] = {}
     for word in words:
-        if "=" in word:
+        if word in settings:
             continue
         kind = _kind_of(word, devices)
         if kind in named:
@@ -80,6 +80,11 @@ def read_words(words: Sequence[str]) -> Subject:
         start.append(f"sonar={named['device']}")
     real = Path(named["image"]) if "image" in named else None
     return Subject([*start, *settings], real, named.get("frame", ""))
+
+
+def _is_setting(word: str) -> bool:
+    """Whether a word is KEY=VALUE, and not the name of a file or folder that has an `=`."""
+    return "=" in word and not Path(word).expanduser().exists()
 
 
 def _kind_of(word: str, devices: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ import yaml
 
 from ...factory.common.distribution import FORMS
 from ...factory.common.errors import FactoryError
-from ...factory.common.words import shell_line
+from ...factory.common.words import escape_interpolations, quote_if_needed, shell_line
 
 RECIPE = "mine"
 """Name of the exported experiment."""
@@ -52,7 +52,10 @@ def change_words(changes: Values) -> list[str]:
 
 
 def word_of(value: Any) -> str:
-    """A plain value in the grammar of the command line."""
+    """A plain value in the grammar of the command line.
+
+    Text is quoted, so that it means itself: text of a dataset may be a stranger's.
+    """
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -60,10 +63,11 @@ def word_of(value: Any) -> str:
     if isinstance(value, float) and value == int(value) and abs(value) < 1e15:
         return str(int(value))
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {word_of(item)}" for key, item in value.items()) + "}"
+        items = (f"{word_of(str(key))}: {word_of(item)}" for key, item in value.items())
+        return "{" + ", ".join(items) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(word_of, value)) + "]"
-    return str(value)
+    return quote_if_needed(escape_interpolations(value)) if isinstance(value, str) else str(value)
 
 
 class Base(NamedTuple):

@@ -19,7 +19,7 @@ from ...factory.common.errors import FactoryError
 from ...factory.common.settings import STRICT, build
 from ...factory.dataset.schema import Pair
 from ...factory.simulation.config.root import FactoryConfig
-from ..viewer.page_server import Answer, PageServer, json_answer
+from ..viewer.page_server import Answer, PageServer, UnknownPath, json_answer
 from ..viewer.viewer import ShownRecording
 from .charts import charts_of
 from .session import Session
@@ -82,7 +82,7 @@ class LabServer(PageServer):
             return json_answer(self._images(self._request(parts.query)))
         if parts.path == "/draws.json":
             return json_answer(self._draws(self._request(parts.query)))
-        raise LookupError
+        raise UnknownPath
 
     def _about(self) -> dict[str, Any]:
         session = self.session

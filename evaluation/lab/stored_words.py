@@ -60,7 +60,7 @@ def _choices(config: FactoryConfig) -> list[str]:
     }
     words = [f"{group}={choice}" for group, choice in choices.items()]
     root = getattr(config.scenes, "root", None)
-    return [*words, f"scenes.root={root}"] if root else words
+    return [*words, f"scenes.root={word_of(root)}"] if root else words
 
 
 def _differing(key: str, value: Any, before: Any) -> Iterator[str]:

@@ -8,6 +8,7 @@ import socket
 import sys
 import tempfile
 import threading
+import traceback
 import webbrowser
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -22,6 +23,9 @@ _CONTENT_POLICY = (
     "default-src 'self'; style-src 'self' 'unsafe-inline'; script-src 'self' 'unsafe-inline'"
 )
 
+# How long a request waits for another one.
+_PATIENCE_S = 60.0
+
 
 class Answer(NamedTuple):
     """What a request gets: its MIME type and its bytes."""
@@ -33,6 +37,10 @@ class Answer(NamedTuple):
 def json_answer(value: Any) -> Answer:
     """Plain values as JSON."""
     return Answer("application/json", json.dumps(value).encode())
+
+
+class UnknownPath(LookupError):
+    """Nothing is at this path."""
 
 
 class PageServer(ThreadingHTTPServer):
@@ -63,7 +71,7 @@ class PageServer(ThreadingHTTPServer):
     def answer(self, path: str) -> Answer:
         """What a path below `url` holds, with its leading slash and its query.
 
-        Raises LookupError for an unknown path, and FactoryError with a line for the page to show.
+        Raises UnknownPath, and FactoryError with a line for the page to show.
         """
         raise NotImplementedError
 
@@ -112,14 +120,27 @@ class _Handler(BaseHTTPRequestHandler):
         if not secrets.compare_digest(token.encode(), self.server.token.encode()):
             self._send(403, "text/plain", refusal)
             return
+        if not self.server.lock.acquire(timeout=_PATIENCE_S):
+            self._send_error("an earlier request is still being answered; wait, or start again")
+            return
         try:
-            with self.server.lock:
-                answer = self.server.answer(slash + path)
-            self._send(200, *answer)
-        except LookupError:
+            answer = self.server.answer(slash + path)
+        except UnknownPath:
             self._send(404, "text/plain", b"not found")
         except FactoryError as error:
-            self._send(500, "text/plain; charset=utf-8", str(error).encode())
+            self._send_error(str(error))
+        except Exception as error:
+            # A defect: the page says so, and the terminal where.
+            traceback.print_exc()
+            self._send_error(f"{type(error).__name__}: {error}")
+        else:
+            self._send(200, *answer)
+        finally:
+            self.server.lock.release()
+
+    def _send_error(self, line: str) -> None:
+        text = " ".join(line.split()).encode(errors="replace")
+        self._send(500, "text/plain; charset=utf-8", text)
 
     def _send(self, code: int, mime_type: str, content: bytes) -> None:
         self.send_response(code)

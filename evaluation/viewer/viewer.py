@@ -32,7 +32,7 @@ from ...models.recordings import (
 )
 from ...models.recordings.views import fan_of, grey_of
 from ..metrics.statistics import evenly
-from .page_server import Answer, PageServer, add_page_options, json_answer
+from .page_server import Answer, PageServer, UnknownPath, add_page_options, json_answer
 
 
 def view(words: list[str]) -> None:
@@ -108,7 +108,7 @@ class Viewer(PageServer):
         match = _ASKED.fullmatch(path)
         number, layer = (int(text or 0) for text in match.groups()) if match else (len(shown), 0)
         if number >= len(shown) or layer >= len(shown.layers):
-            raise LookupError
+            raise UnknownPath
         if path.startswith("/facts"):
             return json_answer(shown.facts(number))
         buffer = io.BytesIO()

@@ -41,6 +41,7 @@ class ShardInfo:
     plan: digest of the frames and variants that the shard was meant to hold.
     failed: names of the planned frames that it lacks.
     config_hash: of the settings that it was made with; empty: those of the manifest.
+    inputs: hash of the files that its frames were read from; empty: of none.
     """
 
     path: str
@@ -51,11 +52,14 @@ class ShardInfo:
     plan: str = ""
     failed: tuple[str, ...] = ()
     config_hash: str = ""
+    inputs: str = ""
 
     def __post_init__(self) -> None:
-        texts = (self.path, self.split, self.sha256, self.plan, self.config_hash, *self.failed)
-        if not all(isinstance(text, str) for text in texts):
-            raise ValueError("path, split, sha256, plan, failed and config_hash must be text")
+        texts = (self.path, self.split, self.sha256, self.plan, self.config_hash, self.inputs)
+        if not all(isinstance(text, str) for text in (*texts, *self.failed)):
+            raise ValueError(
+                "path, split, sha256, plan, config_hash, inputs and failed must be text"
+            )
         # Every sample takes some bytes: no count may be what no file can hold.
         counts = (self.samples, self.bytes)
         if not all(type(count) is int for count in counts) or not 0 <= self.samples <= self.bytes:
@@ -68,6 +72,11 @@ class ShardInfo:
     def of(cls, item: Mapping[str, Any]) -> ShardInfo:
         """The shard that plain values describe.  Raises ValueError, KeyError or TypeError."""
         return cls(**{**item, "failed": tuple(item.get("failed", ()))})
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON holds it; `inputs` is left out where there are none."""
+        values = asdict(self)
+        return values if self.inputs else {k: v for k, v in values.items() if k != "inputs"}
 
 
 @dataclass(frozen=True)
@@ -122,7 +131,7 @@ def save_manifest(directory: Path, manifest: Manifest) -> None:
         "config": manifest.config,
         "totals": _totals(manifest.shards.values()),
         **({"index_sha256": manifest.index_sha256} if manifest.index_sha256 else {}),
-        "shards": [asdict(manifest.shards[path]) for path in sorted(manifest.shards)],
+        "shards": [manifest.shards[path].plain() for path in sorted(manifest.shards)],
     }
     text = json.dumps(document, indent=1) + "\n"
     write_atomically(directory / MANIFEST_NAME, text.encode())
@@ -230,7 +239,7 @@ def save_outcome(
         "schema": SCHEMA,
         "config_hash": config_hash,
         "path": shard,
-        "shard": asdict(info) if info else None,
+        "shard": info.plain() if info else None,
         "failures": failures,
     }
     path = (directory / shard).with_suffix(".json")

@@ -20,7 +20,7 @@ from ...dataset.frame_ref import FrameRef
 from ...dataset.quality import images_digest, lit_share, noisiness, seen_sector_deg
 from ...dataset.schema import Provenance, config_hash
 from ...dataset.storage import shown
-from ...simulation.config.identity import extensions_of, identity
+from ...simulation.config.identity import extensions_of, has_input_files, identity
 from ...simulation.config.key_effects import refuse_keys_without_effect
 from ...simulation.config.renderer_choice import renderer_of
 from ...simulation.config.root import (
@@ -41,7 +41,7 @@ from ...simulation.pairs.compilation import compile_needed
 from ...simulation.pairs.pair_maker import pair_maker
 from ...simulation.pairs.views import Cache, ViewMaker
 from ...simulation.scenes import open_reader
-from ..scheduler.plan import Job, plan_shards, work_folder
+from ..scheduler.plan import Job, plan_shards, with_inputs, work_folder
 from . import EXIT_BAD_INPUT, PRELOADED
 from .extras import needs_of, require
 from .hydra_loader import config_folder_words
@@ -177,6 +177,9 @@ def job_of(
     splits = split_frames(frames, config)
     plan_options = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
     tasks = plan_shards(splits, *plan_options)
+    if has_input_files(config):
+        with stage_if_slow("comparing the frames' files", tell=reporter.stage):
+            tasks = with_inputs(tasks)
     counts = [(split, sum(t.samples for t in tasks if t.split == split)) for split in splits]
     pairs = " and ".join(f"{count} {split}" for split, count in counts)
     scenes = len({(ref.location, ref.scene) for ref in frames})

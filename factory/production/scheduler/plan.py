@@ -9,12 +9,15 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...common.progress import RunReporter
+from ...common.small_files import open_regular
 from ...common.workers.settings import SchedulerSettings, ShardSlice
 from ...dataset.folder import WORK_NAME
 from ...dataset.frame_ref import FrameRef
@@ -33,11 +36,13 @@ class ShardTask:
 
     path: below the dataset's folder.
     items: (frame, variants of it to make), in the order of the samples.
+    inputs: hash of the content of its frames' files; empty: of what the configuration decides.
     """
 
     split: str
     path: str
     items: tuple[FrameVariants, ...]
+    inputs: str = ""
 
     @cached_property
     def samples(self) -> int:
@@ -115,6 +120,24 @@ class Job(Recipe):
         """The part that workers need, wherever they run."""
         values = {field.name: getattr(self, field.name) for field in fields(Recipe)}
         return Recipe(**{**values, "directory": Path(os.path.abspath(self.directory))})
+
+
+def with_inputs(tasks: Sequence[ShardTask]) -> tuple[ShardTask, ...]:
+    """The tasks with the hashes of their frames' files, wherever these lie."""
+    with ThreadPoolExecutor() as pool:
+        return tuple(pool.map(_with_inputs, tasks))
+
+
+def _with_inputs(task: ShardTask) -> ShardTask:
+    digests = [[_file_digest(path) for path in ref.paths] for ref, _ in task.items]
+    return replace(task, inputs=hashlib.sha256(json.dumps(digests).encode()).hexdigest()[:16])
+
+
+def _file_digest(path: str) -> str:
+    """Hash of a file's content; empty for one that cannot be read, as its frame's failure says."""
+    with suppress(OSError), open_regular(Path(path)) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
+    return ""
 
 
 def work_folder(directory: Path, shard: ShardSlice) -> Path:

@@ -58,6 +58,9 @@ class Results:
             problems = list(pool.map(partial(damage, job.directory), listed_shards))
         self._shards: dict[str, ShardInfo] = {}
         for info, problem in zip(listed_shards, problems, strict=True):
+            inputs = tasks[info.path].inputs
+            if not problem and info.inputs and inputs and info.inputs != inputs:
+                problem = "its frames' files have changed"
             if problem:
                 path = job.directory / info.path
                 job.reporter.stage(f"{path}: {problem}; it is made again")

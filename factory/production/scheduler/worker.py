@@ -125,6 +125,7 @@ class _Shard:
             info = replace(
                 info,
                 plan=task.digest,
+                inputs=task.inputs,
                 failed=tuple(failure.ref.name for failure in self._failures),
                 config_hash=recipe.provenance.config_hash,
             )

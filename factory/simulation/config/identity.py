@@ -46,6 +46,7 @@ _LATER: dict[str, Any] = {
     "sonar.tilt_deg": None,
     "frames.min_insonified": None,
     "scenes.up": "auto",
+    "scenes.poses_frame": "optical",
     "sonar.samples_per_bin": 1,
     "sonar.range.windows_m": [],
     "sonar.image.sampling": "bilinear",
@@ -109,6 +110,11 @@ def extensions_of(config: FactoryConfig) -> list[tuple[extensions.Kind, str]]:
     return used
 
 
+def has_input_files(config: FactoryConfig) -> bool:
+    """Whether frames are read from files whose content is no part of the identity."""
+    return not isinstance(config.scenes, SeabedSettings | MeshSettings | PackSettings)
+
+
 def _render_identity(config: FactoryConfig) -> dict[str, Any]:
     render = renderer_of(config).settings
     values = {
@@ -127,7 +133,8 @@ def _scenes_identity(config: FactoryConfig, values: Mapping[str, Any]) -> dict[s
     """The user's files count by their content, and not by where they lie."""
     settings = config.scenes
     scenes = dict(values)
-    scenes |= {"depth_kind": "z", "bad_depth": scenes.get("bad_depth", "reject")}
+    for key, usual in (("depth_kind", "z"), ("bad_depth", "reject")):
+        scenes.setdefault(key, usual)
     scenes |= _GONE_SCENES.get(settings.kind, {})
     for key in ("root", "file"):
         scenes.pop(key, None)

@@ -169,7 +169,8 @@ def _code_version(kind: str) -> str:
 
 
 @lru_cache(maxsize=64)
-def _digest(path: str, size: int, modified_ns: int) -> str:
+def _digest(path: str, size: int, modified_ns: int, changed_ns: int) -> str:
+    # A tool may keep size and time of what it rewrites, but not when the file changed.
     # Calibrations and trajectories come with every frame of a recording: read them once.
     # SHA-256, for which processors have instructions: half the time of BLAKE2b.
     with open(path, "rb") as file:
@@ -247,7 +248,10 @@ class CachedViews(Views):
         """
         ref = self._scenes.rendered_ref(ref)
         states = [(path, os.stat(path)) for path in ref.paths]
-        contents = [_digest(path, status.st_size, status.st_mtime_ns) for path, status in states]
+        contents = [
+            _digest(path, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+            for path, status in states
+        ]
         text = json.dumps([self._common, ref.location, ref.scene, ref.frame, contents])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 

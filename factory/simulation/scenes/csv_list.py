@@ -4,8 +4,9 @@
     dive1/0001.png,dive1/0001_depth.tif,dive1
 
 Paths are relative to the CSV file.  Depth is a TIFF, PNG, PFM or .npy: floating-point metres or
-integer millimetres where `depth_scale` says nothing else.  `scene` is what train and test are split
-by; without it the whole list is one scene, named as the file.
+integer millimetres where `depth_scale` says nothing else, along the optical axis or the rays of
+the pixels (`depth_kind`).  `scene` is what train and test are split by; without it the whole list
+is one scene, named as the file.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
@@ -42,7 +44,9 @@ class CsvListSettings(SceneSettings):
     intrinsics: fx, fy, cx, cy of the images as they are, pixels.
     depth_scale: what the numbers in the depth files are divided by to give metres; None: integers
         by 1000 (millimetres), and floating-point numbers are metres already.
-    invalid_below_m: depths at or below this are pixels without a measurement; None: only 0 is.
+    depth_kind: z: distances along the optical axis; ray: from the camera along each pixel's ray, as
+        Hypersim, Kubric and AirSim's DepthPerspective give them.
+    invalid_below_m: stored depths at or below this are no measurement; None: only 0 is none.
     invalid_above_m: depths at or above this are, too (a rendered sky, for example); None: a map in
         which many pixels hold the largest number of its type is refused.
     bad_depth: see `BadDepth`.
@@ -52,6 +56,7 @@ class CsvListSettings(SceneSettings):
     file: Root
     intrinsics: tuple[_Positive, _Positive, float, float]
     depth_scale: _Positive | None = None
+    depth_kind: Literal["z", "ray"] = "z"
     invalid_below_m: float | None = 0.0
     invalid_above_m: _Positive | None = None
     bad_depth: BadDepth = "reject"
@@ -126,14 +131,23 @@ class CsvListReader:
         if negative_count and not (depth_m > 0).any():
             raise FrameError(
                 f"{depth_path}: {negative_count} depths are negative and none is positive; store "
-                "distances along the optical axis as positive numbers"
+                "distances as positive numbers"
             )
         low = -np.inf if settings.invalid_below_m is None else settings.invalid_below_m
         high = np.inf if settings.invalid_above_m is None else settings.invalid_above_m
         # NaN and infinities stay to be refused.
         is_invalid = np.isfinite(depth_m) & ((depth_m <= low) | (depth_m >= high))
         depth_m = np.where(is_invalid, np.float32(0), depth_m)
+        if settings.depth_kind == "ray":
+            depth_m = along_axis(depth_m, self._lens)
         return read_frame(ref, rgb, depth_m, self._lens, settings.bad_depth)
+
+
+def along_axis(distance_m: npt.NDArray[np.float32], lens: Intrinsics) -> npt.NDArray[np.float32]:
+    """(H, W) distances along the optical axis of distances along the rays: r / |K^-1 (u, v, 1)|."""
+    x, y = lens.directions(*distance_m.shape)
+    lengths = np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
+    return np.asarray(distance_m / lengths, np.float32)
 
 
 def _rows(path: Path) -> list[tuple[str, str, str]]:

@@ -23,6 +23,10 @@ from .base import INTEGERS_PER_M
 # Pillow modes whose conversion to RGB loses nothing but transparency.
 _COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})
 _ORIENTATION_TAG = 0x0112
+_SUBFILE_TYPE_TAG = 254
+# Bits of its value.
+_SMALLER_COPY = 1
+_MASK = 4
 # Orientations that exchange width and height (Exif 2.32, tag Orientation).
 _LYING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 _READABLE_DEPTH = (
@@ -220,16 +224,20 @@ def _decode(path: Path) -> Any:
 
 
 def _refuse_stack(path: Path, image: Any) -> None:
-    """Raise FrameError when a TIFF holds several images of one size, none of which is meant."""
+    """Raise FrameError when a TIFF holds several images, none of which is meant.
+
+    Those that are marked as smaller copies or masks of the first (TIFF 6.0, NewSubfileType) count
+    for nothing.
+    """
     count = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
-    if count < 2:
-        return
-    first_size = image.size
-    image.seek(1)
-    second_size = image.size
+    full_count = 1
+    for number in range(1, count):
+        image.seek(number)
+        if not image.tag_v2.get(_SUBFILE_TYPE_TAG, 0) & (_SMALLER_COPY | _MASK):
+            full_count += 1
     image.seek(0)
-    if first_size == second_size:  # smaller ones are overviews of the first
-        raise FrameError(f"{path}: holds {count} images; give each frame a file of its own")
+    if full_count > 1:
+        raise FrameError(f"{path}: holds {full_count} images; give each frame a file of its own")
 
 
 def _undecodable(path: Path, error: Exception) -> str:

@@ -25,7 +25,7 @@ from pydantic.dataclasses import dataclass
 
 from ...common.distribution import Angle as DrawnAngle
 from ...common.distribution import Positive as DrawnPositive
-from ...common.errors import FactoryError
+from ...common.errors import FactoryError, FrameError
 from ...common.seeds import stream
 from ...common.settings import STRICT
 from ...dataset.frame_ref import FrameRef
@@ -36,7 +36,7 @@ from ..meshes.camera import Objects, Optics, Pose, Stance, ZBuffer, camera, cent
 from ..meshes.mesh_parts import READING, Part, Up, files_of, read_model, stands_like_a_wall
 from .base import Discovery, OwnClass, Root
 from .moving import MovingObject, check_moving, check_paths
-from .poses import trajectory
+from .poses import PosesFrame, axes_remark, optical_trajectory, trajectory
 from .seabed import OwnObject, RecordingSettings
 
 _LARGEST_M = 3000.0
@@ -71,7 +71,8 @@ class MeshSettings(RecordingSettings):
         world whose ground lies along x and z (not where poses are given).
     classes: see `PartClass`; other parts are Background.
     poses: a file of `time tx ty tz qx qy qz qw` lines (TUM), or of columns that its header names:
-        camera to world in metres, z up, camera axes x right, y down, z forward; null: drawn paths.
+        camera to world in metres; null: drawn paths.
+    poses_frame: axes of the poses; see `poses.PosesFrame`.
     route: orbit (around a named part, or all) or transect (straight over the world).
     paths, views_per_path: how many paths, each a scene, and views of each, a second apart.
     frame_rate_hz: makes a recording of each drawn path: its views are pings, so many a second.
@@ -89,6 +90,7 @@ class MeshSettings(RecordingSettings):
     up: Up = "auto"
     classes: tuple[PartClass, ...] = ()
     poses: Root | None = None
+    poses_frame: PosesFrame = "optical"
     route: Literal["orbit", "transect"] = "orbit"
     paths: Annotated[int, Field(ge=1, le=9999)] = 4
     views_per_path: Annotated[int, Field(ge=1, le=9999)] = 25
@@ -116,6 +118,8 @@ class MeshSettings(RecordingSettings):
             raise ValueError("speed_m_s: 0 is of recordings; set frame_rate_hz, such as 10")
         if self.poses is not None and self.frame_rate_hz is not None:
             raise ValueError("frame_rate_hz: recorded poses have times of their own; leave it out")
+        if self.poses is None and self.poses_frame != "optical":
+            raise ValueError("poses_frame: is of recorded poses; set poses, or leave it out")
         if not all(own_object.moving for own_object in self.own_objects):
             raise ValueError("own_objects need moving; put what lies still into scenes.file")
         if self.moving and not self.is_recording:
@@ -218,13 +222,20 @@ class MeshReader:
             boxes=z_buffer.boxes(instance) if settings.boxes else None,
             surroundings=self._cached_surroundings(ref.scene) if settings.is_recording else None,
         )
-        return checked(frame)
+        try:
+            return checked(frame)
+        except FrameError as error:
+            if settings.poses is None or frame.depth_m.any():
+                raise
+            remark = axes_remark(settings.poses_frame, viewpoint.matrix[:3, 2])
+            raise FrameError(f"{error}; {remark}") from error
 
     def _viewpoint(self, scene: str, frame: str) -> Pose:
         settings = self._settings
         view = int(frame)
         if settings.poses is not None:
-            matrix = trajectory(Path(settings.poses).expanduser())[1][view]
+            recorded = Path(settings.poses).expanduser()
+            matrix = optical_trajectory(recorded, settings.poses_frame)[1][view]
             eye = matrix[:3, 3] - self._world.origin_m
             return Pose(eye, np.ascontiguousarray(matrix[:3, :3]))
         time_s = view / (settings.frame_rate_hz or 1.0)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,11 +31,56 @@ _PLACE_NAME = re.compile(r"(?:(?:t|p|pos|position|translation)_?(?:[a-z]+_)*)?(?
 _TURN_NAME = re.compile(r"(?:q|quat|quaternion|orientation)_?(?:[a-z]+_)*(?P<axis>[wxyz])")
 
 
+PosesFrame = Literal["optical", "flu", "ned"]
+"""Axes of the camera, or of the body that carries it, and of the world, in recorded poses.
+
+optical: x right, y down, z forward; z of the world up.  flu: x forward, y left, z up; z of the
+world up (ROS).  ned: x forward, y right, z down; z of the world down.
+"""
+# Columns: the optical axes in the axes of the body.
+_OPTICAL_IN_BODY: dict[PosesFrame, Points] = {
+    "optical": np.eye(3),
+    "flu": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
+    "ned": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
+}
+# Of a world whose z points down: half a turn about x, which stays a turn.
+_TURNED_OVER = np.diag([1.0, -1, -1, 1])
+
+
 class _Column(NamedTuple):
     """What a column holds: a name of `_COLUMNS`, and the factor to seconds or metres."""
 
     name: str
     factor: float
+
+
+@lru_cache(maxsize=4)
+def optical_trajectory(path: Path, frame: PosesFrame) -> tuple[Points, Points]:
+    """Times (N,) and poses (N, 4, 4), optical camera axes to a world whose z points up.
+
+    Raises FactoryError as `trajectory` does.
+    """
+    times_s, stored = trajectory(path)
+    poses = stored.copy()
+    poses[:, :3, :3] = stored[:, :3, :3] @ _OPTICAL_IN_BODY[frame]
+    return times_s, _TURNED_OVER @ poses if frame == "ned" else poses
+
+
+def axes_remark(frame: PosesFrame, forward: Points) -> str:
+    """What a frame that sees nothing may owe to the axes of its pose.
+
+    forward: (3,) unit vector along which the camera looks, z up.
+    """
+    x, y, z = forward
+    others = {
+        "optical": "scenes.poses_frame=flu or ned for poses of a body whose x points forward",
+        "flu": "scenes.poses_frame=optical for a camera whose z points forward, ned for z down",
+        "ned": "scenes.poses_frame=optical for a camera whose z points forward, flu for z up",
+    }
+    return (
+        f"by scenes.poses_frame={frame} the camera looks along ({x:.2f}, {y:.2f}, {z:.2f}), z up; "
+        f"set {others[frame]}"
+    )
 
 
 @lru_cache(maxsize=4)

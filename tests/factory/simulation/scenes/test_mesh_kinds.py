@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scenes.mesh_parts import read_model, read_parts
-from simnfnd.factory.scenes.painted import linear_albedo, unit_colours
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.simulation.meshes.mesh_parts import read_model, read_parts
+from simnfnd.factory.simulation.meshes.painted import linear_albedo, unit_colours
 
 Points = npt.NDArray[Any]
 Document = dict[str, Any]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError
+from ...common.errors import FactoryError
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

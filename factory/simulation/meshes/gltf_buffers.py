@@ -10,7 +10,7 @@ from urllib.parse import unquote
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FactoryError
+from ...common.errors import FactoryError
 
 Document = dict[str, Any]
 Values = npt.NDArray[np.generic]
