@@ -136,7 +136,7 @@ def _with_inputs(task: ShardTask) -> ShardTask:
 def _file_digest(path: str) -> str:
     """Hash of a file's content; empty for one that cannot be read, as its frame's failure says."""
     with suppress(OSError), open_regular(Path(path)) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]  # type: ignore[arg-type]
     return ""
 
 

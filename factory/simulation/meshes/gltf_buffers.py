@@ -51,10 +51,11 @@ class Buffers:
     def numbers(self, number: int) -> npt.NDArray[np.float64]:
         """(N, width) of an accessor; normalised integers as fractions of their largest number."""
         values = self.stored(number)
-        accessor = self.document["accessors"][number]
+        is_normalised = self.document["accessors"][number].get("normalized", False)
         numbers = values.astype(np.float64)
-        if accessor.get("normalized", False) and values.dtype.kind in "iu":
-            return np.maximum(numbers / np.iinfo(values.dtype).max, -1.0)
+        if is_normalised and values.dtype.kind in "iu":
+            largest = float(np.iinfo(values.dtype.name).max)
+            return np.maximum(numbers / largest, -1.0)
         return numbers
 
     def image_content(self, number: int) -> bytes:

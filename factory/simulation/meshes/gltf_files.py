@@ -23,7 +23,8 @@ from .obj_files import RawPart
 from .painted import linear_albedo, paint_surface, read_image, unit_colours
 from .triangle_mesh import GREY
 
-Numbers = npt.NDArray[np.floating[Any]]
+Numbers = npt.NDArray[Any]
+"""Of 32 or 64 bits."""
 Matrix = Numbers
 Dtype = type[np.float32] | type[np.float64]
 
@@ -279,7 +280,8 @@ class _SceneReader:
         if "inverseBindMatrices" not in skin:
             return joints
         stored = self._buffers.numbers(skin["inverseBindMatrices"]).reshape(-1, 4, 4)
-        return joints @ stored[: len(joints)].transpose(0, 2, 1)  # they are column-major
+        # They are column-major.
+        return np.asarray(joints @ stored[: len(joints)].transpose(0, 2, 1))
 
     def _posed(self, vertices: Numbers, attributes: Document, joints: Numbers) -> Numbers:
         """Vertices (V, 3) where their joints (J, 4, 4) put them, in the world."""
@@ -373,13 +375,13 @@ def _turned_twice(places: Numbers) -> Numbers:
 def _triangles(corners: npt.NDArray[np.int64], mode: int) -> npt.NDArray[np.int64]:
     """(T, 3) of the corners of triangles, a strip or a fan."""
     if mode == _TRIANGLES:
-        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+        return np.asarray(corners[: len(corners) // 3 * 3].reshape(-1, 3))
     count = max(len(corners) - 2, 0)
     first = corners[:count] if mode == _STRIP else np.broadcast_to(corners[:1], count)
     triangles = np.stack([first, corners[1 : count + 1], corners[2 : count + 2]], axis=-1)
     if mode == _STRIP:  # every second one would look the other way
         triangles[1::2] = triangles[1::2, [1, 0, 2]]
-    return triangles
+    return np.asarray(triangles)
 
 
 def _blend(
@@ -433,7 +435,7 @@ def _matrix(node: Document, dtype: Dtype) -> Matrix:
     """(4, 4) of a node: column-major `matrix`, or translation, rotation (x, y, z, w) and scale."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype).reshape(4, 4).T
-    quaternion = np.array(node.get("rotation", (0, 0, 0, 1)), dtype)
+    quaternion: Numbers = np.array(node.get("rotation", (0, 0, 0, 1)), dtype)
     length = np.linalg.norm(quaternion)
     if abs(length - 1) > 1e-3 and length > 0:  # integers of few bits
         quaternion = quaternion / length
@@ -452,7 +454,7 @@ def _matrix(node: Document, dtype: Dtype) -> Matrix:
 def _product(left: Matrix, right: Matrix) -> Matrix:
     """(4, 4), summed in order: a matrix product of numpy rounds as the machine's library does."""
     terms = [left[:, place, None] * right[None, place] for place in range(4)]
-    return terms[0] + terms[1] + terms[2] + terms[3]
+    return np.asarray(terms[0] + terms[1] + terms[2] + terms[3])
 
 
 def _moved(points: Numbers, matrix: Matrix) -> Numbers:

@@ -178,7 +178,7 @@ def _read_single(path: Path, folder: Path) -> RawPart:
 
     if solid.has_vertex_colors():
         # Open3D takes every number for one of 0 to 255.
-        stored = np.asarray(solid.vertex_colors) * 255
+        stored = np.asarray(solid.vertex_colors, np.float64) * 255
         colours = linear_albedo(_in_bytes(stored, header.colour_type if header else None))
         return RawPart(path.stem, vertices, colours, triangles)
     # A .stl has each corner of each face.

@@ -87,7 +87,7 @@ def world(folder: Path, line: str) -> list[str]:
         "\n".join(f"v {x} {y} 0" for x, y in corners) + "\nf 1 2 3 4\n"
         "v -1 4 0\nv 1 4 0\nv 1 4 2\nv -1 4 2\nf 5 6 7 8\n"
     )
-    (folder / "poses.txt").write_text(f"0 {line}\n")
+    (folder / "poses.txt").write_text(f"{line}\n")
     return ["scenes=mesh", f"scenes.file={folder}/floor.obj", "scenes.width=96", "scenes.up=z",
             f"scenes.poses={folder}/poses.txt", "scenes.height=64"]  # fmt: skip
 

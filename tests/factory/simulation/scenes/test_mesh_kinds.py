@@ -21,7 +21,7 @@ Document = dict[str, Any]
 
 CORNERS = np.array(
     [[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], np.float32
-) - np.float32([0.5, 1, 1.5])  # fmt: skip
+) - np.array([0.5, 1, 1.5], np.float32)  # fmt: skip
 # A box of 1 x 2 x 3 in a file whose y points up.
 FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6],
@@ -76,7 +76,7 @@ def parts_of(path: Path) -> list[Any]:
 
 def extent(mesh: Any) -> list[float]:
     """Along x, y and z, z up."""
-    return np.ptp(mesh.vertices, axis=0).round(3).tolist()
+    return [float(size) for size in np.ptp(mesh.vertices, axis=0).round(3)]
 
 
 def quantised(glb: type[Glb]) -> Glb:
@@ -95,7 +95,7 @@ def quantised_in_steps(glb: type[Glb]) -> Glb:
 
 def morphed(glb: type[Glb]) -> Glb:
     made = glb()
-    target = made.add(CORNERS * np.float32([0, 0, 2]))
+    target = made.add(CORNERS * np.array([0, 0, 2], np.float32))
     made.primitive["targets"] = [{"POSITION": target}]
     made.node["weights"] = [1.0]
     return made
@@ -123,8 +123,8 @@ def sparse(glb: type[Glb]) -> Glb:
 def skinned(glb: type[Glb]) -> Glb:
     made = glb()
     attributes = made.primitive["attributes"]
-    attributes["JOINTS_0"] = made.add(np.tile(np.uint8([0, 1, 0, 0]), (8, 1)))
-    attributes["WEIGHTS_0"] = made.add(np.tile(np.float32([0.5, 0.5, 0, 0]), (8, 1)))
+    attributes["JOINTS_0"] = made.add(np.tile(np.array([0, 1, 0, 0], np.uint8), (8, 1)))
+    attributes["WEIGHTS_0"] = made.add(np.tile(np.array([0.5, 0.5, 0, 0], np.float32), (8, 1)))
     made.node |= {"skin": 0, "translation": [100, 100, 100]}  # which its joints overrule
     made.document["skins"] = [{"joints": [1, 2]}]
     made.document["nodes"] += [{"scale": [1, 1, 1]}, {"scale": [1, 1, 5]}]
@@ -150,11 +150,11 @@ def test_a_glb_has_the_shape_that_it_states(tmp_path: Path, kind: str) -> None:
 
 def test_each_instance_is_a_part_at_its_own_place(tmp_path: Path) -> None:
     glb = Glb()
-    quarter = np.float32([[0, 0, 0, 1], [0, 0.7071068, 0, 0.7071068]])
+    quarter = np.array([[0, 0, 0, 1], [0, 0.7071068, 0, 0.7071068]], np.float32)
     attributes = {
-        "TRANSLATION": glb.add(np.float32([[0, 0, 0], [5, 0, 0]])),
+        "TRANSLATION": glb.add(np.array([[0, 0, 0], [5, 0, 0]], np.float32)),
         "ROTATION": glb.add(quarter),
-        "SCALE": glb.add(np.float32([[1, 1, 1], [2, 2, 2]])),
+        "SCALE": glb.add(np.array([[1, 1, 1], [2, 2, 2]], np.float32)),
     }
     glb.node["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
     glb.document["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
@@ -175,7 +175,7 @@ def test_strips_and_fans_are_triangles(tmp_path: Path, mode: int, corners: list[
     assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(6, abs=1e-3)
 
 
-COLOURS = {
+COLOURS: dict[str, Points] = {
     "float": np.full((8, 4), 0.5, np.float32),
     "bytes": np.full((8, 4), 128, np.uint8),
     "shorts": np.full((8, 3), 32768, np.uint16),
@@ -298,7 +298,7 @@ def test_colours_of_a_ply_mean_the_same_in_any_type(tmp_path: Path, kind: str) -
     lines += [f"{x} {y} 0 {value} {value} {value}" for x, y in ((0, 0), (1, 0), (0, 1))]
     (tmp_path / "a.ply").write_text("\n".join([*lines, "3 0 1 2", ""]))
     (mesh,) = parts_of(tmp_path / "a.ply")
-    assert mesh.colours == pytest.approx(np.full((3, 3), linear_albedo(np.float64(188))), rel=1e-4)
+    assert mesh.colours == pytest.approx(np.full((3, 3), linear_albedo(np.array(188.0))), rel=1e-4)
 
 
 def test_colours_of_faces_are_named_as_not_read(tmp_path: Path) -> None:
