@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from ...factory.production.cli.extras import Need, require
 from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
+from ..pretrained.graphs import Graph, find_runnable, unknown_graph
 from .images import Grey
 from .polar import Maps, polar_grid, sampled
 
@@ -35,7 +37,10 @@ def open_runtime(weights: Path, device: str) -> OnnxNetwork | TorchNetwork:
     and packages that are not installed.
     """
     graph = find_graph(weights)
-    network = OnnxNetwork(weights, graph, device) if graph else TorchNetwork(weights, device)
+    if graph is not None:
+        network: OnnxNetwork | TorchNetwork = OnnxNetwork(weights, graph, device)
+    else:
+        network = TorchNetwork(weights, device)
     if weights not in shipped().values():
         check_network(weights, network)
     return network
@@ -57,20 +62,14 @@ def check_network(weights: Path, network: OnnxNetwork | TorchNetwork) -> None:
         )
 
 
-def find_graph(weights: Path) -> Path | None:
-    """The graph that computes these weights without torch, or None where there is none.
+def find_graph(weights: Path) -> Graph | None:
+    """The graph that computes these weights without torch, or None where none may be run.
 
-    It lies beside the weights under the same name, as `simnfnd export-weights --to runtime` wrote
-    it, or ships.  Raises FactoryError for a file that holds no network.
+    It ships, or lies beside the weights under the same name, as `simnfnd export-weights --to
+    runtime` wrote it.  Raises FactoryError for a file that holds no network.
     """
     model = structure(read_weights(weights)[0]["model"])
-    # A graph names the structure that it computes at its end.
-    description = json.dumps(model, sort_keys=True).encode()
-    for path in (weights, *shipped().values()):
-        graph = path.with_suffix(".onnx")
-        if graph.is_file() and description in graph.read_bytes():
-            return graph
-    return None
+    return find_runnable(weights, json.dumps(model, sort_keys=True).encode())
 
 
 def _on_gpu(device: str, is_available: bool) -> bool:
@@ -112,7 +111,7 @@ class _Session(NamedTuple):
 
 
 def _session_of(
-    graph: Path, weights: Mapping[str, npt.NDArray[Any]], providers: list[str]
+    graph: Graph, weights: Mapping[str, npt.NDArray[Any]], providers: list[str]
 ) -> _Session:
     """Open a session of a graph with these weights."""
     import onnxruntime
@@ -123,7 +122,7 @@ def _session_of(
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     named = {f"network.{name}": tensor for name, tensor in weights.items()}
     shared_arrays = give_weights(options, named)
-    session = onnxruntime.InferenceSession(str(graph), options, providers=providers)
+    session = onnxruntime.InferenceSession(graph.content, options, providers=providers)
     return _Session(session, shared_arrays)
 
 
@@ -135,8 +134,8 @@ class OnnxNetwork:
     on_gpu: whether it runs on a GPU.
     """
 
-    def __init__(self, path: Path, graph: Path, device: str) -> None:
-        """See `open_runtime`.  graph: as `simnfnd export-weights --to runtime` wrote it."""
+    def __init__(self, path: Path, graph: Graph, device: str) -> None:
+        """See `open_runtime`.  graph: one that may be run; see `pretrained.graphs`."""
         require([Need("simnfnd denoise", "onnxruntime")])
         import onnxruntime
 
@@ -154,7 +153,7 @@ class OnnxNetwork:
         facts = self._session.get_modelmeta().custom_metadata_map
         if not {"extras", "stride"} <= facts.keys() or not facts["stride"].isdigit():
             raise FactoryError(
-                f"{graph}: was not made by `simnfnd export-weights --to runtime`; make it again"
+                f"{graph.path}: was not made by `simnfnd export-weights --to runtime`; make it again"
             )
         model = header["model"]
         # Graphs serve all that share their layers, also those that always forgot the geometry.
@@ -251,6 +250,11 @@ class TorchNetwork:
 
     def __init__(self, path: Path, device: str) -> None:
         """See `open_runtime`."""
+        remark = unknown_graph(path) if find_spec("torch") is None else ""
+        if remark:
+            raise FactoryError(
+                f"weights={path}: need torch: pip install 'simnfnd[train]'; {remark}"
+            )
         require(Need(f"weights={path.name}", module) for module in ("torch", "safetensors"))
         import torch
 

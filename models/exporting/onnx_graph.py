@@ -27,6 +27,7 @@ from ..networks.line_context import MapLines
 from ..networks.network import Network, padded
 from ..networks.sonarnet import SonarNet
 from ..networks.weights import load_weights
+from .graphs import remember
 
 OPSET = 18  # GridSample and sums by ScatterElements came with 16, LayerNormalization with 17
 Layout = Literal["none", "fan", "polar"]
@@ -188,6 +189,8 @@ def write_onnx(weights: Path, out: Path, layout: Layout | None) -> float:
     content = _content(graph, about, bare=layout is None)
     difference = _difference_in_onnxruntime(graph, content, bare=layout is None)
     write_atomically(out, content, key="--out")
+    if layout is None:
+        remember(content)
     return difference
 
 
