@@ -153,7 +153,8 @@ class OnnxNetwork:
         facts = self._session.get_modelmeta().custom_metadata_map
         if not {"extras", "stride"} <= facts.keys() or not facts["stride"].isdigit():
             raise FactoryError(
-                f"{graph.path}: was not made by `simnfnd export-weights --to runtime`; make it again"
+                f"{graph.path}: was not made by `simnfnd export-weights --to runtime`; "
+                "make it again"
             )
         model = header["model"]
         # Graphs serve all that share their layers, also those that always forgot the geometry.
