@@ -22,6 +22,8 @@ from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any
 
+from ..private_apis import fork_server_pid, kill_fork_server
+
 THREAD_VARIABLES = (
     *(f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "NUMEXPR")),
     *("VECLIB_MAXIMUM_THREADS", "OPENCV_FOR_THREADS_NUM"),
@@ -90,8 +92,7 @@ def runs() -> bool:
 
 def _is_anothers() -> bool:
     """Whether the program that uses this one as a library has a fork server of its own."""
-    server: Any = vars(forkserver)["_forkserver"]
-    return server._forkserver_pid is not None
+    return fork_server_pid() is not None
 
 
 @atexit.register
@@ -102,10 +103,7 @@ def kill() -> None:
         return
     # The next `start` starts another.
     _owner = 0
-    server: Any = vars(forkserver)["_forkserver"]
-    with suppress(OSError):
-        os.kill(server._forkserver_pid, signal.SIGKILL)
-        server._stop()
+    kill_fork_server()
 
 
 @contextmanager

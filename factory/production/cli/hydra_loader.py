@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from ...common import extensions
 from ...common.errors import FactoryError
+from ...common.private_apis import hydra_loader
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -116,8 +117,6 @@ def load(config_name: str, overrides: Sequence[str]) -> DictConfig:
     Raises HydraException or OmegaConfBaseException.
     """
     from hydra import version
-    from hydra._internal.config_loader_impl import ConfigLoaderImpl
-    from hydra._internal.utils import create_config_search_path
     from hydra.core.utils import setup_globals
     from hydra.types import RunMode
 
@@ -128,9 +127,12 @@ def load(config_name: str, overrides: Sequence[str]) -> DictConfig:
         version_before = versions.version_base
         version.setbase(_VERSION_BASE)
         try:
-            loader = ConfigLoaderImpl(create_config_search_path(_CONFIG_MODULE))
+            loader = hydra_loader(_CONFIG_MODULE)
             # Hydra asks its global instance for the name of a job that has none.
             named = [*overrides, "hydra.job.name=simnfnd"]
-            return loader.load_configuration(config_name, named, RunMode.RUN, from_shell=False)
+            composed: DictConfig = loader.load_configuration(
+                config_name, named, RunMode.RUN, from_shell=False
+            )
+            return composed
         finally:
             versions.version_base = version_before

@@ -10,13 +10,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 
+from simnfnd.factory.common.private_apis import fork_server_pid
 from simnfnd.factory.common.workers import Backend, Pool, Task, WorkerDied, local, template
 from simnfnd.factory.common.workers.local import LocalBackend
 from simnfnd.factory.common.workers.tasks import TaskLost, TaskPool
@@ -29,8 +29,9 @@ WORKER_MODULES = ("simnfnd.factory.production.scheduler.worker",)
 
 
 def template_pid() -> int:
-    server: Any = vars(forkserver)["_forkserver"]
-    return int(server._forkserver_pid)
+    process_id = fork_server_pid()
+    assert process_id is not None
+    return process_id
 
 
 def submit(workers: Backend, function: Callable[[Any], Any], argument: Any, kind: str) -> Any:

@@ -103,9 +103,8 @@ def test_poses_in_the_axes_of_a_body_see_the_same(tmp_path: Path, axes: str) -> 
     assert (frame.depth_m > 0).mean() > 0.3
 
 
-@pytest.mark.parametrize("axes", ["flu", "ned"])
-def test_a_frame_that_sees_nothing_names_the_axes(tmp_path: Path, axes: str) -> None:
-    words = world(tmp_path, POSES[axes])
+def test_a_frame_that_sees_nothing_names_the_axes(tmp_path: Path) -> None:
+    words = world(tmp_path, POSES["flu"])
     with pytest.raises(FrameError, match=r"poses_frame=optical .*poses_frame=flu or ned"):
         frame_of([*words, "scenes.hfov_deg=60", "scenes.vfov_deg=20"])
 

@@ -1,0 +1,45 @@
+"""What is used of other packages without being public there.
+
+Public ways do something else: `hydra.compose` works on one global instance, and `multiprocessing`
+tells neither whether a fork server runs nor ends it.  tests/factory/common/test_private_apis.py
+fails first when an update takes one of them away.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from contextlib import suppress
+from multiprocessing import forkserver
+from typing import Any
+
+
+def hydra_loader(search_root: str) -> Any:
+    """Hydra's loader of configurations, without its global instance.
+
+    search_root: where the root configurations are, such as `pkg://simnfnd.conf`.
+    """
+    from hydra._internal.config_loader_impl import ConfigLoaderImpl
+    from hydra._internal.utils import create_config_search_path
+
+    return ConfigLoaderImpl(create_config_search_path(search_root))
+
+
+def fork_server_pid() -> int | None:
+    """Process id of the fork server of `multiprocessing`; None where none was started."""
+    process_id: int | None = _fork_server()._forkserver_pid
+    return process_id
+
+
+def kill_fork_server() -> None:
+    """Kill the fork server, so that another can be started; what was forked from it lives on."""
+    server = _fork_server()
+    if server._forkserver_pid is None:
+        return
+    with suppress(OSError):
+        os.kill(server._forkserver_pid, signal.SIGKILL)
+        server._stop()
+
+
+def _fork_server() -> Any:
+    return vars(forkserver)["_forkserver"]

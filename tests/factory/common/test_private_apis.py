@@ -1,0 +1,38 @@
+"""What is used of other packages without being public there is still there."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from pathlib import Path
+
+from simnfnd.factory.common import private_apis
+from tests.project_files import ROOT
+
+NAMES = ("hydra._internal", "_forkserver_pid", '"_forkserver"')
+
+
+def test_hydra_has_a_loader_without_its_global_instance() -> None:
+    loader = private_apis.hydra_loader("pkg://simnfnd.conf")
+    parameters = inspect.signature(loader.load_configuration).parameters
+    assert {"config_name", "overrides", "run_mode", "from_shell"} <= parameters.keys()
+    assert "sonar" in loader.list_groups("")
+
+
+def test_the_fork_server_tells_its_process_and_can_be_stopped() -> None:
+    server = private_apis._fork_server()
+    assert hasattr(server, "_forkserver_pid")
+    assert callable(server._stop)
+    process_id = private_apis.fork_server_pid()
+    assert process_id is None or process_id > 0
+
+
+def test_they_stand_in_one_module() -> None:
+    own = Path(inspect.getfile(importlib.import_module(private_apis.__name__))).resolve()
+    using = [
+        path.relative_to(ROOT).as_posix()
+        for room in ("factory", "models", "evaluation", "simnfnd", "benchmarks")
+        for path in (ROOT / room).rglob("*.py")
+        if path.resolve() != own and any(name in path.read_text() for name in NAMES)
+    ]
+    assert using == []
