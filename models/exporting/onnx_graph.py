@@ -27,7 +27,7 @@ from ..networks.line_context import MapLines
 from ..networks.network import Network, padded
 from ..networks.sonarnet import SonarNet
 from ..networks.weights import load_weights
-from .graphs import remember
+from ..pretrained.graphs import remember
 
 OPSET = 18  # GridSample and sums by ScatterElements came with 16, LayerNormalization with 17
 Layout = Literal["none", "fan", "polar"]
