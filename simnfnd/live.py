@@ -76,7 +76,6 @@ class Denoiser:
         denoising = Denoising(
             network, frames=frames, causal=True, strength=strength, inverts=invert
         )
-        self._tally = denoising.tally
         self._shot_of = FrameShots(denoising, self._geometry_of)
         self._sequence = denoising.open_sequence(at_once=1)
         self._trackers: OrderedDict[tuple[int, ...], FanTracker] = OrderedDict()
@@ -118,8 +117,9 @@ class Denoiser:
     @property
     def counts(self) -> StreamCounts:
         """What the stream has seen so far."""
-        repeated = int(self._tally["repeats"])
-        return StreamCounts(self._count, repeated, int(self._tally["alone"]), self._resized)
+        tally = self._sequence.tally
+        repeated = int(tally["repeats"])
+        return StreamCounts(self._count, repeated, int(tally["alone"]), self._resized)
 
     def close(self) -> None:
         """End the stream."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
 
+from ...factory import __version__
 from ...factory.common.errors import FactoryError
-from ...factory.common.files import check_writable, remove_stale_temporaries
+from ...factory.common.files import check_writable, remove_stale_temporaries, sha256_of
 from ...factory.common.progress import progress_bar
 from ...factory.common.workers.machine import keep_freed_memory
 from ...factory.production.cli import Parser
@@ -22,9 +24,12 @@ from .files import denoise_files
 from .images import Denoising
 from .job import Job
 from .journal import opened_journal
+from .reports import TABLE, line_of, write_table
 from .temporal.stream import FRAMES
+from .unfinished import FOLDER as UNFINISHED
 
 SHEETS = "sheets"
+_MOST_LINES = 20  # of files; the table has them all
 _WHICH = f"""\
 weights that ship:
   {DEFAULT_WEIGHTS:16}  real sonars: single frames and recordings (default)
@@ -60,11 +65,14 @@ def main(arguments: Sequence[str]) -> int:
         inverts=options.invert,
     )
     with (
-        opened_journal(out, denoise.digest, list(arguments)) as journal,
+        opened_journal(out, _command(options, denoise)) as journal,
         comparison_video(video) as job_video,
     ):
-        if video is not None:  # it has all images of the run
+        # The video to compare by has all images of the run.
+        is_anew = options.again or video is not None
+        if is_anew:
             journal.begin_anew()
+            shutil.rmtree(out / UNFINISHED, ignore_errors=True)
         job = Job(
             out=out,
             denoise=denoise,
@@ -75,6 +83,7 @@ def main(arguments: Sequence[str]) -> int:
             compare=with_sheets,
             topics=options.topic,
             video=job_video,
+            resumes=video is None,
         )
         if options.frames > 1:
             for line in said_of_sequences(items):
@@ -88,8 +97,21 @@ def main(arguments: Sequence[str]) -> int:
     return 1 if job.failures else 0
 
 
+def _command(options: argparse.Namespace, denoise: Denoiser) -> dict[str, object]:
+    """All that decides on the bytes of results but for the inputs."""
+    names = ("noise", "strength", "frames", "invert", "causal", "topic", "device")
+    chosen: dict[str, object] = {name: getattr(options, name) for name in names}
+    table = Path(options.geometry).expanduser()
+    chosen["geometry"] = sha256_of(table) if table.is_file() else options.geometry
+    chosen["sheets"] = bool(options.compare)
+    chosen["weights"] = denoise.digest
+    chosen["version"] = __version__
+    return chosen
+
+
 def _summary(job: Job, options: argparse.Namespace) -> Iterator[str]:
     """What a run found and did, line by line."""
+    yield from _lines_of_files(job)
     yield from job.geometries.summary()
     yield from job.denoising.summary()
     yield from job.removed.summary()
@@ -100,6 +122,15 @@ def _summary(job: Job, options: argparse.Namespace) -> Iterator[str]:
     names = ", ".join(f"{name} ({count} file(s))" for name, count in job.used.items())
     yield f"weights: {names or job.denoise.name}"
     yield f"denoised: {job.used.total()} file(s) in {job.out}"
+    yield f"table: {job.out / TABLE}"
+
+
+def _lines_of_files(job: Job) -> Iterator[str]:
+    """A line for each recording, and for each sequence of images."""
+    for row in job.rows[:_MOST_LINES]:
+        yield line_of(row, job.denoising.frames)
+    if len(job.rows) > _MOST_LINES:
+        yield f"{len(job.rows) - _MOST_LINES} more files: see {TABLE}"
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:
@@ -129,6 +160,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         "of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
     )
     add("--geometry", default=FIND, help=geometry_help)
+    add("--again", action="store_true", help="denoise all files, finished ones too")
     topics_help = "of bags: whose images to denoise (may be repeated; default: those of sonars)"
     add("--topic", action="append", default=[], help=topics_help)
     add("--device", choices=("auto", "cpu", "gpu"), default="auto")
@@ -165,16 +197,20 @@ def _check_video(video: Path | None, items: Sequence[Item], out: Path) -> None:
 
 def _denoise_all(items: Sequence[Item], job: Job) -> None:
     """Denoise all files under a progress bar.  FactoryError when none could be."""
+    runs = sequences(items)
+    job.journal.begin(runs, in_time=job.denoising.frames > 1)
     finished = sum(item in job.journal for item in items)
     if finished:
-        print(f"already denoised: {finished} file(s), of a run that was stopped")
+        print(
+            f"already denoised: {finished} file(s), which have not changed since; --again denoises "
+            "them, too"
+        )
     images = sum(item.kind == "images" and item not in job.journal for item in items)
-    job.journal.begin(items)
     for folder in {(job.out / name).parent for item in items for name in item.results()}:
         remove_stale_temporaries(folder)
     try:
         with progress_bar(total=images, unit="image", desc="denoising") as job.bar:
-            for sequence in sequences(items):
+            for sequence in runs:
                 denoise_files(sequence, job)
     except KeyboardInterrupt:
         print(
@@ -183,7 +219,8 @@ def _denoise_all(items: Sequence[Item], job: Job) -> None:
             file=sys.stderr,
         )
         raise
-    job.journal.forget()
+    job.journal.finish()
+    write_table(job.out, job.journal.rows())
     if job.failures and len(job.failures) == len(items):
         more = f" (and {len(job.failures) - 1} more)" if len(job.failures) > 1 else ""
         raise FactoryError(job.failures[0] + more)

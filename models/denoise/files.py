@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from ...factory.common.errors import FactoryError, FrameError
-from ...factory.common.files import remove_stale_temporaries, write_atomically
-from ..recordings import SEQUENCES, Frame, Recording, open_recording
+from ...factory.common.files import write_atomically
+from ..recordings import Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
-from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
+from ..recordings.base import ARRAY_SUFFIX
 from ..recordings.images import read_image
 from ..recordings.inputs import Item
 from ..recordings.portable_grey import white_of_file
-from ..recordings.views import fan_of, grey_of
 from .frame_shots import FrameShots
-from .images import Denoised, Pixels
+from .images import Denoised, Pixels, Place
 from .job import Job
+from .reports import FileReport, fusion_columns
+from .results import State, open_result, view_of
 from .shards import denoise_shards
-from .temporal.stream import Shot
+from .unfinished import INTERVAL, Unfinished
 from .video_writer import TimedImage
 from .writers import COMPARED, Compared, write_compared, write_frames, write_image
 
 _LOSSY = (".jpg", ".jpeg")
-_PING = re.compile(r"\d{6}(_polar)?\.png")
 
 
 def denoise_files(items: Sequence[Item], job: Job) -> None:
@@ -50,32 +47,89 @@ def denoise_files(items: Sequence[Item], job: Job) -> None:
 
 
 def _denoise_images(items: Sequence[Item], job: Job) -> None:
-    finished = {item for item in items if item in job.journal}
+    """Denoise image files, one after the other; see `_Images`."""
+    unfinished = Unfinished(job.out, f"images {items[0].relative}", job.journal.key(items[0]))
+    images = _Images(items, job, unfinished.load() if job.resumes else None)
+    for number in range(images.count, len(items)):
+        images.push(items[number])
+        is_due = images.count % INTERVAL == 0 and images.count < len(items)
+        if is_due and job.resumes and job.denoising.frames > 1:
+            unfinished.save(images.state())
+    images.finish()
+    unfinished.remove()
 
-    def read() -> Iterator[Shot]:
+
+class _Images:
+    """Image files on their way.
+
+    count: how many were read.
+    """
+
+    def __init__(self, items: Sequence[Item], job: Job, state: State | None) -> None:
+        """state: of another object that was interrupted."""
+        self._items = items
+        self._job = job
         # Finished files, too: what a stream learns from them is part of the bytes of the others.
-        for item in items:
-            try:
-                image = read_image(item.source)
-                place = partial(job.geometries.of, item)
-                wanted = item not in finished
-                yield job.denoising.shot((item, image), image, place, wanted=wanted)
-            except (FactoryError, ValueError) as error:
-                text = str(error)
-                named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
-                job.failures.append(named)
+        self._finished = {item for item in items if item in job.journal}
+        self._sequence = job.denoising.open_sequence(alone=len(items) < 2)
+        self._is_single = len(items) == 1
+        self._total = FileReport(f"{items[0].relative} to {items[-1].relative.name}")
+        self.count = 0
+        if state is not None:
+            self._sequence.restore(state["sequence"], self._place_of)
+            self._total = state["total"]
+            self.count = state["count"]
 
-    for denoised in job.denoising.sequence(read(), alone=len(items) < 2):
-        item, image = denoised.key
-        job.removed.add(str(item.relative), denoised.removed)
-        job.unchanged.add(str(item.relative), image, denoised.image)
-        job.inverted.add(str(item.relative), image, denoised.removed.noisy)
+    def push(self, item: Item) -> None:
+        """Read the next file; write those that are denoised by now."""
+        self.count += 1
         try:
-            _write_results(item, image, denoised, job)
-            job.done(item, job.denoise.name)
-        except FrameError as error:
-            job.failures.append(str(error))
-        job.bar.update()
+            image = read_image(item.source)
+            place = partial(self._job.geometries.of, item)
+            wanted = item not in self._finished
+            shot = self._job.denoising.shot((item, image), image, place, wanted=wanted)
+        except (FactoryError, ValueError) as error:
+            text = str(error)
+            named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
+            self._job.failures.append(named)
+            return
+        self._write(self._sequence.push(shot))
+
+    def state(self) -> State:
+        """What another object needs to go on from here."""
+        self._write(self._sequence.settle())
+        return {
+            "sequence": self._sequence.state(),
+            "total": self._total,
+            "count": self.count,
+        }
+
+    def finish(self) -> None:
+        """Write the files that are left."""
+        self._write(self._sequence.finish())
+        for item in self._items:
+            self._job.journal.amend(item, fusion_columns(self._sequence))
+        if not self._is_single and self._total.frames:
+            self._job.rows.append(self._total.row(self._job.denoise.name, self._sequence))
+
+    def _place_of(self, key: tuple[Item, Pixels]) -> Place:
+        return partial(self._job.geometries.of, key[0])
+
+    def _write(self, results: Iterable[Denoised]) -> None:
+        for denoised in results:
+            item, image = denoised.key
+            if item in self._finished:
+                continue
+            self._job.bar.update()
+            report = FileReport(str(item.relative))
+            report.add("", image, denoised)
+            try:
+                _write_results(item, image, denoised, self._job)
+            except FrameError as error:
+                self._job.failures.append(str(error))
+                continue
+            self._job.done(item, report, self._job.denoise.name, is_listed=self._is_single)
+            self._total.merge(report, item.relative.name)
 
 
 def _write_results(item: Item, image: Pixels, denoised: Denoised, job: Job) -> None:
@@ -105,63 +159,131 @@ def _denoise_recording(item: Item, job: Job) -> None:
     path = job.out / item.relative
     if item.kind == "rosbag" and path.is_dir():
         raise FrameError(f"{path}: exists already; remove it, or give another --out")
-    shown: list[Compared] = []
-    with _opened(item, job.topics) as recording:
-        finished_before = job.bar.n
+    unfinished = Unfinished(job.out, str(item.relative), job.journal.key(item))
+    try:
+        with _opened(item, job.topics) as recording:
+            run = _Run(item, recording, job, unfinished)
+            for frame in recording.frames_from(run.frames_read):
+                run.push(frame)
+            run.finish()
+    except FrameError:
+        unfinished.remove()
+        raise
+    finally:
+        unfinished.close()
+    unfinished.remove()
+
+
+class _Run:
+    """A recording on its way.
+
+    frames_read: of the recording, those of a run that was interrupted included.
+    """
+
+    def __init__(self, item: Item, recording: Recording, job: Job, unfinished: Unfinished) -> None:
+        self._item = item
+        self._recording = recording
+        self._job = job
+        self._unfinished = unfinished
+        self._topics: tuple[str, ...] = getattr(recording, "topics", ())
+        self._sequence = job.denoising.open_sequence(alone=len(self._topics) > 1)
+        self._shot_of = FrameShots(job.denoising, self._place())
+        self._report = FileReport(str(item.relative))
+        self._shown: list[Compared] = []
+        self.frames_read = 0
+
+        state = unfinished.load() if job.resumes else None
+        if state is not None:
+            self._restore(state)
+        path = job.out / item.relative
+        result_state = None if state is None else state["result"]
+        self._result = open_result(recording, item.kind, path, unfinished, result_state)
         job.bar.total += recording.count
-        frames = _frames(item, recording, job, shown)
-        note = _write_recording(item, recording, frames, path)
-        if note:
-            job.warnings.append(note)
+        self._bar_end = job.bar.n + recording.count
+        job.bar.update(self._report.frames)
+
+    def push(self, frame: Frame) -> None:
+        """Take the next frame; keep those that are denoised by now."""
+        try:
+            shot = self._shot_of(frame)
+        except ValueError as error:
+            raise FrameError(f"{self._item.source}: frame {frame.number}: {error}") from error
+        self._keep(self._sequence.push(shot))
+        self.frames_read += 1
+        if self._job.resumes and self.frames_read % INTERVAL == 0:
+            self._save()
+
+    def finish(self) -> None:
+        """Write the result."""
+        self._keep(self._sequence.finish())
+        path = self._job.out / self._item.relative
+        note = self._result.finish()
         # The number of frames that a file states is often wrong.
-        job.bar.total += job.bar.n - finished_before - recording.count
-        topics: tuple[str, ...] = getattr(recording, "topics", ())
-        if recording.warning:
-            job.warnings.append(recording.warning)
-        elif len(topics) > 1 and job.denoising.frames > 1:
-            job.warnings.append(
-                f"{item.source}: frames of several topics were denoised one by one; choose of "
-                f"{', '.join(topics)} with --topic to denoise them in time"
+        self._job.bar.total += self._job.bar.n - self._bar_end
+        if self._shown:
+            write_compared(self._job.out / self._item.compared, self._shown)
+        for warning in self._warnings(note):
+            # Most begin with the path of the file.
+            text = warning.removeprefix(f"{self._item.source}: ").removeprefix(f"{path}: ")
+            self._job.warn(self._item, self._report, text)
+        self._job.done(
+            self._item,
+            self._report,
+            self._job.denoise.name,
+            sequence=self._sequence,
+            of_points=False,
+            result=self._result.path,
+        )
+
+    def _warnings(self, note: str) -> Iterator[str]:
+        if note:
+            yield note
+        if self._recording.warning:
+            yield self._recording.warning
+        elif len(self._topics) > 1 and self._job.denoising.frames > 1:
+            yield (
+                "frames of several topics were denoised one by one; choose of "
+                f"{', '.join(self._topics)} with --topic to denoise them in time"
             )
-    if shown:
-        write_compared(job.out / item.compared, shown)
-    job.done(item, job.denoise.name, of_points=False)
 
+    def _keep(self, results: Iterable[Denoised]) -> None:
+        for denoised in results:
+            frame = denoised.key
+            self._report.add(f"frame {frame.number}", frame.samples, denoised)
+            if self._job.compare and frame.number < COMPARED:
+                panels = frame.samples, denoised.image, denoised.removed.shown()
+                self._shown.append(Compared(*(view_of(frame, panel) for panel in panels)))
+            if self._job.video is not None:
+                views = (view_of(frame, image) for image in (frame.samples, denoised.image))
+                self._job.video.add(*views, frame.time_s)
+            self._result.add(frame, denoised.image)
+            self._job.bar.update()
 
-def _write_recording(
-    item: Item, recording: Recording, frames: Iterator[tuple[Frame, Pixels]], path: Path
-) -> str:
-    """Write denoised frames in the form of their recording; returns a warning, or nothing."""
-    if item.kind in SEQUENCES:
-        images = (TimedImage(image, frame.time_s, frame.duration_s) for frame, image in frames)
-        return write_frames(path, images, recording)
-    rewrite = getattr(recording, "rewrite", None)  # of .aris and bags
-    if rewrite is None:
-        _write_pings(path, frames)
-    else:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        rewrite((samples for _, samples in frames), path)
-    return ""
+    def _save(self) -> None:
+        self._keep(self._sequence.settle())
+        self._unfinished.save(
+            {
+                "sequence": self._sequence.state(),
+                "previous": self._shot_of.previous,
+                "trackers": self._job.geometries.trackers_of(self._item),
+                "report": self._report,
+                "shown": self._shown,
+                "frames_read": self.frames_read,
+                "result": self._result.state(),
+            }
+        )
 
+    def _restore(self, state: State) -> None:
+        self._sequence.restore(state["sequence"], lambda key: self._place())
+        self._shot_of.previous = state["previous"]
+        self._job.geometries.restore(state["trackers"])
+        self._report = state["report"]
+        self._shown = state["shown"]
+        self.frames_read = state["frames_read"]
+        print(f"{self._item.source}: goes on behind frame {self.frames_read}, where it was stopped")
 
-def _write_pings(folder: Path, frames: Iterable[tuple[Frame, Pixels]]) -> None:
-    """A fan and the samples of each ping, or its image; those of a longer run before go."""
-    remove_stale_temporaries(folder)
-    written = set()
-    for frame, samples in frames:
-        images = {f"{frame.number:06d}": samples}
-        if frame.beams is not None:
-            full = FULL_SCALE[str(samples.dtype)]
-            fan = _view(frame, samples)
-            if full > 1:
-                fan = np.rint(fan * full).astype(samples.dtype)
-            images = {f"{frame.number:06d}": fan, f"{frame.number:06d}_polar": samples}
-        for name, image in images.items():
-            write_image(folder / f"{name}.png", image)
-            written.add(f"{name}.png")
-    for path in folder.glob("*.png"):
-        if _PING.fullmatch(path.name) and path.name not in written:
-            path.unlink()
+    def _place(self) -> Place:
+        return partial(self._job.geometries.of, self._item)
 
 
 def _opened(item: Item, topics: Sequence[str]) -> Recording:
@@ -169,39 +291,3 @@ def _opened(item: Item, topics: Sequence[str]) -> Recording:
         return open_recording(item.source, topics)
     except FactoryError as error:
         raise FrameError(str(error)) from error
-
-
-def _frames(
-    item: Item, recording: Recording, job: Job, shown: list[Compared]
-) -> Iterator[tuple[Frame, Pixels]]:
-    """Each frame and what became of it; the first are shown to compare."""
-    shot_of = FrameShots(job.denoising, partial(job.geometries.of, item))
-
-    def read() -> Iterator[Shot]:
-        for frame in recording:
-            try:
-                yield shot_of(frame)
-            except ValueError as error:
-                raise FrameError(f"{item.source}: frame {frame.number}: {error}") from error
-
-    alone = len(getattr(recording, "topics", ())) > 1
-    denoised: Denoised
-    for denoised in job.denoising.sequence(read(), alone=alone):
-        frame = denoised.key
-        job.removed.add(f"{item.relative}, frame {frame.number}", denoised.removed)
-        job.unchanged.add(str(item.relative), frame.samples, denoised.image)
-        job.inverted.add(str(item.relative), frame.samples, denoised.removed.noisy)
-        if job.compare and frame.number < COMPARED:
-            panels = frame.samples, denoised.image, denoised.removed.shown()
-            shown.append(Compared(*(_view(frame, panel) for panel in panels)))
-        if job.video is not None:
-            before, after = (_view(frame, image) for image in (frame.samples, denoised.image))
-            job.video.add(before, after, frame.time_s)
-        yield frame, denoised.image
-        job.bar.update()
-
-
-def _view(frame: Frame, samples: Pixels) -> Pixels:
-    if frame.beams is None:
-        return samples
-    return fan_of(grey_of(replace(frame, samples=samples)), frame.beams)[0]

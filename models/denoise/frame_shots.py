@@ -14,7 +14,10 @@ from .temporal.stream import Shot
 
 
 class FrameShots:
-    """Turns the frames of a recording into shots, in order."""
+    """Turns the frames of a recording into shots, in order.
+
+    previous: the last frame; None before the first.
+    """
 
     def __init__(
         self, denoising: Denoising, find_geometry: Callable[[Pixels], FanGeometry | None]
@@ -22,14 +25,14 @@ class FrameShots:
         """find_geometry: of an image whose file does not state it; called in order."""
         self._denoising = denoising
         self._find_geometry = find_geometry
-        self._previous: Frame | None = None
+        self.previous: Frame | None = None
 
     def __call__(self, frame: Frame) -> Shot:
         """The shot of the next frame.  Raises ValueError as `Denoising.shot` does."""
-        shift_px = _turned_px(frame, self._previous)
+        shift_px = _turned_px(frame, self.previous)
         place = partial(self._geometry, frame)
         shot = self._denoising.shot(frame, frame.samples, place, shift_px, is_tracked=True)
-        self._previous = frame
+        self.previous = frame
         return shot
 
     def _geometry(self, frame: Frame, image: Pixels) -> FanGeometry | None:

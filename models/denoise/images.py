@@ -9,7 +9,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from .removed import Removed
 from .temporal.repeated import Unrepeated
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
+from .temporal.strength import Strength
 
 Grey = npt.NDArray[np.float32]
 Pixels = npt.NDArray[Any]
@@ -78,7 +79,7 @@ class Denoising:
     network, frames, causal, keeps_outside: see `InTime`.
     strength: part of the whole change, of fusion and network, that an image gets, 0 to 1.
     inverts: whether images show dark echoes on a bright ground.
-    maps: colour map -> how many images had it.  tally: see `InTime`.
+    maps: colour map -> how many images had it.  tally: see `InTime`, of all finished sequences.
     """
 
     def __init__(
@@ -99,23 +100,21 @@ class Denoising:
             )
         self.frames = frames
         self.tally = defaultdict[str, float](float)
-        self._strengths: list[str] = []
-        self._network = network
+        self.network = network
         self._in_time = partial(
             InTime,
             causal=causal,
             keeps_outside=keeps_outside,
-            tally=self.tally,
         )
         self._strength = np.float32(strength)
         self._inverts = inverts
         self.maps: Counter[str] = Counter()
-        self._last_map: Palette | None = None
+        self.last_map: Palette | None = None
 
     def of_simulated(self, network: Network) -> Denoising:
         """The same run with the network for simulated images, which have noise around their fan."""
         variant = copy(self)
-        variant._network = network
+        variant.network = network
         variant._in_time = partial(self._in_time, keeps_outside=False)
         return variant
 
@@ -139,12 +138,12 @@ class Denoising:
         white = white_of(image) if self._inverts else None
         shown = image if white is None else inverted(image, white)
         plain = without_alpha(shown)
-        painted = find_painted(shown, self._last_map)
+        painted = find_painted(shown, self.last_map)
         if painted is not None:
             plain = painted.levels
-            self._last_map = painted.palette
+            self.last_map = painted.palette
             self.maps[painted.palette.name] += 1
-        fan = cache(partial(place, plain))
+        fan = LazyFan(plain, place)
         if is_tracked:
             fan()  # in the order of the frames
         levels = levels_of(plain)
@@ -163,7 +162,7 @@ class Denoising:
         alone: whether each is denoised alone.  at_once: see `InTime`; by default a core each.
         """
         # The first image is looked at anew, so that a sequence depends on none before it.
-        self._last_map = None
+        self.last_map = None
         if alone:
             return self._opened(1, at_once or 1)
         return self._opened(self.frames, at_once or usable_cores())
@@ -174,8 +173,9 @@ class Denoising:
         return denoised
 
     def _opened(self, frames: int, at_once: int) -> FrameSequence:
-        stream = self._in_time(self._network, frames=frames, at_once=at_once)
-        return FrameSequence(stream, self.tally, self._strengths)
+        tally = defaultdict[str, float](float)
+        stream = self._in_time(self.network, frames=frames, at_once=at_once, tally=tally)
+        return FrameSequence(self, stream, tally, at_once)
 
     def summary(self) -> Iterator[str]:
         """A line if colours stood for levels, and lines of what was done in time."""
@@ -196,18 +196,78 @@ class Denoising:
                 f"repeated frames: {repeats:.0f} of {images + repeats:.0f} are copies of the one "
                 "before and were fused once"
             )
-        for strength in self._strengths:
-            yield f"strength fitted to the recording: {strength}"
+
+
+class LazyFan:
+    """Finds the geometry of an image when it is first asked for; is pickled without its finder."""
+
+    def __init__(self, image: Pixels, find: Place) -> None:
+        self._image: Pixels | None = image
+        self._find: Place | None = find
+        self._geometry: FanGeometry | None = None
+
+    def __call__(self) -> FanGeometry | None:
+        """The geometry; None where it is not known."""
+        if self._image is not None:
+            assert self._find is not None, "bind first"
+            self._geometry = self._find(self._image)
+            self._image = None
+        return self._geometry
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_find": None}
+
+    def bind(self, find: Place) -> None:
+        """Give an unpickled object its finder."""
+        self._find = find
 
 
 class FrameSequence:
-    """A sequence of images on its way: shots in, denoised images out, in order."""
+    """A sequence of images on its way: shots in, denoised images out, in order.
 
-    def __init__(self, stream: InTime, tally: dict[str, float], strengths: list[str]) -> None:
-        """tally: see `InTime`.  strengths: to which the one that was fitted is added at the end."""
+    tally: see `InTime`.  strength: that was fitted so far.
+    """
+
+    def __init__(
+        self, denoising: Denoising, stream: InTime, tally: dict[str, float], at_once: int
+    ) -> None:
+        self._denoising = denoising
         self._in_time = stream
         self._stream = Unrepeated(stream, tally) if stream.window > 1 else stream
-        self._strengths = strengths
+        self._at_once = at_once
+        self._maps_before = Counter(denoising.maps)
+        self.tally = tally
+
+    @property
+    def strength(self) -> Strength:
+        """The weights of the predictors, as fitted so far."""
+        return self._in_time.strength
+
+    @property
+    def maps(self) -> Counter[str]:
+        """Colour map -> how many images of the sequence had it."""
+        return self._denoising.maps - self._maps_before
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` needs; after `settle`."""
+        return {
+            "stream": (self._in_time, self._stream, self.tally),
+            "maps": self.maps,
+            "last_map": self._denoising.last_map,
+        }
+
+    def restore(self, state: dict[str, Any], place_of: Callable[[Any], Place]) -> None:
+        """Go on where another object settled.
+
+        place_of: key of an image -> what finds its geometry, where that was not needed yet.
+        """
+        self._in_time, self._stream, self.tally = state["stream"]
+        self._in_time.attach(self._denoising.network, self._at_once)
+        self._denoising.maps.update(state["maps"])
+        self._denoising.last_map = state["last_map"]
+        for shot in self._stream.shots():
+            if isinstance(shot.place, LazyFan):
+                shot.place.bind(place_of(shot.key.key))
 
     def run(self, shots: Iterable[Shot]) -> Iterator[Denoised]:
         """Denoise a whole sequence."""
@@ -222,8 +282,12 @@ class FrameSequence:
     def finish(self) -> Iterator[Denoised]:
         """Yield the images that are left; the sequence has ended."""
         yield from _results(self._stream.finish())
-        if self._in_time.strength.measured:
-            self._strengths.append(str(self._in_time.strength))
+        for name, count in self.tally.items():
+            self._denoising.tally[name] += count
+
+    def settle(self) -> Iterator[Denoised]:
+        """Yield the images that are still being denoised."""
+        yield from _results(self._stream.settle())
 
     def close(self) -> None:
         """Let go of the threads of a sequence that is not finished."""

@@ -93,6 +93,11 @@ class InvertedReport:
         self._images[name] += 1
         self._inverted[name] += has_inverted_scale(grey_of(levels) / np.float32(white))
 
+    def merge(self, other: InvertedReport) -> None:
+        """Add what another report counted."""
+        self._images.update(other._images)
+        self._inverted.update(other._inverted)
+
     def summary(self) -> Iterator[str]:
         """One line, if most images of a file look inverted."""
         names = [name for name, count in self._images.items() if self._inverted[name] > count / 2]

@@ -12,10 +12,11 @@ from ..pretrained import DEFAULT, POINTS
 from ..recordings.inputs import Geometries, Item
 from .comparison_video import ComparisonVideo
 from .denoiser import Denoiser
-from .images import Denoising
+from .images import Denoising, FrameSequence
 from .inverted import InvertedReport
 from .journal import Journal
 from .removed import RemovedReport
+from .reports import FileReport, Row
 from .unchanged import UnchangedReport
 
 
@@ -28,6 +29,8 @@ class Job:
     used: names of weights, with how many files they denoised.  removed: from all of their images.
     unchanged: images that stayed as they were.  inverted: those with dark echoes.
     video: of all images side by side; None: none is asked for.
+    resumes: whether unfinished recordings go on where a run was interrupted.
+    rows: of the table, those that have a line at the end of the run.
     """
 
     out: Path
@@ -44,22 +47,45 @@ class Job:
     unchanged: UnchangedReport = field(default_factory=UnchangedReport)
     inverted: InvertedReport = field(default_factory=InvertedReport)
     video: ComparisonVideo | None = None
+    resumes: bool = True
+    rows: list[Row] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
-    def done(self, item: Item, name: str, *, of_points: bool | None = None) -> None:
+    def done(
+        self,
+        item: Item,
+        report: FileReport,
+        name: str,
+        *,
+        sequence: FrameSequence | None = None,
+        of_points: bool | None = None,
+        result: Path | None = None,
+        is_listed: bool = True,
+    ) -> None:
         """A file is denoised by the weights of this name.
 
+        sequence: that it was denoised in, where that is its alone.
         of_points: whether its noise is that of the paper's points; None: not known.
+        result: the file that was written, where it is not the usual one.
+        is_listed: whether the file has a line of its own at the end of the run.
         """
-        self.journal.add(item)
-        self.used[name] += 1
-        if of_points is None:
-            return
         if of_points and name == DEFAULT:
             unsuited = f"{name} is made for real sonars; {POINTS} suits this file"
-        elif not of_points and name == POINTS:
+            self.warn(item, report, unsuited)
+        elif of_points is False and name == POINTS:
             unsuited = f"{name} is made for the paper's points; {DEFAULT} suits this file"
-        else:
-            return
-        self.warnings.append(f"{item.source}: {unsuited}")
+            self.warn(item, report, unsuited)
+        row = report.row(name, sequence)
+        self.journal.add(item, row, result)
+        if is_listed:
+            self.rows.append(row)
+        self.used[name] += 1
+        self.removed.merge(report.removed, report.name)
+        self.unchanged.merge(report.unchanged)
+        self.inverted.merge(report.inverted)
+
+    def warn(self, item: Item, report: FileReport, warning: str) -> None:
+        """A warning of a file, for the table and for the end of the run."""
+        report.warnings.append(warning)
+        self.warnings.append(f"{item.source}: {warning}")

@@ -1,8 +1,9 @@
-"""What a run has finished in its output folder, so that the next one goes on, and that it is alone.
+"""What is finished in an output folder, so that no run does it again; and that a run is alone.
 
-The journal is a file whose first line names the command; each later line names a finished file.  It
-has its whole length from the start, so that a full disk cannot keep the run from noting what it
-finished, and a run that is killed between two lines loses neither.
+The journal is a file of lines, one for each finished file: by which command and from what it was
+made, and what came of it.  A result counts while it, its source and the command are the same.  The
+journal has its whole length from the start of a run, so that a full disk cannot keep the run from
+noting what it finished, and a run that is killed between two lines loses neither.
 """
 
 from __future__ import annotations
@@ -10,71 +11,119 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from filelock import FileLock, Timeout
 
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import explain_os_errors, write_atomically
+from ..recordings import dataset_of
 from ..recordings.inputs import Item
 
 JOURNAL_NAME = ".denoise-finished"
 LOCK_NAME = ".denoise-lock"
 _ASKING_S = 0.2
+_USUAL_BYTES = 1200  # of a line without names
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A finished file.
+
+    name: of the item, below the output folder.  key: of the command and of the sources of its
+    sequence.  result: name of the file that was written, which may have another suffix.
+    state: of the result on disk.  row: of the table.
+    """
+
+    name: str
+    key: str
+    result: str
+    state: str
+    row: dict[str, Any] = field(default_factory=dict)
 
 
 class Journal:
-    """The finished files of one command in one output folder.
+    """The finished files of an output folder; see `opened_journal`."""
 
-    See `opened_journal`.  An item counts as finished while its result is there.
-    """
-
-    def __init__(self, out: Path, digest: str, arguments: Sequence[str]) -> None:
-        """digest: of the weights.  arguments: of the command."""
+    def __init__(self, out: Path, command: object) -> None:
+        """command: all that decides on the bytes of results but for the inputs, of JSON's types."""
         self._out = out
         self._path = out / JOURNAL_NAME
-        command = json.dumps([digest, *arguments]).encode()
-        self._header = json.dumps({"command": hashlib.sha256(command).hexdigest()})
-        self._finished = self._read()
+        self._command = json.dumps(command, sort_keys=True)
+        self._entries = self._read()
+        self._keys: dict[Path, str] = {}
         self._file: IO[bytes] | None = None
 
     def __contains__(self, item: Item) -> bool:
-        """Whether a file was denoised by this command, and its result is there."""
-        return str(item.relative) in self._finished and (self._out / item.relative).exists()
+        """Whether this command has denoised a file as it is now, and its result is there."""
+        entry = self._entries.get(str(item.relative))
+        if entry is None or entry.key != self.key(item):
+            return False
+        return _state_of(self._out / entry.result) == entry.state
 
     def begin_anew(self) -> None:
         """Count nothing as finished."""
-        self._finished.clear()
+        self._entries.clear()
 
-    def begin(self, items: Sequence[Item]) -> None:
-        """Make room for the names of all items.  Raises FactoryError when there is none."""
-        names = [str(item.relative) for item in items]
-        finished = [name for name in names if name in self._finished]
-        left = [name for name in names if name not in self._finished]
-        head = "".join(f"{line}\n" for line in (self._header, *map(json.dumps, finished))).encode()
-        room = sum(len(json.dumps(name)) + 1 for name in left)
+    def begin(self, sequences: Sequence[Sequence[Item]], *, in_time: bool) -> None:
+        """Make room for all files.  Raises FactoryError when there is none.
+
+        in_time: whether a file's result depends on the others of its sequence.
+        """
+        for items in sequences:
+            states = [(str(item.relative), _source_state(item)) for item in items]
+            for item, state in zip(items, states, strict=True):
+                said = json.dumps([self._command, states if in_time else state])
+                self._keys[item.relative] = hashlib.sha256(said.encode()).hexdigest()
+        left = [item for items in sequences for item in items if item not in self]
+        for item in left:
+            self._entries.pop(str(item.relative), None)
+        head = "".join(map(_line_of, self._entries.values())).encode()
+        room = sum(2 * len(json.dumps(str(item.relative))) + _USUAL_BYTES for item in left)
         write_atomically(self._path, head + b" " * room, key="--out")
         with explain_os_errors(self._path, "--out"):
             self._file = self._path.open("r+b")
             self._file.seek(len(head))
 
-    def add(self, item: Item) -> None:
-        """A file is denoised."""
-        name = str(item.relative)
-        if name in self._finished:
-            return
-        self._finished.add(name)
+    def key(self, item: Item) -> str:
+        """Of the command and of the sources that decide on the result of an item."""
+        return self._keys.get(item.relative, "")
+
+    def add(self, item: Item, row: dict[str, Any], result: Path | None = None) -> None:
+        """A file is denoised.  row: of the table.  result: what was written, if not usual."""
+        path = result or self._out / item.relative
+        name = os.path.relpath(path, self._out)
+        entry = Entry(str(item.relative), self.key(item), name, _state_of(path), row)
+        self._entries[entry.name] = entry
         if self._file is not None:
-            self._file.write(f"{json.dumps(name)}\n".encode())
+            self._file.write(_line_of(entry).encode())
             self._file.flush()
 
-    def forget(self) -> None:
-        """The run came to its end: the next one begins anew."""
+    def amend(self, item: Item, columns: dict[str, Any]) -> None:
+        """Say more of a finished file, once its sequence is at its end."""
+        entry = self._entries.get(str(item.relative))
+        if entry is not None:
+            entry.row.update(columns)
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """The rows of all results that are there, by their names."""
+        for _, entry in sorted(self._entries.items()):
+            if entry.row and (self._out / entry.result).exists():
+                yield entry.row
+
+    def row(self, item: Item) -> dict[str, Any]:
+        """The row of a finished file."""
+        return self._entries[str(item.relative)].row
+
+    def finish(self) -> None:
+        """The run came to its end: keep the lines alone."""
         self.close()
-        self._path.unlink(missing_ok=True)
+        lines = "".join(_line_of(entry) for _, entry in sorted(self._entries.items()))
+        write_atomically(self._path, lines.encode(), key="--out")
 
     def close(self) -> None:
         """Let go of the file."""
@@ -82,25 +131,51 @@ class Journal:
             self._file.close()
             self._file = None
 
-    def _read(self) -> set[str]:
-        """Names of the files that this very command finished."""
+    def _read(self) -> dict[str, Entry]:
+        """The entries by name; lines that are cut off or of other versions count for nothing."""
         try:
-            header, *lines = self._path.read_text(encoding="utf-8").splitlines()
-        except (OSError, ValueError):  # none, an empty one, or no text
-            return set()
-        names = set[str]()
-        if header == self._header:
-            for line in lines:
-                with suppress(ValueError):  # the room that is left, or a line that was cut off
-                    names.add(str(json.loads(line)))
-        return names
+            lines = self._path.read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError):  # none, or no text
+            return {}
+        entries = {}
+        for line in lines:
+            with suppress(ValueError, TypeError):
+                entry = Entry(**json.loads(line))
+                entries[entry.name] = entry
+        return entries
+
+
+def _line_of(entry: Entry) -> str:
+    return json.dumps(entry.__dict__) + "\n"
+
+
+def _source_state(item: Item) -> str:
+    dataset = dataset_of(item.source) if not item.source.exists() else None
+    if dataset is not None:  # a recording in a dataset
+        return _state_of_files(sorted(dataset.rglob("*.h5")))
+    return _state_of(item.source)
+
+
+def _state_of(path: Path) -> str:
+    """What changes when a file or folder is written again; empty where there is none."""
+    if path.is_dir():
+        return _state_of_files(sorted(file for file in path.iterdir() if file.is_file()))
+    return _state_of_files([path]) if path.exists() else ""
+
+
+def _state_of_files(files: Iterable[Path]) -> str:
+    states = []
+    for file in files:
+        status = file.stat()
+        states.append((file.name, status.st_size, status.st_mtime_ns))
+    return hashlib.sha256(json.dumps(states).encode()).hexdigest()[:32]
 
 
 @contextmanager
-def opened_journal(out: Path, digest: str, arguments: Sequence[str]) -> Iterator[Journal]:
+def opened_journal(out: Path, command: object) -> Iterator[Journal]:
     """The journal of an output folder, in which no other run writes within the block.
 
-    Raises FactoryError when one does.
+    command: see `Journal`.  Raises FactoryError when another run does.
     """
     path = out / LOCK_NAME
     lock = FileLock(path)
@@ -116,7 +191,7 @@ def opened_journal(out: Path, digest: str, arguments: Sequence[str]) -> Iterator
         ) from None
     except OSError:
         pass  # a file system without locks
-    journal = Journal(out, digest, arguments)
+    journal = Journal(out, command)
     try:
         yield journal
     finally:

@@ -177,6 +177,20 @@ class RemovedReport:
         if self._worst is None or abs(structure.deviation) > abs(self._worst[1].deviation):
             self._worst = place, structure
 
+    def merge(self, other: RemovedReport, name: str) -> None:
+        """Add the images of a file.  other: its report.  name: of the file."""
+        self._deviations += other._deviations
+        if other._worst is None:
+            return
+        place, structure = other._worst
+        if self._worst is None or abs(structure.deviation) > abs(self._worst[1].deviation):
+            self._worst = (f"{name}, {place}" if place else name), structure
+
+    @property
+    def worst(self) -> tuple[str, Structure] | None:
+        """The most suspicious spot and its image; None where none could be judged."""
+        return self._worst
+
     def limit(self) -> float:
         """Deviation of a spot that grain alone does not reach in so many images."""
         return _LIMIT + _LIMIT_RISE * math.log(max(len(self._deviations), 1))

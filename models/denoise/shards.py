@@ -18,6 +18,7 @@ from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ..recordings.inputs import Item
 from .images import Denoised, Pixels
 from .job import Job
+from .reports import FileReport
 from .temporal.stream import Shot
 from .writers import COMPARED, Compared, write_compared
 
@@ -57,6 +58,7 @@ class _Shard:
         self.sonar = recorded_sonar(self.config)
         self.rows_left = len(self.table)
         self.shown: list[Compared] = []
+        self.report = FileReport(str(item.relative))
         self._source: h5py.File | None = None
         self._denoised: Pixels | None = None
 
@@ -207,7 +209,7 @@ def _denoise_sequence(samples: Sequence[_Sample], finished: set[int], job: Job) 
 def _keep(denoised: Denoised, job: Job) -> None:
     (shard, row), noisy, clean = denoised.key
     shard.put(row, denoised.image)
-    job.removed.add(f"{shard.item.relative}, pair {row}", denoised.removed)
+    shard.report.add(f"pair {row}", noisy, denoised)
     full = shard.full_scale()
     if job.video is not None:
         job.video.add(noisy / full, denoised.image / full)
@@ -224,7 +226,7 @@ def _write(shard: _Shard, job: Job) -> None:
     write_atomically(path, shard.content(network.digest))
     if shard.shown:
         write_compared(job.out / shard.item.compared, shard.shown)
-    job.done(shard.item, network.name, of_points=shard.of_points)
+    job.done(shard.item, shard.report, network.name, of_points=shard.of_points)
 
 
 def opened_shard(path: Path) -> h5py.File:

@@ -36,6 +36,16 @@ class UnchangedReport:
         self._images[name] += 1
         self._bright += _has_bright_border(image)
 
+    def merge(self, other: UnchangedReport) -> None:
+        """Add what another report counted."""
+        self._images.update(other._images)
+        self._bright += other._bright
+
+    @property
+    def count(self) -> int:
+        """How many images did not change."""
+        return self._images.total()
+
     def summary(self) -> Iterator[str]:
         """One line, if there was an image that did not change."""
         if not self._images:

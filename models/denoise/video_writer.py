@@ -7,8 +7,10 @@ all of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import io
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -50,6 +52,9 @@ class Codec:
         return min((depth for depth in self.grey if depth >= bits), default=None)
 
 
+_BIT_EXACT = {"fflags": "+bitexact"}
+"""Without the time of writing and random identifiers: the same images make the same bytes."""
+_PACKET_FIELDS = ("pts", "dts", "duration", "is_keyframe")
 _FULL_RANGE = 2
 """FFmpeg's number of the range in which grey values run from 0 to their largest."""
 
@@ -112,30 +117,123 @@ def write_video(
     av: Any = import_module("av")
     container, codec = CONTAINERS[suffix]
     # Without the time of writing and random identifiers: the same images make the same bytes.
-    with av.open(str(file), "w", format=container, options={"fflags": "+bitexact"}) as output:
-        for name, text in video.texts.items():
-            output.metadata[name] = text
+    with av.open(str(file), "w", format=container, options=_BIT_EXACT) as output:
+        output.metadata.update(video.texts)
         writer: _StreamWriter | None = None
         for number, timed in enumerate(images):
             if writer is None:
-                writer = _StreamWriter(av, output, codec, video, timed.image)
+                size = timed.image.shape[:2]
+                writer = _StreamWriter(av, output, codec, video, size, output.mux)
             writer.write(number, timed)
         if writer is not None:
             writer.finish()
+
+
+KeepPacket = Callable[[dict[str, Any], memoryview], None]
+
+
+class VideoPackets:
+    """Encodes the images of a video into packets, which `join_packets` makes a file of.
+
+    size: (H, W) of the first image; None before it.
+    """
+
+    def __init__(self, suffix: str, video: VideoProperties, keep: KeepPacket) -> None:
+        """suffix: of the container.  keep: gets each packet, what is said of it and its bytes."""
+        self._av: Any = import_module("av")
+        self._container, self._codec = CONTAINERS[suffix]
+        self._video = video
+        self._keep = keep
+        self._writer: _StreamWriter | None = None
+        self._output: Any = None
+        self._last_tick = -1
+        self._count = 0
+        self.size: tuple[int, int] | None = None
+
+    def add(self, timed: TimedImage) -> None:
+        """Encode the next image.  Raises FrameError where its size is not that of the first."""
+        if self._writer is None:
+            self.size = self.size or timed.image.shape[:2]
+            self._writer = self._opened(self.size)
+        self._writer.write(self._count, timed)
+        self._count += 1
+
+    def flush(self) -> None:
+        """Keep all packets; the next image begins with a key frame."""
+        if self._writer is not None:
+            self._writer.finish()
+            self._last_tick = self._writer.last_tick
+            self._output.close()
+        self._writer = None
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` needs, after `flush`."""
+        return {"last_tick": self._last_tick, "count": self._count, "size": self.size}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where another object was flushed."""
+        self._last_tick = state["last_tick"]
+        self._count = state["count"]
+        self.size = state["size"]
+
+    def _opened(self, size: tuple[int, int]) -> _StreamWriter:
+        # Of the container of the file, which decides on the headers of the stream.
+        self._output = self._av.open(io.BytesIO(), "w", format=self._container, options=_BIT_EXACT)
+        writer = _StreamWriter(
+            self._av, self._output, self._codec, self._video, size, self._keep_packet
+        )
+        writer.last_tick = self._last_tick
+        return writer
+
+    def _keep_packet(self, packet: Any) -> None:
+        header = {name: getattr(packet, name) for name in _PACKET_FIELDS}
+        header["time_base"] = str(packet.time_base)
+        self._keep(header, memoryview(packet))
+
+
+def join_packets(
+    file: Path,
+    suffix: str,
+    packets: Iterable[tuple[dict[str, Any], bytes]],
+    video: VideoProperties,
+    size: tuple[int, int] | None,
+) -> None:
+    """Write a video from the packets of a `VideoPackets`; see `write_video`."""
+    av: Any = import_module("av")
+    container, codec = CONTAINERS[suffix]
+    with av.open(str(file), "w", format=container, options=_BIT_EXACT) as output:
+        output.metadata.update(video.texts)
+        if size is None:
+            return
+        writer = _StreamWriter(av, output, codec, video, size, output.mux)
+        for header, content in packets:
+            packet = av.Packet(content)
+            for name in _PACKET_FIELDS:
+                setattr(packet, name, header[name])
+            packet.time_base = Fraction(header["time_base"])
+            packet.stream = writer.stream
+            output.mux(packet)
 
 
 class _StreamWriter:
     """The stream of a video that is being written."""
 
     def __init__(
-        self, av: Any, output: Any, codec: Codec, video: VideoProperties, first: Image
+        self,
+        av: Any,
+        output: Any,
+        codec: Codec,
+        video: VideoProperties,
+        size: tuple[int, int],
+        emit: Callable[[Any], None],
     ) -> None:
+        """size: (H, W) of the images.  emit: gets each packet."""
         self._av = av
-        self._output = output
+        self._emit = emit
         self._video = video
         self._depth = codec.depth_for(video.bits) or max(codec.grey)
         self._format = (codec.grey if video.is_grey else codec.colour)[self._depth]
-        self._size = first.shape[:2]
+        self._size = size
         # The frame rate of an AVI file is the unit of its time stamps.
         is_avi = output.format.name == "avi"
         rate = 1 / video.time_base_s if is_avi else video.rate
@@ -148,7 +246,7 @@ class _StreamWriter:
         if self._format.startswith("yuv"):
             stream.codec_context.color_range = _FULL_RANGE
         stream.time_base = stream.codec_context.time_base = video.time_base_s
-        self._stream = stream
+        self.stream = stream
         # Matroska alone may show two frames at one time.
         self._least_step = 0 if output.format.name in _EQUAL_TIMES else 1
         self._last_tick = -self._least_step
@@ -166,16 +264,16 @@ class _StreamWriter:
         frame.time_base = self._video.time_base_s
         duration_s = timed.duration_s or float(1 / self._video.rate)
         self._durations[frame.pts] = max(1, self._ticks(duration_s))
-        self._mux(self._stream.encode(frame))
+        self._mux(self.stream.encode(frame))
 
     def finish(self) -> None:
-        self._mux(self._stream.encode(None))
+        self._mux(self.stream.encode(None))
 
     def _mux(self, packets: Iterable[Any]) -> None:
         for packet in packets:
             # Encoders forget how long a frame lasts, of which the last one tells the video's end.
             packet.duration = self._durations.pop(packet.pts, 1)
-            self._output.mux(packet)
+            self._emit(packet)
 
     def _ticks(self, seconds: float) -> int:
         return round(seconds / float(self._video.time_base_s))
@@ -186,8 +284,8 @@ class _StreamWriter:
         if time_s is None:
             time_s = number / float(self._video.rate)
         tick = self._ticks(self._video.start_s + time_s)
-        self._last_tick = max(tick, self._last_tick + self._least_step)
-        return self._last_tick
+        self.last_tick = max(tick, self.last_tick + self._least_step)
+        return self.last_tick
 
     def _frame(self, image: Image) -> Any:
         """The frame of an image, in the pixel format of the stream."""

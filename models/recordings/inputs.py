@@ -222,6 +222,14 @@ class Geometries:
         fan_found[item.source] = geometry is not None
         return geometry
 
+    def trackers_of(self, item: Item) -> dict[tuple[Path, tuple[int, ...]], FanTracker]:
+        """What has been found in an item so far, for `restore`."""
+        return {key: tracker for key, tracker in self._trackers.items() if key[0] == item.source}
+
+    def restore(self, trackers: dict[tuple[Path, tuple[int, ...]], FanTracker]) -> None:
+        """Go on with an item where another run stopped."""
+        self._trackers.update(trackers)
+
     def summary(self) -> Iterator[str]:
         """One line a folder, image, video or bag that was searched."""
         said = "geometry: fan found in {} of {} images searched ({})"

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,6 +76,13 @@ class _Reading:
     ended_early: bool = False
     end_s: float = 0.0
     stamps: list[int | None] = field(default_factory=list)
+
+
+class _Timing(NamedTuple):
+    """When a frame is shown, and for how long; None: unknown."""
+
+    time_s: float | None
+    duration_s: float | None
 
 
 class VideoFile(Recording):
@@ -209,12 +216,17 @@ class VideoFile(Recording):
 
     def __iter__(self) -> Iterator[Frame]:
         """All frames that decode, in order; `warning` says afterwards whether some are missing."""
+        yield from self.frames_from(0)
+
+    def frames_from(self, first: int) -> Iterator[Frame]:
+        """Those that `__iter__` gives from frame number `first` on; the others are decoded, too."""
         reading = _Reading()
-        last = None
+        timing: _Timing | None = None
         with self._opened() as (_, stream):
             for number, decoded in enumerate(self._decoded(stream, reading)):
-                last = self._frame(number, decoded, last)
-                yield last
+                timing = self._timing(number, decoded, timing)
+                if number >= first:
+                    yield self._frame(number, decoded, timing)
         self.warning = self._warning(reading)
 
     def __getitem__(self, number: int) -> Frame:
@@ -230,7 +242,7 @@ class VideoFile(Recording):
         for place, decoded in self._cursor:
             self._next = place + 1
             if place == number:
-                return self._frame(number, decoded, None)
+                return self._frame(number, decoded, self._timing(number, decoded, None))
         self._cursor = None
         raise Ended(f"{self.path}: frame {number} cannot be read")
 
@@ -251,11 +263,14 @@ class VideoFile(Recording):
         with self._opened() as (_, stream):
             yield from enumerate(self._decoded(stream, _Reading()))
 
-    def _frame(self, number: int, decoded: Any, before: Frame | None) -> Frame:
-        """before: the frame before, which says when this one is shown if the file does not."""
+    def _frame(self, number: int, decoded: Any, timing: _Timing) -> Frame:
         ask_pixels(str(self.path), decoded.width, decoded.height)
         with explained(f"{self.path}: frame {number} cannot be read", reason=True):
             samples = _orientation_of(decoded).upright(samples_of(decoded))
+        return Frame(number, samples, time_s=timing.time_s, duration_s=timing.duration_s)
+
+    def _timing(self, number: int, decoded: Any, before: _Timing | None) -> _Timing:
+        """before: of the frame before, by which this one is dated if the file does not do it."""
         time_s: float | None = None
         if decoded.pts is not None:
             time_s = float(decoded.pts * self.properties.time_base_s) - self.properties.start_s
@@ -266,7 +281,7 @@ class VideoFile(Recording):
         duration = float((decoded.duration or 0) * self.properties.time_base_s)
         if not duration and self.rate_hz:
             duration = 1 / self.rate_hz
-        return Frame(number, samples, time_s=time_s, duration_s=duration or None)
+        return _Timing(time_s, duration or None)
 
     def _warning(self, reading: _Reading) -> str:
         """What is wrong with the file, in one line; empty where nothing is."""

@@ -80,6 +80,11 @@ class View:
         self.band: Grey = (blurred(small, 1.0) - around) * self.lit
         self.shape: tuple[int, int] = self.band.shape
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What is computed of the rest when it is needed is not kept."""
+        computed = ("slopes", "steepest", "spectrum")
+        return {name: value for name, value in self.__dict__.items() if name not in computed}
+
     @cached_property
     def slopes(self) -> tuple[Grey, Grey]:
         """Of the band along x and y."""

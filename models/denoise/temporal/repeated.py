@@ -78,6 +78,12 @@ class Unrepeated:
         yield from self._pass_waiting()
         yield from self._results(self._stream.finish())
 
+    def shots(self) -> Iterator[Shot]:
+        """The frames that are in memory."""
+        yield from self._stream.shots()
+        runs = [*self._runs, self._newest, self._last[0] if self._last else None]
+        yield from (run.shot for run in runs if run is not None)
+
     def close(self) -> None:
         """See `InTime.close`."""
         self._stream.close()

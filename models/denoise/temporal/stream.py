@@ -154,8 +154,23 @@ class InTime:
             yield from self._denoise_next()
 
     def settle(self) -> Iterator[tuple[Any, Grey]]:
-        """Yield the frames that are still being denoised."""
+        """Yield the frames that are still being denoised; the stream can be pickled then."""
         yield from self._finished(0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All that a stream in another process needs to go on, but for `attach`."""
+        assert not self._pending, "settle first"
+        return {**self.__dict__, "_network": None, "_pool": None}
+
+    def attach(self, network: Network | None, at_once: int) -> None:
+        """Give an unpickled stream its network and threads."""
+        self._network = network
+        self._pool = ThreadPoolExecutor(at_once)
+        self._max_pending = at_once if at_once > 1 else 0
+
+    def shots(self) -> Iterator[Shot]:
+        """The frames that are in memory."""
+        yield from self._shots.values()
 
     def finish(self) -> Iterator[tuple[Any, Grey]]:
         """Yield all frames that are left; the sequence has ended."""

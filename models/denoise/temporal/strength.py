@@ -11,6 +11,7 @@ the frame count interpolates.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -37,6 +38,8 @@ _SINGLE_FRAME_CHOICES = np.array([(tv, net) for tv in range(21) for net in range
 """Parts of total variation and network that are tried for a single frame.  The network has its part
 whatever predicts best, as it also removes static artefacts.  The frame gets the rest."""
 _MIN_PIXELS = 500
+LEAST_MEASURED = 3
+"""Frames from which on a strength tells more of the recording than of one frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +102,20 @@ class Weights:
 
         change = single_change + window_share * (window_change - single_change)
         return np.asarray(np.clip(predictors.grey + change, 0, 1))
+
+
+class StrengthParts(NamedTuple):
+    """How much each predictor contributes: in whole windows, and in single frames.
+
+    measured: number of frames that this was fitted to.
+    """
+
+    network: float
+    variation: float
+    blurred: float
+    single_network: float
+    single_variation: float
+    measured: int
 
 
 class Strength:
@@ -171,14 +188,25 @@ class Strength:
             window[number] = np.linalg.solve(squares + prior, products)
         self.weights = replace(self.weights, single=single, window=window)
 
-    def __str__(self) -> str:
+    @property
+    def parts(self) -> StrengthParts:
+        """The mean coefficients of the recording."""
         share = self._window_pixels / max(self._window_pixels.sum(), 1)
-        variation, network, *blurs = share @ self.weights.window
+        variation, network, *blurs = (share @ self.weights.window).tolist()
+        single_variation, single_network = self.weights.single.tolist()
+        return StrengthParts(
+            network, variation, sum(blurs), single_network, single_variation, self.measured
+        )
+
+    def __str__(self) -> str:
+        parts = self.parts
+        few = f", which is too few to rely on: {LEAST_MEASURED} at least"
         return (
-            f"in whole windows {network:.2f} network, {variation:.2f} total variation, "
-            f"{sum(blurs):.2f} blurred, the rest as fused; in single frames "
-            f"{self.weights.single[1]:.2f} network, {self.weights.single[0]:.2f} total variation "
-            f"(measured on {self.measured} frames)"
+            f"in whole windows {parts.network:.2f} network, {parts.variation:.2f} total "
+            f"variation, {parts.blurred:.2f} blurred, the rest as fused; in single frames "
+            f"{parts.single_network:.2f} network, {parts.single_variation:.2f} total variation "
+            f"(measured on {parts.measured} frame{'s' * (parts.measured != 1)}"
+            f"{few * (parts.measured < LEAST_MEASURED)})"
         )
 
 

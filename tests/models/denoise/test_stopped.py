@@ -18,6 +18,7 @@ from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise import command, writers
 from simnfnd.models.denoise.images import Grey
 from simnfnd.models.denoise.journal import JOURNAL_NAME, opened_journal
+from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.recordings.inputs import Item, items_below
 from tests.models.adapt.scenes import noisy, scene, write
 
@@ -88,11 +89,12 @@ def test_what_is_done_is_skipped_by_the_next_run(
     assert f"already denoised: {len(done)} file(s)" in capsys.readouterr().out
     assert len(list(out.glob("*.png"))) == 12
     assert all((out / name).stat().st_mtime_ns == time for name, time in done.items())
-    assert not (out / JOURNAL_NAME).exists()
-    # A run that came to its end is done again.
-    again = use(monkeypatch, None)
-    assert command.main(words) == 0
-    assert again.count >= 12
+    # A run that came to its end is done again where that is asked for.
+    for more, count in (([], 0), (["--again"], 12)):
+        again = use(monkeypatch, None)
+        assert command.main([*words, *more]) == 0
+        assert again.count >= count
+        assert (again.count == 0) == (count == 0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -158,14 +160,14 @@ def test_a_second_run_into_the_same_folder_is_refused(
     out.mkdir()
     words = [str(tmp_path / "a.png"), "--out", str(out), "--geometry", "none"]
     use(monkeypatch, None)
-    with opened_journal(out, "0", ["others"]) as others:
-        others.begin([Item(tmp_path / "b.png", Path("b.png"))])
+    with opened_journal(out, "others") as others:
+        others.begin([[Item(tmp_path / "b.png", Path("b.png"))]], in_time=True)
         before = sorted(path.name for path in out.iterdir())
         with pytest.raises(FactoryError, match=rf"--out .*: process {os.getpid()}"):
             command.main(words)
         assert sorted(path.name for path in out.iterdir()) == before
     assert command.main(words) == 0
-    assert [path.name for path in out.iterdir()] == ["a.png"]
+    assert sorted(path.name for path in out.iterdir()) == [JOURNAL_NAME, "a.png", TABLE]
 
 
 def test_a_killed_run_keeps_what_its_journal_names(tmp_path: Path) -> None:
@@ -173,20 +175,21 @@ def test_a_killed_run_keeps_what_its_journal_names(tmp_path: Path) -> None:
     items = [Item(tmp_path / name, Path(name)) for name in ("a.png", "b.png", "c.png")]
     for item in items:
         (tmp_path / item.relative).touch()
-    with opened_journal(tmp_path, "0", ["words"]) as journal:
-        journal.begin(items)
+    runs = [[item] for item in items]
+    with opened_journal(tmp_path, "words") as journal:
+        journal.begin(runs, in_time=True)
         size = (tmp_path / JOURNAL_NAME).stat().st_size
         for item in items[:2]:
-            journal.add(item)
+            journal.add(item, {"file": item.relative.name})
         assert (tmp_path / JOURNAL_NAME).stat().st_size == size, "a full disk takes the names"
     content = (tmp_path / JOURNAL_NAME).read_bytes()
     cut = content.replace(b'"b.png"', b'"b.p   ')
     for remaining, expected in ((content, items[:2]), (cut, items[:1]), (b"", []), (b"\xff{", [])):
-        (tmp_path / JOURNAL_NAME).write_bytes(remaining)
-        with opened_journal(tmp_path, "0", ["words"]) as journal:
-            assert [item for item in items if item in journal] == expected
-        with opened_journal(tmp_path, "0", ["others"]) as journal:
-            assert not [item for item in items if item in journal]
+        for command_words, names in (("words", expected), ("others", [])):
+            (tmp_path / JOURNAL_NAME).write_bytes(remaining)
+            with opened_journal(tmp_path, command_words) as journal:
+                journal.begin(runs, in_time=True)
+                assert [item for item in items if item in journal] == names
 
 
 def test_another_command_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -217,14 +220,14 @@ def test_a_video_that_is_stopped_leaves_nothing(
     use(monkeypatch, 5)
     with pytest.raises(KeyboardInterrupt):
         command.main(words)
-    assert [path.name for path in out.iterdir()] == [JOURNAL_NAME]
+    assert [path.name for path in out.iterdir() if path.name[0] != "."] == []
     # What a killed run left is no input, and goes with the next one.
     left = out / f".a.avi.{space()}-99999999-0123456789abcdef.tmp"
     left.write_bytes(b"half")
     assert items_below(out, tmp_path / "elsewhere") == []
     use(monkeypatch, None)
     assert command.main(words) == 0
-    assert [path.name for path in out.iterdir()] == ["a.avi"]
+    assert sorted(path.name for path in out.iterdir()) == [JOURNAL_NAME, "a.avi", TABLE]
 
 
 def test_no_input_is_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,56 @@
+"""The state of an unfinished recording as bytes, and back.
+
+It is a pickle of the objects that a sequence is made of.  A file in an output folder is not to be
+trusted, so reading makes arrays, containers and the classes of this project alone: no function is
+called by name, and what was damaged or cut off is told by its digest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import pickle
+from typing import Any
+
+_DIGEST_BYTES = 32
+_ROOT = __name__.removesuffix("models.denoise.checkpoint")
+_OWN_MODULES = (f"{_ROOT}models.", f"{_ROOT}factory.dataset.fan_geometry")
+_OTHERS = {
+    "builtins": {"set", "frozenset", "float", "int", "bytearray", "complex"},
+    "collections": {"Counter", "OrderedDict", "defaultdict", "deque"},
+    "fractions": {"Fraction"},
+    "numpy": {"dtype", "ndarray"},
+    "numpy.core.multiarray": {"_reconstruct", "scalar"},
+    "numpy._core.multiarray": {"_reconstruct", "scalar"},
+    "numpy.core.numeric": {"_frombuffer"},
+    "numpy._core.numeric": {"_frombuffer"},
+    "pathlib": {"Path", "PosixPath", "WindowsPath", "PurePosixPath", "PureWindowsPath"},
+}
+
+
+def packed(state: object) -> bytes:
+    """The state as bytes with their digest."""
+    content = pickle.dumps(state, protocol=5)
+    return hashlib.sha256(content).digest() + content
+
+
+def unpacked(content: bytes) -> Any:
+    """The state in bytes.  Raises ValueError when they are damaged, or hold anything else."""
+    digest, body = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    if hashlib.sha256(body).digest() != digest:
+        raise ValueError("damaged, or cut off")
+    try:
+        return _Unpickler(io.BytesIO(body)).load()
+    except (pickle.UnpicklingError, AttributeError, ImportError, TypeError, KeyError) as error:
+        raise ValueError(f"of another version ({error})") from error
+
+
+class _Unpickler(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        if name in _OTHERS.get(module, ()):
+            return super().find_class(module, name)
+        if module.startswith(_OWN_MODULES):
+            value = super().find_class(module, name)
+            if isinstance(value, type):
+                return value
+        raise pickle.UnpicklingError(f"{module}.{name} belongs to no state")

@@ -1,0 +1,287 @@
+"""A recording that is stopped goes on where it was, to the bytes of an undisturbed run."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from simnfnd.factory.common.ros_types import typestore
+from simnfnd.models.denoise import checkpoint, command, unfinished
+from simnfnd.models.denoise.reports import TABLE
+from simnfnd.models.denoise.spool import Spool
+from simnfnd.models.recordings.rosbag import IMAGE
+from tests.models.adapt.scenes import noisy, scene, write
+from tests.models.recordings.bag_files import image as image_message
+from tests.models.recordings.bag_files import write_bag
+from tests.models.recordings.recording_files import pings, write_aris, write_oculus
+
+Bytes = npt.NDArray[np.uint8]
+FRAMES = 44
+
+
+class Smoothing:
+    """A network that costs little, and kills or stops its process at an image."""
+
+    name = "smoothing"
+    digest = "0"
+
+    def __init__(self, at: int | None = None, number: int = signal.SIGINT) -> None:
+        self.at = at
+        self.number = number
+        self.count = 0
+
+    def __call__(self, grey: npt.NDArray[np.float32], geometry: object = None) -> Any:
+        self.count += 1
+        if self.count == self.at:
+            os.kill(os.getpid(), self.number)
+        return cv2.GaussianBlur(grey, (0, 0), 1.5)
+
+
+def moving_scene(count: int = FRAMES, side: int = 48) -> Bytes:
+    """(count, side, side): a drifting scene, with a frame that is repeated."""
+    ground = scene(0, side, side)
+    frames = [noisy(np.roll(ground, number // 9, 1), number) for number in range(count)]
+    frames[20:21] = frames[19:20]
+    return np.rint(np.stack(frames) * 255).astype(np.uint8)
+
+
+def write_video(path: Path) -> None:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 5.0, (48, 48))
+    for grey in moving_scene():
+        writer.write(cv2.applyColorMap(grey, cv2.COLORMAP_JET))
+    writer.release()
+
+
+def write_images(folder: Path) -> None:
+    for number, grey in enumerate(moving_scene()):
+        write(folder / f"f{number:02d}.png", grey / np.float32(255))
+
+
+def write_bag_of_images(path: Path) -> None:
+    store = typestore(2)
+    messages = [image_message(store, number, grey) for number, grey in enumerate(moving_scene())]
+    write_bag(path, {"/images": (IMAGE, messages)})
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "a.avi": write_video,
+    "a.npy": lambda path: np.save(path, moving_scene()),
+    "a.aris": lambda path: write_aris(path, pings(FRAMES, 24, 48)),
+    "a.raw": lambda path: write_oculus(path, pings(FRAMES, 24, 20)),
+    "a.mcap": write_bag_of_images,
+    "images": write_images,
+}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All results; the journal has times in it."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    results = {str(path.relative_to(folder)): path for path in files}
+    return {name: path.read_bytes() for name, path in results.items() if name[0] != "."}
+
+
+def use(monkeypatch: pytest.MonkeyPatch, denoiser: Smoothing) -> Smoothing:
+    monkeypatch.setattr(command, "Denoiser", lambda *arguments, **named: denoiser)
+    return denoiser
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_stopped_recording_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Twice, and at most `INTERVAL` frames and a window are denoised again."""
+    WRITERS[name](tmp_path / name)
+    words = [str(tmp_path / name), "--frames", "3", "--geometry", "none", "--compare", "--out"]
+    whole = use(monkeypatch, Smoothing())
+    assert command.main([*words, str(tmp_path / "whole")]) == 0
+
+    out = tmp_path / "out"
+    counts = []
+    for at in (whole.count * 45 // 100, whole.count * 30 // 100):
+        stopping = use(monkeypatch, Smoothing(at))
+        with pytest.raises(KeyboardInterrupt):
+            command.main([*words, str(out)])
+        counts.append(stopping.count)
+    last = use(monkeypatch, Smoothing())
+    assert command.main([*words, str(out)]) == 0
+    assert contents(out) == contents(tmp_path / "whole")
+    assert not (out / unfinished.FOLDER).exists()
+    again = sum(counts) + last.count - whole.count
+    assert again <= 2 * (unfinished.INTERVAL + 8)
+
+
+def test_a_killed_run_goes_on(tmp_path: Path) -> None:
+    """By KILL, in processes of their own."""
+    write_video(tmp_path / "a.avi")
+    script = tmp_path / "run.py"
+    script.write_text(
+        "import sys\n"
+        "from simnfnd.models.denoise import command\n"
+        "from tests.models.denoise.test_resumed import Smoothing\n"
+        "at = int(sys.argv[1])\n"
+        "command.Denoiser = lambda *arguments, **named: Smoothing(at or None, 9)\n"
+        "sys.exit(command.main(sys.argv[2:]))\n"
+    )
+    words = [str(tmp_path / "a.avi"), "--frames", "3", "--geometry", "none", "--out"]
+
+    def run(at: int, out: str) -> subprocess.CompletedProcess[str]:
+        call = [sys.executable, script, str(at), *words, str(tmp_path / out)]
+        return subprocess.run(call, capture_output=True, text=True, env={**os.environ})
+
+    assert run(0, "whole").returncode == 0
+    for at in (25, 20):
+        assert run(at, "out").returncode == -signal.SIGKILL
+    last = run(0, "out")
+    assert last.returncode == 0, last.stderr
+    assert "goes on behind frame 32" in last.stdout
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+def test_a_recording_that_changed_begins_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As does one whose state is damaged, or whose frames are missing."""
+    source = tmp_path / "a.npy"
+    np.save(source, moving_scene())
+    out = tmp_path / "out"
+    words = [str(source), "--frames", "3", "--geometry", "none", "--out", str(out)]
+
+    def change_source(folder: Path) -> None:
+        np.save(source, moving_scene()[::-1])
+
+    def damage_state(folder: Path) -> None:
+        content = bytearray((folder / "state").read_bytes())
+        content[len(content) // 2] ^= 255
+        (folder / "state").write_bytes(content)
+
+    def lose_frames(folder: Path) -> None:
+        (folder / "frames").write_bytes(b"")
+
+    for change in (change_source, damage_state, lose_frames):
+        use(monkeypatch, Smoothing(25))
+        with pytest.raises(KeyboardInterrupt):
+            command.main([*words, "--again"])
+        (folder,) = (out / unfinished.FOLDER).iterdir()
+        change(folder)
+        anew = use(monkeypatch, Smoothing())
+        assert command.main(words) == 0
+        assert anew.count >= FRAMES - 1
+
+
+def test_states_hold_data_alone() -> None:
+    """No function is called by name, whoever wrote the file."""
+
+    class Evil:
+        def __reduce__(self) -> Any:
+            return os.system, ("true",)
+
+    with pytest.raises(ValueError, match="system"):
+        checkpoint.unpacked(checkpoint.packed(Evil()))
+    for damaged in (b"", checkpoint.packed([1, 2, 3])[:-1]):
+        with pytest.raises(ValueError, match="damaged"):
+            checkpoint.unpacked(damaged)
+
+
+def test_a_spool_forgets_what_was_cut_off(tmp_path: Path) -> None:
+    spool = Spool(tmp_path / "frames")
+    spool.append({"a": 1}, b"first")
+    spool.sync()
+    length = spool.length
+    spool.append({"a": 2}, memoryview(b"second"))
+    spool.close()
+    (tmp_path / "frames").open("ab").write(b"half")
+    again = Spool(tmp_path / "frames", length)
+    again.append({"a": 3}, b"third")
+    assert [(header["a"], content) for header, content in again] == [(1, b"first"), (3, b"third")]
+
+
+# --- A second run -------------------------------------------------------------------------------
+
+
+def rows_of(out: Path) -> dict[str, dict[str, str]]:
+    with (out / TABLE).open(newline="", encoding="utf-8") as file:
+        return {row["file"]: row for row in csv.DictReader(file)}
+
+
+def test_a_second_run_does_what_is_new_or_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in "abc":
+        np.save(tmp_path / f"{name}.npy", moving_scene(12))
+    out = tmp_path / "out"
+    rest = ["--frames", "3", "--geometry", "none", "--out", str(out)]
+
+    def run(names: str, *words: str) -> int:
+        denoiser = use(monkeypatch, Smoothing())
+        sources = [str(tmp_path / f"{name}.npy") for name in names]
+        assert command.main([*sources, *words, *rest]) == 0
+        return denoiser.count
+
+    one = run("a")
+    both = run("ab")
+    assert both == one
+    assert "already denoised: 1 file" in capsys.readouterr().out
+    assert run("ab") == 0
+    assert sorted(rows_of(out)) == ["a.npy", "b.npy"]
+    np.save(tmp_path / "a.npy", moving_scene(13))
+    assert one < run("abc") < 3 * one
+    (out / "b.npy").unlink()
+    assert run("abc") == one
+    assert run("abc", "--strength", "0.5") > 2 * one
+    assert run("abc", "--strength", "0.5", "--again") > 2 * one
+
+
+def test_a_new_image_changes_its_sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where neighbours count; alone, images are independent."""
+    frames = moving_scene(6)
+    folder = tmp_path / "in"
+    for window, expected in (("1", 1), ("3", 6)):
+        for number in range(5):
+            write(folder / f"f{number}.png", frames[number] / np.float32(255))
+        (folder / "f5.png").unlink(missing_ok=True)
+        words = [str(folder), "--frames", window, "--geometry", "none"]
+        words += ["--out", str(tmp_path / window)]
+        use(monkeypatch, Smoothing())
+        assert command.main(words) == 0
+        write(folder / "f5.png", frames[5] / np.float32(255))
+        denoiser = use(monkeypatch, Smoothing())
+        assert command.main(words) == 0
+        assert denoiser.count >= expected
+        assert (denoiser.count == 1) == (expected == 1)
+        assert len(rows_of(tmp_path / window)) == 6
+
+
+def test_the_table_says_what_became_of_each_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "a.npy", moving_scene(12))
+    write_video(tmp_path / "b.avi")
+    write_images(tmp_path / "c")
+    use(monkeypatch, Smoothing())
+    sources = [str(tmp_path / name) for name in ("a.npy", "b.avi", "c")]
+    out = tmp_path / "out"
+    words = ["--frames", "3", "--geometry", "none", "--out", str(out)]
+    assert command.main([*sources, *words]) == 0
+    rows = rows_of(out)
+    assert len(rows) == 2 + FRAMES
+    assert rows["a.npy"]["frames"] == "12"
+    assert rows["b.avi"]["colour_maps"] == "jet"
+    assert rows["b.avi"]["repeated_frames"] == "1"
+    assert 1 < float(rows["f00.png"]["fused_frames"]) <= 3
+    assert rows["a.npy"]["strength_measured_on"] in ("1", "2")
+    assert "too few" in rows["a.npy"]["warnings"]
+    assert rows["b.avi"]["warnings"] == ""
+    said = capsys.readouterr().out.splitlines()
+    for name in ("a.npy: 12 frames", "b.avi: 44 frames", "f00.png to f43.png: 44 frames"):
+        assert sum(line.startswith(name) for line in said) == 1
