@@ -146,7 +146,7 @@ class VideoPackets:
         self._keep = keep
         self._writer: _StreamWriter | None = None
         self._output: Any = None
-        self._last_tick = -1
+        self._last_tick: int | None = None
         self._count = 0
         self.size: tuple[int, int] | None = None
 
@@ -182,7 +182,8 @@ class VideoPackets:
         writer = _StreamWriter(
             self._av, self._output, self._codec, self._video, size, self._keep_packet
         )
-        writer.last_tick = self._last_tick
+        if self._last_tick is not None:
+            writer.last_tick = self._last_tick
         return writer
 
     def _keep_packet(self, packet: Any) -> None:
@@ -249,7 +250,7 @@ class _StreamWriter:
         self.stream = stream
         # Matroska alone may show two frames at one time.
         self._least_step = 0 if output.format.name in _EQUAL_TIMES else 1
-        self._last_tick = -self._least_step
+        self.last_tick = -self._least_step
         self._durations: dict[int, int] = {}
 
     def write(self, number: int, timed: TimedImage) -> None:

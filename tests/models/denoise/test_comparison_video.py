@@ -14,7 +14,7 @@ import pytest
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise.comparison_video import comparison_video
 from simnfnd.models.denoise.writers import CAPTION_PX
-from tests.models.denoise.untrained import main
+from tests.models.denoise.untrained import main, results_in
 from tests.models.recordings.recording_files import pings, write_aris
 
 Image = npt.NDArray[Any]
@@ -38,7 +38,7 @@ def test_a_recording_becomes_a_video_of_both(tmp_path: Path) -> None:
     out = tmp_path / "out"
     talk = tmp_path / "talk.mp4"
     assert main([str(tmp_path / "a.aris"), "--out", str(out), "--compare", str(talk)]) == 0
-    assert [path.name for path in out.iterdir()] == ["a.aris"], "no sheet beside it"
+    assert results_in(out) == ["a.aris"], "no sheet beside it"
     codec, images, times_s = decoded(talk)
     assert (codec.name, codec.pix_fmt) == ("h264", "yuv420p")
     assert len(images) == 4

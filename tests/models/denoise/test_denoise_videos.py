@@ -19,7 +19,7 @@ from simnfnd.models.denoise.writers import write_frames
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.videos import VideoFile, VideoProperties, widened
 from tests.models.adapt.scenes import noisy, scene
-from tests.models.denoise.untrained import main, through_network
+from tests.models.denoise.untrained import main, results_in, through_network
 from tests.models.recordings.video_files import decoded, encode
 from tests.small_dataset import fan_images
 
@@ -61,7 +61,7 @@ def test_a_video_keeps_its_container_and_its_times(
         assert result.shape == original.shape
         assert np.abs(result - through_network(weights, original / 255.0) * 255).max() <= 0.51
     assert (out / "compare" / f"{name}.png").is_file()
-    assert sorted(entry.name for entry in out.iterdir()) == sorted(["compare", name])
+    assert results_in(out) == ["compare", name]
 
 
 @pytest.mark.parametrize("suffix", CONTAINERS)
@@ -167,7 +167,7 @@ def test_what_webm_cannot_hold_becomes_matroska_and_says_so(
     )
     path = path.rename(tmp_path / "a.webm")
     assert main([str(path), "--out", str(tmp_path / "out"), "--weights", "x"]) == 0
-    assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["a.webm.mkv"]
+    assert results_in(tmp_path / "out") == ["a.webm.mkv"]
     assert "written as a.webm.mkv" in capsys.readouterr().err
 
 

@@ -13,6 +13,8 @@ import torch
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.images import Grey
+from simnfnd.models.denoise.journal import JOURNAL_NAME
+from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 
@@ -46,6 +48,12 @@ def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.fl
 def main(words: Sequence[str]) -> int:
     """`simnfnd denoise`, each frame alone, so that its result is easy to predict."""
     return command.main([*words, "--frames", "1"])
+
+
+def results_in(out: Path) -> list[str]:
+    """Names in an output folder, but for what a run notes about them."""
+    names = sorted(path.name for path in out.iterdir())
+    return [name for name in names if name not in (JOURNAL_NAME, TABLE)]
 
 
 class Halving:
