@@ -1,7 +1,8 @@
 """Measure the figures of README.md anew: `python -m tools.readme_figures`.
 
-It runs the commands that README.md names, keeps what they say in docs/figures.json, writes the
-lines of README.md and paper/paper.md between two marks and draws docs/images/in-time.png.
+It runs the commands that README.md names, keeps their figures in docs/figures.json, writes tables
+between two marks of README.md, paper/paper.md and two pages of the docs, and draws
+docs/images/in-time.png.
 `--reports FOLDER` takes the reports that lie in FOLDER/real, FOLDER/detect and FOLDER/groups;
 what is absent is measured.  `--groups FOLDER`: the static groups of the Marine Debris Dataset;
 without them their figures stay as they are.
@@ -30,6 +31,9 @@ EXAMPLE = ROOT / "examples" / "didson" / "lamprey.avi"
 FIGURES = ROOT / "docs" / "figures.json"
 README = ROOT / "README.md"
 PAPER = ROOT / "paper" / "paper.md"
+EVALUATION = ROOT / "docs" / "evaluation.md"
+RECORDINGS = ROOT / "docs" / "how-to" / "recordings.md"
+SPEED = ROOT / "docs" / "speed.md"
 IMAGE = ROOT / "docs" / "images" / "in-time.png"
 MARKS = "<!-- figures: python -m tools.readme_figures -->", "<!-- /figures -->"
 
@@ -38,7 +42,9 @@ COMMANDS = {
     "detect": "simnfnd evaluate detect examples/didson/lamprey.avi",
     "groups": "simnfnd evaluate real mdd-groups models=[simnfnd]",
 }
+SPEED_COMMAND = "python -m benchmarks command --frame FLSEA"
 
+_GAUSSIAN = "gaussian (sigma_px=1.5)"
 _KEPT_DIGITS = 7  # of which the lines show three at most: rounded once, as in the reports
 
 _PROBE_FRAMES = range(11, 26)  # of the example
@@ -104,34 +110,131 @@ def measured(reports: Path, groups: Path | None, before: Mapping[str, Any]) -> F
     return figures
 
 
-def lines_of(figures: Mapping[str, Any]) -> str:
-    """The lines of README.md between its marks."""
+def tables(figures: Mapping[str, Any]) -> dict[Path, str]:
+    """Page -> the table between its marks."""
+    readme = readme_table(figures)
+    return {
+        README: readme,
+        PAPER: without_links(readme),
+        EVALUATION: targets_table(figures),
+        RECORDINGS: in_time_table(figures),
+    }
+
+
+def readme_table(figures: Mapping[str, Any]) -> str:
+    """The five figures of README.md."""
     real = figures["real"]
-    targets = figures["detect"]
-    groups = figures["groups"]
     static = real["static"]
     moving = real["moving"]
-    recorded = targets["recorded"]
-    gaussian = targets["gaussian (sigma_px=1.5)"]
-    single = targets["simnfnd, single frames"]
-    in_time = targets["simnfnd, 7 frames"]
-    return f"""\
-- **Recordings** (`{COMMANDS["real"]}`). On a DIDSON recording that no weights learned from, `simnfnd denoise` reaches {_scores(static["simnfnd: fused and denoised"])} against frames outside its window; the mean of seven frames with tuned total variation {_scores(static["registered mean of 7 + tuned TV"])}, `simnfnd` on single frames {_scores(static["simnfnd: one frame"])}. Under a moving sonar it keeps {_scores(moving["simnfnd: fused and denoised"])}; the mean of seven falls to {moving["mean of 7 + tuned TV"]["psnr_db"]:.1f} dB, and reaches {_scores(moving["registered mean of 7 + tuned TV"])} where whole frames are registered first. The recording was in sight during development. [Recordings](docs/how-to/recordings.md)
-- **Moving targets** (`{COMMANDS["detect"]}`). Of the contrast of small and large targets inserted into that recording, `simnfnd denoise` retains {_share(in_time["contrast"])} and single frames (`--frames 1`) {_share(single["contrast"])}; a Gaussian of 1.5 px {_share(gaussian["contrast"])}. A matched filter's AUC is {in_time["auc"]:.3f} and {single["auc"]:.3f} (recorded: {recorded["auc"]:.3f}); at one false alarm per frame {_share(in_time["detection"])} and {_share(single["detection"])} of the targets are detected (recorded: {_share(recorded["detection"])}). [Moving targets](docs/evaluation.md#moving-targets)
-- **Single frames** (`{COMMANDS["groups"]}`). On 19 nearly static groups of a real ARIS (Marine Debris Dataset, development data) `simnfnd` reaches {_scores(groups["simnfnd"])}; {groups["best"].split()[0].upper()}, the best filter, tuned on other groups, {_scores(groups[groups["best"]])}. [Evaluation](docs/evaluation.md)
-"""  # noqa: E501
+    targets = figures["detect"]
+    groups = figures["groups"]
+    best = groups["best"]
+    rows = [
+        [
+            "[Recording, static scene](docs/how-to/recordings.md#figures): PSNR / SSIM",
+            _scores(static["simnfnd: fused and denoised"]),
+            f"{_scores(static['mean of 7 + tuned TV'])} (mean of 7 frames + TV), "
+            f"{_scores(static['simnfnd: one frame'])} (single frames)",
+            f"`{COMMANDS['real']}`",
+        ],
+        [
+            "Recording, moving sonar: PSNR / SSIM",
+            _scores(moving["simnfnd: fused and denoised"]),
+            f"{_scores(moving['registered mean of 7 + tuned TV'])} (registered mean + TV), "
+            f"{_scores(moving['mean of 7 + tuned TV'])} (not registered)",
+            "the same",
+        ],
+        [
+            "[Contrast retained](docs/evaluation.md#moving-targets) for inserted targets",
+            _share(targets["simnfnd, 7 frames"]["contrast"]),
+            f"{_share(targets['simnfnd, single frames']['contrast'])} (single frames), "
+            f"{_share(targets[_GAUSSIAN]['contrast'])} (Gaussian of 1.5 px)",
+            f"`{COMMANDS['detect']}`",
+        ],
+        [
+            "[Single frames](docs/evaluation.md#real-images) of an ARIS: PSNR / SSIM",
+            _scores(groups["simnfnd"]),
+            f"{_scores(groups[best])} ({best.split()[0].upper()}, the best tuned filter)",
+            f"`{COMMANDS['groups']}`",
+        ],
+        [
+            "[CPU time](docs/speed.md) of a cold FLSea pair in closed form",
+            f"1/{_rounded_times_less()}",
+            "1 (the paper's recipe taken literally)",
+            f"`{SPEED_COMMAND}`",
+        ],
+    ]
+    return _table(["figure", "SimNFND", "for comparison", "measured by"], rows)
 
 
-def without_links(lines: str) -> str:
-    """The lines for a page that stands alone: without the link that ends each."""
-    return re.sub(r" \[[^\]]+\]\([^)]+\)$", "", lines, flags=re.MULTILINE)
+def targets_table(figures: Mapping[str, Any]) -> str:
+    """What denoising leaves of targets inserted into the recording that ships."""
+    labels = {
+        "recorded": "as recorded",
+        "simnfnd, 7 frames": "`simnfnd denoise` (7 frames)",
+        "simnfnd, single frames": "`--frames 1`",
+        _GAUSSIAN: "Gaussian of 1.5 px",
+    }
+    rows = []
+    for row, label in labels.items():
+        scores = figures["detect"][row]
+        contrast = _share(scores["contrast"])
+        rows.append([label, contrast, f"{scores['auc']:.3f}", _share(scores["detection"])])
+    return _table(["", "contrast", "AUC", "detection"], rows, numbers_from=1)
 
 
-def with_lines(readme: str, lines: str) -> str:
+def in_time_table(figures: Mapping[str, Any]) -> str:
+    """PSNR and SSIM of the recording that ships, for a sonar at rest and a moving one."""
+    real = figures["real"]
+    labels = {
+        "simnfnd: one frame": "`--frames 1`",
+        "fused": "7 frames, fused alone",
+        "simnfnd: fused and denoised": "`simnfnd denoise` (7 frames)",
+        "mean of 7": "mean of 7 frames",
+        "mean of 7 + tuned TV": "mean of 7 frames + tuned TV",
+        "registered mean of 7 + tuned TV": "registered mean of 7 frames + tuned TV",
+    }
+    rows = [
+        [label, _scores(real["static"][row]), _scores(real["moving"][row])]
+        for row, label in labels.items()
+    ]
+    return _table(["PSNR / SSIM", "sonar at rest", "moving sonar"], rows, numbers_from=1)
+
+
+def _table(heading: list[str], rows: list[list[str]], numbers_from: int | None = None) -> str:
+    """A Markdown table; columns from `numbers_from` on are aligned to the right."""
+    right = len(heading) if numbers_from is None else numbers_from
+    rule = ["---"] * right + ["---:"] * (len(heading) - right)
+    lines = [f"| {' | '.join(cells)} |" for cells in (heading, *rows)]
+    lines.insert(1, f"|{'|'.join(rule)}|")
+    return "\n".join(lines) + "\n"
+
+
+def row_figures(page: Path, heading: str, label: str) -> list[str]:
+    """The last two figures of a row of the table under a heading; of a cell the first."""
+    table = page.read_text(encoding="utf-8").split(f"\n{heading}\n")[1].split("\n\n")[0]
+    (row,) = re.findall(rf"^\| {re.escape(label)} \|(.*)\|$", table, re.M)
+    cells = [cell.split("(")[0].split("/")[0].strip() for cell in row.split("|")]
+    return [cell for cell in cells if re.fullmatch(r"\d*\.\d+|\d+", cell)][-2:]
+
+
+def _rounded_times_less() -> int:
+    """How many times less CPU a cold FLSea frame takes, from the table of docs/speed.md."""
+    heading = "| | CPU s | times less | three runs |"
+    median = row_figures(SPEED, heading, "FLSea, closed form, cold")[-1]
+    return 10 * round(float(median) / 10)
+
+
+def without_links(text: str) -> str:
+    """The text of all links, for a page that stands alone."""
+    return re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", text)
+
+
+def with_lines(page: str, lines: str) -> str:
     """A page with these lines between its marks."""
     first, last = MARKS
     pattern = re.compile(f"{re.escape(first)}\n.*?{re.escape(last)}", re.DOTALL)
-    return pattern.sub(lambda _: f"{first}\n{lines}{last}", readme)
+    return pattern.sub(lambda _: f"{first}\n{lines}{last}", page)
 
 
 def draw_image() -> None:
@@ -211,6 +314,13 @@ def _share(value: float) -> str:
     return f"{100 * value:.0f} %"
 
 
+def write_tables(figures: Mapping[str, Any]) -> None:
+    """Write the tables of all pages."""
+    for page, table in tables(figures).items():
+        text = page.read_text(encoding="utf-8")
+        page.write_text(with_lines(text, table), encoding="utf-8")
+
+
 def main() -> None:
     """Measure, and write all files."""
     parser = argparse.ArgumentParser(prog="python -m tools.readme_figures")
@@ -221,12 +331,9 @@ def main() -> None:
     figures = measured(chosen.reports, chosen.groups, before)
     content = json.dumps({"commands": COMMANDS, "figures": figures}, indent=1)
     FIGURES.write_text(content + "\n", encoding="utf-8")
-    readme = README.read_text(encoding="utf-8")
-    README.write_text(with_lines(readme, lines_of(figures)), encoding="utf-8")
-    paper = PAPER.read_text(encoding="utf-8")
-    PAPER.write_text(with_lines(paper, without_links(lines_of(figures))), encoding="utf-8")
+    write_tables(figures)
     draw_image()
-    print(lines_of(figures))
+    print(readme_table(figures))
 
 
 if __name__ == "__main__":
