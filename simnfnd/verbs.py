@@ -111,11 +111,13 @@ VERBS: dict[str, Verb] = {
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
     ),
     "export": Verb(
-        PASS_ON, "a dataset for other programs: Hugging Face, COCO, MCAP, PLY and more",
-        f"{_COMMANDS}.export:main",
+        PASS_ON, "a dataset (Hugging Face, COCO, MCAP, PLY ...) or a recording (mp4, png, csv)",
+        "simnfnd.models.exporting.recordings:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
             "simnfnd export outputs/labelled --to coco --out outputs/coco",
+            "simnfnd export dive.aris --to mp4 --out talk.mp4",
+            "simnfnd export outputs/denoised/dive.aris --to csv --out frames.csv",
         ),
     ),
     "train": Verb(

@@ -141,7 +141,7 @@ def side_by_side(panels: Mapping[str, Pixels]) -> Pixels:
 def _joined(panels: Mapping[str, Pixels]) -> Pixels:
     """Panels from left to right with gaps between."""
     gap = np.full((len(next(iter(panels.values()))), _GAP_PX, 3), 128, np.uint8)
-    parts = [part for panel in panels.values() for part in (gap, _shown(panel))]
+    parts = [part for panel in panels.values() for part in (gap, in_colour(panel))]
     return np.hstack(parts[1:])
 
 
@@ -155,8 +155,8 @@ def _write_caption(header: Pixels, caption: str, left: int, width: int) -> None:
     cv2.putText(header, caption, position, font, scale, white, 1, cv2.LINE_AA)
 
 
-def _shown(image: Pixels) -> Pixels:
-    """As (H, W, 3) uint8."""
+def in_colour(image: Pixels) -> Pixels:
+    """An image, uint8, uint16 or float in 0..1, as (H, W, 3) uint8."""
     full = 1.0 if image.dtype.kind == "f" else FULL_SCALE[str(image.dtype)]
     levels = np.rint(np.clip(image / full, 0, 1) * 255).astype(np.uint8)
     return levels[..., :3] if levels.ndim == 3 else np.repeat(levels[..., None], 3, axis=2)
