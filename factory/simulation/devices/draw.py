@@ -308,16 +308,27 @@ def _log_transfer(
 
 def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
     """The effects of the device's formation that are on in this image."""
-    points = device.formation == "pointwise"
-    drawn = device.values
     changed: dict[str, EffectSettings] = {}
     for name, block in blocks(noise).items():
-        effect = EFFECTS[name]
-        odd = "odd_share" in drawn and effect.artefact in _ODD and not points
-        on = block.enabled and not drawn.get("quiet_share", 0.0)
-        if "field_share" in drawn:
-            on &= (effect.stage == "points") == points
-        on &= device.coins[name] or not (drawn.get("fewer_share", 0.0) or odd)
-        on &= not odd or bool(drawn["odd_share"])
-        changed[name] = replace(block, enabled=on)
+        is_on = block.enabled and _is_drawn(name, device)
+        changed[name] = replace(block, enabled=is_on)
     return with_blocks(noise, changed)
+
+
+def _is_drawn(name: str, device: Device) -> bool:
+    """Whether the device shows the effect in this image.
+
+    Quiet images have no effect at all.  A coin decides where an image has fewer effects, and always
+    for an odd artefact, which only images with odd artefacts have.
+    """
+    effect = EFFECTS[name]
+    drawn = device.values
+    is_pointwise = device.formation == "pointwise"
+    has_own_noise = "field_share" in drawn
+    if has_own_noise and (effect.stage == "points") != is_pointwise:
+        return False
+    if drawn.get("quiet_share", 0.0):
+        return False
+    if "odd_share" in drawn and effect.artefact in _ODD and not is_pointwise:
+        return bool(drawn["odd_share"]) and device.coins[name]
+    return device.coins[name] or not drawn.get("fewer_share", 0.0)

@@ -176,20 +176,73 @@ def _ground_step_m(step_m: Any, neighbour_m: Any) -> Any:
 
 
 @compiled()
+def _is_one_surface(nearer_m: Any, step_m: Any, step_above_m: Any, step_below_m: Any) -> Any:
+    """Whether a pixel and the one below it show one surface.
+
+    The ground far away is a run of large steps in depth; an outline is a single one.
+
+    nearer_m: the smaller depth of the two.  step_m: from the pixel to the one below.
+    step_above_m, step_below_m: the steps before and after it.
+    """
+    size_m = abs(step_m)
+    run_m = max(step_above_m, step_below_m) if step_m > 0 else -min(step_above_m, step_below_m)
+    is_sloping = size_m < _LARGE_STEP * nearer_m and size_m < _SLOPE_CHANGE * run_m
+    return size_m < _SMALL_STEP * nearer_m or is_sloping
+
+
+@compiled()
+def _interpolated(table: Any, place: Any, last_step: Any) -> Any:
+    """Value of a table between its entries, linearly; place: index with its fraction."""
+    step = _bounded(place, last_step)
+    lower = table[step]
+    upper = table[step + 1]
+    return lower + (place - np.float32(step)) * (upper - lower)
+
+
+@compiled()
+def _chance_of(pixel: Any) -> Any:
+    """A number from 0 to 1 that belongs to the pixel: multiplicative hashing (Knuth)."""
+    chance = np.float32(np.int32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8))
+    return np.float32(chance * np.float32(2.0**-24))
+
+
+@compiled()
+def _density_tilt(
+    value: Any, value_below: Any, step_m: Any, step_above_m: Any, step_below_m: Any
+) -> Any:
+    """How the power density changes from a pixel to the one below it; see `_share_before`.
+
+    At each of the two rows the density is that row's power over its own step in depth.
+    """
+    size_m = abs(step_m)
+    ratio = value_below / value
+    ratio *= (_ground_step_m(step_m, step_above_m) + size_m) / max(
+        _ground_step_m(step_m, step_below_m) + size_m, _TINY
+    )
+    ratio = min(max(ratio, _ONE / _MOST_CHANGE), _MOST_CHANGE)
+    return (ratio - _ONE) / (ratio + _ONE) if value_below > _ZERO else _ZERO
+
+
+@compiled()
 def _share_before(part: Any, tilt: Any) -> Any:
     """Share of a pixel's power in its first part, 0 to 1; its density is 1 + tilt (2 part - 1)."""
     return part * (_ONE + tilt * (part - _ONE))
 
 
 @compiled()
-def _row(
-    depth_m: Floats, radiance: Floats, across: Floats, b: float, rotation: Floats,
+def _project_row(
+    depth_m: Floats, radiance: Floats, across: Floats, down: float, rotation: Floats,
     position_m: Floats, ground_up: Floats, near_m: Any, bins_per_m: Any, columns_out: Floats,
 ) -> None:  # fmt: skip
-    """Of a row of pixels what a processor does for many at once; columns_out: (4, W) out.
+    """Bearing, elevation, range bin and echo power of a row of camera pixels.
 
-    Sines of bearing (inf behind the sonar) and elevation, range bin, radiance times solid angle.
+    Apart from the loop that places scatterers, so that a processor does several pixels at once.
+
+    depth_m, radiance, across: (W,) of the row; down: its direction, (v - cy) / fy.
+    rotation, position_m: sonar axes from camera axes.
     ground_up: the sonar's upward axis in camera axes where ranges count along the ground, else 0.
+    columns_out: (4, W) out: sine of the bearing (inf behind the sonar), sine of the elevation,
+    range bin with its fraction, radiance times the pixel's solid angle.
     """
     # Local names: the compiler then knows that what it writes changes none of them.
     a0 = rotation[0, 0]
@@ -215,7 +268,7 @@ def _row(
         a = across[column]
         z = depth_m[column]
         x_ = a * z - px
-        y_ = b * z - py
+        y_ = down * z - py
         z_ = z - pz
         x = a0 * x_ + a1 * y_ + a2 * z_
         y = b0 * x_ + b1 * y_ + b2 * z_
@@ -226,7 +279,7 @@ def _row(
         up = g0 * x_ + g1 * y_ + g2 * z_
         square_m2 = x_ * x_ + y_ * y_ + z_ * z_ - up * up
         start[column] = (np.sqrt(max(square_m2, _ZERO)) - near_m) * bins_per_m
-        square = _ONE / (_ONE + a * a + b * b)
+        square = _ONE / (_ONE + a * a + down * down)
         value[column] = radiance[column] * square * np.sqrt(square)
 
 
@@ -282,7 +335,7 @@ def place_scatterers(
     count = 0
     for row in range(-1, height):
         under = min(row + 1, height - 1)
-        _row(
+        _project_row(
             depth_m[under], radiance[under], across, down[under], rotation, position_m, ground_up,
             near_m, bins_per_m, row_columns[(row + 1) & 1],
         )  # fmt: skip
@@ -297,17 +350,12 @@ def place_scatterers(
             z = depth_m[row, column]
             if not (value > _ZERO and low <= bearing and bearing < high):
                 continue
-            # The ground far away is a run of large steps; an outline is a single one.
             start = end = starts[column]
             z_below = depth_m[under, column]
-            nearer_m = min(z, z_below)
             step_m = z_below - z
-            size_m = abs(step_m)
-            first_m = z - depth_m[max(row - 1, 0), column]
-            next_m = depth_m[min(row + 2, height - 1), column] - z_below
-            run_m = max(first_m, next_m) if step_m > 0 else -min(first_m, next_m)
-            sloping = size_m < _LARGE_STEP * nearer_m and size_m < _SLOPE_CHANGE * run_m
-            if size_m < _SMALL_STEP * nearer_m or sloping:
+            step_above_m = z - depth_m[max(row - 1, 0), column]
+            step_below_m = depth_m[min(row + 2, height - 1), column] - z_below
+            if _is_one_surface(min(z, z_below), step_m, step_above_m, step_below_m):
                 end = below[column]
             near = min(start, end)
             far = max(start, end)
@@ -317,20 +365,14 @@ def place_scatterers(
             while bearing >= edges[beam + 1]:
                 beam += 1
             central = abs(sines[column]) <= widest_sine
-            along = (sines[column] + _ONE) * half_steps
-            step = _bounded(along, last_step)
-            lower = pattern[step]
-            upper = pattern[step + 1]
-            value *= lower + (along - np.float32(step)) * (upper - lower)
+            value *= _interpolated(pattern, (sines[column] + _ONE) * half_steps, last_step)
             label = np.int64(labels[row, column]) if labels.shape[0] else 0
             value *= reflectivity[min(label, last_label)]
             if factor.shape[0]:
                 value *= factor[row, column]
             pixel = row * width + column
             span = far - near
-            # A number of 0 to 1 that belongs to the pixel.
-            chance = np.float32(np.int32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8))
-            chance *= np.float32(2.0**-24)
+            chance = _chance_of(pixel)
             if span <= _ONE and near >= _ZERO and far < beyond:
                 # Most pixels: one bin, or parts of two.
                 first = _bounded(near, last_row)
@@ -349,13 +391,9 @@ def place_scatterers(
                 part_of[count] = chance if end != start else _ZERO
                 count += 1
                 continue
-            # At the next row the density is that one's power over its own step.
-            ratio = value_below[column] / values[column]
-            ratio *= (_ground_step_m(step_m, first_m) + size_m) / max(
-                _ground_step_m(step_m, next_m) + size_m, _TINY
+            tilt = _density_tilt(
+                values[column], value_below[column], step_m, step_above_m, step_below_m
             )
-            ratio = min(max(ratio, _ONE / _MOST_CHANGE), _MOST_CHANGE)
-            tilt = (ratio - _ONE) / (ratio + _ONE) if value_below[column] > _ZERO else _ZERO
             per_row = _ONE / (end - start) if end != start else _ZERO
             for bin_row in range(int(max(near, _ZERO)), min(int(far), rows - 1) + 1):
                 first_part = (max(near, np.float32(bin_row)) - start) * per_row
@@ -506,8 +544,9 @@ def count_cells(
             at = np.uint32(i)
             name = sorted_[at, 0]
             slot = sorted_[at, 1]
-            # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
-            # two branches.  Whether a cell is new is unpredictable, and a wrong guess costs much.
+            # Linear probing: go on while the slot is taken (its count is not 0) by another cell
+            # (its name differs).  The product says both at once; `and` would become two branches,
+            # and whether a cell is new is unpredictable, so that wrong guesses would cost much.
             while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
                 slot = np.uint32(slot + _9) & mask
             table[slot, 0] = name

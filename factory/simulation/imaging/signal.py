@@ -166,9 +166,9 @@ class Ping:
         curve = self.sonar.transfer
         if curve.full_scale_db is not None:
             return float((10 ** (curve.full_scale_db / 20)) ** 2)
-        # Bins that hold an echo alone say how bright the image is shown.
-        holding = (self.scatterers.power > 0) & polar.seen_beams(self.window, self.sonar)
-        level = np.where(holding, np.sqrt(self.expected * self.gain[:, None]), np.float32(0))
+        # Only bins with an echo decide how bright the image is; the blur around them does not.
+        has_echo = (self.scatterers.power > 0) & polar.seen_beams(self.window, self.sonar)
+        level = np.where(has_echo, np.sqrt(self.expected * self.gain[:, None]), np.float32(0))
         return transfer.full_scale(self.averaged(level), curve) ** 2
 
     def averaged(self, amplitude: Floats) -> Floats:
@@ -265,25 +265,51 @@ def mixing(sonar: SonarSettings) -> Floats:
     return array.beam_mixing(sonar.beam_centres_rad(), sonar.array)
 
 
-@lru_cache(maxsize=16)
-def matrices(sonar: SonarSettings, power: bool) -> tuple[tuple[Floats, ...], ...]:
-    """The mixing of amplitudes or, squared, of intensities: matrices whose product it is.
+class HalfMixing(NamedTuple):
+    """The mixing of one half of the beams, as a product of one or two matrices.
+
+    into: (n, m), or (n, modes) where `out_of`, (modes, m), follows.
+    """
+
+    into: Floats
+    out_of: Floats | None = None
+
+    @property
+    def is_factored(self) -> bool:
+        """Whether two matrices make the product."""
+        return self.out_of is not None
+
+
+class BeamMixing(NamedTuple):
+    """The device's mixing of its beams.
 
     A device whose left is the mirror of its right mixes the sums of mirrored beams with one matrix
-    and their differences with another, each of half the size (errors: 2e-7 of the row's strongest
-    number).  Other devices have the whole matrix alone.
+    and their differences with another, each of half the size.  Other devices have no differences:
+    `sums` is then the whole matrix.
+    """
+
+    sums: HalfMixing
+    differences: HalfMixing | None = None
+
+
+@lru_cache(maxsize=16)
+def matrices(sonar: SonarSettings, power: bool) -> BeamMixing:
+    """The mixing of amplitudes or, squared, of intensities.
+
+    Halves cost an error of 2e-7 of the row's strongest number.
 
     An aperture of L wavelengths tells apart about 2 L sin(hfov / 2) directions.  With more beams
     than that, each half is (beams / 2, modes) times (modes, beams / 2), of amplitudes, where this
     saves work (errors: 1e-5).  Rows and columns are filled up with zeros to multiples of 4.
     """
     halves = _halves(mixing(sonar).astype(np.float64) ** (2 if power else 1))
-    parts: list[tuple[Matrix, ...]] = [(half,) for half in halves]
-    if len(halves) == 2 and not power:
-        factored = [factors(half, int(_WORTH_IT * len(half))) for half in halves]
-        parts = [both for both in factored if both is not None]
-        parts = parts if len(parts) == 2 else [(half,) for half in halves]
-    return tuple(tuple(map(_filled_up, part)) for part in parts)
+    whole = [HalfMixing(_filled_up(half)) for half in halves]
+    if len(halves) == 1 or power:
+        return BeamMixing(*whole)
+
+    factored = [factors(half, int(_WORTH_IT * len(half))) for half in halves]
+    products = [HalfMixing(*map(_filled_up, both)) for both in factored if both is not None]
+    return BeamMixing(*(products if len(products) == len(halves) else whole))
 
 
 def factors(matrix: Matrix, most: int) -> tuple[Matrix, Matrix] | None:
@@ -328,27 +354,30 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
     kernel: range response.  power: whether the planes are intensities, and not amplitudes.
     """
     rows, beams = planes.shape[-2:]
-    parts = matrices(sonar, power)
+    mixing_of_beams = matrices(sonar, power)
+    halves = [half for half in mixing_of_beams if half is not None]
+    pairs = beams // 2 if mixing_of_beams.differences else 0
     out = np.empty_like(planes)
-    pairs = beams // 2 if len(parts) == 2 else 0
     for plane, blurred_plane in zip(
         planes.reshape(-1, rows, beams), out.reshape(-1, rows, beams), strict=True
     ):
         # There are fewer modes than beams, so the pulse goes between their factors.
-        along_pulse = along_range(plane, kernel) if len(parts[0]) == 1 else plane
-        mixed = []
-        folded = _fold(along_pulse, pairs, len(parts[0][0]))
-        for part, (into, *out_of) in zip(folded, parts, strict=True):
-            mixed_half = _times(part, into)
-            mixed.append(
-                _times(along_range(mixed_half, kernel), out_of[0]) if out_of else mixed_half
-            )
-        alike = mixed[0][:rows]
-        unlike = mixed[-1][:rows, :pairs]
-        blurred_plane[:, :pairs] = alike[:, :pairs] + unlike
-        blurred_plane[:, beams - pairs :] = (alike[:, :pairs] - unlike)[:, ::-1]
-        blurred_plane[:, pairs : beams - pairs] = alike[:, pairs : beams - pairs]
+        is_factored = halves[0].is_factored
+        pulsed = plane if is_factored else along_range(plane, kernel)
+        folded = _fold(pulsed, pairs, len(halves[0].into))
+        mixed = [_mix_half(part, half, kernel) for part, half in zip(folded, halves, strict=True)]
+        sums = mixed[0][:rows]
+        differences = mixed[-1][:rows, :pairs]
+        blurred_plane[:, :pairs] = sums[:, :pairs] + differences
+        blurred_plane[:, beams - pairs :] = (sums[:, :pairs] - differences)[:, ::-1]
+        blurred_plane[:, pairs : beams - pairs] = sums[:, pairs : beams - pairs]
     return out
+
+
+def _mix_half(part: Floats, half: HalfMixing, kernel: Floats) -> Floats:
+    """One half of the beams mixed; the pulse is applied here where the mixing has two factors."""
+    modes = _times(part, half.into)
+    return modes if half.out_of is None else _times(along_range(modes, kernel), half.out_of)
 
 
 def along_range(plane: Floats, kernel: Floats) -> Floats:

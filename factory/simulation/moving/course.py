@@ -139,14 +139,17 @@ class RecordedPath:
         if not times_s[0] <= time_s <= times_s[-1]:
             return None
         place_m = np.array([np.interp(time_s, times_s, axis) for axis in places_m.T])
-        unwrapped = np.unwrap(np.deg2rad(angles_deg), axis=0)
-        yaw, pitch, roll = (float(np.interp(time_s, times_s, axis)) for axis in unwrapped.T)
+        angles_rad = np.unwrap(np.deg2rad(angles_deg), axis=0)
+        yaw, pitch, roll = (float(np.interp(time_s, times_s, axis)) for axis in angles_rad.T)
         # Yaw turns left, pitch looks down, roll lowers the right side, as of `scenes.path`.
-        own = rotation("zyx", yaw, pitch, roll)
-        place_m = place_m + (own * np.asarray(self.offset_m)).sum(axis=1)
-        level = (self.origin.rotation * place_m).sum(axis=1)
-        turned = (self.origin.rotation[:, :, None] * own[None]).sum(axis=1)
-        return Placement(level + self.origin.position_m, turned)
+        path_from_object = rotation("zyx", yaw, pitch, roll)
+
+        # Sums instead of matrix products, whose rounding depends on the processor.
+        world_from_path = self.origin.rotation
+        place_m = place_m + (path_from_object * np.asarray(self.offset_m)).sum(axis=1)
+        place_in_world_m = (world_from_path * place_m).sum(axis=1) + self.origin.position_m
+        world_from_object = (world_from_path[:, :, None] * path_from_object[None]).sum(axis=1)
+        return Placement(place_in_world_m, world_from_object)
 
 
 def velocity_m_s(course: Course, time_s: float) -> Points:

@@ -50,8 +50,11 @@ class StaticScene:
         self.name = name
         self._held: tuple[object, Any] = (None, None)
 
-    def equal(self, scene: SceneType, made_by: object) -> SceneType:
-        """The held scene, if it was made by equal settings; else `scene`, which is then held."""
+    def held_scene(self, scene: SceneType, made_by: object) -> SceneType:
+        """The scene held so far, if equal settings made it; else `scene`, held from then on.
+
+        made_by: the settings that made `scene`.
+        """
         if self._held[0] != made_by:
             self._held = made_by, scene
         held: SceneType = self._held[1]

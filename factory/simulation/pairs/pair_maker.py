@@ -286,7 +286,7 @@ def _held_static_scene(
     if moment.static is None:
         return scene
     settings = (window, config.sonar, config.water, config.acoustics, config.resample)
-    return moment.static.equal(scene, settings)
+    return moment.static.held_scene(scene, settings)
 
 
 def _with_bodies(moment: Moment, window: Window, config: FactoryConfig) -> surface.LitSurface:

@@ -96,77 +96,97 @@ def joints(depth_m: Any, edge_ratio: Any) -> Any:
 
 @compiled()
 def _normals(grid: Any, row: Any, out: Any) -> None:
-    """Fill the first three of `out` (6, W) with unit normals of a row, towards the camera.
+    """Unit normals of a row of pixels, towards the camera.
 
-    By central differences over the neighbours joined to a pixel, one-sided next to an edge.  With
-    neighbours along one direction alone, its surface faces the camera as nearly as that allows; 0
-    without any.  row: without the border.
+    Tangents are central differences over the neighbours that are joined to a pixel, one-sided next
+    to an edge; the normal is their cross product.  With neighbours along one direction alone, the
+    surface faces the camera as nearly as that tangent allows; without any, the normal is 0.
+
+    grid: see `orient`.  row: without the border.
+    out: (6, W); the first three get the normals, the others are for intermediate tangents.
     """
-    depth_m, bits, across, down = grid
-    z = depth_m[row + 1]
-    above = depth_m[row]
-    below = depth_m[row + 2]
-    own_bits = bits[row + 1]
-    bits_above = bits[row]
-    drop_above = down[row]
-    drop = down[row + 1]
-    drop_below = down[row + 2]
-    nx = out[0]
-    ny = out[1]
-    nz = out[2]
-    lx = out[3]
-    ly = out[4]
-    lz = out[5]
-    for j in range(len(nx)):  # factors instead of branches: several columns at a time
-        k = j + 1
-        side = across[j + 1]
-        depth = z[j + 1]
-        to_right = np.float32(own_bits[k] & 1)
-        to_left = np.float32(own_bits[j] & 1)
-        to_below = np.float32((own_bits[k] >> 1) & 1)
-        to_above = np.float32((bits_above[k] >> 1) & 1)
-        x, y = np.float32(side * depth), np.float32(drop * depth)
-        depth_after = z[j + 2]
-        depth_before = z[j]
-        ax = (np.float32(across[j + 2] * depth_after) - x) * to_right
-        ax += (x - np.float32(across[j] * depth_before)) * to_left
-        ay = (np.float32(drop * depth_after) - y) * to_right + (
-            y - np.float32(drop * depth_before)
+    depth_m, joints, across, down = grid
+    depth_of_row = depth_m[row + 1]
+    depth_above = depth_m[row]
+    depth_below = depth_m[row + 2]
+    joints_of_row = joints[row + 1]
+    joints_above = joints[row]
+    down_above = down[row]
+    down_of_row = down[row + 1]
+    down_below = down[row + 2]
+    normal_x = out[0]
+    normal_y = out[1]
+    normal_z = out[2]
+    tangent_x = out[3]
+    tangent_y = out[4]
+    tangent_z = out[5]
+    # Factors of 0 or 1 instead of branches, so that a processor does several columns at a time.
+    for column in range(len(normal_x)):
+        k = column + 1  # the grid has a border of one pixel
+        to_right = np.float32(joints_of_row[k] & 1)
+        to_left = np.float32(joints_of_row[k - 1] & 1)
+        to_below = np.float32((joints_of_row[k] >> 1) & 1)
+        to_above = np.float32((joints_above[k] >> 1) & 1)
+        side = across[k]
+        depth = depth_of_row[k]
+        x = np.float32(side * depth)
+        y = np.float32(down_of_row * depth)
+
+        # Tangent along the row.
+        right = depth_of_row[k + 1]
+        left = depth_of_row[k - 1]
+        row_x = (np.float32(across[k + 1] * right) - x) * to_right
+        row_x += (x - np.float32(across[k - 1] * left)) * to_left
+        row_y = (np.float32(down_of_row * right) - y) * to_right + (
+            y - np.float32(down_of_row * left)
         ) * to_left
-        az = (depth_after - depth) * to_right + (depth - depth_before) * to_left
-        depth_after = below[k]
-        depth_before = above[k]
-        dx = (np.float32(side * depth_after) - x) * to_below + (
-            x - np.float32(side * depth_before)
+        row_z = (right - depth) * to_right + (depth - left) * to_left
+
+        # Tangent along the column.
+        below = depth_below[k]
+        above = depth_above[k]
+        column_x = (np.float32(side * below) - x) * to_below + (
+            x - np.float32(side * above)
         ) * to_above
-        dy = (np.float32(drop_below * depth_after) - y) * to_below
-        dy += (y - np.float32(drop_above * depth_before)) * to_above
-        dz = (depth_after - depth) * to_below + (depth - depth_before) * to_above
-        nx[j] = dy * az - dz * ay
-        ny[j] = dz * ax - dx * az
-        nz[j] = dx * ay - dy * ax
-        lx[j] = ax + dx
-        ly[j] = ay + dy
-        lz[j] = az + dz
-    for j in range(len(nx)):
-        if nx[j] == 0 and ny[j] == 0 and nz[j] == 0:
-            along = np.sqrt(lx[j] * lx[j] + ly[j] * ly[j] + lz[j] * lz[j])
-            if along > 0:
-                x = np.float32(across[j + 1] * z[j + 1])
-                y = np.float32(drop * z[j + 1])
-                ex = lx[j] / along
-                ey = ly[j] / along
-                ez = lz[j] / along
-                towards = x * ex + y * ey + z[j + 1] * ez
-                nx[j] = towards * ex - x
-                ny[j] = towards * ey - y
-                nz[j] = towards * ez - z[j + 1]
-    for j in range(len(nx)):
-        length = np.sqrt(nx[j] * nx[j] + ny[j] * ny[j] + nz[j] * nz[j])
-        some = length > 0
-        nx[j] = nx[j] / length if some else _ZERO
-        ny[j] = ny[j] / length if some else _ZERO
-        nz[j] = nz[j] / length if some else _ZERO
+        column_y = (np.float32(down_below * below) - y) * to_below
+        column_y += (y - np.float32(down_above * above)) * to_above
+        column_z = (below - depth) * to_below + (depth - above) * to_above
+
+        normal_x[column] = column_y * row_z - column_z * row_y
+        normal_y[column] = column_z * row_x - column_x * row_z
+        normal_z[column] = column_x * row_y - column_y * row_x
+        tangent_x[column] = row_x + column_x
+        tangent_y[column] = row_y + column_y
+        tangent_z[column] = row_z + column_z
+    # With one tangent: the part across it of the direction to the camera.
+    for column in range(len(normal_x)):
+        if normal_x[column] == 0 and normal_y[column] == 0 and normal_z[column] == 0:
+            length = np.sqrt(
+                tangent_x[column] * tangent_x[column]
+                + tangent_y[column] * tangent_y[column]
+                + tangent_z[column] * tangent_z[column]
+            )
+            if length > 0:
+                depth = depth_of_row[column + 1]
+                x = np.float32(across[column + 1] * depth)
+                y = np.float32(down_of_row * depth)
+                unit_x = tangent_x[column] / length
+                unit_y = tangent_y[column] / length
+                unit_z = tangent_z[column] / length
+                along = x * unit_x + y * unit_y + depth * unit_z
+                normal_x[column] = along * unit_x - x
+                normal_y[column] = along * unit_y - y
+                normal_z[column] = along * unit_z - depth
+    for column in range(len(normal_x)):
+        length = np.sqrt(
+            normal_x[column] * normal_x[column]
+            + normal_y[column] * normal_y[column]
+            + normal_z[column] * normal_z[column]
+        )
+        has_normal = length > 0
+        normal_x[column] = normal_x[column] / length if has_normal else _ZERO
+        normal_y[column] = normal_y[column] / length if has_normal else _ZERO
+        normal_z[column] = normal_z[column] / length if has_normal else _ZERO
 
 
 @compiled(f"void({_GRID}, int64, float32[:, :, ::1], float32[:, :, ::1])")

@@ -274,6 +274,44 @@ def _met(mesh: Any, number: Any, eye: Any, ray: Any) -> Any:
     )  # fmt: skip
 
 
+@compiled()
+def _on_texture(point: Any, normal: Any, row: Any, column: Any, offset: Any) -> Any:
+    """Where a point lies on the noise tiles, (across, along) in metres.
+
+    The tiles are laid on along one axis, by chance in proportion to the normal's fourth power.
+    The pixel's row and column decide, so that the same image comes out every time.
+    """
+    x_share = normal[0] * normal[0]
+    y_share = normal[1] * normal[1]
+    z_share = normal[2] * normal[2]
+    x_share = x_share * x_share
+    y_share = y_share * y_share
+    z_share = z_share * z_share
+    dither = np.uint32(row * 0x9E3779B1) ^ np.uint32(column * 0x85EBCA77)
+    dither = np.uint32((dither ^ (dither >> np.uint32(15))) * np.uint32(0x2C1B3C6D))
+    chance = _F(dither >> np.uint32(8)) * _F(2.0**-24) * (x_share + y_share + z_share)
+    across = (point[1] if chance < x_share else point[0]) + offset[0]
+    along = (point[2] if chance < x_share + y_share else point[1]) + offset[1]
+    return across, along
+
+
+@compiled()
+def _is_shaded(point: Any, sun_sight: Any, sun_inverse: Any) -> Any:
+    """Whether an object lies between a point and the sun.
+
+    sun_sight, sun_inverse: a camera in the sun, and its (S, S) z-buffer of the objects.
+    """
+    eye, axes, lens = sun_sight
+    side = sun_inverse.shape[0]
+    left, down, distance_m = in_camera_axes(point, eye, axes)
+    column = int(left / distance_m * lens[0] + lens[2] + _HALF)
+    row = int(down / distance_m * lens[1] + lens[3] + _HALF)
+    if not (0 <= column < side and 0 <= row < side):
+        return False
+    inverse = sun_inverse[row, column]
+    return inverse > 0 and _ONE / inverse < distance_m - _SHADE_M
+
+
 @compiled(
     f"{_VECTORS}({_MESH}, {_MESH}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, float32, "
     f"float32[::1], {_WHOLES}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
@@ -284,15 +322,20 @@ def shade_pixels(
 ) -> Any:  # fmt: skip
     """(h, w, 3) linear colour of every second pixel and row, from what a z-buffer met.
 
-    ground, things: points, normals, attributes or colours, and triangles.  sight: eye, axes, lens.
-    planes: see `rasterise_mesh`.  finishes: (N, 3) fouling, silt and bump of each object.
-    palette, turf, water, sun: see `terrain.Look`.  texture: see `tiles`.  sun_sight, sun_inverse: a
-    camera in the sun and its (S, S) image of the objects.
+    All arrays are float32 where nothing else is said.
+
+    ground, things: meshes: points (V, 3), normals (V, 3), attributes (ground) or colours (things)
+        (V, 3), and triangles (T, 3) int32.
+    owners: (T,) uint16, the object that each triangle of `things` belongs to.
+    finishes: (N, 3) fouling, silt and bump of each object.
+    sight: of the camera: eye (3,), axes (3, 3) and lens (4,).
+    planes: of its z-buffer; see `rasterise_mesh`.
+    palette, turf, water, sun: see `terrain.Look`.
+    offset: (2,) metres, where the texture begins.  texture: see `terrain.tiles`.
+    sun_sight, sun_inverse: a camera in the sun, and its (S, S) z-buffer of the objects.
     """
     eye, axes, lens = sight
     inverse, which = planes
-    sun_eye, sun_axes, sun_lens = sun_sight
-    side = sun_inverse.shape[0]
     height, width = which.shape
     colour = np.empty(((height + 1) // 2, (width + 1) // 2, 3), np.float32)
     for i in range(colour.shape[0]):
@@ -320,21 +363,8 @@ def shade_pixels(
                 nx = -nx
                 ny = -ny
                 nz = -nz
-            # The noise tiles are laid on along one axis, by chance in proportion to the normal.
-            ex = eye[0] + depth * x
-            ey = eye[1] + depth * y
-            ez = eye[2] + depth * z
-            sx = nx * nx
-            sy = ny * ny
-            sz = nz * nz
-            sx = sx * sx
-            sy = sy * sy
-            sz = sz * sz
-            dither = np.uint32(row * 0x9E3779B1) ^ np.uint32(column * 0x85EBCA77)
-            dither = np.uint32((dither ^ (dither >> np.uint32(15))) * np.uint32(0x2C1B3C6D))
-            chance = _F(dither >> np.uint32(8)) * _F(2.0**-24) * (sx + sy + sz)
-            across = (ey if chance < sx else ex) + offset[0]
-            along = (ez if chance < sx + sy else ey) + offset[1]
+            point = (eye[0] + depth * x, eye[1] + depth * y, eye[2] + depth * z)
+            across, along = _on_texture(point, (nx, ny, nz), row, column, offset)
             noise = _noise(texture, across, along, _F(1 / TEXTURE_M), _ONE)
             # It is finer than a pixel from a few metres on, and varies the less.
             detail = _noise(texture, across, along, _F(1 / FINE_M), _F(0.55))
@@ -350,13 +380,8 @@ def shade_pixels(
             shine = nx * sun[0] + ny * sun[1] + nz * sun[2]
             slope = detail[1] * rough * (_F(0.25) + _F(0.75) * close)
             shine = max(shine + _HALF * slope, _ZERO)
-            left, down, far = in_camera_axes((ex, ey, ez), sun_eye, sun_axes)
-            at_x = int(left / far * sun_lens[0] + sun_lens[2] + _HALF)
-            at_y = int(down / far * sun_lens[1] + sun_lens[3] + _HALF)
-            if 0 <= at_x < side and 0 <= at_y < side:
-                shade = sun_inverse[at_y, at_x]
-                if shade > 0 and _ONE / shade < far - _SHADE_M:
-                    shine = _ZERO
+            if _is_shaded(point, sun_sight, sun_inverse):
+                shine = _ZERO
             sky = (_F(0.55) + _F(0.45) * nz) * (_ONE + _HALF * slope)
             range_m = depth * np.sqrt(_ONE + x0 * x0 + y0 * y0)
             sand_shade, gravel_shade, shade = shades
