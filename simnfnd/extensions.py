@@ -1,6 +1,7 @@
-"""All that an extension is written with: effects of noise, readers of RGBD recordings, methods.
+"""All that an extension is written with: effects of noise, readers, methods.
 
-An extension is one object: an `Effect`, a `ReaderEntry` or a `Baseline`.  A package names it as an
+An extension is one object: an `Effect`, a `ReaderEntry` (of RGBD scenes), a `RecordingEntry` (of a
+sonar's recordings) or a `Baseline`.  A package names it as an
 entry point, a script registers it (docs/how-to/extending.md).
 """
 
@@ -24,11 +25,21 @@ from .factory.simulation.scenes.base import (
 )
 from .factory.simulation.sonar.polar import Echoes
 from .factory.simulation.sonar.window import Window
+from .models.recordings.base import Beams, Device, Pose
+from .models.recordings.base import Frame as RecordingFrame
+from .models.recordings.extension_files import (
+    RecordingEntry,
+    RecordingReader,
+    check_recording_reader,
+    register_recording,
+)
 
 __all__ = [
     "STRICT",
     "AnyNumber",
     "Baseline",
+    "Beams",
+    "Device",
     "Discovery",
     "Echoes",
     "Effect",
@@ -41,14 +52,20 @@ __all__ = [
     "Intrinsics",
     "NonNegative",
     "OwnSceneSettings",
+    "Pose",
     "Positive",
     "Reader",
     "ReaderEntry",
+    "RecordingEntry",
+    "RecordingFrame",
+    "RecordingReader",
     "Window",
+    "check_recording_reader",
     "checked",
     "discovery",
     "parameter",
     "register_effect",
     "register_method",
     "register_reader",
+    "register_recording",
 ]

@@ -22,6 +22,7 @@ from .base import (
     Frame,
     Recording,
 )
+from .extension_files import ExtensionFile, entry_for, entry_of, known_suffixes
 
 __all__ = ["IMAGE_SUFFIXES", "Frame", "Recording", "is_recording", "kind_of", "open_recording"]
 
@@ -65,6 +66,9 @@ def kind_of(path: Path) -> str | None:
         return DATASET
     if path.is_dir():
         return "rosbag" if is_bag_folder(path) else "images"
+    entry = entry_for(path)
+    if entry is not None:
+        return entry.kind
     suffix = path.suffix.lower()
     if path.is_file():
         if suffix in (*ARRAY_SUFFIXES, *HDF5_SUFFIXES):
@@ -81,6 +85,12 @@ def kind_of(path: Path) -> str | None:
 
             return "animation" if is_animated(path) else "images"
     return next((kind for kind, (_, known) in READERS.items() if suffix in known), None)
+
+
+def suffixes_known() -> list[str]:
+    """The suffixes of all files that can be read, those of other packages included."""
+    own = [suffix for _, suffixes in READERS.values() for suffix in suffixes]
+    return [*own, *known_suffixes()]
 
 
 def is_recording(path: Path) -> bool:
@@ -118,8 +128,10 @@ def open_recording(path: str | Path, topics: Sequence[str] = ()) -> Recording:
     if kind is None and is_array:
         kind = "array"  # which says what it lacks
     if kind is None:
-        known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
+        known = ", ".join(suffixes_known())
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
+    if kind not in READERS:
+        return ExtensionFile(location, entry_of(kind))
     module, name = READERS[kind][0].split(":")
     if module not in ("sonar_files", "simulated"):
         require([Need(f"{path}", "cv2")])

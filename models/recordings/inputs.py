@@ -12,15 +12,13 @@ import numpy.typing as npt
 
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
-from . import DATASET, READERS, is_bag_folder, kind_of
+from . import DATASET, is_bag_folder, kind_of, suffixes_known
 from .arrays import is_shard_file, is_table
 from .base import ARRAY_SUFFIX, ARRAY_SUFFIXES, HDF5_SUFFIXES
 from .fan_finder import find_geometry
 from .fan_tables import read_fans
 from .fan_tracking import FanTracker
 from .names import sequences_of
-
-SUFFIXES = (*(suffix for _, suffixes in READERS.values() for suffix in suffixes), *HDF5_SUFFIXES)
 
 FIND = "find"
 POLAR = "polar"
@@ -152,10 +150,16 @@ def _of_input(path: Path, out: Path) -> list[Item]:
             return [Item(shard, shard.relative_to(path), dataset) for shard in shards]
         items = items_below(path, out)
     else:
-        items = [_item(path, path.parent)] if path.suffix.lower() in SUFFIXES else []
+        items = [_item(path, path.parent)] if path.suffix.lower() in _suffixes() else []
     if not items:
-        raise FactoryError(f"{path}: no image, shard, video or recording ({', '.join(SUFFIXES)})")
+        raise FactoryError(
+            f"{path}: no image, shard, video or recording ({', '.join(_suffixes())})"
+        )
     return items
+
+
+def _suffixes() -> tuple[str, ...]:
+    return (*suffixes_known(), *HDF5_SUFFIXES)
 
 
 def items_below(folder: Path, out: Path) -> list[Item]:
@@ -163,11 +167,12 @@ def items_below(folder: Path, out: Path) -> list[Item]:
 
     What begins with a dot is no result yet, of this program or of one that copies.
     """
+    suffixes = _suffixes()
     bags = [file.parent for file in folder.rglob("metadata.yaml") if is_bag_folder(file.parent)]
     files = [
         file
         for file in folder.rglob("*")
-        if file.suffix.lower() in SUFFIXES
+        if file.suffix.lower() in suffixes
         and not any(part.startswith(".") for part in file.relative_to(folder).parts)
         and file.is_file()
         and file.parent not in bags
