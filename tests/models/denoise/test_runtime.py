@@ -39,6 +39,10 @@ MODELS = {
         "kind": "sonarnet", "widths": [4, 8], "blocks": [1, 1], "polar": False, "lines": True,
         "mask": True, "forget": 0.1, "frames": True, "wide_grain": 0.6,
     },
+    "even": {
+        "kind": "sonarnet", "widths": [4, 4, 8], "blocks": [0, 0, 1], "polar": False, "lines": True,
+        "mask": True, "forget": 0.1, "told": False, "even_level": True,
+    },
     "grid": {
         "kind": "sonarnet", "widths": [4, 8], "blocks": [1, 1], "polar": True, "lines": True,
         "mask": True, "forget": 0.1, "told": False,
