@@ -26,6 +26,9 @@ from .images import list_images, read_sample
 from .pairs import Image, Sample, SampleRef, Source
 from .targets import draw_targets, insert_targets
 
+_LEAST_FRAMES = 10
+"""Frames of a recording that can be a target: the mean of two or five keeps the speckle of a static
+scene, and a network learns to leave it (docs/research/real-sonar.md, bright ranges)."""
 _ALIKE = 0.75  # likeness of two frames in a row from which on a recording is static
 _AROUND = 25  # frames before and after whose mean is a target
 _MOST = 7  # frames that are averaged, at most; of short recordings half of them
@@ -40,14 +43,17 @@ _SCALES = (0.55, 1.15)
 _GAINS = (0.5, 1.3)
 _LOUD = 0.18  # part of the images that get a loud beam
 _LOUD_WIDTHS_RAD = (0.0012, 0.014)  # standard deviation across
-# Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight.
-_FEWEST = 0.15
+# log2 of the number of frames from which on a pixel has its full weight in the loss.  A pixel with a
+# single frame amid several has none, for its target has speckle that may go.
 _FULL = 0.7
 
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """The frames of a recording, (T, H, W) uint8, and whether they are static."""
+    """The frames of a recording, (T, H, W) uint8.
+
+    is_still: whether they are static, and so many that the mean of others can be a target.
+    """
 
     frames: npt.NDArray[np.uint8]
     geometry: FanGeometry
@@ -106,10 +112,11 @@ def open_stacks(paths: Sequence[str], least_side: int) -> tuple[Stack, ...]:
             if geometry is None or min(shape) < least_side:
                 continue
             sector = geometry.maps(0, 0, *shape)["sector"] > 0
-            still = bool(
-                find_groups(list(frames[:2]), [sector] * 2, least=2, alike=_ALIKE, furthest_px=1.0)
+            alike = find_groups(
+                list(frames[:2]), [sector] * 2, least=2, alike=_ALIKE, furthest_px=1.0
             )
-            stacks.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry, still))
+            is_still = bool(alike) and len(frames) >= _LEAST_FRAMES
+            stacks.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry, is_still))
     if paths and not stacks:
         raise FactoryError(
             f"data.recordings: no recording there has frames of {least_side} pixels or more with a "
@@ -206,7 +213,7 @@ def standing(sample: Sample, rng: np.random.Generator) -> Sample:
     noise = temporal_noise(rng, target) * np.exp2(-frames / 2) * rng.uniform(0.9, 1.5)
     noisy = np.asarray(np.clip(target + noise, 0, 1), np.float32)
     # Where a single frame is left, speckle may go: the target says too little there.
-    weight = np.clip(2 * frames / _FULL, _FEWEST, 1)
+    weight = np.clip(2 * frames / _FULL, 0, 1)
     unknown = rng.random(target.shape) > weight
     return replace(
         sample,

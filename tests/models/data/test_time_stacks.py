@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
+import pytest
 import torch
 
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.data.pairs import Sample, Source
-from simnfnd.models.data.time_stacks import MixedSource, Stack, standing, with_loud_beam
+from simnfnd.models.data.time_stacks import (
+    MixedSource,
+    Stack,
+    open_stacks,
+    standing,
+    with_loud_beam,
+)
 from simnfnd.models.networks import averaged
 from simnfnd.models.settings import MixedData
 from simnfnd.models.training.objective import completed
 from tests.models.data.small_renders import composed
+from tests.models.recordings.fan_images import fan, preset
 
 SHAPE = (64, 80)
 POLAR = FanGeometry.polar().with_size(*SHAPE)
@@ -53,6 +63,19 @@ def test_a_recording_that_moves_is_taught_alone() -> None:
     sample = stack(3, still=False).sample(np.random.default_rng(0))
     assert sample.taught == 1
     assert np.isnan(sample.clean).all()
+
+
+@pytest.mark.parametrize(("count", "is_target"), [(3, False), (12, True)])
+def test_a_mean_of_few_frames_is_no_target(count: int, is_target: bool, tmp_path: Path) -> None:
+    """Its speckle would teach a network to keep speckle."""
+    image = fan(preset("aris_1800_lf", 96, 128), 0.3, holes=False)[0]
+    rng = np.random.default_rng(0)
+    for number in range(count):
+        noisy = image * rng.uniform(0.95, 1.0, image.shape)
+        cv2.imwrite(str(tmp_path / f"{number:02}.png"), noisy.astype(np.uint8))
+    (stack_of_images,) = open_stacks([str(tmp_path)], 48)
+    assert len(stack_of_images.frames) == count
+    assert stack_of_images.is_still == is_target
 
 
 def test_static_speckle_stays_in_the_target() -> None:
