@@ -43,8 +43,8 @@ _SCALES = (0.55, 1.15)
 _GAINS = (0.5, 1.3)
 _LOUD = 0.18  # part of the images that get a loud beam
 _LOUD_WIDTHS_RAD = (0.0012, 0.014)  # standard deviation across
-# log2 of the number of frames from which on a pixel has its full weight in the loss.  A single frame
-# amid several has none, for its target has speckle that may go.
+# log2 of the frames from which on a pixel has its full weight in the loss.  A single frame amid
+# several has none, for its target has speckle that may go.
 _FULL = 0.7
 
 
