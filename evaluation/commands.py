@@ -229,7 +229,12 @@ def _detect(config: DictConfig) -> None:
 def _transfer(config: DictConfig) -> None:
     from .judging.settings import TransferSettings
 
-    settings = _checked(config, TransferSettings, real="a folder of real images with boxes")
+    settings: TransferSettings = build(TransferSettings, _values(config))
+    if settings.real is None and (settings.dataset.dir is None or not settings.classes):
+        raise FactoryError(
+            "real: give a folder of real images with boxes, or dataset=DIR and classes=[...] to "
+            "train a detector alone (see `simnfnd evaluate transfer --help`)"
+        )
     from .transfer.report import evaluate
 
     evaluate(settings.quickened())

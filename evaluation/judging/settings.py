@@ -152,8 +152,9 @@ class OptionalDatasetFolder:
 class TransferSettings:
     """All keys of conf/transfer.yaml."""
 
-    real: Annotated[str, Field(min_length=1)]
+    real: str | None
     dataset: OptionalDatasetFolder
+    classes: list[str] | None
     annotations: str | None
     detector: str | None
     ignore: list[str]
@@ -177,8 +178,8 @@ class TransferSettings:
 
     @property
     def name(self) -> str:
-        """Of the real images."""
-        return Path(self.real).expanduser().resolve().name
+        """Of the real images, or of the dataset where there are none."""
+        return Path(self.real or self.dataset.dir or "dataset").expanduser().resolve().name
 
     @property
     def folder(self) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ class Comparison:
             yield self._given(settings.detector)
             return
         if {"simulation", "both"} & set(settings.arms):
-            self.trained = self._train_simulated()
+            self.trained = self.train_simulated()
         if "simulation" in settings.arms and self.trained is not None:
             found = self._find(self.trained, range(len(self.working)))
             about = f"{len(self.simulated)} simulated images"
@@ -93,7 +94,8 @@ class Comparison:
         about = str(self.trained.training.get("about", "not stated"))
         return Arm(f"detector {path.stem}", about, self._countable(found))
 
-    def _train_simulated(self) -> TrainedDetector:
+    def train_simulated(self) -> TrainedDetector:
+        """The detector of simulation alone, or that which the folder holds."""
         settings = self.settings
         stage(f"{SIMULATION}: {len(self.simulated)} images, {settings.steps} steps")
         facts = {
@@ -172,6 +174,22 @@ class Comparison:
 
     def _groups(self) -> list[str]:
         return [image.labelled.group for image in self.real.images]
+
+
+def open_training(settings: TransferSettings) -> Comparison:
+    """A training on a dataset without real images.  Raises FactoryError before any work."""
+    folder = settings.dataset.dir
+    classes = tuple(settings.classes or ())
+    assert folder is not None
+    known = simulated_classes(folder)
+    for name in classes:
+        if name not in known:
+            raise FactoryError(f"classes: {folder} has no {name}; it has {', '.join(known)}")
+    learned, held_out = read_simulated(
+        folder, classes, padding=settings.padding, limit=settings.limit
+    )
+    nothing = RealImages(Path(folder).name, (), classes, has_groups=False)
+    return Comparison(settings, nothing, learned, held_out)
 
 
 def open_comparison(settings: TransferSettings, real: RealImages) -> Comparison:

@@ -1,4 +1,4 @@
-"""A detector that learns nothing: bright places of about the size of an object."""
+"""A detector that learns nothing: connected areas that are brighter than what is around them."""
 
 from __future__ import annotations
 
@@ -6,51 +6,77 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from scipy.ndimage import maximum_filter
+import numpy.typing as npt
 
 from ...models.detection.augmentation import place_unchanged
 from ...models.detection.boxes import clip_boxes, suppress_duplicates
 from ...models.detection.detector import Detections, no_detections
 from ...models.detection.images import WorkingImage
 
-_SCALES_PX = (5.0, 7.0, 10.0, 14.0, 20.0)  # standard deviations, at the detector's size
-_HALF_SIDE = 1.6  # of a box, in standard deviations
+_SMOOTH_PX = 1.5
+_THRESHOLDS = (1.5, 2.2, 3.0)  # standard deviations of the smoothed image
+_CLOSING_PX = 5
+_SIDES_PX = (6, 60)  # least and greatest longer side of an area
+_MARGIN_PX = 2.5
 _MOST = 20
 _SAME_IOU = 0.3
 
+Values = npt.NDArray[np.float32]
+
 
 def detect_blobs(images: Sequence[WorkingImage]) -> list[Detections]:
-    """Peaks of the difference of Gaussians of each image at five scales; scores are in 0..1.
+    """Bright areas of each image at three thresholds, the brightest and largest first.
 
-    Lindeberg, "Feature detection with automatic scale selection", IJCV 30 (1998).
+    All lengths are pixels at the size of the detector, whose input this takes, too: gain and trend
+    over range are removed.
     """
     return [_detect_in(working) for working in images]
 
 
 def _detect_in(working: WorkingImage) -> Detections:
-    inputs, _, _ = place_unchanged(working, working.labelled.image.shape)
-    grey, _, fan = inputs
-    responses = np.stack([_difference(grey, fan, scale) for scale in _SCALES_PX])
-    is_peak = (maximum_filter(responses, (3, 9, 9)) == responses) & (responses > 0)
-    level, y, x = np.nonzero(is_peak)
-    strength = responses[level, y, x]
-    strongest = np.argsort(-strength, kind="stable")[:_MOST]
-    if not strongest.size:
+    shape = working.labelled.image.shape
+    inputs, _, _ = place_unchanged(working, shape)
+    smooth = _smoothed(inputs[0], inputs[2])
+    candidates = [
+        candidate for threshold in _THRESHOLDS for candidate in _areas_above(smooth, threshold)
+    ]
+    if not candidates:
         return no_detections()
-    half = _HALF_SIDE * np.array(_SCALES_PX, np.float32)[level[strongest]]
-    centre = np.stack([x[strongest], y[strongest]], 1).astype(np.float32) + 0.5
-    corners = np.concatenate([centre - half[:, None], centre + half[:, None]], 1)
-    boxes = clip_boxes(corners, *working.labelled.image.shape)
-    scores = np.clip(strength[strongest], 0, 1).astype(np.float32)
-    kept = suppress_duplicates(boxes, scores, _SAME_IOU)
+    boxes = clip_boxes(np.array([box for box, _ in candidates], np.float32), *shape)
+    scores = np.array([score for _, score in candidates], np.float32)
+    kept = suppress_duplicates(boxes, scores, _SAME_IOU)[:_MOST]
     labels = np.zeros(len(kept), np.int64)
     return Detections(boxes[kept] / np.float32(working.scale), scores[kept], labels)
 
 
-def _difference(grey: np.ndarray, fan: np.ndarray, scale_px: float) -> np.ndarray:
-    """Mean of a neighbourhood minus that of a wider one, both of pixels of the fan, (H, W)."""
-    means = []
-    for sigma in (scale_px, 1.6 * scale_px):
-        weight = cv2.GaussianBlur(fan, (0, 0), sigma) + 1e-3
-        means.append(cv2.GaussianBlur(grey * fan, (0, 0), sigma) / weight)
-    return np.asarray((means[0] - means[1]) * fan, np.float32)
+def _smoothed(grey: Values, fan: Values) -> Values:
+    """The blurred image in units of its standard deviation; 0 outside the fan."""
+    weight = cv2.GaussianBlur(fan, (0, 0), _SMOOTH_PX) + 1e-3
+    smooth = cv2.GaussianBlur(grey * fan, (0, 0), _SMOOTH_PX) / weight * fan
+    inside = smooth[fan > 0]
+    return np.asarray(smooth / (inside.std() + 1e-6) if inside.size else smooth, np.float32)
+
+
+def _areas_above(smooth: Values, threshold: float) -> list[tuple[list[float], float]]:
+    """Box and score of each connected area above a threshold.
+
+    The score is the mean brightness times the square root of the side of a square of that size.
+    """
+    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_CLOSING_PX, _CLOSING_PX))
+    bright = cv2.morphologyEx((smooth > threshold).astype(np.uint8), cv2.MORPH_CLOSE, element)
+    count, area_of, statistics, _ = cv2.connectedComponentsWithStats(bright)
+    candidates = []
+    for number in range(1, count):
+        left, top, width, height, _ = (int(value) for value in statistics[number])
+        if not _SIDES_PX[0] <= max(width, height) <= _SIDES_PX[1]:
+            continue
+        place = np.s_[top : top + height, left : left + width]
+        brightness = float(smooth[place][area_of[place] == number].mean())
+        box = [
+            left - _MARGIN_PX,
+            top - _MARGIN_PX,
+            left + width + _MARGIN_PX,
+            top + height + _MARGIN_PX,
+        ]
+        candidates.append((box, brightness * (width * height) ** 0.25))
+    return candidates

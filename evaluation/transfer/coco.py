@@ -14,7 +14,7 @@ import numpy as np
 
 from ...factory.common.errors import FactoryError
 from ...models.detection.boxes import Boxes, no_boxes
-from ...models.detection.images import UNKNOWN, LabelledImage
+from ...models.detection.images import LabelledImage
 
 _NAMES = ("annotations.json", "_annotations.coco.json", "instances.json")
 _MOST_SIDE_PX = 20_000
@@ -180,7 +180,7 @@ def _read_image(
     name = entry.get("file_name")
     if not isinstance(name, str):
         raise FactoryError(f"{path}: image {entry['id']}: `file_name` is missing")
-    image_path = next((p for p in (root / "images" / name, root / name) if p.is_file()), None)
+    image_path = _find_image(root, path, name)
     if image_path is None:
         raise FactoryError(f"{path}: image {entry['id']}: no file {name} in {root} or its images/")
     image = cv2.imread(str(image_path), cv2.IMREAD_GRAYSCALE)
@@ -215,22 +215,14 @@ def _read_image(
     return RealImage(labelled, _as_boxes(ignored))
 
 
-def with_known_labels(
-    images: Sequence[RealImage], own: Sequence[str], known: Sequence[str]
-) -> list[LabelledImage]:
-    """The images with the labels of a detector; classes that it does not know are UNKNOWN."""
-    number_of = {name: number for number, name in enumerate(known)}
-    renumbered = [number_of.get(name, UNKNOWN) for name in own]
-    return [
-        LabelledImage(
-            real.labelled.name,
-            real.labelled.group,
-            real.labelled.image,
-            real.labelled.boxes,
-            np.array([renumbered[label] for label in real.labelled.labels], np.int64),
-        )
-        for real in images
-    ]
+def _find_image(root: Path, annotations: Path, name: str) -> Path | None:
+    """Where an image lies: in images/ or the folder itself, or in the folder of its split.
+
+    instances_train.json goes with images/train/ (`simnfnd export`) or train/ (COCO).
+    """
+    split = annotations.stem.removeprefix("instances_")
+    folders = [root / "images", root, annotations.parent, root / "images" / split, root / split]
+    return next((folder / name for folder in folders if (folder / name).is_file()), None)
 
 
 def _as_boxes(corners: Sequence[Sequence[float]]) -> Boxes:

@@ -17,7 +17,7 @@ from ...models.detection.training import DETECTOR_NAME
 from ..judging.settings import TransferSettings
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, plain, written
-from .arms import BLOB, SIMULATION, Arm, Comparison, open_comparison
+from .arms import BLOB, SIMULATION, Arm, Comparison, open_comparison, open_training
 from .coco import RealImage, RealImages, read_coco
 from .scores import (
     CURVE_ALARMS,
@@ -66,7 +66,13 @@ class JudgedArm:
 
 
 def evaluate(settings: TransferSettings) -> None:
-    """Train, judge, print the table and write the report.  Raises FactoryError."""
+    """Train, judge, print the table and write the report.  Raises FactoryError.
+
+    Without real images a detector is trained and judged on the test images of the dataset.
+    """
+    if settings.real is None:
+        _train_alone(settings)
+        return
     real = read_coco(
         settings.real,
         annotations=settings.annotations,
@@ -83,6 +89,16 @@ def evaluate(settings: TransferSettings) -> None:
     path = settings.folder / "simulation" / DETECTOR_NAME
     if path.is_file():
         print(f"detector: {path}")
+
+
+def _train_alone(settings: TransferSettings) -> None:
+    comparison = open_training(settings)
+    check_writable(settings.folder, "out")
+    comparison.trained = comparison.train_simulated()
+    text = _simulated_text(_simulated_figures(comparison))
+    if text:
+        print(text)
+    print(f"detector: {settings.folder / 'simulation' / DETECTOR_NAME}")
 
 
 def judge_arm(arm: Arm, real: RealImages, draws: npt.NDArray[np.int64]) -> JudgedArm:

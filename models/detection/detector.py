@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +12,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from . import SHIPPED_NAME, find_detector
 from .augmentation import place_unchanged
 from .boxes import Boxes, clip_boxes, no_boxes, suppress_duplicates
-from .images import Labels, WorkingImage, canvas_shape
+from .images import LabelledImage, Labels, WorkingImage, canvas_shape, scale_image
 from .network import DIVISOR, STRIDE, DetectorNetwork, Outputs
+from .weights import load_detector
 
 _MOST = 40  # detections in an image
 _LEAST_SCORE = 0.01
@@ -34,9 +37,42 @@ class Detections:
     labels: Labels
 
 
+class FoundObject(NamedTuple):
+    """An object that was found: its likeliest class, a score in 0..1, and its box in pixels."""
+
+    class_name: str
+    score: float
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+
 def no_detections() -> Detections:
     """Nothing was found."""
     return Detections(no_boxes(), np.zeros(0, np.float32), np.zeros(0, np.int64))
+
+
+def find_objects(
+    images: Sequence[npt.NDArray[np.uint8]], detector: str = SHIPPED_NAME
+) -> list[list[FoundObject]]:
+    """What a detector finds in grey images, best first.
+
+    images: (H, W) uint8 each, 0 outside the fan.  detector: a file that `simnfnd evaluate transfer`
+    wrote, or the name of the one that ships.  Raises FactoryError when there is no such detector.
+    """
+    trained = load_detector(find_detector(detector))
+    return [
+        [
+            FoundObject(trained.classes[label], float(score), *map(float, box))
+            for box, score, label in zip(found.boxes, found.scores, found.labels, strict=True)
+        ]
+        for found in detect(trained.network, [scale_image(_unlabelled(image)) for image in images])
+    ]
+
+
+def _unlabelled(image: npt.NDArray[np.uint8]) -> LabelledImage:
+    return LabelledImage("", "", image, no_boxes(), np.zeros(0, np.int64))
 
 
 def detect(network: DetectorNetwork, images: Sequence[WorkingImage]) -> list[Detections]:

@@ -14,7 +14,7 @@ from .boxes import Boxes
 Grey = npt.NDArray[np.uint8]
 Labels = npt.NDArray[np.int64]
 
-SIDE_PX = 240
+SIDE_PX = 160
 """The longer side of an image as the detector sees it."""
 
 UNKNOWN = -1

@@ -19,8 +19,8 @@ STRIDE = 4
 DIVISOR = 16
 """Sizes of images must divide by this."""
 
-_WIDTHS = (16, 32, 64, 96)  # channels at strides 2, 4, 8 and 16
-_HEAD = 40
+_WIDTHS = (16, 24, 48, 80)  # channels at strides 2, 4, 8 and 16
+_HEAD = 32
 _RARE = -3.5  # logit of a centre before training: most cells hold none
 
 

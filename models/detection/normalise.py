@@ -13,8 +13,8 @@ from scipy.special import ndtri
 
 CHANNELS = 3
 
-_WIDE_PX = 61  # side of the window whose mean is subtracted
-_NARROW_PX = 25  # side of the window of the local contrast
+_WIDE_PX = 41  # side of the window whose mean is subtracted
+_NARROW_PX = 17  # side of the window of the local contrast
 _DARKEST = 0.02  # added before the logarithm, as a share of full scale
 _GREATEST_CONTRAST = 3.0  # standard deviations
 _LEVELS = 1024

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -32,7 +31,8 @@ _SAVE_EVERY_S = 60.0
 _AVERAGE_STEPS = 400  # length of the running average of the weights
 _WEIGHT_DECAY = 0.02
 _GREATEST_NORM = 5.0
-_WARM_UP = 0.05  # share of the steps with a rising learning rate
+_RISE_STEPS = 100
+_FALL_SHARE = 0.3  # of the steps, at the end, in which the learning rate falls to zero
 
 
 @dataclass(frozen=True)
@@ -166,11 +166,11 @@ class _Training:
         self.step += 1
 
     def _learning_rate(self) -> float:
-        """Of the next step: a linear rise, then a cosine fall to zero."""
+        """Of the next step: it rises, stays, and falls to zero, all linearly."""
         steps = self.schedule.steps
-        rise = max(1.0, _WARM_UP * steps)
-        fall = 0.5 * (1 + math.cos(math.pi * self.step / steps))
-        return self.schedule.learning_rate * min((self.step + 1) / rise, 1.0) * fall
+        risen = (self.step + 1) / min(_RISE_STEPS, max(1, steps // 4))
+        left = (steps - self.step) / max(1.0, _FALL_SHARE * steps)
+        return self.schedule.learning_rate * min(risen, 1.0, left)
 
     def _draw_batch(self) -> tuple[Tensor, Targets]:
         """The images of this step: a function of the seed and its number alone."""

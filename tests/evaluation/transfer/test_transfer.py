@@ -33,6 +33,7 @@ from simnfnd.models.detection.boxes import no_boxes
 from simnfnd.models.detection.detector import Detections
 from simnfnd.models.detection.images import LabelledImage
 from simnfnd.models.detection.training import DETECTOR_NAME
+from simnfnd.models.detection.weights import load_detector
 from tests.small_detection import (
     HEIGHT,
     WIDTH,
@@ -259,6 +260,21 @@ def test_simulated_objects_are_the_masks(tmp_path: Path) -> None:
         read_simulated(dataset, ("Hook",), padding=0)
 
 
+def test_exports_are_read_as_they_are(tmp_path: Path) -> None:
+    dataset = write_labelled_dataset(tmp_path / "simulated")
+    out = tmp_path / "coco"
+    assert main(["export", str(dataset), "--to", "coco", "--out", str(out)]) == 0
+    real = read_coco(out, annotations="annotations/instances_test.json")
+    _, held_out = read_simulated(dataset, real.classes, padding=0)
+    assert len(real.images) == len(held_out) == 2
+    for image, working in zip(real.images, held_out, strict=True):
+        own = working.labelled.boxes / working.scale
+        order = np.lexsort(own.T)
+        np.testing.assert_allclose(
+            image.labelled.boxes[np.lexsort(image.labelled.boxes.T)], own[order], atol=1e-3
+        )
+
+
 def test_greedy_matches_take_an_object_once() -> None:
     truth = np.array([[0, 0, 10, 10]], np.float32)
     shown = np.array([[0, 0, 10, 9], [0, 0, 10, 10]], np.float32)
@@ -320,6 +336,18 @@ def test_command_trains_judges_and_goes_on(
     (row,) = json.loads((judged / "transfer.json").read_text())["rows"]
     alone = facts["rows"][labels.index("simulation alone")]
     assert row["ap50"]["value"] == alone["ap50"]["value"]
+    capsys.readouterr()
+
+
+def test_a_detector_is_trained_without_real_images(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dataset = write_labelled_dataset(tmp_path / "simulated")
+    out = tmp_path / "out"
+    words = [f"dataset={dataset}", "classes=[Tire,Bottle]", f"out={out}", "steps=1", "batch=2"]
+    assert main(["evaluate", "transfer", *words]) == 0
+    assert load_detector(out / "simulation" / DETECTOR_NAME).classes == ("Tire", "Bottle")
+    assert main(["evaluate", "transfer", *words[:1], "classes=[Cat]"]) == 2
     capsys.readouterr()
 
 

@@ -19,8 +19,14 @@ from simnfnd.models.detection.boxes import (
     share_inside,
     suppress_duplicates,
 )
-from simnfnd.models.detection.detector import _decode, detect
-from simnfnd.models.detection.images import LabelledImage, WorkingImage, find_fan, scale_image
+from simnfnd.models.detection.detector import _decode, detect, find_objects
+from simnfnd.models.detection.images import (
+    SIDE_PX,
+    LabelledImage,
+    WorkingImage,
+    find_fan,
+    scale_image,
+)
 from simnfnd.models.detection.network import STRIDE, DetectorNetwork, Outputs
 from simnfnd.models.detection.normalise import normalise
 from simnfnd.models.detection.objective import Targets, detection_loss, draw_targets
@@ -93,9 +99,9 @@ def test_scaling_keeps_boxes_and_finds_the_fan() -> None:
     image[100:400, 150:160] = 0  # a bearing without an echo
     source = LabelledImage("a", "a", image, as_boxes((60, 40, 160, 140)), np.zeros(1, np.int64))
     working = scale_image(source)
-    assert working.labelled.image.shape == (240, 160)
-    np.testing.assert_allclose(working.labelled.boxes, [[30, 20, 80, 70]])
-    assert working.is_fan[120, 77]
+    assert working.labelled.image.shape == (SIDE_PX, round(SIDE_PX * 2 / 3))
+    np.testing.assert_allclose(working.labelled.boxes * 480 / SIDE_PX, [[60, 40, 160, 140]])
+    assert working.is_fan[SIDE_PX // 2, SIDE_PX * 77 // 240]
     assert not working.is_fan[5, 5]
 
 
@@ -149,6 +155,12 @@ def test_training_finds_what_it_learned(tmp_path: Path) -> None:
         overlap = intersection_over_union(working.labelled.boxes, boxes)
         hits += int((overlap.max(axis=1, initial=0) > 0.5).sum())
     assert hits >= 6  # of 8
+    images = [working.labelled.image for working in unseen]
+    named = find_objects(images, str(tmp_path / DETECTOR_NAME))
+    assert len(named) == len(unseen)
+    assert {item.class_name for items in named for item in items} <= set(CLASSES)
+    # The same objects at the detector's own size, which is larger than these images.
+    assert any(items and items[0].score > 0.1 for items in named)
 
 
 def test_killed_training_goes_on_with_the_same_bytes(
