@@ -20,6 +20,11 @@ the sonar measured, else 0); each (H, W) float32."""
 Pixels = npt.NDArray[np.floating[Any]]
 
 _UNKNOWN_SECTOR_DEG = 30.0
+_DRAWN = "device."  # begins the columns of what was drawn for an image
+FEWEST_BINS = 64
+"""Range bins of a drawn device, at least."""
+POINTS_HFOV_DEG = 30.0
+"""Sector of images of points by a drawn device, at least."""
 
 
 class SonarImage(Protocol):
@@ -129,6 +134,41 @@ def recorded_sonar(config: Mapping[str, Any]) -> RecordedSonar | None:
     return sonar if _is_possible(sonar) else None
 
 
+def drawn_sonar(sonar: SonarDevice, record: Mapping[str, Any] | np.void) -> SonarDevice:
+    """The device of one image: `sonar`, with what was drawn for the image (`devices`)."""
+    names = record.dtype.names or () if isinstance(record, np.void) else record
+    drawn = {
+        name.removeprefix(_DRAWN): float(record[name]) for name in names if name.startswith(_DRAWN)
+    }
+    if not drawn:
+        return sonar
+    image = sonar.image
+    height_px = image.height_px
+    hfov_deg = drawn.get("hfov_deg", sonar.hfov_deg)
+    beams = round(drawn.get("beams", sonar.beams))
+    range_bins = sonar.range_bins
+    if "bins_per_px" in drawn:
+        range_bins = max(round(height_px * drawn["bins_per_px"]), FEWEST_BINS)
+    if not drawn.get("field_share", 1.0):
+        hfov_deg = max(hfov_deg, POINTS_HFOV_DEG)
+        beams = image.width_px
+        range_bins = height_px
+    is_even = "beams" in drawn or "hfov_deg" in drawn
+    return RecordedSonar(
+        name=sonar.name,
+        frequency_khz=drawn.get("frequency_khz", sonar.frequency_khz),
+        hfov_deg=hfov_deg,
+        beams=beams,
+        range_bins=range_bins,
+        image=RecordedImage(image.layout, image.width_px, height_px),
+        beam_azimuths_deg=None if is_even else _beam_table_deg(sonar),
+    )
+
+
+def _beam_table_deg(sonar: SonarDevice) -> tuple[float, ...]:
+    return tuple(np.rad2deg(sonar.beam_centres_rad()).tolist())
+
+
 def _is_possible(sonar: RecordedSonar) -> bool:
     """Whether such a device can be: what another program wrote may be anything."""
     azimuths_deg = sonar.beam_azimuths_deg
@@ -203,10 +243,11 @@ class FanGeometry:
 
     @classmethod
     def from_record(cls, sonar: SonarDevice, record: Mapping[str, Any] | np.void) -> FanGeometry:
-        """The image of one row of a dataset's /meta.
+        """The image of one row of a dataset's /meta, by the device that was drawn for it.
 
         Raises KeyError or ValueError for a row without its window.
         """
+        sonar = drawn_sonar(sonar, record)
         window = (float(record[name]) for name in ("range_min_m", "range_max_m"))
         sector_rad = (math.radians(float(record[f"azimuth_{end}_deg"])) for end in ("min", "max"))
         return cls.from_sonar(sonar, *window, *sector_rad)

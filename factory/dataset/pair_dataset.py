@@ -351,9 +351,7 @@ def _plain(value: Any) -> float | int | str:
 
 
 def _geometry(config: Mapping[str, Any], record: Mapping[str, Any]) -> FanGeometry | None:
-    """Of one image; None where its device was drawn, or another program wrote the dataset."""
-    if config.get("devices") is not None:
-        return None
+    """Of one image; None where another program wrote the dataset."""
     try:
         sonar = recorded_sonar(config)
         return None if sonar is None else FanGeometry.from_record(sonar, record)

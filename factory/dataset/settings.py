@@ -12,7 +12,7 @@ from ..common.settings import STRICT
 from .schema import DATASET_NAME, OPTIONAL_LAYERS
 from .storage import folder_of, is_url
 
-ColumnName = Literal["pose", "intrinsics", "calibration", "boxes", "tracks"]
+ColumnName = Literal["pose", "intrinsics", "calibration", "boxes", "visibility", "tracks"]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -34,8 +34,9 @@ class DatasetSettings:
     columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), intrinsics
         (of the camera), calibration (source level, absorption, time-varying gain; of
         acoustics=coherent), boxes (JSON: of each object its box in 3-D and in range and
-        bearing, and how much of it the sound reaches), tracks (JSON: of each moving object its
-        number, place, velocity, box and target strength).
+        bearing, and how much of it the sound reaches), visibility (JSON: of each object by how
+        much its echoes stand out, dB; needs the layer segmentation), tracks (JSON: of each moving
+        object its number, place, velocity, box and target strength).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.

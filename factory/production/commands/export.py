@@ -8,6 +8,7 @@ from ...dataset.schema import SPLITS
 from ...dataset.storage import local_folder
 from ..cli import Parser
 from ..export import FORMATS, export
+from ..export.object_selection import BOX_CONVENTIONS
 
 
 def main(words: list[str]) -> None:
@@ -31,6 +32,20 @@ def main(words: list[str]) -> None:
         help="smallest width and height of an object's box in pixels (default: 4 for mot and "
         "coco_video, 2 for coco, yolo and huggingface)",
     )
+    parser.add_argument(
+        "--min-visibility",
+        type=float,
+        metavar="DB",
+        help="least visibility of an object (how far its echoes stand out), for example 3; of "
+        "coco, yolo and huggingface",
+    )
+    parser.add_argument(
+        "--box",
+        choices=tuple(BOX_CONVENTIONS),
+        default="echo",
+        help="what a box is around: the echoes (default), echoes and shadow, or the whole object; "
+        "of coco, yolo and huggingface",
+    )
     arguments = parser.parse_args(words)
     summary = export(
         local_folder(arguments.dir),
@@ -39,6 +54,8 @@ def main(words: list[str]) -> None:
         arguments.split,
         class_names=arguments.classes,
         min_side_px=arguments.min_size,
+        min_visibility_db=arguments.min_visibility,
+        box=arguments.box,
     )
     print(f"export: {summary}")
     print(f"folder: {arguments.out}")

@@ -28,6 +28,8 @@ FORMATS = {
     "ply": ("open3d", "cv2"),
 }
 OBJECT_FORMATS = ("huggingface", "coco", "yolo", "mot", "coco_video")
+IMAGE_FORMATS = ("huggingface", "coco", "yolo")
+"""Those whose objects are of single images."""
 _MODULES = {"mot": "tracks", "coco_video": "tracks"}
 
 
@@ -39,20 +41,27 @@ def export(
     *,
     class_names: Sequence[str] = (),
     min_side_px: int | None = None,
+    min_visibility_db: float | None = None,
+    box: str = "echo",
 ) -> str:
     """Write `dataset` in format `to` into the new folder `out`; returns what was written.
 
     The folder appears when it is complete: an export that fails leaves nothing behind.
     class_names, min_side_px: of OBJECT_FORMATS, as `ObjectSelection` describes them.
+    min_visibility_db, box: likewise, of IMAGE_FORMATS.
     Raises FactoryError when the dataset cannot be read, does not fit the format, `out` holds files,
     or the format's library is not installed.
     """
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
-    selection = ObjectSelection(tuple(class_names), min_side_px)
+    selection = ObjectSelection(tuple(class_names), min_side_px, min_visibility_db, box)
     if to not in OBJECT_FORMATS and not selection.is_default:
         raise FactoryError(
             f"--to {to}: --classes and --min-size are for {', '.join(OBJECT_FORMATS)} alone"
+        )
+    if to not in IMAGE_FORMATS and (box != "echo" or min_visibility_db is not None):
+        raise FactoryError(
+            f"--to {to}: --box and --min-visibility are for {', '.join(IMAGE_FORMATS)} alone"
         )
     require(Need(f"--to {to}", library) for library in FORMATS[to])
     module = _MODULES.get(to, to)

@@ -99,7 +99,7 @@ def _row_of(sample: Sample, pairs: PairDataset, exported: ExportedObjects | None
                 "category": exported.classes.number(shown.class_name) - 1,
                 "area": shown.area_px,
             }
-            for shown in visible_objects(sample, pairs)
+            for shown in visible_objects(sample, pairs, exported.selection)
             if exported.has_room_for(shown)
         ]
     for layer, image in sample.images.items():

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ...common.errors import FactoryError
 from ...common.ros_types import SONAR, typestore
-from ...dataset.fan_geometry import FanGeometry, SonarDevice, recorded_sonar
+from ...dataset.fan_geometry import FanGeometry, SonarDevice, drawn_sonar, recorded_sonar
 from ...dataset.pair_dataset import PairDataset
 from .notes import write_notes
 from .samples import Sample, read_samples
@@ -51,10 +51,11 @@ def write_mcap(pairs: PairDataset, folder: Path) -> str:
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     sonar = recorded_sonar(pairs.form.config)
-    if sonar is None or pairs.form.config.get("devices") is not None:
+    devices = pairs.form.config.get("devices") or {}
+    if sonar is None or devices.get("field_share") is not None:
         raise FactoryError(
-            f"{pairs.folder}: no one device made its images, so ranges and beams are not known; "
-            "export with --to png"
+            f"{pairs.folder}: some of its images are points seen from above, which have no ranges "
+            "and beams; export with --to png"
         )
     store = typestore(2)
     count = 0
@@ -103,6 +104,7 @@ def _messages(
         sec=seconds, nanosec=min(round((time_s - seconds) * 1e9), 999_999_999)
     )
     header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=_FRAME_ID)
+    sonar = drawn_sonar(sonar, sample.record)
     geometry = FanGeometry.from_record(sonar, sample.record)
     grid = polar_grid(sonar, geometry)
     for layer in _LAYERS:

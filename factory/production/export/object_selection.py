@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ...common.errors import FactoryError
+
+BOX_CONVENTIONS = {
+    "echo": "the echoes of an object",
+    "echo+shadow": "the echoes of an object and its acoustic shadow",
+    "object": "the whole object, the part without echoes too",
+}
+"""What a box can be around; the first is the default."""
 
 
 @dataclass(frozen=True)
@@ -14,11 +22,15 @@ class ObjectSelection:
 
     class_names: classes to export, in the order of their numbers; empty: those that occur.
     min_side_px: smallest width and height of a box, pixels; None: the default of the format.
-    Raises FactoryError for a class that is named twice, and for a size below 1.
+    min_visibility_db: least visibility; None: no limit.
+    box: what a box is around; see BOX_CONVENTIONS.
+    Raises FactoryError for a class that is named twice, a size below 1, and another convention.
     """
 
     class_names: tuple[str, ...] = ()
     min_side_px: int | None = None
+    min_visibility_db: float | None = None
+    box: str = "echo"
 
     def __post_init__(self) -> None:
         for name in self.class_names:
@@ -26,6 +38,18 @@ class ObjectSelection:
                 raise FactoryError(f"--classes names {name} twice")
         if self.min_side_px is not None and self.min_side_px < 1:
             raise FactoryError(f"--min-size {self.min_side_px}: expected 1 pixel or more")
+        limit_db = self.min_visibility_db
+        if limit_db is not None and not math.isfinite(limit_db):
+            raise FactoryError(f"--min-visibility {limit_db}: expected a number of decibels")
+        if self.box not in BOX_CONVENTIONS:
+            raise FactoryError(f"--box {self.box}: expected one of {', '.join(BOX_CONVENTIONS)}")
+
+    def describe_boxes(self) -> str:
+        """What a box is around, and which objects are too faint, as sentences for a README."""
+        text = f"A box (convention `{self.box}`) is around {BOX_CONVENTIONS[self.box]}."
+        if self.min_visibility_db is None:
+            return text
+        return f"{text} Objects of a visibility below {self.min_visibility_db:g} dB are left out."
 
     @property
     def is_default(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,9 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ...common.errors import FactoryError
+from ...dataset.fan_geometry import FanGeometry, recorded_sonar
 from ...dataset.labels import classes_of
 from ...dataset.pair_dataset import PairDataset
 from ...dataset.schema import stored_image
+from .object_boxes import Box, ObjectPlace, box_of_object, box_with_shadow, parse_places
 from .object_selection import ClassList, ObjectSelection
 from .png_encoding import encode_png
 from .samples import Sample, read_samples
@@ -28,31 +31,32 @@ MIN_SIDE_PX = 2
 """Ultralytics leaves out narrower boxes when it trains."""
 
 
-class Box(NamedTuple):
-    """The smallest box around an object, pixels."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-
 @dataclass(frozen=True, eq=False)
 class VisibleObject:
-    """An object in an image: the name of its class, and the pixels (H, W) that show it."""
+    """An object in an image: the name of its class, and the pixels (H, W) that show it.
+
+    box: by the convention of the export.  visibility_db: None where the dataset does not say.
+    """
 
     class_name: str
     mask: npt.NDArray[np.bool_]
+    box: Box
+    visibility_db: float | None = None
 
     @cached_property
     def area_px(self) -> int:
         """The number of pixels that show it."""
         return int(self.mask.sum())
 
-    @cached_property
-    def box(self) -> Box:
-        """The box around the pixels of the mask."""
-        return Box(*cv2.boundingRect(self.mask.astype(np.uint8)))
+    @property
+    def is_echo_box(self) -> bool:
+        """Whether the box is that around the mask."""
+        return self.box == echo_box(self.mask)
+
+
+def echo_box(mask: npt.NDArray[np.bool_]) -> Box:
+    """The box around the pixels of a mask."""
+    return Box(*cv2.boundingRect(mask.astype(np.uint8)))
 
 
 class LabelledImage(NamedTuple):
@@ -68,16 +72,20 @@ class ExportedObjects:
 
     min_side_px: smallest width and height of a box, pixels.
     counts: class -> number of objects.  small_count: number of objects that were left out.
+    selection: what the user asks for.
     """
 
     classes: ClassList
     min_side_px: int
     counts: Mapping[str, int]
     small_count: int
+    selection: ObjectSelection
 
     def has_room_for(self, shown: VisibleObject) -> bool:
         """Whether an object is of a class of the export, and large enough."""
-        return shown.class_name in self.classes and is_large(shown, self.min_side_px)
+        if shown.class_name not in self.classes or not is_large(shown, self.min_side_px):
+            return False
+        return is_clear(shown, self.selection)
 
     def summarize(self, image_count: int) -> str:
         """What an export says of its images and objects."""
@@ -89,7 +97,10 @@ class ExportedObjects:
 
     def describe_limit(self) -> str:
         """Which objects are too small."""
-        return f"below {MIN_OBJECT_PX} pixels or narrower than {self.min_side_px}"
+        limit = f"below {MIN_OBJECT_PX} pixels or narrower than {self.min_side_px}"
+        if self.selection.min_visibility_db is None:
+            return limit
+        return f"fainter than {self.selection.min_visibility_db:g} dB, {limit}"
 
     def describe(self, first_number: int = 1) -> str:
         """The classes, their numbers and the limit of size, as a paragraph for a README."""
@@ -97,7 +108,7 @@ class ExportedObjects:
         return (
             f"Classes: {self.classes.describe(first_number)}. Objects: {counts}. "
             f"{self.small_count} objects {self.describe_limit()} pixels (width or height of the "
-            "box) are left out."
+            f"box) are left out. {self.selection.describe_boxes()}"
         )
 
 
@@ -113,6 +124,13 @@ def is_large(shown: VisibleObject, min_side_px: int) -> bool:
     return min(shown.box.width, shown.box.height) >= min_side_px
 
 
+def is_clear(shown: VisibleObject, selection: ObjectSelection) -> bool:
+    """Whether an object stands out as much as the selection asks for."""
+    if selection.min_visibility_db is None or shown.visibility_db is None:
+        return True
+    return shown.visibility_db >= selection.min_visibility_db
+
+
 def survey_objects(pairs: PairDataset, selection: ObjectSelection) -> ExportedObjects:
     """Read the labels of all samples, and choose and count the objects of an export.
 
@@ -124,6 +142,7 @@ def survey_objects(pairs: PairDataset, selection: ObjectSelection) -> ExportedOb
             f"{pairs.folder} has no labels (/segmentation and /instance); make it from scenes with "
             "labels and dataset.layers=[segmentation], or export with --to png"
         )
+    _refuse_missing_columns(pairs, selection)
     min_side_px = selection.min_side_px or MIN_SIDE_PX
     large_counts: Counter[str] = Counter()
     small_counts: Counter[str] = Counter()
@@ -131,8 +150,9 @@ def survey_objects(pairs: PairDataset, selection: ObjectSelection) -> ExportedOb
     with PairDataset(pairs.folder, pairs.split, layers=labels, trusted=True) as labelled:
         for split in labelled.splits:
             for sample in read_samples(labelled, split):
-                for shown in visible_objects(sample, labelled):
-                    counts = large_counts if is_large(shown, min_side_px) else small_counts
+                for shown in visible_objects(sample, labelled, selection):
+                    has_room = is_large(shown, min_side_px) and is_clear(shown, selection)
+                    counts = large_counts if has_room else small_counts
                     counts[shown.class_name] += 1
     classes = selection.list_classes(classes_of(pairs.form.config), large_counts)
     return ExportedObjects(
@@ -144,14 +164,35 @@ def survey_objects(pairs: PairDataset, selection: ObjectSelection) -> ExportedOb
             for name, count in small_counts.items()
             if name in classes or not selection.class_names
         ),
+        selection=selection,
     )
 
 
-def visible_objects(sample: Sample, pairs: PairDataset) -> Iterator[VisibleObject]:
+def _refuse_missing_columns(pairs: PairDataset, selection: ObjectSelection) -> None:
+    """Raise FactoryError where the dataset lacks a column that the selection needs."""
+    columns = {column.name for column in pairs.form.columns}
+    if selection.min_visibility_db is not None and "visibility" not in columns:
+        raise FactoryError(
+            f"--min-visibility: {pairs.folder} has no column visibility; make it with "
+            "dataset.columns=[visibility]"
+        )
+    if selection.box != "echo" and "boxes" not in columns:
+        raise FactoryError(
+            f"--box {selection.box}: {pairs.folder} has no column boxes; make it with "
+            "dataset.columns=[boxes]"
+        )
+
+
+def visible_objects(
+    sample: Sample, pairs: PairDataset, selection: ObjectSelection
+) -> Iterator[VisibleObject]:
     """The pixels of each number in /instance, with the class that most of them have.
 
-    Raises FactoryError for a label that names no class of the dataset.
+    Raises FactoryError for a label that names no class of the dataset, and for columns that cannot
+    be read.
     """
+    visibility_db = _visibility_db(sample, pairs)
+    boxes = _SampleBoxes(sample, pairs, selection.box)
     classes = classes_of(pairs.form.config)
     object_numbers = sample.images["instance"]
     labels = sample.images["segmentation"]
@@ -164,7 +205,50 @@ def visible_objects(sample: Sample, pairs: PairDataset) -> Iterator[VisibleObjec
                 "which names no class"
             )
         if label:
-            yield VisibleObject(classes[label], mask)
+            number = int(object_number)
+            box = boxes.around(number, mask)
+            yield VisibleObject(classes[label], mask, box, visibility_db.get(number))
+
+
+def _visibility_db(sample: Sample, pairs: PairDataset) -> dict[int, float]:
+    """Number in /instance -> visibility, dB; empty where the dataset does not say."""
+    text = sample.record.get("visibility")
+    if text is None:
+        return {}
+    try:
+        return {int(number): float(value) for number, value in json.loads(str(text)).items()}
+    except (AttributeError, TypeError, ValueError) as error:
+        raise FactoryError(
+            f"{pairs.folder}: {sample.key}: column visibility is no list of numbers; make the "
+            "dataset anew"
+        ) from error
+
+
+class _SampleBoxes:
+    """The boxes of the objects of one sample, by a convention."""
+
+    def __init__(self, sample: Sample, pairs: PairDataset, convention: str) -> None:
+        self._make_box = _BOX_MAKERS.get(convention)
+        self._places: Mapping[int, ObjectPlace] = {}
+        if self._make_box is None:
+            return
+        place = f"{pairs.folder}: {sample.key}"
+        self._places = parse_places(str(sample.record["boxes"]), place)
+        sonar = recorded_sonar(pairs.form.config)
+        if sonar is None:
+            raise FactoryError(f"{place}: its device is not known; export with --box echo")
+        self._geometry = FanGeometry.from_record(sonar, sample.record)
+
+    def around(self, number: int, mask: npt.NDArray[np.bool_]) -> Box:
+        """The box of an object, whose echoes are the mask."""
+        echo = echo_box(mask)
+        if self._make_box is None or number not in self._places:
+            return echo
+        height, width = mask.shape
+        return self._make_box(echo, self._places[number], self._geometry, (height, width))
+
+
+_BOX_MAKERS = {"echo+shadow": box_with_shadow, "object": box_of_object}
 
 
 def write_labelled_images(
@@ -178,7 +262,9 @@ def write_labelled_images(
         _write_image(sample.images["noisy"], folder / "images" / split, sample.key)
         _write_image(sample.images["clean"], folder / "clean" / split, sample.key)
         objects = [
-            shown for shown in visible_objects(sample, pairs) if exported.has_room_for(shown)
+            shown
+            for shown in visible_objects(sample, pairs, exported.selection)
+            if exported.has_room_for(shown)
         ]
         yield LabelledImage(sample.key, objects)
 

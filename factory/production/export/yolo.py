@@ -58,6 +58,9 @@ def _label_line(shown: VisibleObject, classes: ClassList) -> str:
     """The line of an object; YOLO counts classes from 0."""
     height, width = shown.mask.shape
     polygon = join_outlines(trace_outlines(shown.mask))
+    if not shown.is_echo_box:
+        left, top, right, bottom = shown.box.corners
+        polygon = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     fractions = (polygon / (width, height)).ravel()
     corners = " ".join(f"{fraction:.6f}" for fraction in fractions)
     return f"{classes.number(shown.class_name) - 1} {corners}\n"

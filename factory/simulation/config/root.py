@@ -156,6 +156,11 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
             "dataset.layers: rgb and depth do not show moving objects; leave them out, or leave "
             "scenes.moving_objects out"
         )
+    if "visibility" in config.dataset.columns and "segmentation" not in config.dataset.layers:
+        yield (
+            "dataset.columns: visibility is of the objects in the layer segmentation; set "
+            "dataset.layers=[segmentation], too, or leave it out"
+        )
     if "segmentation" in config.dataset.layers and not has_labels(config.scenes):
         yield (
             "dataset.layers: segmentation needs labelled frames and "

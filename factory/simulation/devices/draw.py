@@ -10,7 +10,7 @@ import numpy as np
 
 from ...common import seeds
 from ...common.distribution import number
-from ...dataset.fan_geometry import fan_size
+from ...dataset.fan_geometry import FEWEST_BINS, POINTS_HFOV_DEG, fan_size
 from ...dataset.labels import class_names
 from ...dataset.schema import Column
 from ..imaging.coherent import CoherentScene
@@ -33,12 +33,10 @@ from .settings import DeviceSettings, distributions
 
 _SOUND_SPEED_M_S = 1480.0
 """Turns a range resolution into a bandwidth; the water's own speed is within 4 % of it."""
-_FEWEST_BINS = 64
 _ANY_RANGE_M = (0.2, 30.0)
 """Limits of a fitted window."""
 _LARGEST_POINTS_PX = 512
 """Beyond, an image of points has fewer echoes than pixels."""
-_POINTS_HFOV_DEG = 30.0
 _DARKEST = 0.8
 """Of the median echo's grey value: a display that is no darker anywhere shows nothing."""
 _ODD = ("spokes", "ghosts", "gains")
@@ -122,7 +120,7 @@ def configured(config: Config, device: Device, *, any_size: bool) -> Config:
     image = _image(config.sonar.image, device, any_size=any_size)
     range_bins = sonar.range_bins
     if "bins_per_px" in drawn:
-        range_bins = max(round(image.height_px * drawn["bins_per_px"]), _FEWEST_BINS)
+        range_bins = max(round(image.height_px * drawn["bins_per_px"]), FEWEST_BINS)
     table = sonar.beam_azimuths_deg
     if "beams" in drawn or "hfov_deg" in drawn:
         table = None
@@ -262,7 +260,7 @@ def fitted(config: Config, device: Device, scene: PointwiseScene | CoherentScene
 def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
     """The paper's images: the view from above, a bin and a beam for each pixel."""
     image = sonar.image
-    hfov_deg = max(sonar.hfov_deg, _POINTS_HFOV_DEG)
+    hfov_deg = max(sonar.hfov_deg, POINTS_HFOV_DEG)
     if any_size:
         side = min(image.height_px, _LARGEST_POINTS_PX)
         image = replace(image, layout="fan", height_px=side, width_px=side)

@@ -126,7 +126,8 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     shift_step = textured_share * textured_share * np.float32(_SHIFTS - 1)
     level_db += interpolate_table(shifts_db, shift_step)
 
-    low_db, table = _table(settings)
+    # The table is the same for all references, which are drawn anew for many images.
+    low_db, table = _table(replace(settings, percentile=90, reference=1, full_scale_db=None))
     level_step = (level_db - np.float32(low_db)) * np.float32(_STEPS_PER_DB)
     # Relative variance: 1 / looks of what fluctuates, in steps of the table.
     steady_share = np.minimum(state.steady / total, unit)
@@ -157,7 +158,7 @@ def interpolate_table(
     return np.asarray(low + (place - step.astype(np.float32)) * (high - low), np.float32)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _table(settings: TransferSettings) -> tuple[float, Floats]:
     """Lowest level, dB; (variances, levels) expected grey values of gamma-distributed intensities.
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..sonar import array, polar, transfer
-from ..sonar.array import WaterSettings, thermal_noise_db
+from ..sonar.array import ArraySettings, WaterSettings, thermal_noise_db
 from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface
 from ..sonar.window import Window
@@ -259,9 +259,26 @@ def gaussian_table() -> Floats:
 # --- the device's beams as matrices -----------------------------------------------------------
 
 
-@lru_cache(maxsize=8)
 def mixing(sonar: SonarSettings) -> Floats:
     """The device's beam mixing; see `simnfnd.factory.simulation.sonar.array.beam_mixing`."""
+    return _mixing(_receive_beams(sonar))
+
+
+def _receive_beams(sonar: SonarSettings) -> SonarSettings:
+    """The device without all that leaves its receive beams as they are, for caches."""
+    array_settings = ArraySettings(
+        beamwidth_deg=sonar.array.beamwidth_deg, horizontal=sonar.array.horizontal
+    )
+    return SonarSettings(
+        hfov_deg=sonar.hfov_deg,
+        beams=sonar.beams,
+        beam_azimuths_deg=sonar.beam_azimuths_deg,
+        array=array_settings,
+    )
+
+
+@lru_cache(maxsize=8)
+def _mixing(sonar: SonarSettings) -> Floats:
     return array.beam_mixing(sonar.beam_centres_rad(), sonar.array)
 
 
@@ -292,8 +309,13 @@ class BeamMixing(NamedTuple):
     differences: HalfMixing | None = None
 
 
-@lru_cache(maxsize=16)
 def matrices(sonar: SonarSettings, power: bool) -> BeamMixing:
+    """The mixing of a device; see `_matrices`."""
+    return _matrices(_receive_beams(sonar), power)
+
+
+@lru_cache(maxsize=16)
+def _matrices(sonar: SonarSettings, power: bool) -> BeamMixing:
     """The mixing of amplitudes or, squared, of intensities.
 
     Halves cost an error of 2e-7 of the row's strongest number.

@@ -14,6 +14,8 @@ from ..meshes.camera import oriented
 from ..sonar.surface import LitSurface
 
 _MOST_BYTES = 12288
+_FARTHEST_QUANTILE = 0.995
+_LEAST_SHADOW_M = 0.02
 BOXES = (
     Column(
         "boxes",
@@ -22,7 +24,8 @@ BOXES = (
         "JSON list of the objects in sight, most echoes first: instance, class; centre_m "
         "(ahead, left, up), size_m (length, width, height) and yaw_deg (from ahead to the left) in "
         "the sonar's axes; range_m and bearing_deg (right is positive) around its echoes, null "
-        "without any; insonified and shadowed, parts of the outline that it would have alone",
+        "without any; shadow_m, where its shadow ends along range, null where none is seen; "
+        "insonified and shadowed, parts of the outline that it would have alone",
     ),
 )
 # Ahead, left and up of the camera, from its right, down, ahead.
@@ -48,6 +51,7 @@ def boxes_row(lit: LitSurface, classes: Sequence[str]) -> dict[str, float | str]
     is_shadowed = lit.rendered.surface & (lit.rendered.radiance <= 0)
     instance_of_shadow = instance_of_pixel[is_shadowed.ravel()]
 
+    shadows_m = _shadow_ends_m(lit)
     echo_counts: list[int] = []
     entries: list[dict[str, object]] = []
     for instance, label, *box, alone_px, hidden_px in frame.boxes.tolist():
@@ -63,6 +67,7 @@ def boxes_row(lit: LitSurface, classes: Sequence[str]) -> dict[str, float | str]
                 **_box_in_sonar_axes(np.array(box), lit),
                 "range_m": _limits(range_m[is_own]),
                 "bearing_deg": _limits(bearing_deg[is_own]),
+                "shadow_m": shadows_m.get(int(instance)),
                 "insonified": round(min(echo_count / outline_px, 1.0), 3),
                 "shadowed": round(min(shadow_px / outline_px, 1.0), 3),
             }
@@ -73,6 +78,48 @@ def boxes_row(lit: LitSurface, classes: Sequence[str]) -> dict[str, float | str]
     while len(text := json.dumps(entries, separators=(",", ":"))) > _MOST_BYTES:
         entries.pop()
     return {"boxes": text}
+
+
+def _shadow_ends_m(lit: LitSurface) -> dict[int, float]:
+    """Instance -> range at which its shadow ends, metres; of objects that throw one.
+
+    What is seen right over the upper edge of an object lies where its shadow ends.  A shadow is
+    seen as far as something around it echoes, hence no farther than the farthest echo.
+    """
+    frame = lit.frame
+    assert frame.instance is not None
+    echoes = lit.shown.echoes
+    if not len(echoes.range_m):
+        return {}
+    farthest_m = float(np.quantile(echoes.range_m, _FARTHEST_QUANTILE))
+    range_m = _range_of_pixels_m(lit)
+    below = frame.instance[1:]
+    is_edge = (below > 0) & (frame.instance[:-1] != below)
+    number = below[is_edge]
+    edge_m = range_m[1:][is_edge]
+    end_m = np.minimum(range_m[:-1][is_edge], farthest_m)
+    ends_m: dict[int, float] = {}
+    for instance in np.unique(number):
+        is_own = number == instance
+        # An edge before which something nearer lies throws no shadow of its own.
+        throws = is_own & (end_m > edge_m + _LEAST_SHADOW_M)
+        if throws.any():
+            ends_m[int(instance)] = round(float(np.quantile(end_m[throws], 0.9)), 3)
+    return ends_m
+
+
+def _range_of_pixels_m(lit: LitSurface) -> npt.NDArray[np.float32]:
+    """(H, W) distance of each pixel from the sonar, inf where nothing is."""
+    frame = lit.frame
+    across, down = frame.intrinsics.directions(*frame.depth_m.shape)
+    z = np.where(frame.depth_m > 0, frame.depth_m, np.float32(np.inf))
+    if lit.sonar.mount.colocated:
+        lengths = np.sqrt(1 + across[None] ** 2 + down[:, None] ** 2)
+        return np.asarray(z * lengths, np.float32)
+    finite = np.where(np.isfinite(z), z, 0)
+    camera_m = np.stack([across[None] * finite, down[:, None] * finite, finite], axis=-1)
+    apart_m = np.linalg.norm(camera_m - lit.sonar.mount.position_camera_m(), axis=-1)
+    return np.asarray(np.where(np.isfinite(z), apart_m, np.inf), np.float32)
 
 
 def _limits(values: npt.NDArray[np.float32]) -> list[float] | None:

@@ -33,6 +33,7 @@ from ..imaging.settings import CoherentSettings, with_materials
 from ..labels.camera_layers import Camera, CameraLayers
 from ..labels.image_axes import image_axes
 from ..labels.insonified import check_share, insonified_share
+from ..labels.visibility import visibility_row
 from ..moving.compose import Echo, compose
 from ..moving.recordings import Moment, Recordings
 from ..noise.draws import Draws, StreamNames, draw
@@ -415,11 +416,20 @@ def make_pair(
     if device is not None:
         row |= device.row()
     row |= observed.columns
-    noisy = _by_beam_group([sample.noisy(draws.names) for sample in samples])
     clean = _by_beam_group([sample.clean for sample in samples])
+    clean_image = layout.image(clean, is_noisy=False)
+    if "visibility" in config.dataset.columns:
+        row |= visibility_row(
+            clean_image,
+            np.asarray(layers["instance"], np.uint16),
+            layout.inside(),
+            config.sonar.transfer,
+            "amplitude" if _has_conical_beams(config) else "intensity",
+        )
+    noisy = _by_beam_group([sample.noisy(draws.names) for sample in samples])
     return Pair(
         noisy=layout.image(noisy, is_noisy=True),
-        clean=layout.image(clean, is_noisy=False),
+        clean=clean_image,
         shadow=observed.shadow,
         record=row,
         layers=layers,
@@ -456,6 +466,12 @@ class _Layout:
         self._sonar = config.sonar
         self._dtype = config.dataset.dtype
         self._is_plain = config.sonar.image.plain and not is_drawn
+
+    def inside(self) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: the pixels of the sector that hold data."""
+        seen = polar.seen_beams(self._window, self._sonar)
+        bins = np.repeat(seen[None], self._sonar.range_bins, axis=0)
+        return lay_out_nearest(bins, self._window, self._sonar)
 
     def image(self, grey: Floats, *, is_noisy: bool) -> npt.NDArray[np.generic]:
         """(range_bins, beams) grey values -> (H, W) uint8 or float32."""

@@ -18,6 +18,7 @@ from ...dataset.schema import Column
 from ..frames.frame import Frame
 from ..imaging.settings import CoherentSettings
 from ..labels.boxes_column import BOXES, boxes_row
+from ..labels.visibility import VISIBILITY
 from ..moving.tracks import TRACKS, tracks_row
 from ..render.base import Mount
 from ..sonar.surface import LitSurface
@@ -164,5 +165,7 @@ _REQUESTABLE: dict[str, Requestable] = {
         BOXES,
         lambda lit, config: boxes_row(lit, class_names(config.scenes.own_classes())),
     ),
+    # Its value depends on the noise of each image: see `pair_maker.make_pair`.
+    "visibility": Requestable(VISIBILITY, lambda _, __: {"visibility": "{}"}),
     "tracks": Requestable(TRACKS, lambda lit, config: tracks_row(lit, config.sonar.frequency_khz)),
 }

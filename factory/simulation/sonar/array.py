@@ -211,18 +211,21 @@ def vertical_pattern(sine: Floats, vfov_deg: float, array: ArraySettings) -> Flo
     return np.asarray(response(sine * length, array.vertical) ** 4)
 
 
-@lru_cache(maxsize=8)
 def vertical_table(vfov_deg: float, array: ArraySettings) -> npt.NDArray[np.float32]:
     """(4097,) `vertical_pattern` at equal steps of sin(elevation) from -1 to 1."""
-    sine = np.linspace(-1, 1, _PATTERN_STEPS + 1)
-    return vertical_pattern(sine, vfov_deg, array).astype(np.float32)
+    return _vertical_table(vfov_deg, array.vertical).astype(np.float32)
 
 
 @lru_cache(maxsize=32)
+def _vertical_table(vfov_deg: float, vertical: Taper) -> Floats:
+    sine = np.linspace(-1, 1, _PATTERN_STEPS + 1)
+    return vertical_pattern(sine, vfov_deg, ArraySettings(vertical=vertical))
+
+
 def vertical_width_rad(vfov_deg: float, array: ArraySettings) -> float:
     """Equivalent two-way width of the vertical beam, radians: its pattern's integral."""
-    sine = np.linspace(-1, 1, 4097)
-    pattern = vertical_pattern(sine, vfov_deg, array)
+    sine = np.linspace(-1, 1, _PATTERN_STEPS + 1)
+    pattern = _vertical_table(vfov_deg, array.vertical)
     # By trapezia; NumPy's own function is called `trapz` before 2.0 and `trapezoid` from 2.0 on.
     return float(np.sum(np.diff(sine) * (pattern[1:] + pattern[:-1]) / 2.0))
 

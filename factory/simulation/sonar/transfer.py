@@ -86,6 +86,29 @@ def grey(
     return np.clip(relative, 0, 1).astype(np.float32)
 
 
+def level_db(
+    grey_values: npt.NDArray[np.floating],
+    transfer: TransferSettings,
+    quantity: Quantity = "amplitude",
+) -> npt.NDArray[np.float32]:
+    """Levels over full scale that grey values in [0, 1] show, dB, same shape: `grey` backwards.
+
+    Black is as far below full scale as the display, or 8 bits, can tell.
+    """
+    shown = np.clip(np.asarray(grey_values, np.float64), 0, 1)
+    per_decade = _DECIBELS[quantity]
+    if transfer.kind == "log":
+        return np.asarray((shown - 1) * transfer.dynamic_range_db, np.float32)
+    if transfer.kind == "soft_log":
+        steps = 10 ** (transfer.dynamic_range_db / 10)
+        above_black = np.maximum((shown - transfer.black) / (1 - transfer.black), 0)
+        intensity = np.expm1(above_black * np.log1p(steps)) / steps
+        return np.asarray(10 * np.log10(np.maximum(intensity, 1 / steps)), np.float32)
+    exponent = transfer.exponent if transfer.kind == "power" else 1.0
+    visible = np.maximum(shown, 0.5 / 255)
+    return np.asarray(per_decade / exponent * np.log10(visible), np.float32)
+
+
 def quantise(grey_values: npt.NDArray[np.floating], dtype: str) -> npt.NDArray[np.generic]:
     """uint8 (0 to 255, rounded) or float32 (0 to 1)."""
     if dtype == "uint8":
