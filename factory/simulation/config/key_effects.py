@@ -115,7 +115,7 @@ def _reason_of_noise(config: FactoryConfig, key: str, named: Collection[str]) ->
     amount, least = _LEAST_AMOUNTS.get(key, ("", 0))
     if amount and _largest(block, amount) < least and f"noise.{effect}.{amount}" not in named:
         return f"has no effect while noise.{effect}.{amount} is below {least}; set that, too"
-    if key == "noise.receiver.level_db" and config.devices is not None:
+    if key == "noise.receiver.level_db" and _is_drawn(config, "receiver_db"):
         return "has no effect here; devices draws it: set devices.receiver_db"
     return None
 
@@ -144,9 +144,17 @@ def _is_coherent(config: FactoryConfig) -> bool:
     return isinstance(config.acoustics, CoherentSettings)
 
 
+def _is_drawn(config: FactoryConfig, *device_keys: str) -> bool:
+    """Whether devices draws one of its keys."""
+    devices = config.devices
+    return devices is not None and any(getattr(devices, key) is not None for key in device_keys)
+
+
 def _is_pointwise(config: FactoryConfig) -> bool:
-    """Drawn devices make pointwise images, too."""
-    return not _is_coherent(config) or config.devices is not None
+    """Drawn devices may make pointwise images, too."""
+    if config.devices is not None:
+        return config.devices.field_share is not None
+    return not _is_coherent(config)
 
 
 def _acts(config: FactoryConfig, *effects: str) -> bool:
@@ -220,8 +228,8 @@ def _share_is_above_0(name: str) -> Callable[[FactoryConfig], bool]:
     def acts(config: FactoryConfig) -> bool:
         if config.devices is None:
             return True
-        share: Distribution = getattr(config.devices, name)
-        return max(share.values) > 0
+        share: Distribution | None = getattr(config.devices, name)
+        return share is None or max(share.values) > 0
 
     return acts
 
@@ -235,32 +243,47 @@ _COHERENT_ONLY = (
     "sonar.samples_per_bin",
     "sonar.transfer.full_scale_db",
 )
-_DRAWN_WITH_DEVICES = (
-    "sonar.hfov_deg",
-    "sonar.vfov_deg",
-    "sonar.frequency_khz",
-    "sonar.beams",
-    "sonar.range_bins",
-    "sonar.beam_azimuths_deg",
-    "sonar.range.*",
-    "sonar.transfer.*",
-    "sonar.image.sampling",
-    "sonar.image.enlarged",
-    "sonar.image.jpeg_quality",
-    "sonar.array.bandwidth_khz",
-    "sonar.array.beamwidth_deg",
-    "sonar.array.source_level_db",
-    "acoustics.standing",
-    "acoustics.tvg_log",
-    "acoustics.lambert_exponent",
-    "acoustics.reflectivity_db.Background",
-)
+# Key of an image -> the keys of devices that replace it.
+_DRAWN_BY: dict[str, tuple[str, ...]] = {
+    "sonar.hfov_deg": ("hfov_deg",),
+    "sonar.vfov_deg": ("vfov_deg",),
+    "sonar.frequency_khz": ("frequency_khz",),
+    "sonar.beams": ("beams",),
+    "sonar.range_bins": ("bins_per_px",),
+    "sonar.beam_azimuths_deg": ("beams", "hfov_deg"),
+    "sonar.range.*": ("auto_range_share", "range_min_m", "range_max_m"),
+    "sonar.transfer.kind": ("log_share", "soft_share"),
+    "sonar.transfer.percentile": ("log_reference", "power_reference"),
+    "sonar.transfer.reference": ("log_reference", "power_reference"),
+    "sonar.transfer.exponent": ("exponent",),
+    "sonar.transfer.dynamic_range_db": ("dynamic_range_db",),
+    "sonar.transfer.black": ("black",),
+    "sonar.transfer.full_scale_db": ("log_reference", "power_reference"),
+    "sonar.image.sampling": ("nearest_share",),
+    "sonar.image.enlarged": ("enlarged",),
+    "sonar.image.jpeg_quality": ("jpeg_quality",),
+    "sonar.array.bandwidth_khz": ("resolution_bins",),
+    "sonar.array.beamwidth_deg": ("beamwidth_beams",),
+    "sonar.array.source_level_db": ("receiver_db",),
+    "acoustics.standing": ("standing",),
+    "acoustics.tvg_log": ("tvg_log",),
+    "acoustics.lambert_exponent": ("lambert_exponent",),
+    "acoustics.reflectivity_db.Background": ("background_db",),
+}
+
+
+def _is_not_drawn(device_keys: tuple[str, ...]) -> Callable[[FactoryConfig], bool]:
+    return lambda config: not _is_drawn(config, *device_keys)
+
 
 _RULES = (
-    Rule(
-        _DRAWN_WITH_DEVICES,
-        lambda config: config.devices is None,
-        "devices draws it for each image: set devices=fixed",
+    *(
+        Rule(
+            (key,),
+            _is_not_drawn(device_keys),
+            f"devices draws it for each image: set devices.{device_keys[0]}=null or devices=fixed",
+        )
+        for key, device_keys in _DRAWN_BY.items()
     ),
     Rule(_COHERENT_ONLY, _is_coherent, "set acoustics=coherent (experiment=physical)"),
     Rule(("resample", "resample.*"), _is_pointwise, "set acoustics=pointwise"),

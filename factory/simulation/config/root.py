@@ -136,6 +136,10 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
             )
     if config.devices is not None:
         yield from _conflicts_of_drawn_devices(config)
+        if config.devices.field_share is None and not isinstance(
+            config.acoustics, PointwiseSettings
+        ):
+            yield from _conflicts_of_coherent(config)
     elif isinstance(config.acoustics, PointwiseSettings):
         yield from _conflicts_of_pointwise(config)
     else:
@@ -187,11 +191,6 @@ def _conflicts_of_drawn_devices(config: FactoryConfig) -> Iterator[str]:
         yield (
             f"dataset: {(received or ['calibration'])[0]} is of coherent images alone; set "
             "devices.field_share=1, or leave it out"
-        )
-    if "field" in received and config.sonar.samples_per_bin > 1:
-        yield (
-            "dataset.layers: field is of raw samples, and sonar.samples_per_bin averages them; "
-            "set sonar.samples_per_bin=1"
         )
     if config.sonar.image.layout == "polar":
         for name in ("beams", "bins_per_px"):

@@ -18,7 +18,7 @@ VISIBILITY = (
         f"S{_MOST_BYTES}",
         "",
         "JSON object: number in /instance -> visibility, dB: mean level of the pixels of an object "
-        "in the clean image, over the median level around its box; most visible first",
+        "in the mean of noisy images, over the median level around its box; most visible first",
     ),
 )
 _AROUND = 0.5
@@ -27,7 +27,7 @@ _LEAST_AROUND_PX = 4
 
 
 def visibility_row(
-    clean: npt.NDArray[np.generic],
+    mean: npt.NDArray[np.generic],
     instance: npt.NDArray[np.uint16],
     inside: npt.NDArray[np.bool_],
     settings: TransferSettings,
@@ -35,12 +35,13 @@ def visibility_row(
 ) -> dict[str, float | str]:
     """The value of `VISIBILITY` for an image.
 
-    clean: (H, W) uint8, or float32 in 0..1; its noise floor hides what is fainter.
+    mean: (H, W) uint8, or float32 in 0..1: the expected image; its noise floor hides what is
+        fainter.
     inside: (H, W) bool, the sector.  settings, quantity: of the display.
     The least visible objects are left out where the text would exceed the column.
     """
-    full_scale = 255 if clean.dtype == np.uint8 else 1
-    grey = clean.astype(np.float32) / np.float32(full_scale)
+    full_scale = 255 if mean.dtype == np.uint8 else 1
+    grey = mean.astype(np.float32) / np.float32(full_scale)
     level_db = transfer.level_db(grey, settings, quantity)
     numbers, flat = np.unique(instance, return_inverse=True)
     pixels_by_number = np.split(

@@ -416,20 +416,13 @@ def make_pair(
     if device is not None:
         row |= device.row()
     row |= observed.columns
-    clean = _by_beam_group([sample.clean for sample in samples])
-    clean_image = layout.image(clean, is_noisy=False)
     if "visibility" in config.dataset.columns:
-        row |= visibility_row(
-            clean_image,
-            np.asarray(layers["instance"], np.uint16),
-            layout.inside(),
-            config.sonar.transfer,
-            "amplitude" if _has_conical_beams(config) else "intensity",
-        )
+        row |= _visibility(samples, layout, np.asarray(layers["instance"], np.uint16), config)
+    clean = _by_beam_group([sample.clean for sample in samples])
     noisy = _by_beam_group([sample.noisy(draws.names) for sample in samples])
     return Pair(
         noisy=layout.image(noisy, is_noisy=True),
-        clean=clean_image,
+        clean=layout.image(clean, is_noisy=False),
         shadow=observed.shadow,
         record=row,
         layers=layers,
@@ -441,6 +434,28 @@ def make_pair(
             observed.window.azimuth_min_rad,
             observed.window.azimuth_max_rad,
         ),
+    )
+
+
+def _visibility(
+    samples: Sequence[Sample],
+    layout: _Layout,
+    instance: npt.NDArray[np.uint16],
+    config: FactoryConfig,
+) -> dict[str, float | str]:
+    """The column `visibility`: in the mean of noisy images, whose noise hides what is faint.
+
+    Images of points have no mean, and noise of points hides nothing: their clean image counts.
+    """
+    expected_images = [
+        sample.mean if isinstance(sample, CoherentSample) else sample.clean for sample in samples
+    ]
+    return visibility_row(
+        layout.image(_by_beam_group(expected_images), is_noisy=False),
+        instance,
+        layout.inside(),
+        config.sonar.transfer,
+        "amplitude" if _has_conical_beams(config) else "intensity",
     )
 
 

@@ -46,7 +46,7 @@ _MODELS = 40
 
 def car_tyre(rng: Draws) -> Mesh:
     """A tyre with blocks of tread and ribs on its sidewalls; with or without its rim."""
-    outer = rng.uniform(0.13, 0.34)
+    outer = 0.1 * 3.2 ** float(rng.random())
     width = outer * rng.uniform(0.4, 0.75)
     rim = outer * rng.uniform(0.5, 0.68)
     rubber = np.array([0.05, 0.05, 0.053]) * rng.uniform(0.8, 1.6)
@@ -108,7 +108,7 @@ def _rim(rng: Draws, rim: float, width: float) -> Mesh:
 
 def inner_tube(rng: Draws) -> Mesh:
     """A smooth tube or a ring buoy, slightly squashed."""
-    radius = rng.uniform(0.1, 0.3)
+    radius = rng.uniform(0.08, 0.22)
     thick = radius * rng.uniform(0.16, 0.34)
     ring = tube(
         circle(48) * radius, thick, 14, closed=True, colour=pick(rng, (PAINTS[6], PAINTS[1]))
@@ -546,7 +546,7 @@ BUILDERS: dict[str, tuple[Builder, ...]] = {
     "Drink-carton": (gable_carton, brick_carton),
     "Hook": (crane_hook, crane_hook, grapnel, snap_hook, things.hook),
     "Propeller": (screw, screw, screw, outboard),
-    "Tire": (car_tyre, car_tyre, car_tyre, inner_tube, things.tire),
+    "Tire": (car_tyre, car_tyre, car_tyre, car_tyre, inner_tube),
     "Valve": (hand_wheel, cross_valve, cross_valve, ball_valve, elbow, things.valve),
     "Chain": (laid_chain, laid_chain, doubled_chain, chain_heap),
 }

@@ -60,6 +60,7 @@ class Fitting(NamedTuple):
 def drawn_fitting(rng: Draws) -> Fitting:
     """A fitting of a kind chosen at random."""
     builders = (_rope, _hanging_rope, _hose, _ladder, _rail, _weight, _stand, _plate, _grid)
+    builders += (_bits, _bits, _bits)
     return builders[int(rng.integers(len(builders)))](rng)
 
 
@@ -140,6 +141,17 @@ def _plate(rng: Draws) -> Fitting:
     size = rng.uniform([0.25, 0.2, 0.008], [0.9, 0.6, 0.03])
     plate = box(size.tolist(), (0, 0, 0), pick(rng, _COLOURS))
     return Fitting(plate.turned("x", rng.choice([0.0, 0.0, 1.0, 1.3])).standing())
+
+
+def _bits(rng: Draws) -> Fitting:
+    """A few small hard things close together: screws, clamps, shells."""
+    parts = []
+    for _ in range(int(rng.integers(1, 7))):
+        size = rng.uniform(0.008, 0.05)
+        long = size * rng.uniform(1.0, 6.0)
+        bit = box((long, size, size), (0, 0, size / 2)).turned("z", rng.uniform(0, 6.3))
+        parts.append(bit.moved((*rng.normal(0, 0.12, 2), 0)))
+    return Fitting(join(parts).tinted(pick(rng, _METALS)))
 
 
 def _grid(rng: Draws) -> Fitting:

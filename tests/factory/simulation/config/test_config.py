@@ -60,8 +60,8 @@ def test_every_choice_of_a_group_composes(group):
         field = ["acoustics=coherent"] if group == "noise" and "speckle:" in text else []
         # Effects of both formations are for drawn devices, each of which has one of them.
         drawn = ["devices=any_sonar"] if (group, name) == ("noise", "any_sonar") else []
-        if (group, name) == ("devices", "any_sonar"):
-            drawn = ["acoustics=coherent"]
+        if (group, name) in (("devices", "any_sonar"), ("devices", "varied")):
+            drawn = ["acoustics=coherent", "noise=physical"]
         if group == "acoustics" and name in ("coherent", "field"):
             field = ["noise=physical"]
         config(f"{group}={name}", *missing, *field, *drawn)
