@@ -62,9 +62,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, write in written.items():
         files.append(File.generated(config, name, content=write()))
     for source, name in SHOWN.items():
-        if name != "index.md":
-            text = (ROOT / source).read_text(encoding="utf-8")
-            files.append(File.generated(config, name, content=text))
+        text = (ROOT / source).read_text(encoding="utf-8")
+        files.append(File.generated(config, name, content=text))
     for notebook in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
         text, images = notebook_page(notebook.read_text(encoding="utf-8"), notebook.stem)
         files.append(File.generated(config, f"notebooks/{notebook.stem}.md", content=text))
@@ -77,7 +76,7 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Turn links to files of the checkout into links to the pages that show them."""
     place = page.file.src_uri
     pages = SHOWN | WRITTEN
-    sources = {shown: source for source, shown in SHOWN.items() if shown != "index.md"}
+    sources = {shown: source for source, shown in SHOWN.items()}
     # Where a shown file stands in the checkout: its links start there.
     origin = sources.get(place, f"docs/{place}")
 
