@@ -75,7 +75,7 @@ class Room(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Structure:
+class CodeStructure:
     """What the drawing shows.
 
     imports: all rooms, and for each the other rooms that it imports.
@@ -122,7 +122,7 @@ class Structure:
 
 
 @cache
-def read_structure() -> Structure:
+def read_structure() -> CodeStructure:
     """Read the imports of all modules."""
     graph = grimp.build_graph("simnfnd")
     packages = {name for name in graph.modules if graph.find_children(name)}
@@ -137,7 +137,7 @@ def read_structure() -> Structure:
             if room is not None and used is not None:
                 imports[room].add(used)
                 imports[used].update()
-    return Structure(
+    return CodeStructure(
         imports={room: frozenset(imports[room] - {room}) for room in sorted(imports)},
         beside={suite: tuple(names) for suite, names in beside.items()},
     )
@@ -156,7 +156,7 @@ def _room_of(module: str, packages: set[str]) -> Room | None:
     return Room(suite, inner[0] if is_in_room else "")
 
 
-def draw(structure: Structure) -> str:
+def draw(structure: CodeStructure) -> str:
     """Return the drawing as SVG: a band a suite, in it a box a room, with arrows to what it uses.
 
     A room stands to the right of all that it imports from its suite, so arrows point to the left
@@ -288,7 +288,7 @@ def _needed(imports: dict[Room, frozenset[Room]]) -> list[tuple[Room, Room]]:
     ]
 
 
-def _suite_arrows(structure: Structure, edges_px: dict[str, tuple[float, float]]) -> list[str]:
+def _suite_arrows(structure: CodeStructure, edges_px: dict[str, tuple[float, float]]) -> list[str]:
     """An arrow from each suite to those below it that it needs; red where it points up."""
     between = structure.between_suites()
     shapes = []

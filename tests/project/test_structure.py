@@ -13,7 +13,7 @@ from tools.structure import (
     PAGE,
     SUITES,
     Room,
-    Structure,
+    CodeStructure,
     draw,
     read_structure,
     tabulate,
@@ -41,13 +41,13 @@ def test_no_import_points_up_or_round() -> None:
 def test_a_wrong_import_is_seen_and_drawn_red() -> None:
     low, high, other = Room("common", "low"), Room("common", "high"), Room("models", "other")
     imports = {room: frozenset[Room]() for room in (low, high, other)}
-    right = Structure({**imports, high: frozenset({low}), other: frozenset({high})}, {})
+    right = CodeStructure({**imports, high: frozenset({low}), other: frozenset({high})}, {})
     assert (right.upward(), right.circles()) == ([], [])
     assert 'class="wrong"' not in draw(right)
-    up = Structure({**imports, low: frozenset({other})}, {})
+    up = CodeStructure({**imports, low: frozenset({other})}, {})
     assert up.upward() == [(low, other)]
     assert 'class="wrong"' in draw(up)
-    circle = Structure({**imports, low: frozenset({high}), high: frozenset({low})}, {})
+    circle = CodeStructure({**imports, low: frozenset({high}), high: frozenset({low})}, {})
     assert set(circle.circles()[0]) == {"common/low", "common/high"}
     assert 'class="wrong"' in draw(circle)
 
@@ -55,7 +55,7 @@ def test_a_wrong_import_is_seen_and_drawn_red() -> None:
 def test_an_arrow_that_follows_from_others_is_left_out() -> None:
     low, middle, high = (Room("models", name) for name in ("low", "middle", "high"))
     imports = {low: frozenset[Room](), middle: frozenset({low}), high: frozenset({low, middle})}
-    assert draw(Structure(imports, {})).count('class="arrow"') == 2
+    assert draw(CodeStructure(imports, {})).count('class="arrow"') == 2
 
 
 def test_a_room_without_a_docstring_is_refused(
@@ -83,3 +83,18 @@ def test_files_named_on_the_architecture_page_are_there() -> None:
         for name in re.findall(r"`([a-z_/]+\.py)`", line):
             if "/" not in name or not full.fullmatch(f"`{name}`"):
                 assert any((folder / name).exists() for folder in folders), f"{name} in {line}"
+
+
+def test_classes_and_rooms_named_in_the_glossary_are_there() -> None:
+    text = (ROOT / "docs/glossary.md").read_text(encoding="utf-8")
+    names = re.findall(r"\| .*`((?:factory|models)\.[\w.]+)`", text)
+    assert len(names) > 8
+    for name in names:
+        room, _, last = name.rpartition(".")
+        if last[0].islower():
+            path = ROOT / name.replace(".", "/")
+            assert path.is_dir() or path.with_suffix(".py").is_file(), name
+            continue
+        module = ROOT / room.replace(".", "/")
+        source = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
+        assert f"\nclass {last}" in source.read_text(encoding="utf-8"), name
