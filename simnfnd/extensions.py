@@ -1,19 +1,22 @@
-"""All that an extension is written with: effects of noise, readers, methods.
+"""All that an extension is written with: noise effects, readers, methods and metrics.
 
 An extension is one object: an `Effect`, a `ReaderEntry` (of RGBD scenes), a `RecordingEntry` (of a
-sonar's recordings) or a `Baseline`.  A package names it as an
-entry point, a script registers it (docs/how-to/extending.md).
+sonar's recordings), a `Baseline` or an `OwnMetric`.  A package names it as an entry point, a script
+registers it (docs/how-to/extending.md).
 """
 
 from __future__ import annotations
 
 from .evaluation.filters import Baseline, register_method
+from .evaluation.metrics.measure import PairImages
+from .evaluation.metrics.own import OwnMetric, register_metric
 from .factory.common.distribution import AnyNumber, Fraction, NonNegative, Positive
 from .factory.common.errors import FactoryError, FrameError
 from .factory.common.settings import STRICT
 from .factory.dataset.frame_ref import FrameRef
 from .factory.simulation.frames.frame import Frame, Intrinsics, checked
 from .factory.simulation.imaging.effect import Effect, EffectSettings, parameter
+from .factory.simulation.imaging.signal import Ping, Signal
 from .factory.simulation.noise.registry import register_effect
 from .factory.simulation.scenes import register_reader
 from .factory.simulation.scenes.base import (
@@ -51,7 +54,10 @@ __all__ = [
     "FrameRef",
     "Intrinsics",
     "NonNegative",
+    "OwnMetric",
     "OwnSceneSettings",
+    "PairImages",
+    "Ping",
     "Pose",
     "Positive",
     "Reader",
@@ -59,6 +65,7 @@ __all__ = [
     "RecordingEntry",
     "RecordingFrame",
     "RecordingReader",
+    "Signal",
     "Window",
     "check_recording_reader",
     "checked",
@@ -66,6 +73,7 @@ __all__ = [
     "parameter",
     "register_effect",
     "register_method",
+    "register_metric",
     "register_reader",
     "register_recording",
 ]

@@ -23,6 +23,7 @@ from ...models.recordings.views import grey_of
 from ..filters import REGISTRY
 from ..metrics.fidelity import MetricError, finite_psnr
 from ..metrics.measure import Figures, Grey, PairImages, Scene, sector_of
+from ..metrics.own import own_figures
 from .methods import Method
 from .runner import Subject
 from .settings import ImagesFolder
@@ -79,7 +80,8 @@ class Item(Subject):
     def measure(self, image: Grey) -> Figures:
         """All metrics; identical images count as the PSNR of `finite_psnr`."""
         try:
-            figures = _scene(self).figures(image)
+            scene = _scene(self)
+            figures = {**scene.figures(image), **own_figures(image, scene.pair)}
         except MetricError as error:
             raise FactoryError(f"{self.shard}: sample {self.place[1]}: {error}") from error
         return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in figures.items()}

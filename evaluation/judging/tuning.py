@@ -25,6 +25,7 @@ import numpy.typing as npt
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import explain_os_errors, write_atomically
 from ...factory.common.progress import progress_bar
+from ...factory.common.small_files import read_regular
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ..filters import REGISTRY, Baseline, Parameters, method_of
 from ..metrics.fidelity import finite_psnr, psnr
@@ -209,7 +210,7 @@ def load_tuned(path: Path) -> dict[str, Any]:
     Raises FactoryError when the file is not one of ours.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_regular(path))
         if content["schema"] != SCHEMA:
             raise ValueError(f"schema {content['schema']!r}")
         baselines: dict[str, Any] = content["baselines"]

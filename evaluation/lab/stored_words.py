@@ -59,8 +59,12 @@ def _choices(config: FactoryConfig) -> list[str]:
         "devices": "fixed" if config.devices is None else "any_sonar",
     }
     words = [f"{group}={choice}" for group, choice in choices.items()]
-    root = getattr(config.scenes, "root", None)
-    return [*words, f"scenes.root={word_of(root)}"] if root else words
+    words = [f"{group}={choice}" for group, choice in choices.items()]
+    # Keys without a default.
+    for key in ("root", "file", "intrinsics"):
+        if (value := getattr(config.scenes, key, None)) is not None:
+            words.append(f"scenes.{key}={word_of(value)}")
+    return words
 
 
 def _differing(key: str, value: Any, before: Any) -> Iterator[str]:

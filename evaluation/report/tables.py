@@ -139,13 +139,22 @@ def leaderboard(rows: Sequence[Content]) -> pd.DataFrame:
 
 def more_metrics(rows: Sequence[Content]) -> pd.DataFrame:
     """The means of the metrics that the leaderboard leaves out."""
-    names = [n for n in METRIC_NAMES if n not in ("psnr", *_SHORT) and has(rows, n)]
+    kept_rows = [row for row in rows if row["lost"] is None]
+    own_names = {name for row in kept_rows for name in row["metrics"] if name not in METRIC_NAMES}
+    metrics = {name: Metric(name, 3, 0) for name in sorted(own_names)}  # of other packages
+    metrics = {
+        name: metric
+        for name, metric in {**METRIC_NAMES, **metrics}.items()
+        if name not in ("psnr", *_SHORT) and has(rows, name)
+    }
     lines = [
-        [row["label"], *(written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names)]
-        for row in rows
-        if row["lost"] is None
+        [
+            row["label"],
+            *(written(row["metrics"][n]["mean"], metric.digits) for n, metric in metrics.items()),
+        ]
+        for row in kept_rows
     ]
-    return as_table(["method", *(METRIC_NAMES[name].label for name in names)], lines)
+    return as_table(["method", *(metric.label for metric in metrics.values())], lines)
 
 
 def beside_paper(table: Sequence[Content]) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""What other packages add: effects, readers of RGBD scenes and sonar recordings, methods, presets.
+"""What other packages add: effects, readers of scenes and recordings, methods, metrics, presets.
 
 A package names its objects as entry points, so that the command line and worker processes know
 them; a script or notebook registers its own (`simnfnd.extensions`).  An object is imported when it
@@ -20,12 +20,13 @@ from typing import Any, Literal
 
 from .errors import FactoryError
 
-Kind = Literal["effect", "reader", "recording", "method", "preset"]
+Kind = Literal["effect", "reader", "recording", "method", "metric", "preset"]
 GROUPS: dict[Kind, str] = {
     "effect": "simnfnd.effects",
     "reader": "simnfnd.readers",
     "recording": "simnfnd.recordings",
     "method": "simnfnd.methods",
+    "metric": "simnfnd.metrics",
     "preset": "simnfnd.presets",
 }
 """Kind of extension -> group of entry points; readers are of RGBD scenes, recordings of sonars."""

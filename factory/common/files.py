@@ -69,7 +69,7 @@ def remove_stale_temporaries(folder: Path, name: str = "") -> None:
 
     name: of the file or folder that they were to become; empty: any.
     """
-    for path in folder.glob(f".{glob.escape(name)}.*.tmp" if name else ".*.tmp"):
+    for path in folder.glob(f".{glob.escape(shortened(name))}.*.tmp" if name else ".*.tmp"):
         match = _TEMPORARY.match(path.name)
         if match is None:
             continue
@@ -128,7 +128,20 @@ def explain_os_errors(path: Path, key: str = "dataset.dir") -> Iterator[None]:
 
 def _temporary_for(path: Path) -> Path:
     # The token keeps apart what numbers do not: process 1 of containers that share a host name.
-    return path.parent / f".{path.name}.{space()}-{os.getpid()}-{secrets.token_hex(8)}.tmp"
+    name = shortened(path.name)
+    return path.parent / f".{name}.{space()}-{os.getpid()}-{secrets.token_hex(8)}.tmp"
+
+
+def shortened(name: str, most_bytes: int = 180) -> str:
+    """A file name of at most so many bytes: file systems take 255, and temp files have longer ones.
+
+    What is cut off counts by its hash, so that different names stay different.
+    """
+    content = os.fsencode(name)
+    if len(content) <= most_bytes:
+        return name
+    digest = hashlib.blake2b(content, digest_size=6).hexdigest()
+    return f"{content[: most_bytes - len(digest) - 1].decode(errors='ignore')}~{digest}"
 
 
 @cache

@@ -93,6 +93,14 @@ def suffixes_known() -> list[str]:
     return [*own, *known_suffixes()]
 
 
+def refuse_absent(path: Path) -> None:
+    """Raise FactoryError for what is neither file nor folder; a pipe would make wait for ever."""
+    if not path.exists():
+        raise FactoryError(f"{path}: no such file or folder")
+    if not (path.is_file() or path.is_dir()):
+        raise FactoryError(f"{path}: is a pipe or device; give a file or folder")
+
+
 def is_recording(path: Path) -> bool:
     """Whether a file or folder is one by its name: of a sonar, a bag or a video, not images."""
     kind = kind_of(path)
@@ -121,8 +129,8 @@ def open_recording(path: str | Path, topics: Sequence[str] = ()) -> Recording:
     """
     location = Path(path).expanduser()
     is_dataset = dataset_of(location) == location or kind_of(location) == DATASET
-    if not is_dataset and not location.exists():
-        raise FactoryError(f"{path}: no such file or folder")
+    if not is_dataset:
+        refuse_absent(location)
     is_array = location.suffix.lower() in (*ARRAY_SUFFIXES, *HDF5_SUFFIXES)
     kind = DATASET if is_dataset else kind_of(location)
     if kind is None and is_array:

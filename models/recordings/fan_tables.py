@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from ...factory.common.errors import FactoryError
+from ...factory.common.small_files import read_regular
 from ...factory.dataset.fan_geometry import FanGeometry
 
 COLUMNS = (
     "file", "apex_x", "apex_y", "edge_slope", "top_row", "bottom_row", "squeeze", "quarter_turns",
 )  # fmt: skip
+_MOST_BYTES = 1 << 28
 _MDD_SQUEEZE = {"A": 1.0, "B": 0.8}
 
 
@@ -28,8 +31,8 @@ def read_fans(path: str | Path) -> dict[str, FanGeometry]:
     about its apex.  Raises FactoryError.
     """
     try:
-        with Path(path).expanduser().open(newline="", encoding="utf-8") as file:
-            return {row["file"]: _fan(row) for row in csv.DictReader(file)}
+        text = read_regular(Path(path).expanduser(), _MOST_BYTES).decode()
+        return {row["file"]: _fan(row) for row in csv.DictReader(io.StringIO(text, newline=""))}
     except OSError as error:
         raise FactoryError(f"geometry={path}: cannot be read ({error.strerror})") from error
     except (KeyError, ValueError, TypeError, UnicodeDecodeError) as error:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy.typing as npt
 
 from ...factory.common.errors import FactoryError
+from ...factory.common.files import shortened
 from ...factory.dataset.fan_geometry import FanGeometry
-from . import DATASET, is_bag_folder, kind_of, suffixes_known
+from . import DATASET, is_bag_folder, kind_of, refuse_absent, suffixes_known
 from .arrays import is_shard_file, is_table
 from .base import ARRAY_SUFFIX, ARRAY_SUFFIXES, HDF5_SUFFIXES
 from .fan_finder import find_geometry
@@ -41,8 +42,8 @@ class Item:
     def compared(self) -> Path:
         """Name of the sheet to compare by, below the output folder."""
         is_png = self.relative.suffix.lower() == ".png"
-        name = self.relative if is_png else Path(f"{self.relative}.png")
-        return Path("compare") / name
+        name = self.relative.name if is_png else f"{shortened(self.relative.name)}.png"
+        return Path("compare") / self.relative.with_name(name)
 
     def results(self) -> tuple[Path, Path]:
         """Names of the result and of the sheet to compare by, below the output folder."""
@@ -132,8 +133,7 @@ def said_of_sequences(items: Sequence[Item]) -> Iterator[str]:
 def _of_input(path: Path, out: Path) -> list[Item]:
     if kind_of(path) == DATASET:
         return [Item(path, Path(path.name))]
-    if not path.exists():
-        raise FactoryError(f"{path}: no such file or folder")
+    refuse_absent(path)
     if path.is_dir() and is_bag_folder(path):
         return [Item(path, Path(path.resolve().name))]
     if path.is_dir():

@@ -17,6 +17,7 @@ from typing import Any
 
 from ...common import extensions
 from ...common.errors import FactoryError
+from ...common.small_files import open_regular
 from ..imaging.settings import PointwiseSettings
 from ..meshes.mesh_parts import files_of
 from ..render.pack import read_contents
@@ -207,7 +208,8 @@ def _mesh_digest(path: str, key: str) -> str:
 def _file_digest(path: str, key: str) -> str:
     """16 hexadecimal digits of the content of a file.  Raises FactoryError without it."""
     try:
-        content = Path(path).expanduser().read_bytes()
+        with open_regular(Path(path).expanduser()) as file:
+            content = file.read()
     except OSError as error:
         raise FactoryError(f"{key}={path}: cannot be read ({error.strerror})") from error
     return hashlib.blake2b(content, digest_size=8).hexdigest()

@@ -85,6 +85,10 @@ class Effect:
     realised: Callable[..., None] | None = None
     name: str = ""
 
+    def __getstate__(self) -> dict[str, Any]:
+        """For worker processes: without `parameters`, whose annotations cannot be pickled."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
     @cached_property
     def parameters(self) -> tuple[Field[Any], ...]:
         """The fields that `parameter` made, in the order of the settings."""

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import replace
+from functools import lru_cache
 from typing import Annotated, Any, get_type_hints
 
 from pydantic import (
@@ -145,14 +146,37 @@ BUILT_IN = tuple(EFFECTS)
 
 
 def register_effect(effect: Effect) -> None:
-    """Make an effect known in this process, as `noise.<effect.name>`.
+    """Make an effect known in this process, as `noise.<effect.name>`; it is run once.
 
-    Raises ValueError for a name that is taken or no name.
+    Raises ValueError for a name that is taken or no name, and for an effect that declares or does
+    something wrong (see `trial`).
     """
-    if effect.name in BUILT_IN:
-        raise ValueError(f"effect {effect.name!r}: there is one of that name")
+    if not isinstance(effect, Effect):
+        raise ValueError(f"effect: is a {type(effect).__name__}; give an Effect")
+    name = effect.name
+    if name in BUILT_IN:
+        raise ValueError(f"effect {name!r}: there is one of that name")
+    problem = _problem_of(effect)
+    if problem:
+        raise ValueError(f"effect {name!r}: {problem}")
+    _adopt(effect)
+
+
+def _adopt(effect: Effect) -> None:
     extensions.register("effect", effect.name, effect)
     EFFECTS[effect.name] = effect
+
+
+@lru_cache(maxsize=64)
+def _problem_of(effect: Effect) -> str:
+    """What is wrong with an effect; "" for a sound one."""
+    from .trial import check_effect  # loads numba
+
+    try:
+        check_effect(effect)
+    except ValueError as error:
+        return " ".join(str(error).split())
+    return ""
 
 
 def own_effect(name: str) -> Effect | None:
@@ -168,6 +192,11 @@ def own_effect(name: str) -> Effect | None:
         raise FactoryError(
             f"noise.{name}: {extension.source} gives no `Effect` of that name for it; report it "
             "to the package's author"
+        )
+    problem = _problem_of(effect)
+    if problem:
+        raise FactoryError(
+            f"noise.{name}: {extension.source}: {problem}; report it to the package's author"
         )
     EFFECTS[name] = effect
     return effect
@@ -186,7 +215,7 @@ def own_effects() -> list[Effect]:
 def _arrived(effect: Effect, settings: EffectSettings) -> OwnEffect:
     """In a worker process."""
     if effect.name not in EFFECTS:
-        register_effect(effect)
+        _adopt(effect)  # it was checked where it comes from
     return OwnEffect(effect, settings)
 
 

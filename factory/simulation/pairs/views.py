@@ -25,7 +25,7 @@ from pydantic import TypeAdapter
 from ...common import extensions
 from ...common.errors import FactoryError, FrameError, NotRendered
 from ...common.files import explain_os_errors, remove_stale_temporaries, write_atomically
-from ...common.small_files import read_regular
+from ...common.small_files import open_regular, read_regular
 from ...dataset.frame_ref import FrameRef
 from ...dataset.schema import Prepared
 from ..config.renderer_choice import renderer_of
@@ -173,8 +173,8 @@ def _digest(path: str, size: int, modified_ns: int, changed_ns: int) -> str:
     # A tool may keep size and time of what it rewrites, but not when the file changed.
     # Calibrations and trajectories come with every frame of a recording: read them once.
     # SHA-256, for which processors have instructions: half the time of BLAKE2b.
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
+    with open_regular(Path(path)) as file:  # a pipe would make wait for ever
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]  # type: ignore[arg-type]
 
 
 class Views:
