@@ -14,6 +14,8 @@ from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.production.export import export
+from simnfnd.factory.production.export.mcap import _timed
+from simnfnd.factory.production.export.samples import Sample
 from simnfnd.models.recordings.rosbag import RosBag
 
 WORDS = (
@@ -112,6 +114,62 @@ def test_poses_and_images_are_beside_the_pings(datasets: dict[str, Path], tmp_pa
     assert SONAR in kinds
     np.testing.assert_allclose(poses, [[row[f"sonar.{a}_m"] for a in "xyz"] for row in table])
     np.testing.assert_array_equal(images, noisy)
+
+
+def test_pings_follow_the_definitions_of_their_messages(
+    datasets: dict[str, Path], tmp_path: Path
+) -> None:
+    """Sound speed, beam widths, and frames that are joined: pings, the sonar, the world."""
+    from rosbags.rosbag2 import Reader
+
+    export(datasets["fan"], "mcap", tmp_path / "out", split="train")
+    store = typestore(2)
+    messages: dict[str, list[Any]] = {}
+    with Reader(tmp_path / "out/train") as reader:
+        for connection, _, content in reader.messages():
+            message = store.deserialize_cdr(content, connection.msgtype)
+            messages.setdefault(connection.topic, []).append(message)
+    config = compose_config((*LAYOUTS["fan"], *WORDS))
+    info = messages["/sonar/noisy"][0].ping_info
+    assert info.sound_speed == pytest.approx(config.water.sound_speed_m_s())
+    assert info.tx_beamwidths == pytest.approx([np.deg2rad(config.sonar.vfov_deg)])
+    assert len(info.rx_beamwidths) == config.sonar.beams
+    spacing = np.diff(config.sonar.beam_centres_rad()).mean()
+    assert info.rx_beamwidths[0] == pytest.approx(spacing, rel=1e-3)
+
+    (static,) = messages["/tf_static"][0].transforms
+    (moving,) = messages["/tf"][0].transforms
+    assert moving.header.frame_id == "world"
+    assert moving.child_frame_id == static.header.frame_id == "sonar"
+    ping = messages["/sonar/noisy"][0]
+    assert static.child_frame_id == ping.header.frame_id
+    assert messages["/sonar/pose"][0].header.frame_id == "world"
+    # Beams to the right of the device, whose y is to the left.
+    turn = static.transform.rotation
+    right = ping.beam_directions[-1]
+    ahead_left_up = rotated((turn.x, turn.y, turn.z, turn.w), (right.x, right.y, right.z))
+    bearing = config.sonar.beam_centres_rad()[-1]
+    np.testing.assert_allclose(ahead_left_up, [np.cos(bearing), -np.sin(bearing), 0], atol=1e-9)
+    assert "REP 103" in (tmp_path / "out/README.md").read_text()
+
+
+def rotated(quaternion: tuple[float, ...], vector: tuple[float, ...]) -> Any:
+    axis = np.array(quaternion[:3])
+    twice = 2 * np.cross(axis, vector)
+    return np.array(vector) + quaternion[3] * twice + np.cross(axis, twice)
+
+
+def test_scenes_with_a_clock_keep_their_times() -> None:
+    """Unless they overlap with the one before; others follow with a pause."""
+    clock_s = 1.7e9
+
+    def sample(scene: str, time_s: float) -> Any:
+        record = {"location": "a", "scene": scene, "variant": 0, "time_s": time_s}
+        return Sample("train", 0, {}, record)
+
+    times = [("a", clock_s), ("a", clock_s + 2), ("b", clock_s + 1), ("c", clock_s + 60), ("d", 3)]
+    stamps = [stamp for _, stamp in _timed(iter([sample(*time) for time in times]))]
+    assert stamps == [clock_s, clock_s + 2, clock_s + 12, clock_s + 60, clock_s + 70]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
