@@ -78,7 +78,7 @@ class Denoiser:
         )
         self._shot_of = FrameShots(denoising, self._geometry_of)
         self._sequence = denoising.open_sequence(at_once=1)
-        self._trackers: OrderedDict[tuple[int, ...], FanTracker] = OrderedDict()
+        self._trackers: OrderedDict[tuple[str, tuple[int, ...]], FanTracker] = OrderedDict()
         self._is_open = True
         self._count = 0
         self._resized = 0
@@ -142,8 +142,8 @@ class Denoiser:
             return frame
         return Frame(self._count, _values_of(frame), time_s=time_s)
 
-    def _geometry_of(self, image: Pixels) -> FanGeometry | None:
-        """The geometry of an image whose frame does not state it."""
+    def _geometry_of(self, image: Pixels, sequence: str = "") -> FanGeometry | None:
+        """The geometry of an image whose frame does not state it.  sequence: see `Frame`."""
         from .api import fitting_geometry
         from .models.recordings.fan_tracking import FanTracker
 
@@ -151,8 +151,9 @@ class Denoiser:
             return None
         if not isinstance(self._geometry, str):
             return fitting_geometry(self._geometry, *image.shape[:2])
-        tracker = self._trackers.pop(image.shape, None) or FanTracker()
-        self._trackers[image.shape] = tracker
+        key = sequence, image.shape
+        tracker = self._trackers.pop(key, None) or FanTracker()
+        self._trackers[key] = tracker
         if len(self._trackers) > _MOST_SIZES:
             self._trackers.popitem(last=False)
         return tracker.geometry(image)

@@ -26,6 +26,7 @@ LEAST_FRAMES = 20
 _INSONIFIED_LEVELS = (16 / 255, 170 / 255)  # grey values of the smoothed mean of all frames
 _INSONIFIED_SIGMA_PX = 2.0  # of its blur
 _MARGIN_PX = 31  # side of the neighbourhood that has to be insonified as well
+_SEARCHED_FRAMES = 5  # in which the fan is looked for, until it is found
 _COMPARED_FRAMES = 12  # frames that are compared to tell whether the sonar is at rest
 _SAME_SHARE = 0.75  # share of them that must show one scene
 _FURTHEST_PX = 2.0  # how far the scene may shift between them
@@ -78,7 +79,7 @@ def open_static(stretch: Stretch, frame_limit: int) -> StaticRecording:
     gain = presentation_of(frames.mean(axis=0), None).gain
     frames = np.minimum(frames * gain, np.float32(1))
     if geometry is None:
-        geometry = find_geometry(frames[0])
+        geometry = _find_fan(frames)
     insonified = insonified_area(frames)
     if not insonified.any():
         raise FactoryError(
@@ -88,6 +89,15 @@ def open_static(stretch: Stretch, frame_limit: int) -> StaticRecording:
     check_static(name, frames, sector_of(frames[0], geometry))
     eight_bits = np.allclose(frames[0] * 255, np.rint(frames[0] * 255), atol=1e-3)
     return StaticRecording(name, frames, insonified, geometry, 255 if eight_bits else 65535)
+
+
+def _find_fan(frames: Frames) -> FanGeometry | None:
+    """The fan of a recording, which may begin with a title."""
+    for number in evenly(range(len(frames)), _SEARCHED_FRAMES):
+        geometry = find_geometry(frames[number])
+        if geometry is not None:
+            return geometry
+    return None
 
 
 def insonified_area(frames: Frames) -> Mask:

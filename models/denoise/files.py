@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
 
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.files import write_atomically
+from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings import Frame, Recording, open_recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX
+from ..recordings.device_settings import settings_in_name
 from ..recordings.images import read_image
 from ..recordings.inputs import Item
 from ..recordings.portable_grey import white_of_file
@@ -87,7 +89,10 @@ class _Images:
             image = read_image(item.source)
             place = partial(self._job.geometries.of, item)
             wanted = item not in self._finished
-            shot = self._job.denoising.shot((item, image), image, place, wanted=wanted)
+            settings = settings_in_name(item.source.name)
+            shot = self._job.denoising.shot(
+                (item, image), image, place, wanted=wanted, settings=settings
+            )
         except (FactoryError, ValueError) as error:
             text = str(error)
             named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
@@ -185,8 +190,7 @@ class _Run:
         self._recording = recording
         self._job = job
         self._unfinished = unfinished
-        self._topics: tuple[str, ...] = getattr(recording, "topics", ())
-        self._sequence = job.denoising.open_sequence(alone=len(self._topics) > 1)
+        self._sequence = job.denoising.open_sequence()
         self._shot_of = FrameShots(job.denoising, self._place())
         self._report = FileReport(str(item.relative))
         self._shown: list[Compared] = []
@@ -240,11 +244,6 @@ class _Run:
             yield note
         if self._recording.warning:
             yield self._recording.warning
-        elif len(self._topics) > 1 and self._job.denoising.frames > 1:
-            yield (
-                "frames of several topics were denoised one by one; choose of "
-                f"{', '.join(self._topics)} with --topic to denoise them in time"
-            )
 
     def _keep(self, results: Iterable[Denoised]) -> None:
         for denoised in results:
@@ -274,7 +273,9 @@ class _Run:
         )
 
     def _restore(self, state: State) -> None:
-        self._sequence.restore(state["sequence"], lambda key: self._place())
+        self._sequence.restore(
+            state["sequence"], lambda frame: lambda image: self._place()(image, frame.sequence)
+        )
         self._shot_of.previous = state["previous"]
         self._job.geometries.restore(state["trackers"])
         self._report = state["report"]
@@ -282,7 +283,7 @@ class _Run:
         self.frames_read = state["frames_read"]
         print(f"{self._item.source}: goes on behind frame {self.frames_read}, where it was stopped")
 
-    def _place(self) -> Place:
+    def _place(self) -> Callable[[Pixels, str], FanGeometry | None]:
         return partial(self._job.geometries.of, self._item)
 
 

@@ -8,6 +8,7 @@ from functools import partial
 
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings.base import Frame
+from ..recordings.device_settings import settings_of
 from ..recordings.views import polar_geometry
 from .images import Denoising, Pixels
 from .temporal.stream import Shot
@@ -16,29 +17,35 @@ from .temporal.stream import Shot
 class FrameShots:
     """Turns the frames of a recording into shots, in order.
 
-    previous: the last frame; None before the first.
+    previous: the last frame of each sequence, see `Frame`.
     """
 
     def __init__(
-        self, denoising: Denoising, find_geometry: Callable[[Pixels], FanGeometry | None]
+        self, denoising: Denoising, find_geometry: Callable[[Pixels, str], FanGeometry | None]
     ) -> None:
-        """find_geometry: of an image whose file does not state it; called in order."""
+        """find_geometry: of an image, given its `Frame.sequence`; called in order."""
         self._denoising = denoising
         self._find_geometry = find_geometry
-        self.previous: Frame | None = None
+        self.previous: dict[str, Frame] = {}
 
     def __call__(self, frame: Frame) -> Shot:
         """The shot of the next frame.  Raises ValueError as `Denoising.shot` does."""
-        shift_px = _turned_px(frame, self.previous)
-        place = partial(self._geometry, frame)
-        shot = self._denoising.shot(frame, frame.samples, place, shift_px, is_tracked=True)
-        self.previous = frame
+        shift_px = _turned_px(frame, self.previous.get(frame.sequence))
+        shot = self._denoising.shot(
+            frame,
+            frame.samples,
+            partial(self._geometry, frame),
+            shift_px,
+            is_tracked=True,
+            settings=settings_of(frame),
+        )
+        self.previous[frame.sequence] = frame
         return shot
 
     def _geometry(self, frame: Frame, image: Pixels) -> FanGeometry | None:
         if frame.beams is not None:
             return polar_geometry(frame.beams, len(image))
-        return frame.geometry or self._find_geometry(image)
+        return frame.geometry or self._find_geometry(image, frame.sequence)
 
 
 def _turned_px(frame: Frame, previous: Frame | None) -> tuple[float, float] | None:

@@ -19,9 +19,10 @@ from ...factory.common.errors import FactoryError
 from ...factory.common.workers.machine import usable_cores
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings.base import FULL_SCALE
+from ..recordings.device_settings import DeviceSettings
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from .removed import Removed
-from .temporal.repeated import Unrepeated
+from .temporal.interleaved import Interleaved
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
 from .temporal.strength import Strength
 
@@ -80,6 +81,7 @@ class Denoising:
     strength: part of the whole change, of fusion and network, that an image gets, 0 to 1.
     inverts: whether images show dark echoes on a bright ground.
     maps: colour map -> how many images had it.  tally: see `InTime`, of all finished sequences.
+    notes: lines on what was found in these.
     """
 
     def __init__(
@@ -106,6 +108,8 @@ class Denoising:
             causal=causal,
             keeps_outside=keeps_outside,
         )
+        self.notes: list[str] = []
+        self._is_causal = causal
         self._strength = np.float32(strength)
         self._inverts = inverts
         self.maps: Counter[str] = Counter()
@@ -127,11 +131,12 @@ class Denoising:
         *,
         wanted: bool = True,
         is_tracked: bool = False,
+        settings: DeviceSettings | None = None,
     ) -> Shot:
         """An image of a sequence, its colours read.
 
         image: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
-        place, shift_px, wanted, is_tracked: see `Shot`.
+        place, shift_px, wanted, is_tracked, settings: see `Shot`.
         Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
         """
         check(image)
@@ -148,7 +153,8 @@ class Denoising:
             fan()  # in the order of the frames
         levels = levels_of(plain)
         source = _Source(key, image, self._strength, shown, levels, painted, white)
-        return Shot(source, levels, fan, shift_px, wanted, is_tracked)
+        stated = DeviceSettings() if settings is None else settings
+        return Shot(source, levels, fan, shift_px, wanted, is_tracked, stated)
 
     def sequence(self, shots: Iterable[Shot], *, alone: bool = False) -> Iterator[Denoised]:
         """What became of each image of a sequence, in order; see `open_sequence`."""
@@ -157,6 +163,7 @@ class Denoising:
     def open_sequence(self, *, alone: bool = False, at_once: int | None = None) -> FrameSequence:
         """A sequence of images, to be denoised in order.
 
+        Frames of unlike settings are denoised apart, see `Interleaved`.
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
         Copies of the image before, as a video holds of a slower sonar, are fused once.
         alone: whether each is denoised alone.  at_once: see `InTime`; by default a core each.
@@ -174,8 +181,11 @@ class Denoising:
 
     def _opened(self, frames: int, at_once: int) -> FrameSequence:
         tally = defaultdict[str, float](float)
-        stream = self._in_time(self.network, frames=frames, at_once=at_once, tally=tally)
-        return FrameSequence(self, stream, tally, at_once)
+        new_stream = partial(self._in_time, self.network, frames=frames, at_once=at_once)
+        if frames == 1:
+            return FrameSequence(self, new_stream(tally=tally), new_stream, tally, at_once)
+        stream = Interleaved(new_stream, tally, looks_ahead=not self._is_causal)
+        return FrameSequence(self, stream, new_stream, tally, at_once)
 
     def summary(self) -> Iterator[str]:
         """A line if colours stood for levels, and lines of what was done in time."""
@@ -196,6 +206,7 @@ class Denoising:
                 f"repeated frames: {repeats:.0f} of {images + repeats:.0f} are copies of the one "
                 "before and were fused once"
             )
+        yield from self.notes
 
 
 class LazyFan:
@@ -229,11 +240,17 @@ class FrameSequence:
     """
 
     def __init__(
-        self, denoising: Denoising, stream: InTime, tally: dict[str, float], at_once: int
+        self,
+        denoising: Denoising,
+        stream: InTime | Interleaved,
+        new_stream: Callable[..., InTime],
+        tally: dict[str, float],
+        at_once: int,
     ) -> None:
+        """new_stream: see `Interleaved`."""
         self._denoising = denoising
-        self._in_time = stream
-        self._stream = Unrepeated(stream, tally) if stream.window > 1 else stream
+        self._stream = stream
+        self._new_stream = new_stream
         self._at_once = at_once
         self._maps_before = Counter(denoising.maps)
         self.tally = tally
@@ -241,7 +258,7 @@ class FrameSequence:
     @property
     def strength(self) -> Strength:
         """The weights of the predictors, as fitted so far."""
-        return self._in_time.strength
+        return self._stream.strength
 
     @property
     def maps(self) -> Counter[str]:
@@ -251,7 +268,7 @@ class FrameSequence:
     def state(self) -> dict[str, Any]:
         """What `restore` needs; after `settle`."""
         return {
-            "stream": (self._in_time, self._stream, self.tally),
+            "stream": (self._stream, self.tally),
             "maps": self.maps,
             "last_map": self._denoising.last_map,
         }
@@ -261,8 +278,10 @@ class FrameSequence:
 
         place_of: key of an image -> what finds its geometry, where that was not needed yet.
         """
-        self._in_time, self._stream, self.tally = state["stream"]
-        self._in_time.attach(self._denoising.network, self._at_once)
+        self._stream, self.tally = state["stream"]
+        if isinstance(self._stream, Interleaved):
+            self._stream.create_by(self._new_stream)
+        self._stream.attach(self._denoising.network, self._at_once)
         self._denoising.maps.update(state["maps"])
         self._denoising.last_map = state["last_map"]
         for shot in self._stream.shots():
@@ -284,6 +303,8 @@ class FrameSequence:
         yield from _results(self._stream.finish())
         for name, count in self.tally.items():
             self._denoising.tally[name] += count
+        if isinstance(self._stream, Interleaved):
+            self._denoising.notes += self._stream.summary()
 
     def settle(self) -> Iterator[Denoised]:
         """Yield the images that are still being denoised."""

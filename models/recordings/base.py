@@ -85,6 +85,7 @@ class Device:
     sound_speed_m_s: float | None = None
     gain_db: float | None = None
     gain_percent: float | None = None
+    pulse_us: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

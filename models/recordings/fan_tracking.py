@@ -36,6 +36,9 @@ _CUT_OF_USUAL = 4.0
 """Mean difference of thumbnails after a cut: of 255, and times the usual one."""
 _SHARE_OF_NEWEST = 0.1  # in the usual difference
 _LONGEST_PAUSE = 32  # frames between two searches where none finds a fan
+_OTHER_IMAGE = 0.5
+"""Part of its brightness by which an image differs from one that was searched in vain, so that it
+shows something else: the first ping after a title, after black frames or a dissolve."""
 
 
 @dataclass
@@ -71,6 +74,7 @@ class FanTracker:
         self._is_away = False
         self._pause = self._waited = 0
         self._before: Bytes | None = None
+        self._searched_in_vain: Bytes | None = None
         self._usual_change: float | None = None
         self._is_cut = False
 
@@ -96,6 +100,7 @@ class FanTracker:
         if geometry is None:
             self._pause = min(2 * self._pause + 1, _LONGEST_PAUSE)
             self._waited = 0
+            self._searched_in_vain = self._before
             if fan is None or _shows_other(fan, grey):
                 self._is_away = True
                 return None
@@ -117,7 +122,17 @@ class FanTracker:
         self._waited += 1
         if self._is_cut:
             self._pause = 0
-        return self._waited > self._pause
+        return self._waited > self._pause or self._shows_something_else()
+
+    def _shows_something_else(self) -> bool:
+        """Whether the image is unlike the last one in which no fan was found."""
+        thumbnail = self._before
+        searched = self._searched_in_vain
+        if thumbnail is None or searched is None:
+            return False
+        apart = float(np.abs(thumbnail.astype(np.float64) - searched).mean())
+        brightness = max(float(thumbnail.mean()), float(searched.mean()))
+        return apart > max(_LEAST_CUT, _OTHER_IMAGE * brightness)
 
     def _look(self, grey: Bytes) -> None:
         """Notes whether the image differs from the one before as images do after a cut."""

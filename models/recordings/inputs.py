@@ -206,32 +206,32 @@ class Geometries:
         """Raises FactoryError for a table that cannot be read."""
         self.chosen = chosen
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
-        # By the size of the images, too: a bag may have several topics.
-        self._trackers: dict[tuple[Path, tuple[int, ...]], FanTracker] = {}
+        # By the sequence and the size of the images, too: a bag may have several topics.
+        self._trackers: dict[tuple[Path, str, tuple[int, ...]], FanTracker] = {}
         self._fans_found: dict[Path, dict[Path, bool]] = {}  # by folder, then by image
 
-    def of(self, item: Item, image: npt.NDArray[Any]) -> FanGeometry | None:
+    def of(self, item: Item, image: npt.NDArray[Any], sequence: str = "") -> FanGeometry | None:
         """The geometry of an image of `item`; None where it is not known.
 
-        Frames of a recording are to be asked for in order.
+        Frames of a recording are to be asked for in order.  sequence: see `Frame`.
         """
         if self.chosen == POLAR:
             return FanGeometry.polar().with_size(*image.shape[:2])
         if self.chosen != FIND:
             return self._table.get(item.source.name)
         if item.kind != "images":
-            key = item.source, image.shape
+            key = item.source, sequence, image.shape
             return self._trackers.setdefault(key, FanTracker()).geometry(image)
         geometry = find_geometry(image)
         fan_found = self._fans_found.setdefault(item.source.parent, {})
         fan_found[item.source] = geometry is not None
         return geometry
 
-    def trackers_of(self, item: Item) -> dict[tuple[Path, tuple[int, ...]], FanTracker]:
+    def trackers_of(self, item: Item) -> dict[tuple[Path, str, tuple[int, ...]], FanTracker]:
         """What has been found in an item so far, for `restore`."""
         return {key: tracker for key, tracker in self._trackers.items() if key[0] == item.source}
 
-    def restore(self, trackers: dict[tuple[Path, tuple[int, ...]], FanTracker]) -> None:
+    def restore(self, trackers: dict[tuple[Path, str, tuple[int, ...]], FanTracker]) -> None:
         """Go on with an item where another run stopped."""
         self._trackers.update(trackers)
 
@@ -242,7 +242,7 @@ class Geometries:
             first, *others = fan_found
             place = folder if others else first
             yield said.format(sum(fan_found.values()), len(fan_found), place)
-        for (source, _), tracker in self._trackers.items():
+        for (source, _, _), tracker in self._trackers.items():
             line = said.format(tracker.fans_found, tracker.searched, source)
             times = "once" if tracker.changes == 1 else f"{tracker.changes} times"
             yield f"{line}; it changes {times}" if tracker.changes else line

@@ -14,6 +14,7 @@ from array import array
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from copy import deepcopy
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -153,9 +154,10 @@ class RosBag(Recording):
         for place, (connection, time_ns, _, message) in enumerate(self._frames, start=self._next):
             self._next = place + 1
             if place == number:
-                return frame_of(
-                    message, connection.msgtype, number, time_ns * 1e-9, self._named(number)
-                )
+                name = self._named(number)
+                frame = frame_of(message, connection.msgtype, number, time_ns * 1e-9, name)
+                is_one = len(self.topics) == 1
+                return frame if is_one else replace(frame, sequence=connection.topic)
         self._next = self.count
         raise Ended(f"{self.path}: ends before frame {number}; it is cut short or damaged")
 

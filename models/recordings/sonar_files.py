@@ -153,6 +153,7 @@ class ArisFile(_SoundMetricsFile):
                 frequency_khz=high_khz if header["FrequencyHiLow"] else low_khz,
                 sound_speed_m_s=speed,
                 gain_db=known(header["ReceiverGain"], 100),
+                pulse_us=known(float(header["PulseWidth"])) or None,
             ),
         )
 

@@ -73,6 +73,11 @@ class Unrepeated:
         """See `InTime.settle`."""
         yield from self._results(self._stream.settle())
 
+    def flush(self) -> Iterator[tuple[Any, Grey]]:
+        """See `InTime.flush`."""
+        yield from self._pass_waiting()
+        yield from self._results(self._stream.flush())
+
     def finish(self) -> Iterator[tuple[Any, Grey]]:
         """See `InTime.finish`."""
         yield from self._pass_waiting()

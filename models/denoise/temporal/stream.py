@@ -6,10 +6,11 @@ fused frames at once as the caller allows, which changes no pixel.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -17,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ....factory.dataset.fan_geometry import FanGeometry
+from ...recordings.device_settings import DeviceSettings
 from ..saturated import with_saturated
+from .brightness import UNLIKE, gain_between
 from .fusion import Fused, Fusion, Neighbour
 from .motion import Aligner, Grey, grey_of, laid_over
 from .strength import Predictors, Strength, Weights
@@ -28,6 +31,9 @@ MOST_FRAMES = 31
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
 _CALIBRATION_INTERVAL = 8  # frames between the first two calibrations
 _MAX_INTERVALS = 4  # later calibrations are up to so many intervals apart
+_SAME_GAIN = 0.04
+"""Logarithm of the ratio of levels up to which frames are as bright as each other; it is .017 at
+most in the recordings that ship."""
 _FULL_WINDOW = 0.8  # share of the highest frame count from which on a pixel has a whole window
 
 Network = Callable[..., Grey]
@@ -48,6 +54,7 @@ class Shot:
     wanted: whether its result is returned; the other frames serve as neighbours, and the noise and
         the strength are measured on them, too.
     is_tracked: whether `place` tracks the geometry from frame to frame, so it is called for each.
+    settings: of the sonar, as the recording states them; see `kinds`.
     """
 
     key: Any
@@ -56,6 +63,7 @@ class Shot:
     shift_px: tuple[float, float] | None = None
     wanted: bool = True
     is_tracked: bool = False
+    settings: DeviceSettings = field(default_factory=DeviceSettings)
 
 
 @lru_cache(maxsize=8)
@@ -172,11 +180,15 @@ class InTime:
         """The frames that are in memory."""
         yield from self._shots.values()
 
-    def finish(self) -> Iterator[tuple[Any, Grey]]:
-        """Yield all frames that are left; the sequence has ended."""
+    def flush(self) -> Iterator[tuple[Any, Grey]]:
+        """Yield all frames that are left, as no more of them come for some time."""
         while self._next <= self._newest:
             yield from self._denoise_next()
         yield from self._finished(0)
+
+    def finish(self) -> Iterator[tuple[Any, Grey]]:
+        """Yield all frames that are left; the sequence has ended."""
+        yield from self.flush()
         self.close()
 
     def close(self) -> None:
@@ -254,7 +266,17 @@ class InTime:
         if shot is None or shot.levels.shape != self._shots[number].levels.shape:
             return None
         motion = self._aligner.motion(number, neighbour)
-        return None if motion is None else laid_over(shot.levels, motion)
+        if motion is None:
+            return None
+        levels, visible = laid_over(shot.levels, motion)
+        own = self._shots[number].levels
+        likeness = gain_between(grey_of(levels) * visible, grey_of(own) * visible)
+        if abs(math.log(likeness.gain)) <= _SAME_GAIN:
+            return levels, visible
+        if likeness.difference > UNLIKE:
+            return None
+        # The gain of the sonar or the exposure of a screen changed between both.
+        return np.minimum(levels * np.float32(likeness.gain), np.float32(1)), visible
 
     def _geometry(self, number: int) -> FanGeometry | None:
         """The geometry of a frame: that of the nearest known one if it shows the same scene."""
@@ -325,7 +347,8 @@ class InTime:
         other calibration is on frame `number`, 8 to 32 frames or more after the one before.
         """
         if self._last_calibrated is None and not self._causal:
-            self._calibrate(self._before)
+            # Later where the stream was flushed before it had a whole window.
+            self._calibrate(max(self._before, number))
             return
         intervals = min(max(self.strength.measured, 1), _MAX_INTERVALS)
         if number - (self._last_calibrated or 0) >= _CALIBRATION_INTERVAL * intervals:

@@ -1,0 +1,321 @@
+"""Recordings that change while they run: settings that take turns or step, channels, levels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import tifffile
+
+from simnfnd.models.denoise import command
+from simnfnd.models.denoise.images import Denoising
+from simnfnd.models.denoise.temporal.brightness import gain_of
+from simnfnd.models.denoise.temporal.kinds import KindFinder
+from simnfnd.models.denoise.temporal.stream import Shot
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.device_settings import DeviceSettings, settings_in_name
+from tests.models.denoise.test_temporal import as_it_is, noisy, scene
+from tests.models.denoise.untrained import Halving
+from tests.models.recordings.bag_files import sonar, typestore, write_bag
+from tests.models.recordings.recording_files import write_aris
+
+Frames = npt.NDArray[Any]
+
+SIDE = 80
+COUNT = 8
+LOW = DeviceSettings(frequency_khz=750.0)
+HIGH = DeviceSettings(frequency_khz=1200.0)
+
+
+def static(seed: int, *, count: int = COUNT, level: float = 1.0, side: int = SIDE) -> Frames:
+    """(count, side, side) float32 in 0..1: one scene with noise of its own in each frame."""
+    truth = scene(side, seed) * np.float32(level)
+    frames = [noisy(truth / level, 100 * seed + number) * level for number in range(count)]
+    return np.stack(frames).astype(np.float32)
+
+
+def denoised(
+    frames: Sequence[Frames],
+    settings: Sequence[DeviceSettings] | None = None,
+    **options: Any,
+) -> tuple[Frames, str]:
+    """What becomes of the frames with a network that changes nothing, and the summary."""
+    denoising = Denoising(as_it_is, frames=5, **options)
+
+    def shots() -> Iterator[Shot]:
+        for number, frame in enumerate(frames):
+            stated = None if settings is None else settings[number]
+            yield denoising.shot(number, frame, lambda _: None, settings=stated)
+
+    results = list(denoising.sequence(shots()))
+    assert [result.key for result in results] == list(range(len(frames)))
+    return np.stack([result.image for result in results]), "\n".join(denoising.summary())
+
+
+def in_turns(first: Frames, second: Frames) -> Frames:
+    return np.stack([first, second], axis=1).reshape(-1, *first.shape[1:])
+
+
+def test_frames_of_two_settings_in_turn_equal_those_of_each_alone() -> None:
+    first = static(1)
+    second = first * np.float32(0.97)  # alike, but for what the recording states
+    both, said = denoised(in_turns(first, second), [LOW, HIGH] * COUNT)
+    np.testing.assert_array_equal(both[::2], denoised(first)[0])
+    np.testing.assert_array_equal(both[1::2], denoised(second)[0])
+    assert "750 kHz (8 frames, 0 to 14), 1200 kHz (8 frames, 1 to 15)" in said
+
+
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_frames_that_take_turns_untold_equal_those_of_each_alone(repeats: int) -> None:
+    first = static(1)
+    second = static(2, level=0.6)
+    mixed = in_turns(np.repeat(first, repeats, axis=0), np.repeat(second, repeats, axis=0))
+    mixed = mixed.reshape(COUNT, repeats, 2, SIDE, SIDE).swapaxes(1, 2).reshape(-1, SIDE, SIDE)
+    both, said = denoised(mixed)
+    both = both.reshape(COUNT, 2, repeats, SIDE, SIDE)
+    for copy in range(repeats):
+        np.testing.assert_array_equal(both[:, 0, copy], denoised(first)[0])
+        np.testing.assert_array_equal(both[:, 1, copy], denoised(second)[0])
+    assert f"like frame 0 ({COUNT * repeats} frames" in said
+
+
+def test_a_frame_of_something_else_leaves_the_others_as_they_are() -> None:
+    frames = static(1)
+    glitch = np.insert(frames, 5, 0.9, axis=0)
+    with_glitch, _ = denoised(glitch)
+    np.testing.assert_array_equal(np.delete(with_glitch, 5, axis=0), denoised(frames)[0])
+
+
+def test_levels_before_and_after_a_step_stay() -> None:
+    frames = static(1, count=2 * COUNT)
+    frames[COUNT:] *= np.float32(0.5)
+    result, said = denoised(frames)
+    for before, after in zip(frames, result, strict=True):
+        assert after.mean() == pytest.approx(before.mean(), rel=0.02)
+    # The frames beside the step are fused with those behind it, after a gain.
+    noise = np.abs(result - frames).reshape(len(frames), -1).mean(axis=1)
+    usual = np.median(noise / frames.mean(axis=(1, 2)))
+    assert noise[COUNT] / frames[COUNT].mean() > 0.7 * usual
+    assert "kinds of frames" not in said
+
+
+def test_flicker_does_not_pass_for_noise() -> None:
+    steady = static(1, count=14)
+    gains = np.random.default_rng(0).uniform(0.6, 1.0, 14).astype(np.float32)
+    result, _ = denoised(steady * gains[:, None, None])
+    truth = scene(SIDE, 1)
+    errors = np.abs(result / gains[:, None, None] - truth)[:, 8:-8, 8:-8].mean()
+    steady_errors = np.abs(denoised(steady)[0] - truth)[:, 8:-8, 8:-8].mean()
+    recorded = np.abs(steady - truth)[:, 8:-8, 8:-8].mean()
+    assert steady_errors < 0.7 * recorded
+    assert errors < steady_errors + 0.2 * (recorded - steady_errors)
+
+
+def test_a_kind_that_stays_away_does_not_hold_up_the_others() -> None:
+    frames = np.concatenate([static(1), static(2, count=60, side=SIDE)])
+    settings = [LOW] * COUNT + [HIGH] * 60
+    denoising = Denoising(as_it_is, frames=5)
+    sequence = denoising.open_sequence(at_once=1)
+    finished = 0
+    for number, frame in enumerate(frames[:50]):
+        shot = denoising.shot(number, frame, lambda _: None, settings=settings[number])
+        finished += len(list(sequence.push(shot)))
+    sequence.close()
+    assert finished >= 40
+
+
+def test_causal_frames_come_at_once() -> None:
+    denoising = Denoising(as_it_is, frames=5, causal=True)
+    sequence = denoising.open_sequence(at_once=1)
+    for number, frame in enumerate(in_turns(static(1), static(2, level=0.5))):
+        shot = denoising.shot(number, frame, lambda _: None)
+        assert [result.key for result in sequence.push(shot)] == [number]
+    sequence.close()
+
+
+def test_a_moving_scene_is_one_kind() -> None:
+    wide = scene(SIDE + 60, 4)
+    finder = KindFinder()
+    for number in range(12):
+        window = wide[:SIDE, 5 * number : 5 * number + SIDE]
+        list(finder.push(Shot(number, noisy(window, number))))
+    list(finder.finish())
+    assert len(finder.kinds) == 1
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "is_like"),
+    [
+        (DeviceSettings(gain_db=20.0), DeviceSettings(gain_db=20.4), True),
+        (DeviceSettings(gain_db=20.0), DeviceSettings(gain_db=23.0), False),
+        (DeviceSettings(range_max_m=10.0), DeviceSettings(range_max_m=10.1), True),
+        (DeviceSettings(range_max_m=10.0), DeviceSettings(range_max_m=12.0), False),
+        (DeviceSettings(pulse_us=10.0), DeviceSettings(pulse_us=20.0), False),
+        (DeviceSettings(head="port"), DeviceSettings(head="starboard"), False),
+        (DeviceSettings(sequence="channel 1"), DeviceSettings(sequence="channel 2"), False),
+        (settings_in_name("a_1200kHz_03.png"), settings_in_name("a_1.2MHz_04.png"), True),
+        (settings_in_name("a_1200kHz_03.png"), settings_in_name("a_750khz_04.png"), False),
+        (settings_in_name("gain 12dB 3.png"), settings_in_name("gain 24dB 4.png"), False),
+    ],
+)
+def test_settings(first: DeviceSettings, second: DeviceSettings, is_like: bool) -> None:
+    assert first.is_like(second) == second.is_like(first) == is_like
+    assert bool(first.differences(second)) == (not is_like)
+
+
+@pytest.mark.usefixtures("halving")
+@pytest.mark.parametrize("change", [{"offset_440": 0}, {"offset_68": 12}, {"offset_444": 40}])
+def test_headers_of_aris_that_take_turns(
+    tmp_path: Path, change: dict[str, int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Frequency, gain and pulse."""
+    samples = np.rint(static(3, side=64, count=8)[:, :, :48] * 255).astype(np.uint8)
+    files = [
+        write_aris(tmp_path / "a.aris", samples).read_bytes(),
+        write_aris(tmp_path / "a.aris", samples, **change).read_bytes(),
+    ]
+    size = 1024 + 64 * 48
+    content = files[0][:1024] + b"".join(
+        files[number % 2][1024 + number * size : 1024 + (number + 1) * size] for number in range(8)
+    )
+    (tmp_path / "a.aris").write_bytes(content)
+    out = tmp_path / "out"
+    assert command.main([str(tmp_path / "a.aris"), "--out", str(out)]) == 0
+    assert "kinds of frames: 2" in capsys.readouterr().out
+
+
+def test_two_heads_on_one_topic(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = typestore(2)
+    samples = np.rint(static(3, count=8, side=64) * 255).astype(np.uint8)
+    messages = [sonar(store, number, frame) for number, frame in enumerate(samples)]
+    for message in messages[1::2]:
+        message.header.frame_id = "other"
+    write_bag(
+        tmp_path / "a.mcap", {"/a": ("marine_acoustic_msgs/msg/ProjectedSonarImage", messages)}
+    )
+    out = tmp_path / "out"
+    assert command.main([str(tmp_path / "a.mcap"), "--out", str(out)]) == 0
+    assert "sonar (4 frames, 0 to 6), other (4 frames, 1 to 7)" in capsys.readouterr().out
+
+
+# --- depth and brightness -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("divisor", [4, 16, 64])
+def test_the_scale_of_the_echoes_does_not_matter(divisor: int) -> None:
+    """Tolerance: the rounding of samples of 10 bits."""
+    frames = np.rint(static(1) * 65535).astype(np.uint16)
+    full, _ = denoised(frames)
+    part, _ = denoised(frames // divisor)
+    truth = scene(SIDE, 1)[8:-8, 8:-8]
+    errors = [
+        float(np.square(result[:, 8:-8, 8:-8] * scale / 65535.0 - truth).mean())
+        for result, scale in ((full, 1), (part, divisor))
+    ]
+    assert 10 * abs(np.log10(errors[1] / errors[0])) < 0.2
+
+
+@pytest.mark.parametrize("power", [3, 6])
+def test_echoes_of_a_part_of_the_scale_as_floats(power: int) -> None:
+    frames = static(1)
+    part, _ = denoised(frames / np.float32(2**power))
+    whole, _ = denoised(frames)
+    error = np.abs(part * 2**power - whole).mean() / np.abs(whole - frames).mean()
+    assert error < 0.1
+
+
+def test_a_bright_letter_in_a_dark_recording_stays() -> None:
+    frames = np.rint(static(1) * 800).astype(np.uint16)
+    frames[:, 40:42, 40:42] = 65535
+    result, _ = denoised(frames)
+    assert (result[:, 40:42, 40:42] == 65535).all()
+    plain = np.rint(static(1) * 800).astype(np.uint16)
+    away = np.abs(result.astype(float) - denoised(plain)[0])[:, 60:]
+    assert away.mean() < 0.1 * np.abs(plain - denoised(plain)[0].astype(float)).mean()
+
+
+def test_gain_of_a_sequence() -> None:
+    bright = static(1)[0]
+    assert gain_of(bright, 1.0) == 1
+    assert 0.25 < gain_of(bright / 64, 1.0) * np.quantile(bright / 64, 0.999) <= 0.5
+    assert gain_of(bright / 64, 64.0) == 64  # kept while it suits
+    assert gain_of(np.zeros_like(bright), 16.0) == 16  # black frames tell nothing
+    assert gain_of(bright, 64.0) == 1  # brighter ones begin anew
+
+
+# --- strength -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+@pytest.mark.parametrize("window", [1, 5])
+def test_strength_is_the_part_of_the_change(dtype: str, window: int) -> None:
+    frames = static(1, count=8)
+    full = {"uint8": 255, "uint16": 65535, "float32": 1}[dtype]
+    stored = (np.rint(frames * full) if full > 1 else frames).astype(dtype)
+    changes = []
+    for strength in (0, 0.25, 0.5, 0.999, 1):
+        denoising = Denoising(
+            lambda grey, geometry=None: grey / 2, frames=window, strength=strength
+        )
+        shots = (denoising.shot(n, frame, lambda _: None) for n, frame in enumerate(stored))
+        result = np.stack([result.image for result in denoising.sequence(shots)])
+        changes.append(float(np.abs(result.astype(float) - stored).mean()) / full)
+    assert changes[0] == 0
+    expected = np.array([0, 0.25, 0.5, 0.999, 1]) * changes[-1]
+    np.testing.assert_allclose(changes, expected, atol=0.6 / full if full > 1 else 1e-5)
+
+
+@pytest.mark.usefixtures("halving")
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.pgm", "a.npy"])
+def test_files_of_strength_0_are_the_input(tmp_path: Path, name: str) -> None:
+    import cv2
+
+    image = np.rint(static(1, count=1)[0] * 255).astype(np.uint8)
+    if name.endswith(".npy"):
+        np.save(tmp_path / name, image)
+    else:
+        cv2.imwrite(str(tmp_path / name), image)
+    out = tmp_path / "out"
+    assert command.main([str(tmp_path / name), "--out", str(out), "--strength", "0"]) == 0
+    with open_recording(tmp_path / name) as before, open_recording(out / name) as after:
+        np.testing.assert_array_equal(before[0].samples, after[0].samples)
+
+
+def test_a_saturated_echo_keeps_its_level() -> None:
+    image = np.rint(static(1, count=1)[0] * 200).astype(np.uint8)
+    image[30:50, 20:60] = 255
+    denoising = Denoising(lambda grey, geometry=None: grey * 0.3)
+    result = denoising.denoise_image(image, lambda _: None).image
+    assert (result[30:50, 20:60] == 255).all()
+    np.testing.assert_allclose(result[60:], image[60:] * 0.3, atol=1)
+
+
+# --- channels -------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("halving")
+@pytest.mark.parametrize("kind", ["imagej", "tifffile", "ome"])
+def test_channels_of_a_stack_are_sequences_of_their_own(
+    tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = np.rint(static(1, count=8) * 255).astype(np.uint8)
+    stack = np.stack([first, first // 2], axis=1)
+    path = tmp_path / ("a.ome.tif" if kind == "ome" else "a.tif")
+    if kind == "imagej":
+        tifffile.imwrite(path, stack, imagej=True, metadata={"axes": "TCYX"})
+    else:
+        tifffile.imwrite(path, stack, ome=kind == "ome", metadata={"axes": "TCYX"})
+    with open_recording(path) as recording:
+        sequences = [frame.sequence for frame in recording]
+    assert sequences == ["channel 1", "channel 2"] * 8
+    assert command.main([str(path), "--out", str(tmp_path / "out")]) == 0
+    assert "channel 1 (8 frames, 0 to 14), channel 2" in capsys.readouterr().out
+    with tifffile.TiffFile(tmp_path / "out" / path.name) as result:
+        assert result.series[0].shape == stack.shape
+        assert result.series[0].axes == "TCYX"

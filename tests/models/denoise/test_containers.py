@@ -1,0 +1,285 @@
+"""What files say of their images: planes, white, depth, axes, times, shape of pixels, texts."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+import tifffile
+
+from simnfnd.models.denoise.video_writer import TimedImage
+from simnfnd.models.denoise.writers import write_frames
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.fan_tracking import FanTracker
+from simnfnd.models.recordings.hdf5_files import counting_axis
+from simnfnd.models.recordings.page_axes import axes_of
+from tests.models.denoise.untrained import Halving, main
+from tests.models.recordings.fan_images import fan, preset
+from tests.models.recordings.recording_files import Bytes, pings
+from tests.models.recordings.video_files import encode
+
+
+def copied(source: Path, folder: Path) -> Path:
+    """The file that is written for a recording, with its images as they are."""
+    target = folder / "copy" / source.name
+    with open_recording(source) as recording:
+        images = [
+            TimedImage(frame.samples, frame.time_s, frame.duration_s) for frame in recording
+        ]
+        write_frames(target, images, recording)
+    return target
+
+
+# --- TIFF -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pages", [1, 3])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_separate_planes(
+    tmp_path: Path, pages: int, dtype: type[np.unsignedinteger[Any]], compression: str | None
+) -> None:
+    planes = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (pages, 3, 30, 40), dtype)
+    path = tmp_path / "a.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for page in planes:
+            writer.write(
+                page, photometric="rgb", planarconfig="separate", compression=compression,
+                metadata=None,
+            )  # fmt: skip
+    with open_recording(path) as recording:
+        actual = [frame.samples[..., ::-1] for frame in recording]
+        assert not recording.warning
+    np.testing.assert_array_equal(actual, np.moveaxis(planes, 1, -1))
+
+
+def test_planes_that_tifffile_describes(tmp_path: Path) -> None:
+    planes = pings(3, 30, 40)
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, planes, photometric="rgb", planarconfig="separate")
+    with open_recording(path) as recording:
+        assert len(recording) == 1
+        np.testing.assert_array_equal(recording[0].samples[..., ::-1], np.moveaxis(planes, 0, -1))
+
+
+@pytest.mark.parametrize("pages", [1, 3])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_white_is_zero(
+    tmp_path: Path, pages: int, dtype: type[np.unsignedinteger[Any]], compression: str | None
+) -> None:
+    images = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (pages, 30, 40), dtype)
+    path = tmp_path / "a.tif"
+    stored = np.iinfo(dtype).max - images
+    with tifffile.TiffWriter(path) as writer:
+        for page in stored:
+            writer.write(page, photometric="miniswhite", compression=compression, metadata=None)
+    with open_recording(path) as recording:
+        np.testing.assert_array_equal([frame.samples for frame in recording], images)
+
+
+def test_interval_and_scale_of_imagej(tmp_path: Path) -> None:
+    frames = pings(4, 30, 40)
+    about: Any = {"axes": "TYX", "finterval": 0.25, "unit": "mm"}
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, frames, imagej=True, resolution=(20, 10), metadata=about)
+    with open_recording(path) as recording:
+        assert [frame.time_s for frame in recording] == [0, 0.25, 0.5, 0.75]
+    with tifffile.TiffFile(copied(path, tmp_path)) as copy:
+        metadata: Any = copy.imagej_metadata
+        assert (metadata["finterval"], metadata["unit"]) == (0.25, "mm")
+        for tag, value in ((282, 20), (283, 10)):
+            numerator, denominator = copy.pages[0].tags[tag].value  # type: ignore[union-attr]
+            assert numerator / denominator == value
+        np.testing.assert_array_equal(copy.asarray(), frames)
+
+
+@pytest.mark.parametrize(
+    ("text", "shape", "sequences"),
+    [
+        ("ImageJ=1.5\nimages=6\nchannels=2\nframes=3\n", (5, 7), ["channel 1", "channel 2"] * 3),
+        ("ImageJ=1.5\nimages=6\nslices=6\n", (5, 7), [""] * 6),
+        (
+            "ImageJ=1.5\nimages=4\nslices=2\nframes=2\n",
+            (5, 7),
+            ["slice 1", "slice 2", "slice 1", "slice 2"],
+        ),
+        ('{"shape": [2, 3, 5, 7]}', (5, 7), ["part 1"] * 3 + ["part 2"] * 3),
+        ('{"shape": [2, 3, 5, 7], "axes": "CTYX"}', (5, 7), ["channel 1"] * 3 + ["channel 2"] * 3),
+        ('{"shape": [3, 5, 7]}', (3, 5, 7), [""]),
+        ('{"shape": [4, 5, 7, 3]}', (5, 7, 3), [""] * 4),
+    ],
+)
+def test_axes_of_pages(text: str, shape: tuple[int, ...], sequences: list[str]) -> None:
+    axes = axes_of(text, shape)
+    assert axes is not None
+    assert [axes.sequence_of(page) for page in range(axes.page_count)] == sequences
+
+
+@pytest.mark.parametrize(
+    "text",
+    ['{"shape": 3}', '{"shape": [-1, 5, 7]}', '{"shape": [2, 9, 9]}', "ImageJ=\nimages=0", "<OME>"],
+)
+def test_descriptions_that_say_nothing(text: str) -> None:
+    assert axes_of(text, (5, 7)) is None
+
+
+# --- PGM ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("largest", [100, 1023, 4095, 65534])
+@pytest.mark.usefixtures("halving")
+def test_the_largest_value_of_pgm(tmp_path: Path, largest: int) -> None:
+    samples = np.random.default_rng(0).integers(0, largest + 1, (40, 50))
+    stored = samples.astype(np.uint8 if largest < 256 else ">u2").tobytes()
+    path = tmp_path / "a.pgm"
+    path.write_bytes(b"P5\n# a comment\n50 40\n%d\n" % largest + stored)
+    with open_recording(path) as recording:
+        image = recording[0].samples
+    full = np.iinfo(image.dtype).max
+    np.testing.assert_allclose(image / full, samples / largest, atol=1 / full)
+
+    for strength, share in (("0", 1.0), ("1", 0.5)):
+        out = tmp_path / strength
+        words = [str(path), "--out", str(out), "--strength", strength]
+        assert main(words) == 0
+        header, content = (out / "a.pgm").read_bytes().split(b"\n%d\n" % largest, 1)
+        assert header == b"P5\n50 40"
+        after = np.frombuffer(content, np.uint8 if largest < 256 else ">u2").reshape(40, 50)
+        np.testing.assert_allclose(after, samples * share, atol=0 if share == 1 else 1)
+
+
+def test_pgm_as_text(tmp_path: Path) -> None:
+    path = tmp_path / "a.pgm"
+    path.write_text("P2\n3 2\n10\n0 5 10\n10 5 0\n")
+    with open_recording(path) as recording:
+        np.testing.assert_array_equal(recording[0].samples, [[0, 128, 255], [255, 128, 0]])
+
+
+# --- MATLAB ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("shape", "axis"),
+    [
+        ((20, 388, 200), 0),
+        ((8, 388, 200), 0),
+        ((388, 200, 20), -1),
+        ((388, 200, 8), -1),
+        ((2000, 48, 300), -1),
+        ((64, 64, 64), -1),
+        ((30, 40, 4), -1),
+        ((20, 30, 40, 3), 0),
+        ((30, 40, 3, 20), -1),
+        ((30, 40), None),
+        ((30, 40, 3), None),
+    ],
+)
+def test_the_axis_that_counts_images(shape: tuple[int, ...], axis: int | None) -> None:
+    assert counting_axis(shape) == axis
+
+
+@pytest.mark.parametrize("version", [5, 73])
+def test_matlab_with_images_first(tmp_path: Path, version: int) -> None:
+    frames = pings(20, 60, 50)
+    path = tmp_path / "a.mat"
+    if version == 5:
+        scipy.io.savemat(path, {"frames": frames})
+    else:
+        with h5py.File(path, "w", userblock_size=512) as file:
+            stored = file.create_dataset("frames", data=frames.transpose())
+            stored.attrs["MATLAB_class"] = np.bytes_("uint8")
+        path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + path.read_bytes()[512:])
+    with open_recording(path) as recording:
+        np.testing.assert_array_equal([frame.samples for frame in recording], frames)
+        assert not recording.warning
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npy"])
+def test_arrays_of_which_either_end_may_count(tmp_path: Path, suffix: str) -> None:
+    """One line says which was taken."""
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".mat":
+        scipy.io.savemat(path, {"frames": pings(50, 60, 70)})
+    else:
+        np.save(path, np.moveaxis(pings(20, 60, 50), 0, -1))
+    with open_recording(path) as recording:
+        assert "axis" in recording.warning
+
+
+# --- videos ---------------------------------------------------------------------------------------
+
+
+def texts_of(path: Path) -> tuple[dict[str, str], Fraction]:
+    """The metadata of a video's container, and the width of its pixels by their height."""
+    av: Any = import_module("av")
+    with av.open(str(path)) as container:
+        aspect = container.streams.video[0].sample_aspect_ratio
+        return dict(container.metadata), Fraction(aspect or 1)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec", "texts"),
+    [
+        (".mkv", "ffv1", ("creation_time", "title", "comment")),
+        (".mp4", "libx264", ("creation_time", "title", "comment")),
+        (".mov", "png", ("creation_time", "title", "comment")),
+        (".avi", "ffv1", ("title", "comment")),
+    ],
+)
+def test_texts_and_pixels_of_videos(
+    tmp_path: Path, suffix: str, codec: str, texts: tuple[str, ...]
+) -> None:
+    av: Any = import_module("av")
+    path = tmp_path / f"a{suffix}"
+    said = {"creation_time": "2025-09-24T10:31:20.000000Z", "title": "dive 7", "comment": "calm"}
+    with av.open(str(path), "w") as output:
+        output.metadata.update(said)
+        stream = output.add_stream(codec, rate=8)
+        stream.height, stream.width = 40, 60
+        stream.pix_fmt = "yuv420p" if codec == "libx264" else "gray"
+        stream.codec_context.sample_aspect_ratio = Fraction(16, 15)
+        for image in pings(3, 40, 60):
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray")))
+        output.mux(stream.encode(None))
+    copies = [copied(path, tmp_path / number) for number in "12"]
+    metadata, aspect = texts_of(copies[0])
+    assert aspect == Fraction(16, 15)
+    lower = {name.lower(): text for name, text in metadata.items()}
+    assert {name: lower.get(name) for name in texts} == {name: said[name] for name in texts}
+    assert copies[0].read_bytes() == copies[1].read_bytes()
+
+
+def test_two_frames_at_one_time(tmp_path: Path) -> None:
+    times_ms = [0, 125, 125, 375]
+    path = encode(tmp_path / "a.mkv", pings(4, 40, 60), times_ms=times_ms)
+    with open_recording(copied(path, tmp_path)) as copy:
+        assert [frame.time_s for frame in copy] == [time / 1000 for time in times_ms]
+
+
+# --- titles ---------------------------------------------------------------------------------------
+
+
+def title(shape: tuple[int, ...], number: int) -> Bytes:
+    image = np.zeros(shape, np.uint8)
+    for row in range(30 + 7 * number % 40, shape[0], 60):
+        cv2.putText(image, "Dive 7", (10, row), cv2.FONT_HERSHEY_SIMPLEX, 1, 255, 2)
+    return image
+
+
+@pytest.mark.parametrize("kind", ["still", "moving", "black"])
+@pytest.mark.parametrize("count", [1, 12])
+def test_a_fan_behind_titles_is_found_at_once(kind: str, count: int) -> None:
+    image, _ = fan(preset("didson", 220, 400), 0.2, holes=False)
+    tracker = FanTracker()
+    for number in range(count):
+        shown = title(image.shape, number if kind == "moving" else 0)
+        assert tracker.geometry(shown * (kind != "black")) is None
+    assert all(tracker.geometry(image) is not None for _ in range(3))
