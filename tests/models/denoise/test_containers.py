@@ -20,7 +20,7 @@ from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.fan_tracking import FanTracker
 from simnfnd.models.recordings.hdf5_files import counting_axis
 from simnfnd.models.recordings.page_axes import axes_of
-from tests.models.denoise.untrained import Halving, main
+from tests.models.denoise.untrained import main
 from tests.models.recordings.fan_images import fan, preset
 from tests.models.recordings.recording_files import Bytes, pings
 from tests.models.recordings.video_files import encode
