@@ -16,6 +16,7 @@ UNLIKE = 0.05
 """Relative difference of thumbnails up to which frames are alike; of the recordings that ship,
 successive frames have .013 at most, and frames of a gain of 1.2 have .09."""
 _THUMBNAIL_PX = 24  # side
+_PART_PX = 8  # side of an image's part that a pixel of a thumbnail stands for, at least
 _DARK = 0.01  # grey value: darker parts show nothing
 _LEAST_PARTS = 10
 
@@ -77,9 +78,8 @@ def likeness_of(thumbnail: Grey, other: Grey) -> Likeness:
 
 def thumbnail_of(grey: Grey) -> Grey:
     """Means of the parts of an image, (H, W)."""
-    height, width = grey.shape
-    size = (min(_THUMBNAIL_PX, width), min(_THUMBNAIL_PX, height))
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
+    height, width = (min(_THUMBNAIL_PX, max(side // _PART_PX, 1)) for side in grey.shape)
+    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def difference(thumbnail: Grey, other: Grey) -> float:
