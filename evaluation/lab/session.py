@@ -62,7 +62,9 @@ class Session:
             importlib.import_module("bpy")
         self.parameters: list[Parameter] = parameters_of(self.config)
         self.frames = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
-        self._pins = composition.pins
+        # In a sweep a comma of a name would begin another point, so names are quoted.
+        flags = [word for word in words if word.startswith("-")]
+        self._sweep_words = [*flags, *composition.overrides, *composition.pins]
         self._base = Base.of(composition.overrides, composition.values)
         self._keys = {parameter.key for parameter in self.parameters} | {SEED}
         self._rendered: list[_Rendered] = []
@@ -137,7 +139,7 @@ class Session:
         acting = self._acting(config, changes)
         line = ""
         if sweep is not None:
-            line = sweep_line([*self.words, *self._pins], acting, *sweep)
+            line = sweep_line(self._sweep_words, acting, *sweep)
         return Exports(command_line(self.words, acting), recipe(self._base, acting), line)
 
     def _acting(self, config: FactoryConfig, changes: Changes) -> Changes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from simnfnd.evaluation.lab.command import read_words
 from simnfnd.evaluation.lab.exports import Base, recipe
 from simnfnd.evaluation.lab.session import Session
 from simnfnd.evaluation.lab.stored_words import words_of
-from simnfnd.factory.production.cli.compose import compose
+from simnfnd.factory.production.cli.compose import compose, compose_points
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping, plain
 from simnfnd.factory.simulation.scenes.csv_list import CsvListSettings
 from tests.evaluation.lab.test_lab import SMALL, answer, served
@@ -64,6 +65,15 @@ def test_a_recording_may_be_called_like_a_setting(tmp_path: Path) -> None:
     assert subject.real == image
     assert subject.words[-1] == "seed=2"
     assert read_words([f"scenes.file={image}"]).real is None
+
+
+def test_a_name_with_commas_is_one_point_of_a_sweep(tmp_path: Path) -> None:
+    path = tmp_path / "path (1),a=b.csv"
+    path.write_text("time_s,surge_m\n0,0\n0.1,0.05\n")
+    session = Session([*SMALL[:1], "scenes.locations=1", *SMALL[3:], f"scenes.path={path}"])
+    line = session.exports({}, ("noise.background.density", "0.1,0.2")).sweep
+    points = compose_points(shlex.split(line)[2:])
+    assert [getattr(point.scenes, "path", "") for point in points] == [str(path)] * 2
 
 
 def test_a_defect_reaches_the_page_and_blocks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
