@@ -37,6 +37,16 @@ def test_the_sonar_of_a_place_is_so_high_and_looks_so_far_down(mount: tuple[str,
     assert np.array(actual) == pytest.approx(np.array([(1.2, 20.0)] * 2), abs=1e-3)
 
 
+def test_height_and_tilt_are_drawn_for_each_frame_and_once_for_a_recording() -> None:
+    drawn = ("sonar.altitude_m={uniform: [0.8, 1.6]}", "sonar.tilt_deg={choice: [15, 25, 35]}")
+    apart = poses(compose_config([*PLACE[:4], *drawn, "scenes.frames_per_location=3"]))
+    assert len({round(altitude_m, 4) for altitude_m, _ in apart}) == 3
+    assert all(0.799 < altitude_m < 1.601 for altitude_m, _ in apart)
+    assert {round(tilt_deg) for _, tilt_deg in apart} <= {15, 25, 35}
+    recorded = poses(compose_config([*PLACE[:4], *drawn, "scenes.frame_rate_hz=5"]))
+    assert recorded[0] == recorded[1]
+
+
 @pytest.mark.parametrize("route", ["orbit", "transect"])
 def test_the_sonar_of_a_drawn_path_does_too(route: str, tmp_path: Path) -> None:
     ground = "v -9 -9 0\nv 9 -9 0\nv 9 9 0\nv -9 9 0\nf 1 2 3\nf 1 3 4\n"
