@@ -126,7 +126,12 @@ OPTIONAL_LAYERS = (
     _angle("elevation_max", "highest elevation of the echoes in the bin; NaN where there is none"),
     _angle("azimuth", "azimuth of the strongest echo, right is positive; NaN where there is none"),
     Layer("valid_azimuth", "bool", "inside the sector, at a bearing that the camera saw"),
-    Layer("segmentation", "uint8", "class of the object of the strongest echo", classes=CLASSES),
+    Layer(
+        "segmentation",
+        "uint8",
+        "class of the object, or ground, with most power in the bin",
+        classes=CLASSES,
+    ),
     Layer("instance", "uint16", "number within its scene of that object, 0 = none"),
     Layer(
         "intensity_db",
