@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from ...factory.common.errors import FrameError
 from ..recordings.videos import VideoProperties, narrowed
+from .pixel_aspect import state_pixel_aspect
 
 Image = npt.NDArray[Any]
 
@@ -127,6 +128,9 @@ def write_video(
             writer.write(number, timed)
         if writer is not None:
             writer.finish()
+    is_matroska = container in ("matroska", "webm")
+    if writer is not None and is_matroska and video.pixel_aspect != 1:
+        state_pixel_aspect(file, writer.size, video.pixel_aspect)
 
 
 KeepPacket = Callable[[dict[str, Any], memoryview], None]
@@ -217,7 +221,10 @@ def join_packets(
 
 
 class _StreamWriter:
-    """The stream of a video that is being written."""
+    """The stream of a video that is being written.
+
+    size: height and width of its images.
+    """
 
     def __init__(
         self,
@@ -234,12 +241,12 @@ class _StreamWriter:
         self._video = video
         self._depth = codec.depth_for(video.bits) or max(codec.grey)
         self._format = (codec.grey if video.is_grey else codec.colour)[self._depth]
-        self._size = size
+        self.size = size
         # The frame rate of an AVI file is the unit of its time stamps.
         is_avi = output.format.name == "avi"
         rate = 1 / video.time_base_s if is_avi else video.rate
         stream = output.add_stream(codec.name, rate=rate)
-        stream.height, stream.width = self._size
+        stream.height, stream.width = self.size
         stream.pix_fmt = self._format
         if video.pixel_aspect != 1:
             stream.codec_context.sample_aspect_ratio = video.pixel_aspect
@@ -254,11 +261,11 @@ class _StreamWriter:
         self._durations: dict[int, int] = {}
 
     def write(self, number: int, timed: TimedImage) -> None:
-        if timed.image.shape[:2] != self._size:
+        if timed.image.shape[:2] != self.size:
             height, width = timed.image.shape[:2]
             raise FrameError(
-                f"frame {number} has {width} x {height} pixels, the first {self._size[1]} x "
-                f"{self._size[0]}; a video has one size"
+                f"frame {number} has {width} x {height} pixels, the first {self.size[1]} x "
+                f"{self.size[0]}; a video has one size"
             )
         frame = self._frame(timed.image)
         frame.pts = self._tick(number, timed)
@@ -293,7 +300,7 @@ class _StreamWriter:
         if image.dtype != np.uint8:
             image = narrowed(image, self._depth)
         if self._format.startswith("yuv"):
-            height, width = self._size
+            height, width = self.size
             chroma = np.full(((height + 1) // 2, (width + 1) // 2), 1 << (self._depth - 1))
             return self._of_planes([image, chroma, chroma])
         if self._video.is_grey:
@@ -309,7 +316,7 @@ class _StreamWriter:
         return self._av.VideoFrame.from_ndarray(red_first, format="rgb48le")
 
     def _of_planes(self, planes: list[Image]) -> Any:
-        height, width = self._size
+        height, width = self.size
         frame = self._av.VideoFrame(width, height, self._format)
         dtype = np.dtype(np.uint8 if self._depth == 8 else "<u2")
         for plane, values in zip(frame.planes, planes, strict=True):

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import IO, NamedTuple
 
 _BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
-_MATROSKA = b"\x1a\x45\xdf\xa3"
-_SEGMENT = b"\x18\x53\x80\x67"
+MATROSKA = b"\x1a\x45\xdf\xa3"
+SEGMENT = b"\x18\x53\x80\x67"
 _MOST_PARTS = 100_000
 """Top-level parts that are looked at: a fragmented recording has one a second."""
 
@@ -18,7 +18,7 @@ def container_of(head: bytes) -> str | None:
         return "avi"
     if head[4:8] in _BOXES:
         return "mov"
-    if head[:4] == _MATROSKA:
+    if head[:4] == MATROSKA:
         return "matroska"
     return None
 
@@ -75,8 +75,8 @@ def _boxes(file: IO[bytes], size: int) -> Iterator[tuple[bytes, int]]:
 def _end_of_segment(file: IO[bytes], size: int) -> int:
     """Where the segment of a Matroska file ends (RFC 9559), or its last part of known length."""
     offset = _after_element(file, 0)
-    element = _element_at(file, offset) if offset is not None else None
-    if element is None or element.identifier != _SEGMENT:
+    element = element_at(file, offset) if offset is not None else None
+    if element is None or element.identifier != SEGMENT:
         return 0
     if element.length is not None:
         return element.content + element.length
@@ -92,13 +92,13 @@ def _end_of_segment(file: IO[bytes], size: int) -> int:
 
 def _after_element(file: IO[bytes], offset: int) -> int | None:
     """Where the element that begins at `offset` ends; None where it does not say."""
-    element = _element_at(file, offset)
+    element = element_at(file, offset)
     if element is None or element.length is None:
         return None
     return element.content + element.length
 
 
-class _Element(NamedTuple):
+class Element(NamedTuple):
     """An EBML element.
 
     content: offset of its content in the file.  length: bytes of the content; None: not stated.
@@ -109,7 +109,7 @@ class _Element(NamedTuple):
     length: int | None
 
 
-def _element_at(file: IO[bytes], offset: int) -> _Element | None:
+def element_at(file: IO[bytes], offset: int) -> Element | None:
     """The element at an offset; None where there is none."""
     header = _bytes_at(file, offset, 12)
     id_length = _vint_length(header[:1])
@@ -122,7 +122,7 @@ def _element_at(file: IO[bytes], offset: int) -> _Element | None:
     mask = (1 << 7 * size_length) - 1
     length = int.from_bytes(field, "big") & mask
     content = offset + id_length + size_length
-    return _Element(header[:id_length], content, None if length == mask else length)
+    return Element(header[:id_length], content, None if length == mask else length)
 
 
 def _vint_length(first: bytes) -> int | None:
