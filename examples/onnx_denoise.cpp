@@ -1,11 +1,10 @@
 // Denoises a grey image (binary PGM, 8 bits) with onnxruntime in C++17.
 //
 //   simnfnd export-weights simnfnd --to onnx --out any.onnx
-//   g++ -std=c++17 -O2 -I onnxruntime/include onnx_denoise.cpp -L onnxruntime/lib -lonnxruntime \
-//       -o onnx_denoise
+//   g++ -std=c++17 -O2 -I ort/include onnx_denoise.cpp -L ort/lib -lonnxruntime -o onnx_denoise
 //   ./onnx_denoise any.onnx image.pgm denoised.pgm
 //
-// onnxruntime: a release for your system (Linux x64 or aarch64) from its project.  For pings with
+// ort: a release of onnxruntime for your system (Linux x64 or aarch64) from its project.  For pings with
 // known beams export with `--geometry polar` and give the opening angle in degrees, and the first
 // range as a part of the last one:
 //

@@ -2,17 +2,18 @@
 
 It is a pickle of the objects that a sequence is made of.  A file in an output folder is not to be
 trusted, so reading makes arrays, containers and the classes of this project alone: no function is
-called by name, and what was damaged or cut off is told by its digest.
+called by name, and what was damaged or cut off is told by its checksum.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 import pickle
+import struct
+import zlib
 from typing import Any
 
-_DIGEST_BYTES = 32
+_CHECKSUM = struct.Struct("<QI")  # of the length and the bytes
 _ROOT = __name__.removesuffix("models.denoise.checkpoint")
 _OWN_MODULES = (f"{_ROOT}models.", f"{_ROOT}factory.dataset.fan_geometry")
 _OTHERS = {
@@ -29,15 +30,16 @@ _OTHERS = {
 
 
 def packed(state: object) -> bytes:
-    """The state as bytes with their digest."""
+    """The state as bytes with their checksum."""
     content = pickle.dumps(state, protocol=5)
-    return hashlib.sha256(content).digest() + content
+    return _CHECKSUM.pack(len(content), zlib.crc32(content)) + content
 
 
 def unpacked(content: bytes) -> Any:
     """The state in bytes.  Raises ValueError when they are damaged, or hold anything else."""
-    digest, body = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-    if hashlib.sha256(body).digest() != digest:
+    body = memoryview(content)[_CHECKSUM.size :]
+    stated = (len(body), zlib.crc32(body))
+    if len(content) < _CHECKSUM.size or _CHECKSUM.unpack_from(content) != stated:
         raise ValueError("damaged, or cut off")
     try:
         return _Unpickler(io.BytesIO(body)).load()

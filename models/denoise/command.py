@@ -21,7 +21,7 @@ from ..recordings.inputs import FIND, Geometries, Item, find_items, said_of_sequ
 from .comparison_video import SUFFIX, comparison_video
 from .denoiser import Denoiser
 from .files import denoise_files
-from .images import Denoising
+from .images import Denoising, LevelRange
 from .job import Job
 from .journal import opened_journal
 from .reports import TABLE, line_of, write_table
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
     video = Path(options.compare).expanduser() if options.compare and not with_sheets else None
     items = find_items(inputs, out, compare=with_sheets)
     _check_video(video, items, out)
-    geometries = Geometries(options.geometry)
+    geometries = Geometries(options.geometry, options.opening)
     check_writable(out, "--out")
 
     load = cache(partial(Denoiser, device=options.device))
@@ -63,6 +63,7 @@ def main(arguments: Sequence[str]) -> int:
         causal=options.causal,
         strength=options.strength,
         inverts=options.invert,
+        level_range=LevelRange(*options.levels) if options.levels else None,
     )
     with (
         opened_journal(out, _command(options, denoise)) as journal,
@@ -99,7 +100,17 @@ def main(arguments: Sequence[str]) -> int:
 
 def _command(options: argparse.Namespace, denoise: Denoiser) -> dict[str, object]:
     """All that decides on the bytes of results but for the inputs."""
-    names = ("noise", "strength", "frames", "invert", "causal", "topic", "device")
+    names = (
+        "noise",
+        "strength",
+        "frames",
+        "invert",
+        "causal",
+        "topic",
+        "device",
+        "opening",
+        "levels",
+    )
     chosen: dict[str, object] = {name: getattr(options, name) for name in names}
     table = Path(options.geometry).expanduser()
     chosen["geometry"] = sha256_of(table) if table.is_file() else options.geometry
@@ -160,6 +171,10 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         "of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
     )
     add("--geometry", default=FIND, help=geometry_help)
+    opening_help = "of --geometry polar: degrees from the first column's edge to the last one's"
+    add("--opening", type=float, metavar="DEG", help=opening_help)
+    levels_help = "of float pings and images: what is black and white, such as -60 0 (default: 0 1)"
+    add("--levels", type=float, nargs=2, metavar=("BLACK", "WHITE"), help=levels_help)
     add("--again", action="store_true", help="denoise all files, finished ones too")
     topics_help = "of bags: whose images to denoise (may be repeated; default: those of sonars)"
     add("--topic", action="append", default=[], help=topics_help)
@@ -179,6 +194,9 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         raise FactoryError("IN: nothing to denoise; give images, recordings or folders first")
     if not 0 <= options.strength <= 1:
         raise FactoryError(f"--strength {options.strength:g}: must lie between 0 and 1")
+    if options.levels and not options.levels[0] < options.levels[1]:
+        black, white = options.levels
+        raise FactoryError(f"--levels {black:g} {white:g}: black must be less than white")
     if options.noise == "points":
         if options.weights is not None:
             raise FactoryError("--noise points: chooses weights that ship; leave out --weights")

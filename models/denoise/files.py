@@ -18,7 +18,7 @@ from ..recordings.images import read_image
 from ..recordings.inputs import Item
 from ..recordings.portable_grey import white_of_file
 from .frame_shots import FrameShots
-from .images import Denoised, Pixels, Place
+from .images import Denoised, OutOfRange, Pixels, Place
 from .job import Job
 from .reports import FileReport, fusion_columns
 from .results import State, open_result, view_of
@@ -210,6 +210,9 @@ class _Run:
         """Take the next frame; keep those that are denoised by now."""
         try:
             shot = self._shot_of(frame)
+        except OutOfRange as error:
+            named = f"{self._item.source}: frame {frame.number}: {error}"
+            raise FrameError(f"{named}; or state black and white by --levels") from error
         except ValueError as error:
             raise FrameError(f"{self._item.source}: frame {frame.number}: {error}") from error
         self._keep(self._sequence.push(shot))

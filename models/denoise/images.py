@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,7 @@ class _Source:
     image: as it is stored.  shown: as it is denoised, inverted where it has a `white`.
     levels: float32 in 0..1.  painted: of a colour map; None: of none.
     strength: part of the change that it gets, 0 to 1.
+    level_range: by which `image` was scaled; None: as it is.
     """
 
     key: Any
@@ -60,9 +61,16 @@ class _Source:
     levels: Grey
     painted: Painted | None
     white: float | None
+    level_range: LevelRange | None = None
 
     def result(self, levels: Grey) -> Denoised:
         """levels: (H, W) or (H, W, C), what became of its own."""
+        denoised = self._result(levels)
+        if self.level_range is None or self.strength == 0:
+            return denoised
+        return replace(denoised, image=self.level_range.restored(denoised.image, self.image))
+
+    def _result(self, levels: Grey) -> Denoised:
         painted = self.painted
         if self.strength != 1:
             levels = self.levels + self.strength * (levels - self.levels)
@@ -80,6 +88,7 @@ class Denoising:
     network, frames, causal, keeps_outside: see `InTime`.
     strength: part of the whole change, of fusion and network, that an image gets, 0 to 1.
     inverts: whether images show dark echoes on a bright ground.
+    level_range: what is black and white in float images; None: 0 and 1.
     maps: colour map -> how many images had it.  tally: see `InTime`, of all finished sequences.
     notes: lines on what was found in these.
     """
@@ -93,6 +102,7 @@ class Denoising:
         strength: float = 1.0,
         keeps_outside: bool = True,
         inverts: bool = False,
+        level_range: LevelRange | None = None,
     ) -> None:
         """Raises FactoryError for a number of frames that a window cannot have."""
         if not (1 <= frames <= MOST_FRAMES and frames % 2):
@@ -112,6 +122,7 @@ class Denoising:
         self._is_causal = causal
         self._strength = np.float32(strength)
         self._inverts = inverts
+        self._level_range = level_range
         self.maps: Counter[str] = Counter()
         self.last_map: Palette | None = None
 
@@ -139,6 +150,9 @@ class Denoising:
         place, shift_px, wanted, is_tracked, settings: see `Shot`.
         Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
         """
+        stored = image
+        if self._level_range is not None:
+            image = self._level_range.scaled(image)
         check(image)
         white = white_of(image) if self._inverts else None
         shown = image if white is None else inverted(image, white)
@@ -152,7 +166,9 @@ class Denoising:
         if is_tracked:
             fan()  # in the order of the frames
         levels = levels_of(plain)
-        source = _Source(key, image, self._strength, shown, levels, painted, white)
+        source = _Source(
+            key, stored, self._strength, shown, levels, painted, white, self._level_range
+        )
         stated = DeviceSettings() if settings is None else settings
         return Shot(source, levels, fan, shift_px, wanted, is_tracked, stated)
 
@@ -321,6 +337,33 @@ def _results(denoised: Iterable[tuple[Any, Grey]]) -> Iterator[Denoised]:
         yield source.result(levels)
 
 
+class OutOfRange(ValueError):
+    """Floats that are no grey values from 0 to 1."""
+
+
+class LevelRange(NamedTuple):
+    """Values of float images that are black and white, such as -60 and 0 of decibels."""
+
+    black: float
+    white: float
+
+    def scaled(self, image: Pixels) -> Pixels:
+        """A float image in 0..1; what lies outside is black or white.  Other images as they are."""
+        if image.dtype != np.float32:
+            return image
+        span = np.float32(self.white - self.black)
+        scaled = (image - np.float32(self.black)) / span
+        return np.asarray(np.clip(scaled, 0, 1), np.float32)
+
+    def restored(self, denoised: Pixels, image: Pixels) -> Pixels:
+        """The reverse for a denoised image; what lay outside in the image does so again."""
+        if image.dtype != np.float32:
+            return denoised
+        span = np.float32(self.white - self.black)
+        beyond = image - np.clip(image, self.black, self.white)
+        return np.asarray(np.float32(self.black) + span * denoised + beyond, np.float32)
+
+
 def check(image: Pixels) -> None:
     """ValueError for an image that cannot be denoised."""
     if str(image.dtype) not in FULL_SCALE:
@@ -334,7 +377,10 @@ def check(image: Pixels) -> None:
     if image.dtype == np.float32:
         colours = _colours(image)
         if not (colours.min() >= 0 and colours.max() <= 1):
-            raise ValueError("float pixels must lie in 0..1; divide by full scale")
+            raise OutOfRange(
+                f"float pixels must lie in 0..1, these are {colours.min():g} to {colours.max():g}; "
+                "scale them, as by (image - low) / (high - low)"
+            )
 
 
 def levels_of(image: Pixels) -> Grey:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +26,7 @@ FIND = "find"
 POLAR = "polar"
 NONE = "none"
 _MOST_FOLDERS_SAID = 5
+_ASSUMED_OPENING_DEG = 30.0
 
 
 @dataclass(frozen=True)
@@ -198,13 +200,22 @@ class Geometries:
     """Geometry of images, as `--geometry` says.
 
     chosen: `find` it in each image (in a video, stack or bag where it changes); `polar`: rows are
-    ranges, near range first, and the columns span 30 degrees; `none`; or the path of a table of
+    ranges, near range first, and the columns span `opening_deg`; `none`; or the path of a table of
     fans.
     """
 
-    def __init__(self, chosen: str) -> None:
-        """Raises FactoryError for a table that cannot be read."""
+    def __init__(self, chosen: str, opening_deg: float | None = None) -> None:
+        """opening_deg: of polar images; None: 30 are assumed, and `summary` says so.
+
+        Raises FactoryError for a table that cannot be read, and an angle that cannot be.
+        """
+        if opening_deg is not None and chosen != POLAR:
+            raise FactoryError("--opening: belongs to --geometry polar; leave it out")
+        if opening_deg is not None and not 0 < opening_deg <= 360:
+            raise FactoryError(f"--opening {opening_deg:g}: must be more than 0, up to 360 degrees")
         self.chosen = chosen
+        self._opening_deg = opening_deg
+        self._has_assumed = False
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
         # By the sequence and the size of the images, too: a bag may have several topics.
         self._trackers: dict[tuple[Path, str, tuple[int, ...]], FanTracker] = {}
@@ -216,7 +227,11 @@ class Geometries:
         Frames of a recording are to be asked for in order.  sequence: see `Frame`.
         """
         if self.chosen == POLAR:
-            return FanGeometry.polar().with_size(*image.shape[:2])
+            opening_deg = self._opening_deg
+            if opening_deg is None:
+                self._has_assumed = True
+                opening_deg = _ASSUMED_OPENING_DEG
+            return FanGeometry.polar(math.radians(opening_deg)).with_size(*image.shape[:2])
         if self.chosen != FIND:
             return self._table.get(item.source.name)
         if item.kind != "images":
@@ -236,7 +251,12 @@ class Geometries:
         self._trackers.update(trackers)
 
     def summary(self) -> Iterator[str]:
-        """One line a folder, image, video or bag that was searched."""
+        """One line a folder, image, video or bag that was searched; and what was assumed."""
+        if self._has_assumed:
+            yield (
+                f"geometry: polar images were taken to span {_ASSUMED_OPENING_DEG:g} degrees; "
+                "--opening DEGREES states what they span"
+            )
         said = "geometry: fan found in {} of {} images searched ({})"
         for folder, fan_found in self._fans_found.items():
             first, *others = fan_found

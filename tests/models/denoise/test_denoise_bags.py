@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.models.denoise import command
 from simnfnd.models.recordings import open_recording
@@ -80,3 +81,23 @@ def test_frames_of_one_topic_are_fused(
     assert "in time: " in capsys.readouterr().out
     with RosBag(tmp_path / "out/a.bag", ["/a"]) as bag:
         assert (bag[1].samples == pings(1, 40, 32)[0]).all()
+
+
+def test_float_pings_have_any_scale(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Decibels are refused with the option that takes them; what lies outside stays outside."""
+    store = typestore(2)
+    decibels = np.linspace(-70, 5, 3 * 12 * 8, dtype=np.float32).reshape(3, 12, 8)
+    messages = [sonar(store, number, ping) for number, ping in enumerate(decibels)]
+    path = write_bag(tmp_path / "in" / "a.mcap", {"/sonar": (SONAR, messages)})
+    words = [str(path), "--out", str(tmp_path / "out")]
+    with pytest.raises(FactoryError, match="--levels"):
+        main(words)
+    assert main([*words, "--levels", "-60", "0"]) == 0
+    with RosBag(tmp_path / "out/a.mcap") as bag:
+        denoised = np.stack([frame.samples for frame in bag])
+    inside = np.clip(decibels, -60, 0)
+    np.testing.assert_allclose(denoised, (inside - 60) / 2 + decibels - inside, atol=1e-3)
+    with pytest.raises(FactoryError, match="--levels 0 -60"):
+        main([*words, "--levels", "0", "-60"])

@@ -137,7 +137,12 @@ def test_fans_are_found_unless_told_not_to(
     assert main([*arguments, "--geometry", "none"]) == 0
     assert halving.geometries == [None] * 4
     assert "geometry" not in capsys.readouterr().out
+    assert main([*arguments, "--geometry", "polar", "--opening", "120"]) == 0
+    assert "--opening" not in capsys.readouterr().out
+    (opening_rad,) = {g.sector_rad for g in halving.geometries if g is not None}
+    assert opening_rad == pytest.approx(np.deg2rad(120))
     assert main([*arguments, "--geometry", "polar"]) == 0
+    assert "30 degrees; --opening" in capsys.readouterr().out
     assert {geometry.layout for geometry in halving.geometries if geometry is not None} == {"polar"}
 
 
