@@ -74,7 +74,7 @@ def main() -> None:
     stream = PairStream(dataset=dataset, batch_size=4)
     loader = DataLoader(stream, batch_size=None, num_workers=1)
     for step, batch in enumerate(islice(loader, steps), start=1):
-        loss = functional.l1_loss(network(batch["noisy"]), batch["clean"])
+        loss = functional.l1_loss(network(batch["noisy"][:, None]), batch["clean"][:, None])
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

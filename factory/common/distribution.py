@@ -16,6 +16,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, PlainSerializer
 
+from .limits import Limits
+
 FORMS = ("uniform", "choice", "normal")
 _WRITTEN_FORMS = "a number, {uniform: [low, high]}, {choice: [a, b, ...]} or {normal: [mean, std]}"
 
@@ -49,6 +51,14 @@ class Distribution:
         """Whether all draws give this value."""
         return self.kind in ("number", "choice", "uniform") and set(self.values) == {value}
 
+    @property
+    def largest(self) -> float:
+        """The largest value that it draws; of a normal distribution, five deviations above."""
+        if self.kind == "normal":
+            mean, deviation = self.values
+            return min(mean + 5 * deviation, self.high)
+        return max(self.values)
+
     def mapped(self, change: Callable[[float], float]) -> Distribution:
         """The distribution whose numbers are changed; exact where `change` is a shift or scale."""
         spread = self.values[1:] if self.kind == "normal" else ()
@@ -60,8 +70,17 @@ class Distribution:
         return self.values[0] if self.kind == "number" else {self.kind: list(self.values)}
 
 
-def parse(value: Any, low: float = -math.inf, high: float = math.inf) -> Distribution:
+def parse(
+    value: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    unit: str = "",
+    *,
+    or_zero: bool = False,
+) -> Distribution:
     """Read a parameter as written in a config.
+
+    unit, or_zero: see `limits.Limits`.
 
     Raises ValueError when the form is unknown or a number lies outside [low, high].
     """
@@ -76,8 +95,10 @@ def parse(value: Any, low: float = -math.inf, high: float = math.inf) -> Distrib
     _check_form(kind, numbers)
     # The deviation of a normal distribution is no value of the parameter.
     limited = numbers[:1] if kind == "normal" else numbers
-    _check_limits(limited, low, high)
-    return Distribution(kind, numbers, low, high)
+    limits = Limits(low, high, unit, or_zero)
+    for limited_number in limited:
+        limits.check(limited_number)
+    return Distribution(kind, numbers, 0.0 if or_zero else low, high)
 
 
 def _parse_mapping(mapping: Mapping[Any, Any]) -> tuple[str, tuple[float, ...]]:
@@ -108,15 +129,6 @@ def _check_form(kind: str, numbers: tuple[float, ...]) -> None:
         raise ValueError(f"normal takes [mean, std] with std >= 0, got {numbers[1]:g}")
 
 
-def _check_limits(numbers: tuple[float, ...], low: float, high: float) -> None:
-    """Raise ValueError for a number outside [low, high]."""
-    for number in numbers:
-        if not low <= number <= high:
-            left = "(-inf" if math.isinf(low) else f"[{low:g}"
-            right = "inf)" if math.isinf(high) else f"{high:g}]"
-            raise ValueError(f"must lie in {left}, {right}, got {number:g}")
-
-
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise ValueError(f"must be {_WRITTEN_FORMS}, got {value!r}")
@@ -125,19 +137,42 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def _within(low: float, high: float) -> BeforeValidator:
-    return BeforeValidator(lambda value: parse(value, low, high))
+def within(low: float, high: float, unit: str = "", *, or_zero: bool = False) -> BeforeValidator:
+    """Return a validator for a key that holds a distribution.
+
+    As in `Annotated[Distribution, within(0, 90, "deg"), as_written]`.
+    unit, or_zero: see `limits.Limits`.
+    """
+    return BeforeValidator(lambda value: parse(value, low, high, unit, or_zero=or_zero))
 
 
-_plain = PlainSerializer(lambda distribution: distribution.plain())
+as_written = PlainSerializer(lambda distribution: distribution.plain())
 
-AnyNumber = Annotated[Distribution, _within(-math.inf, math.inf), _plain]
-NonNegative = Annotated[Distribution, _within(0.0, math.inf), _plain]
-Fraction = Annotated[Distribution, _within(0.0, 1.0), _plain]
-Positive = Annotated[Distribution, _within(1e-6, math.inf), _plain]
-Angle = Annotated[Distribution, _within(-90.0, 90.0), _plain]
+# Far beyond any use: a number without a limit can make a loop or an array without an end.
+_FAR = 1e6
+
+AnyNumber = Annotated[Distribution, within(-_FAR, _FAR), as_written]
+NonNegative = Annotated[Distribution, within(0.0, _FAR), as_written]
+Fraction = Annotated[Distribution, within(0.0, 1.0), as_written]
+Positive = Annotated[Distribution, within(1e-6, _FAR), as_written]
+Angle = Annotated[Distribution, within(-90.0, 90.0, "deg"), as_written]
 # A rate of 0 would keep no point at all; the limit is far below any use.
-PositiveFraction = Annotated[Distribution, _within(1e-6, 1.0), _plain]
+PositiveFraction = Annotated[Distribution, within(1e-6, 1.0), as_written]
+
+Decibels = Annotated[Distribution, within(-300.0, 300.0, "dB"), as_written]
+NonNegativeDecibels = Annotated[Distribution, within(0.0, 300.0, "dB"), as_written]
+DecibelsPerMetre = Annotated[Distribution, within(-100.0, 100.0, "dB/m"), as_written]
+Share = Annotated[Distribution, within(0.0, 1.0), as_written]
+Looks = Annotated[Distribution, within(1e-6, 64.0), as_written]
+"""Each takes a field of its own in memory."""
+CellSize = Annotated[Distribution, within(1e-4, 10.0, "m", or_zero=True), as_written]
+Altitude = Annotated[Distribution, within(0.01, 1000.0, "m"), as_written]
+Strength = Annotated[Distribution, within(0.0, 1000.0), as_written]
+"""Of points, as a fraction of full scale."""
+Density = Annotated[Distribution, within(0.0, 10.0), as_written]
+"""Points as a fraction of the scene's."""
+Count = Annotated[Distribution, within(0.0, 1000.0), as_written]
+"""How many of a thing an image shows; each costs time."""
 
 
 def number(value: float) -> Distribution:

@@ -137,7 +137,7 @@ class PairDataset:
         path, row = self.place(cast(SupportsIndex, item))
         images = dict(zip(self.layers, self._shards.read(path, self.layers, row), strict=True))
         for name in images if self.scaled else ():
-            if _is_scaled(name):
+            if is_grey(name):
                 images[name] = in_unit_range(images[name])
         return images
 
@@ -150,7 +150,7 @@ class PairDataset:
             dtype = self.form.layers.get(name)
             if dtype is None:
                 raise FactoryError(f"{self.paths[0]}: has no layer {name}")
-            dtype = np.dtype(np.float32) if self.scaled and _is_scaled(name) else dtype
+            dtype = np.dtype(np.float32) if self.scaled and is_grey(name) else dtype
             empty[name] = np.empty((0, *self.form.sizes[name]), dtype)
         return empty
 
@@ -341,7 +341,8 @@ def sample_numbers(item: Any, count: int) -> list[int]:
     return [int(number) for number in index]
 
 
-def _is_scaled(layer: str) -> bool:
+def is_grey(layer: str) -> bool:
+    """Whether a layer holds grey values, which `scaled` turns into 0..1."""
     return layer in ("noisy", "clean", STATIC, "mean") or layer.startswith(EFFECT_FOLDER)
 
 

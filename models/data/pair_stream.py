@@ -19,8 +19,9 @@ from torch.utils.data import IterableDataset
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.seeds import stream
 from ...factory.dataset.frame_ref import FrameRef
-from ...factory.dataset.pair_dataset import in_unit_range
-from ...factory.dataset.schema import Pair
+from ...factory.dataset.pair_dataset import in_unit_range, is_grey
+from ...factory.dataset.schema import CORE, EFFECT_FOLDER, Pair
+from ...factory.dataset.schema import layers as known_layers
 from ...factory.dataset.shares import loader_share
 from ...factory.production.cli.compose import compose_config
 from ...factory.production.cli.extras import needs_of, require
@@ -34,6 +35,7 @@ from ...factory.simulation.scenes import open_reader
 # Variants of datasets count from 0: the noise of a stream is none of theirs.
 _FIRST_VARIANT = 1_000_000
 _ROUNDS_IN_MEMORY = 4
+_BROUGHT_BY = {"instance": "segmentation"}
 
 
 class PairStream(IterableDataset[dict[str, Tensor]]):
@@ -41,10 +43,12 @@ class PairStream(IterableDataset[dict[str, Tensor]]):
 
         stream = PairStream(dataset="outputs/demo", batch_size=16)
         for batch in DataLoader(stream, batch_size=None, num_workers=2):
-            loss = criterion(network(batch["noisy"]), batch["clean"])
+            loss = criterion(network(batch["noisy"][:, None]), batch["clean"][:, None])
 
-    A batch has noisy and clean, (N, 1, H, W) float32 in 0..1, and shadow, (N, 1, H, W) float32, 1
-    in acoustic shadow.  All frames come once, in random order, before any comes again.
+    A batch has the layers of `PairDataset(..., scaled=True)` in the same shapes and types: noisy
+    and clean, (N, H, W) float32 in 0..1; shadow, (N, H, W) bool; segmentation, instance, range and
+    all others as `docs/dataset.md` describes them.  A network that wants channels takes
+    `batch["noisy"][:, None]`.  All frames come once, in random order, before any comes again.
 
     Batch number k is a pure function of words and seed: `stream.batch(k)`.  Workers of a DataLoader
     and ranks share the numbers without a duplicate, and a loader gives the same batches in the same
@@ -55,6 +59,8 @@ class PairStream(IterableDataset[dict[str, Tensor]]):
         ("scenes=pack", "scenes.root=views.pack").
     dataset: folder whose config.yaml is taken; words may then only set the cache.
     split: of the frames, as the configuration splits them by scene.
+    layers: of a batch, as the dataset format names them; None: noisy, clean, shadow, and those of
+        `dataset.layers` of words or dataset.
     rank, ranks: of this process among those that train together; None: as torch.distributed or
         torchrun say, else 0 of 1.
     Raises FactoryError for wrong words, and where no render is at hand.
@@ -65,6 +71,7 @@ class PairStream(IterableDataset[dict[str, Tensor]]):
         *words: str,
         dataset: str | Path | None = None,
         split: str = "train",
+        layers: Sequence[str] | None = None,
         batch_size: int = 16,
         seed: int = 0,
         start: int = 0,
@@ -77,7 +84,10 @@ class PairStream(IterableDataset[dict[str, Tensor]]):
         if dataset is not None:
             config = stored_config(Path(dataset).expanduser(), config)
         # The noise of a stream is that of its seed.
-        self.config = replace(config, seed=seed, dataset=replace(config.dataset, layers=()))
+        requested = config.dataset.layers if layers is None else requested_layers(layers)
+        settings = replace(config.dataset, layers=requested)
+        self.config = replace(config, seed=seed, dataset=settings)
+        self.layers = None if layers is None else tuple(layers)
         require(needs_of(self.config))
         self.frames = rendered_frames(config, split)
         self.batch_size = batch_size
@@ -95,11 +105,18 @@ class PairStream(IterableDataset[dict[str, Tensor]]):
     def batch(self, number: int) -> dict[str, Tensor]:
         """Batch `number` of all ranks together."""
         first = number * self.batch_size
-        pairs = [self.pair(position) for position in range(first, first + self.batch_size)]
+        samples = [self._sample(position) for position in range(first, first + self.batch_size)]
+        names = tuple(samples[0]) if self.layers is None else self.layers
         return {
-            "noisy": _stacked([in_unit_range(pair.noisy) for pair in pairs]),
-            "clean": _stacked([in_unit_range(pair.clean) for pair in pairs]),
-            "shadow": _stacked([pair.shadow.astype(np.float32) for pair in pairs]),
+            name: torch.from_numpy(np.stack([sample[name] for sample in samples])) for name in names
+        }
+
+    def _sample(self, position: int) -> dict[str, npt.NDArray[Any]]:
+        """The layers of a pair, grey values as float32 in 0..1."""
+        pair = self.pair(position)
+        images = {"noisy": pair.noisy, "clean": pair.clean, "shadow": pair.shadow, **pair.layers}
+        return {
+            name: in_unit_range(image) if is_grey(name) else image for name, image in images.items()
         }
 
     def pair(self, position: int) -> Pair:
@@ -129,6 +146,20 @@ class PairStream(IterableDataset[dict[str, Tensor]]):
     def __getstate__(self) -> dict[str, Any]:
         """A worker builds its own maker."""
         return {**self.__dict__, "_maker": None}
+
+
+def requested_layers(names: Sequence[str]) -> tuple[str, ...]:
+    """The entries of `dataset.layers` that bring the layers with these names.
+
+    Raises FactoryError for names that the format does not know.
+    """
+    known_layers("uint8", names)
+    requested = {
+        "effects" if name.startswith(EFFECT_FOLDER) else _BROUGHT_BY.get(name, name)
+        for name in names
+        if name not in CORE
+    }
+    return tuple(sorted(requested))
 
 
 def rendered_frames(config: FactoryConfig, split: str) -> tuple[FrameRef, ...]:
@@ -168,7 +199,3 @@ def _place_among_ranks(rank: int | None, ranks: int | None) -> tuple[int, int]:
     if ranks is None or not 0 <= rank < ranks:
         raise ValueError(f"rank={rank}, ranks={ranks}: expected a rank below the number of ranks")
     return rank, ranks
-
-
-def _stacked(images: Sequence[npt.NDArray[Any]]) -> Tensor:
-    return torch.from_numpy(np.stack(images)[:, None])

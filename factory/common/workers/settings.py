@@ -38,7 +38,7 @@ class ShardSlice:
     """Keys of `shard`: this run makes every `count`-th shard, from number `index` on."""
 
     index: Annotated[int, Field(ge=0)] = 0
-    count: Annotated[int, Field(ge=1)] = 1
+    count: Annotated[int, Field(ge=1, le=100_000)] = 1
 
     def __post_init__(self) -> None:
         if self.index >= self.count:
@@ -68,10 +68,10 @@ class SchedulerSettings:
     address: str | None = None
     workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
     render_workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
-    shard_size: Annotated[int, Field(ge=1)] = 32
-    frame_timeout_s: Annotated[float, Field(gt=0)] = 300.0
-    retries: Annotated[int, Field(ge=0)] = 1
-    recycle_frames: Annotated[int, Field(ge=1)] = 200
+    shard_size: Annotated[int, Field(ge=1, le=100_000)] = 32
+    frame_timeout_s: Annotated[float, Field(gt=0, le=1_000_000)] = 300.0
+    retries: Annotated[int, Field(ge=0, le=1000)] = 1
+    recycle_frames: Annotated[int, Field(ge=1, le=1_000_000)] = 200
 
     def __post_init__(self) -> None:
         if self.address is not None and self.backend != "dask":

@@ -33,7 +33,8 @@ from ..noise.registry import EFFECTS, NoiseSettings, blocks
 from ..render.base import CacheSettings, Mount, RenderSettings
 from ..scenes import Scenes, has_labels
 from ..scenes.mesh import MeshSettings
-from ..scenes.seabed import SeabedSettings
+from ..scenes.moving import check_tracks
+from ..scenes.seabed import RecordingSettings, SeabedSettings
 from ..sonar.array import WaterSettings
 from ..sonar.settings import SonarSettings
 
@@ -53,10 +54,10 @@ class FramesSettings:
     null refuses none, and pairs below a fifth are counted.
     """
 
-    stride: Annotated[int, Field(ge=1)] = 1
+    stride: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     limit: Annotated[int, Field(ge=1)] | None = None
     total: Annotated[int, Field(ge=1)] | None = None
-    variants: Annotated[int, Field(ge=1)] = 1
+    variants: Annotated[int, Field(ge=1, le=10_000)] = 1
     only: tuple[str, ...] | None = None
     min_insonified: Annotated[float, Field(ge=0, le=1)] | None = None
 
@@ -150,6 +151,11 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
             "dataset.columns: tracks are of moving objects; give scenes.moving_objects, or leave "
             "it out"
         )
+    if "tracks" in config.dataset.columns and isinstance(config.scenes, RecordingSettings):
+        try:
+            check_tracks(tuple(config.scenes.movers.values()))
+        except ValueError as error:
+            yield str(error)
     if moves and not config.sonar.mount.colocated:
         yield (
             "scenes.moving_objects need the sonar at the camera; set "

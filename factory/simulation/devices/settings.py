@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import field, fields
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic.dataclasses import dataclass
 
 from ...common.distribution import (
-    AnyNumber,
+    Decibels,
     Distribution,
     Fraction,
-    NonNegative,
-    Positive,
     PositiveFraction,
+    as_written,
+    within,
 )
 from ...common.settings import STRICT
+
+_HorizontalSector = Annotated[Distribution, within(5, 180, "deg"), as_written]
+_VerticalSector = Annotated[Distribution, within(1, 180, "deg"), as_written]
+_Frequency = Annotated[Distribution, within(10, 10000, "kHz"), as_written]
+_Size = Annotated[Distribution, within(2, 8192), as_written]
+_Ratio = Annotated[Distribution, within(0.01, 100), as_written]
+_NearRange = Annotated[Distribution, within(0, 2000, "m"), as_written]
+_FarRange = Annotated[Distribution, within(0.05, 2000, "m"), as_written]
+_SpreadingGain = Annotated[Distribution, within(0, 80, "dB"), as_written]
+_LambertExponent = Annotated[Distribution, within(0, 8), as_written]
+_DynamicRange = Annotated[Distribution, within(1, 200, "dB"), as_written]
+_Exponent = Annotated[Distribution, within(0.05, 10), as_written]
+_Enlargement = Annotated[Distribution, within(1e-06, 16), as_written]
+_Quality = Annotated[Distribution, within(1e-06, 100), as_written]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -59,42 +73,42 @@ class DeviceSettings:
     """
 
     field_share: Fraction | None = None
-    hfov_deg: Positive | None = None
-    vfov_deg: Positive | None = None
-    frequency_khz: Positive | None = None
-    height_px: Positive | None = None
-    bins_per_px: Positive | None = None
-    beams: Positive | None = None
-    resolution_bins: Positive | None = None
-    beamwidth_beams: Positive | None = None
+    hfov_deg: _HorizontalSector | None = None
+    vfov_deg: _VerticalSector | None = None
+    frequency_khz: _Frequency | None = None
+    height_px: _Size | None = None
+    bins_per_px: _Ratio | None = None
+    beams: _Size | None = None
+    resolution_bins: _Ratio | None = None
+    beamwidth_beams: _Ratio | None = None
     auto_range_share: Fraction | None = None
-    range_min_m: NonNegative | None = None
-    range_max_m: Positive | None = None
-    tvg_log: NonNegative | None = None
-    lambert_exponent: NonNegative | None = None
-    background_db: AnyNumber | None = None
+    range_min_m: _NearRange | None = None
+    range_max_m: _FarRange | None = None
+    tvg_log: _SpreadingGain | None = None
+    lambert_exponent: _LambertExponent | None = None
+    background_db: Decibels | None = None
     standing_share: Fraction | None = None
     standing: Fraction | None = None
     log_share: Fraction | None = None
-    dynamic_range_db: Positive | None = None
+    dynamic_range_db: _DynamicRange | None = None
     log_reference: PositiveFraction | None = None
     soft_share: Fraction | None = None
     black: Fraction | None = None
-    exponent: Positive | None = None
+    exponent: _Exponent | None = None
     power_reference: PositiveFraction | None = None
     points_log_share: Fraction | None = None
-    receiver_db: AnyNumber | None = None
+    receiver_db: Decibels | None = None
     quiet_share: Fraction | None = None
     fewer_share: Fraction | None = None
     odd_share: Fraction | None = None
     nearest_share: Fraction | None = None
     enlarged_share: Fraction | None = None
-    enlarged: Positive | None = None
+    enlarged: _Enlargement | None = None
     jpeg_share: Fraction | None = None
-    jpeg_quality: Positive | None = None
+    jpeg_quality: _Quality | None = None
     polar_share: Fraction | None = None
-    reflectivity_db: dict[str, AnyNumber] = field(default_factory=dict)
-    objects_db: AnyNumber | None = None
+    reflectivity_db: dict[str, Decibels] = field(default_factory=dict)
+    objects_db: Decibels | None = None
     per: Literal["image", "place"] = "image"
 
 

@@ -232,13 +232,18 @@ def _shape(entry: _Entry, rng: Draws, length_m: float) -> tuple[Mesh, SwimmingWa
         phase_rad = float(rng.uniform(0, 2 * np.pi))
         return fish_mesh(length_m, body_height), SwimmingWave(length_m, beat_hz, phase_rad)
     if entry.own_mesh is not None:
-        return entry.own_mesh, None
-    from ..scenes.seabed.things import drawn_model
+        return _writable(entry.own_mesh), None
+    from ..scenes.seabed.things import drawn_moving_model
 
     assert entry.kind is not None
-    return _centred(drawn_model(rng, entry.kind)), None
+    return _writable(_centred(drawn_moving_model(rng, entry.kind))), None
 
 
 def _centred(solid: Mesh) -> Mesh:
     middle = (solid.vertices.min(axis=0) + solid.vertices.max(axis=0)) / 2
     return solid.moved(-middle)
+
+
+def _writable(solid: Mesh) -> Mesh:
+    """The same mesh in arrays of its own: the compiled z-buffer takes no read-only ones."""
+    return replace(solid, triangles=np.array(solid.triangles, np.int32, order="C"))

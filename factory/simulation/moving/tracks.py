@@ -14,19 +14,19 @@ from ...common.errors import FrameError
 from ...dataset.schema import Column
 from ..frames.frame import MovingPixels
 from ..imaging.scatterers import camera_rays, vertical_table
+from ..scenes.moving import TRACKS_BYTES
 from ..sonar import polar
 from ..sonar.fan import lay_out_nearest
 from ..sonar.surface import LABELLED_BEAM_DB, LitSurface
 from .compose import PosedBody
 from .course import velocity_m_s
 
-_MOST_BYTES = 24_576
 _FAINTEST = 10 ** (-LABELLED_BEAM_DB / 10)
 """Two-way level of the vertical beam, on intensity, below which nothing is heard."""
 TRACKS = (
     Column(
         "tracks",
-        f"S{_MOST_BYTES}",
+        f"S{TRACKS_BYTES}",
         "",
         "JSON list of the moving objects that are there: id, class; position_m of the middle and "
         "velocity_m_s over ground (ahead, left, up) in the sonar's axes; range_m and bearing_deg "
@@ -65,10 +65,10 @@ def tracks_row(lit: LitSurface, frequency_khz: float) -> dict[str, float | str]:
             entry |= _of_middle(entry["position_m"])
         tracks.append(entry)
     text = json.dumps(tracks, separators=(",", ":"), allow_nan=False)
-    if len(text) > _MOST_BYTES:
+    if len(text) > TRACKS_BYTES:
         raise FrameError(
             f"{lit.frame.ref.name}: {len(tracks)} moving objects; the column tracks holds about "
-            f"{_MOST_BYTES // 250}"
+            f"{TRACKS_BYTES // 250}"
         )
     return {"tracks": text}
 

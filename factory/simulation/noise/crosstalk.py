@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber, Positive
+from ...common.distribution import Decibels, Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -21,8 +23,8 @@ class CrosstalkSettings(EffectSettings):
         several pings leak among those of one ping.
     """
 
-    level_db: AnyNumber = parameter(-35, "dB")
-    spacing_beams: Positive = parameter(1, "1")
+    level_db: Decibels = parameter(-35, "dB")
+    spacing_beams: Annotated[Distribution, within(1e-6, 8192), as_written] = parameter(1, "1")
 
 
 def crosstalk(
@@ -30,6 +32,8 @@ def crosstalk(
 ) -> Floats:
     """Leak each channel into the channels read out next to it, left and right."""
     step = max(round(spacing_beams), 1)
+    if step >= field.shape[-1]:
+        return field  # there are no channels so far apart
     leaks = np.float32(10 ** (level_db / 20)) * field
     field[..., step:] += leaks[..., :-step]
     field[..., :-step] += leaks[..., step:]
@@ -46,6 +50,8 @@ def expect_crosstalk(
     """
     leak = np.float32(10 ** (level_db / 20))
     step = max(round(spacing_beams), 1)
+    if step >= ping.sonar.beams:
+        return
     beam_correlation = _correlate_beams(ping, step)
     _add_leaks(state.echo, leak, step, beam_correlation)
     _add_leaks(state.noise, leak, step, 0.0)

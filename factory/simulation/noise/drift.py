@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber, Positive
+from ...common.distribution import Decibels, Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -24,9 +26,9 @@ class DriftingVolumeSettings(EffectSettings):
     drift_m_s: how fast it moves away from the sonar, m/s.
     """
 
-    strength_db: AnyNumber = parameter(-60, "dB")
-    correlation_s: Positive = parameter(1, "s")
-    drift_m_s: AnyNumber = parameter(0, "m/s")
+    strength_db: Decibels = parameter(-60, "dB")
+    correlation_s: Annotated[Distribution, within(1e-3, 1e5, "s"), as_written] = parameter(1, "s")
+    drift_m_s: Annotated[Distribution, within(-30, 30, "m/s"), as_written] = parameter(0, "m/s")
 
 
 def drifting_volume(

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber, NonNegative
+from ...common.distribution import Count, Decibels, DecibelsPerMetre, NonNegativeDecibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, Scope, parameter
 from ..imaging.expected import Expected
 from ..imaging.signal import Floats, Ping
 
-Decibels = npt.NDArray[np.float64]
+GainsDb = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -26,9 +26,9 @@ class BeamGainSettings(EffectSettings):
     dead: number of dead beams (rounded).  dead_db: their gain, dB.
     """
 
-    sigma_db: NonNegative = parameter(0.5, "dB")
-    dead: NonNegative = parameter(0, "1")
-    dead_db: AnyNumber = parameter(-40, "dB")
+    sigma_db: NonNegativeDecibels = parameter(0.5, "dB")
+    dead: Count = parameter(0, "1")
+    dead_db: Decibels = parameter(-40, "dB")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -41,7 +41,7 @@ class SectorEdgesSettings(EffectSettings):
         it grows with the square of the bearing, as the main lobe of a beam pattern does.
     """
 
-    level_db: NonNegative = parameter(3, "dB")
+    level_db: NonNegativeDecibels = parameter(3, "dB")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -53,24 +53,24 @@ class TvgErrorSettings(EffectSettings):
     db_per_m: the same for each metre, dB/m.
     """
 
-    db_per_decade: AnyNumber = parameter(0, "dB")
-    db_per_m: AnyNumber = parameter(0, "dB/m")
+    db_per_decade: Decibels = parameter(0, "dB")
+    db_per_m: DecibelsPerMetre = parameter(0, "dB/m")
 
 
-def beam_gain_db(ping: Ping, rng: Rng, *, sigma_db: float, dead: float, dead_db: float) -> Decibels:
+def beam_gain_db(ping: Ping, rng: Rng, *, sigma_db: float, dead: float, dead_db: float) -> GainsDb:
     """(beams,) dB."""
     gain_db = sigma_db * rng.standard_normal(ping.sonar.beams)
     gain_db[rng.permutation(ping.sonar.beams)[: round(dead)]] = dead_db
     return gain_db
 
 
-def sector_edges_db(ping: Ping, rng: Rng, *, level_db: float) -> Decibels:
+def sector_edges_db(ping: Ping, rng: Rng, *, level_db: float) -> GainsDb:
     """(beams,) dB, none straight ahead."""
     side = ping.sonar.beam_centres_rad() / (np.deg2rad(ping.sonar.hfov_deg) / 2)
     return np.asarray(-level_db * side**2)
 
 
-def tvg_error_db(ping: Ping, rng: Rng, *, db_per_decade: float, db_per_m: float) -> Decibels:
+def tvg_error_db(ping: Ping, rng: Rng, *, db_per_decade: float, db_per_m: float) -> GainsDb:
     """(range_bins, 1) dB."""
     range_m = np.maximum(ping.range_m.astype(np.float64), ping.bin_m)[:, None]
     middle_m = (ping.window.range_min_m + ping.window.range_max_m) / 2
@@ -80,7 +80,7 @@ def tvg_error_db(ping: Ping, rng: Rng, *, db_per_decade: float, db_per_m: float)
 
 
 def _of_gain(
-    settings: type[EffectSettings], gain_db: Callable[..., Decibels], scope: Scope = "sample"
+    settings: type[EffectSettings], gain_db: Callable[..., GainsDb], scope: Scope = "sample"
 ) -> Effect:
     """The effect of a gain in dB, `(ping, rng, **parameters)`, on fields and on expectations."""
 

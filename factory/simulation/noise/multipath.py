@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber, NonNegative
+from ...common.distribution import Angle, Distribution, NonNegativeDecibels, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -23,8 +23,8 @@ class SurfaceMultipathSettings(EffectSettings):
     tilt_deg: how far the sonar looks down, so that the plane lies level.
     """
 
-    loss_db: NonNegative = parameter(6, "dB")
-    tilt_deg: AnyNumber = parameter(0, "deg")
+    loss_db: NonNegativeDecibels = parameter(6, "dB")
+    tilt_deg: Angle = parameter(0, "deg")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -36,9 +36,9 @@ class BottomMultipathSettings(EffectSettings):
     tilt_deg: how far the sonar looks down.
     """
 
-    altitude_m: NonNegative = parameter(2, "m")
-    loss_db: NonNegative = parameter(12, "dB")
-    tilt_deg: AnyNumber = parameter(0, "deg")
+    altitude_m: Annotated[Distribution, within(0, 1000, "m"), as_written] = parameter(2, "m")
+    loss_db: NonNegativeDecibels = parameter(12, "dB")
+    tilt_deg: Angle = parameter(0, "deg")
 
 
 class Plane(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import NonNegative, Positive
+from ...common.distribution import CellSize, Looks
 from ...common.errors import FrameError
 from ...common.settings import STRICT
 from ..imaging.cells import places_in_cells
@@ -36,8 +36,8 @@ class PathSpeckleSettings(EffectSettings):
     scatterer_m: edge of a world cell, metres; 0 takes about what the device tells apart.
     """
 
-    looks: Positive = parameter(1, "1")
-    scatterer_m: NonNegative = parameter(0, "m")
+    looks: Looks = parameter(1, "1")
+    scatterer_m: CellSize = parameter(0, "m")
 
 
 class CellPoints(NamedTuple):

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import Fraction, NonNegative
+from ...common.distribution import (
+    Count,
+    Density,
+    Distribution,
+    Fraction,
+    Share,
+    Strength,
+    as_written,
+    within,
+)
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..sonar import polar
@@ -17,6 +26,8 @@ from ..sonar.window import Window
 
 # Cells of the density map, along range and bearing: about the size of the ghosts.
 _CELLS = (64, 48)
+
+_Width = Annotated[Distribution, within(0, 180, "deg"), as_written]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -29,7 +40,7 @@ class RangeSpreadingSettings(EffectSettings):
     """
 
     mode: Literal["paper", "radial", "exponential"] = parameter("radial")
-    alpha: NonNegative = parameter({"uniform": [0.004, 0.040]}, "1")
+    alpha: Share = parameter({"uniform": [0.004, 0.040]}, "1")
 
 
 def range_spreading(scene: Echoes, window: Window, rng: Rng, *, mode: str, alpha: float) -> Echoes:
@@ -74,12 +85,12 @@ class MultipathSettings(EffectSettings):
     strength: strongest ghost point; 1 alone fills a bin to full scale.
     """
 
-    count: NonNegative = parameter({"choice": [1, 2, 3]}, "1")
-    density: NonNegative = parameter({"uniform": [0.005, 0.04]}, "1")
+    count: Count = parameter({"choice": [1, 2, 3]}, "1")
+    density: Density = parameter({"uniform": [0.005, 0.04]}, "1")
     quantile: Fraction = parameter(0.9, "1")
-    delay: NonNegative = parameter({"uniform": [0.01, 0.06]}, "1")
-    spread: NonNegative = parameter({"uniform": [0.01, 0.03]}, "1")
-    strength: NonNegative = parameter({"uniform": [0.1, 0.6]}, "1")
+    delay: Share = parameter({"uniform": [0.01, 0.06]}, "1")
+    spread: Share = parameter({"uniform": [0.01, 0.03]}, "1")
+    strength: Strength = parameter({"uniform": [0.1, 0.6]}, "1")
 
 
 def multipath(
@@ -132,10 +143,10 @@ class AzimuthSettings(EffectSettings):
     strength: strongest spoke point; 1 alone fills a bin to full scale.
     """
 
-    count: NonNegative = parameter({"choice": [1, 2]}, "1")
-    density: NonNegative = parameter({"uniform": [0.003, 0.02]}, "1")
-    sigma_deg: NonNegative = parameter({"uniform": [0.1, 0.4]}, "deg")
-    strength: NonNegative = parameter({"uniform": [0.1, 0.6]}, "1")
+    count: Count = parameter({"choice": [1, 2]}, "1")
+    density: Density = parameter({"uniform": [0.003, 0.02]}, "1")
+    sigma_deg: _Width = parameter({"uniform": [0.1, 0.4]}, "deg")
+    strength: Strength = parameter({"uniform": [0.1, 0.6]}, "1")
 
 
 def azimuth(
@@ -168,10 +179,10 @@ class RangeArcSettings(EffectSettings):
     strength: strongest arc point; 1 alone fills a bin to full scale.
     """
 
-    count: NonNegative = parameter(0, "1")
-    density: NonNegative = parameter(0.02, "1")
-    sigma: NonNegative = parameter(0.003, "1")
-    strength: NonNegative = parameter(0.5, "1")
+    count: Count = parameter(0, "1")
+    density: Density = parameter(0.02, "1")
+    sigma: Share = parameter(0.003, "1")
+    strength: Strength = parameter(0.5, "1")
 
 
 def range_arc(
@@ -208,8 +219,8 @@ class BackgroundSettings(EffectSettings):
     strength: strongest noise point; 1 alone fills a bin to full scale.
     """
 
-    density: NonNegative = parameter({"uniform": [0.002, 0.045]}, "1")
-    strength: NonNegative = parameter({"uniform": [0.05, 0.35]}, "1")
+    density: Density = parameter({"uniform": [0.002, 0.045]}, "1")
+    strength: Strength = parameter({"uniform": [0.05, 0.35]}, "1")
 
 
 def background(

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber
+from ...common.distribution import Decibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -24,7 +24,7 @@ class ReceiverSettings(EffectSettings):
         beamformer and the pulse compression, with the grain of speckle).
     """
 
-    level_db: AnyNumber = parameter(10, "dB")
+    level_db: Decibels = parameter(10, "dB")
     grain: Literal["sample", "beam"] = parameter("sample")
 
 

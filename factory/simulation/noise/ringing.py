@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Annotated
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber, NonNegative, Positive
+from ...common.distribution import Decibels, Distribution, NonNegativeDecibels, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -15,6 +16,8 @@ from ..imaging.signal import Floats, Ping
 
 # What is weaker against full scale is not computed, dB.
 _FAINTEST_DB = -90
+
+_Decay = Annotated[Distribution, within(1e-3, 1e5, "dB/m"), as_written]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -25,8 +28,8 @@ class RingDownSettings(EffectSettings):
     decay_db_per_m: how fast it dies, dB per metre of range.
     """
 
-    level_db: AnyNumber = parameter(0, "dB")
-    decay_db_per_m: Positive = parameter(40, "dB/m")
+    level_db: Decibels = parameter(0, "dB")
+    decay_db_per_m: _Decay = parameter(40, "dB/m")
 
 
 def ring_down(
@@ -64,10 +67,10 @@ class CombLinesSettings(EffectSettings):
     uneven_db: standard deviation of a line's level from beam to beam, dB.
     """
 
-    level_db: AnyNumber = parameter(-10, "dB")
-    spacing_m: Positive = parameter(0.1, "m")
-    decay_db: NonNegative = parameter(3, "dB")
-    uneven_db: NonNegative = parameter(3, "dB")
+    level_db: Decibels = parameter(-10, "dB")
+    spacing_m: Annotated[Distribution, within(5e-3, 1000, "m"), as_written] = parameter(0.1, "m")
+    decay_db: NonNegativeDecibels = parameter(3, "dB")
+    uneven_db: Annotated[Distribution, within(0, 60, "dB"), as_written] = parameter(3, "dB")
 
 
 def comb_lines(field: Floats, ping: Ping, rng: Rng, **parameters: float) -> Floats:

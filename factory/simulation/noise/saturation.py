@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber
+from ...common.distribution import Decibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -20,7 +20,7 @@ class SaturationSettings(EffectSettings):
         time-varying gain, dB.
     """
 
-    level_db: AnyNumber = parameter(3, "dB")
+    level_db: Decibels = parameter(3, "dB")
 
 
 def saturation(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Floats:

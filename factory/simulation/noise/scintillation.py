@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import NonNegative
+from ...common.distribution import Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -21,7 +23,7 @@ class ScintillationSettings(EffectSettings):
     sigma_db: standard deviation of a sample's level, dB.
     """
 
-    sigma_db: NonNegative = parameter(3, "dB")
+    sigma_db: Annotated[Distribution, within(0, 40, "dB"), as_written] = parameter(3, "dB")
 
 
 def scintillation(field: Floats, ping: Ping, rng: Rng, *, sigma_db: float) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber
+from ...common.distribution import Decibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -19,7 +19,7 @@ class SidelobeArcsSettings(EffectSettings):
     level_db: of the leak below the strongest return of the row, dB (negative).
     """
 
-    level_db: AnyNumber = parameter(-30, "dB")
+    level_db: Decibels = parameter(-30, "dB")
 
 
 def sidelobe_arcs(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import NonNegative, Positive
+from ...common.distribution import CellSize, Looks
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -28,8 +28,8 @@ class SpeckleSettings(EffectSettings):
         the scene when the camera moves.
     """
 
-    looks: Positive = parameter(1, "1")
-    scatterer_m: NonNegative = parameter(0, "m")
+    looks: Looks = parameter(1, "1")
+    scatterer_m: CellSize = parameter(0, "m")
 
 
 def speckle(signal: Signal, ping: Ping, rng: Rng, *, looks: float, scatterer_m: float) -> Signal:

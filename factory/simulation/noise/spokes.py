@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber, NonNegative
+from ...common.distribution import Count, Decibels, Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -29,9 +29,9 @@ class SpokesSettings(EffectSettings):
     width_beams: its width, one standard deviation, beams.
     """
 
-    count: NonNegative = parameter(1, "1")
-    level_db: AnyNumber = parameter(-25, "dB")
-    width_beams: NonNegative = parameter(0.7, "1")
+    count: Count = parameter(1, "1")
+    level_db: Decibels = parameter(-25, "dB")
+    width_beams: Annotated[Distribution, within(0, 8192), as_written] = parameter(0.7, "1")
     spacing: Literal["random", "regular"] = parameter("random")
 
 

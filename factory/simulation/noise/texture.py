@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import Positive
+from ...common.distribution import Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected, interpolate_table
@@ -25,8 +26,8 @@ class TextureSettings(EffectSettings):
     patch_m: size of the patches on the ground, metres.
     """
 
-    shape: Positive = parameter(5, "1")
-    patch_m: Positive = parameter(0.2, "m")
+    shape: Annotated[Distribution, within(0.01, 1e6), as_written] = parameter(5, "1")
+    patch_m: Annotated[Distribution, within(1e-3, 100, "m"), as_written] = parameter(0.2, "m")
 
 
 def texture(field: Floats, ping: Ping, rng: Rng, *, shape: float, patch_m: float) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from ...common.distribution import AnyNumber
+from ...common.distribution import Decibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
@@ -20,7 +20,7 @@ class VolumeSettings(EffectSettings):
     strength_db: volume scattering strength, dB re 1/m; clear water -70, a harbour -45.
     """
 
-    strength_db: AnyNumber = parameter(-60, "dB")
+    strength_db: Decibels = parameter(-60, "dB")
 
 
 def volume(signal: Signal, ping: Ping, rng: Rng, *, strength_db: float) -> Signal:

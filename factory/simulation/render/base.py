@@ -16,8 +16,11 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from ...common.limits import limited
 from ...common.settings import STRICT
 from ..frames.frame import Frame
+
+_Offset = Annotated[float, limited(-100, 100, "m")]
 
 # Rows are the sonar's axes in camera axes, for a sonar that looks where the camera looks.
 _SONAR_FROM_CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -31,9 +34,9 @@ class Mount:
     pitch_deg: positive looks further down.  yaw_deg: positive looks further left.
     """
 
-    translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    pitch_deg: float = 0.0
-    yaw_deg: float = 0.0
+    translation_m: tuple[_Offset, _Offset, _Offset] = (0.0, 0.0, 0.0)
+    pitch_deg: Annotated[float, limited(-180, 180, "deg")] = 0.0
+    yaw_deg: Annotated[float, limited(-180, 180, "deg")] = 0.0
 
     @property
     def colocated(self) -> bool:

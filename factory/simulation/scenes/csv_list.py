@@ -19,10 +19,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ...common.errors import FactoryError, FrameError
+from ...common.limits import limited
 from ...common.settings import STRICT
 from ...common.text_tables import numbered_lines
 from ...dataset.frame_ref import FrameRef
@@ -33,7 +33,10 @@ from .frame_files import image_size, in_metres, read_frame, read_rgb, refuse_mar
 _EXPECTED = "a CSV file of rgb,depth lines"
 
 
-_Positive = Annotated[float, Field(gt=0)]
+_FocalLength = Annotated[float, limited(1, 1e6, "px")]
+_ImagePlace = Annotated[float, limited(-1e6, 1e6, "px")]
+_Depth = Annotated[float, limited(-1e6, 1e6, "m")]
+_DepthScale = Annotated[float, limited(1e-9, 1e9)]
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -54,11 +57,11 @@ class CsvListSettings(SceneSettings):
 
     kind: Literal["csv_list"] = "csv_list"
     file: Root
-    intrinsics: tuple[_Positive, _Positive, float, float]
-    depth_scale: _Positive | None = None
+    intrinsics: tuple[_FocalLength, _FocalLength, _ImagePlace, _ImagePlace]
+    depth_scale: _DepthScale | None = None
     depth_kind: Literal["z", "ray"] = "z"
-    invalid_below_m: float | None = 0.0
-    invalid_above_m: _Positive | None = None
+    invalid_below_m: _Depth | None = 0.0
+    invalid_above_m: _Depth | None = None
     bad_depth: BadDepth = "reject"
 
 

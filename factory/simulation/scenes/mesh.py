@@ -23,9 +23,10 @@ import numpy.typing as npt
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from ...common.distribution import Altitude
 from ...common.distribution import Angle as DrawnAngle
-from ...common.distribution import Positive as DrawnPositive
 from ...common.errors import FactoryError, FrameError
+from ...common.limits import limited
 from ...common.seeds import stream
 from ...common.settings import STRICT
 from ...dataset.frame_ref import FrameRef
@@ -46,7 +47,10 @@ _CLEAR_M = 0.3
 _AROUND = 24  # heights of the ground around a recording's beginning, to each side
 _AROUND_STEP_M = 1.0
 _HIGH_M = 5000.0  # from so far above, all rays go down
-Span = tuple[float, float]
+_Metres = Annotated[float, limited(-5000, 5000, "m")]
+_Tilt = Annotated[float, limited(-90, 90, "deg")]
+Span = tuple[_Metres, _Metres]
+TiltSpan = tuple[_Tilt, _Tilt]
 Points = npt.NDArray[np.float64]
 
 
@@ -86,7 +90,7 @@ class MeshSettings(RecordingSettings):
 
     kind: Literal["mesh"] = "mesh"
     file: Root
-    scale: Annotated[float, Field(gt=0)] = 1.0
+    scale: Annotated[float, limited(1e-6, 1e6, "m")] = 1.0
     up: Up = "auto"
     classes: tuple[PartClass, ...] = ()
     poses: Root | None = None
@@ -96,14 +100,14 @@ class MeshSettings(RecordingSettings):
     views_per_path: Annotated[int, Field(ge=1, le=9999)] = 25
     height_m: Span = (1.0, 2.0)
     distance_m: Span = (2.0, 4.0)
-    tilt_deg: Span = (20.0, 35.0)
-    speed_m_s: Annotated[float, Field(ge=0)] = 0.5
+    tilt_deg: TiltSpan = (20.0, 35.0)
+    speed_m_s: Annotated[float, limited(0, 30, "m/s")] = 0.5
     width: Annotated[int, Field(ge=64, le=4096)] = 968
     height: Annotated[int, Field(ge=48, le=4096)] = 608
     hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
     vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
     boxes: bool = False
-    camera_altitude_m: DrawnPositive | None = None
+    camera_altitude_m: Altitude | None = None
     camera_tilt_deg: DrawnAngle | None = None
     frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
     moving_objects: tuple[MovingObject, ...] = ()
@@ -191,12 +195,14 @@ class MeshReader:
             scenes = ["poses"]
             views = len(trajectory(recorded)[0])
             paths += (str(recorded),)
-        # What is wrong with a mesh or a path shows before a worker starts.
-        paths += check_paths(settings.moving)
         for number, own_object in enumerate(settings.own_objects):
             own_mesh = own_object.read(f"scenes.own_objects.{number}")
             paths += own_mesh.files
             notes += own_mesh.notes
+        # What is wrong with a path shows before a worker starts.
+        last_ref = FrameRef(self._path.stem, scenes[0], f"{views - 1:04d}")
+        duration_s = settings.time_s(last_ref) - settings.start_s
+        paths += check_paths(settings.moving, duration_s)
         places = itertools.product(scenes, range(views))
         refs = (FrameRef(self._path.stem, scene, f"{view:04d}", paths) for scene, view in places)
         return Discovery(tuple(refs), notes=notes)

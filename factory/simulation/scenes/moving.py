@@ -6,7 +6,8 @@ sonar looks (level), y to its left, z up.  `simulation.moving` draws and places 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from functools import lru_cache
 from pathlib import Path
@@ -131,6 +132,59 @@ class MovingObject(OwnClass):
             raise ValueError(f"moving.target_strength: love is of fish, not of {self.object}")
 
 
+TRACKS_BYTES = 24_576
+"""Size of a value of the column tracks, which lists the moving objects of a frame as JSON."""
+
+
+def largest_track_bytes(class_name: str) -> int:
+    """The longest entry of an object in the column tracks, with the comma behind it."""
+    far = -999.9999
+    entry = {
+        "id": 9999,
+        "class": class_name,
+        "position_m": [far, far, far],
+        "velocity_m_s": [-99.9999, -99.9999, -99.9999],
+        "range_m": -far,
+        "bearing_deg": -180.123,
+        "box": [9999, 9999, 9999, 9999],
+        "target_strength_db": -99.99,
+        "insonified": 0.123,
+        "occluded": 0.123,
+    }
+    return len(json.dumps(entry, separators=(",", ":"))) + 1
+
+
+def check_tracks(movers: Sequence[Mover]) -> None:
+    """Raise ValueError where the column tracks may not hold all objects of a frame."""
+    counts = [mover.most_objects for mover in movers]
+    sizes = [largest_track_bytes(mover.class_name) for mover in movers]
+    needed_bytes = sum(count * size for count, size in zip(counts, sizes, strict=True))
+    if needed_bytes > TRACKS_BYTES:
+        raise ValueError(
+            f"dataset.columns: tracks hold about {TRACKS_BYTES // max(sizes)} objects a frame, and "
+            f"up to {sum(counts)} move; give scenes.moving_objects less per_place or school.count, "
+            "or leave tracks out"
+        )
+
+
+class Mover(NamedTuple):
+    """An entry of the configuration whose objects move.
+
+    per_place: least and most of them, or of their schools, in a recording.
+    """
+
+    class_name: str
+    per_place: tuple[int, int]
+    moving: Moving
+
+    @property
+    def most_objects(self) -> int:
+        """The largest number of its objects in a recording."""
+        school = self.moving.school
+        members = 1 if school is None else round(school.count.largest)
+        return self.per_place[1] * members
+
+
 class Waypoints(NamedTuple):
     """A recorded path: times (N,) s, places (N, 3) m and angles (N, 3) deg, yaw, pitch, roll."""
 
@@ -180,13 +234,26 @@ def _check_waypoints(route: Waypoints, path: Path, line_numbers: list[int]) -> N
         )
 
 
-def check_paths(moving: Mapping[str, Moving]) -> tuple[str, ...]:
-    """The path files of the moving objects.  Raises FactoryError for one that is damaged."""
+def check_paths(moving: Mapping[str, Moving], duration_s: float | None) -> tuple[str, ...]:
+    """The path files of the moving objects.
+
+    duration_s: of the recordings, from their first frame to their last; None where frames have no
+        times.
+    Raises FactoryError for a file that is damaged, and for a path at no time of the recordings.
+    """
     files = []
     for key, item in moving.items():
-        if item.path is not None:
-            waypoints(Path(item.path).expanduser(), f"{key}.moving.path")
-            files.append(item.path)
+        if item.path is None:
+            continue
+        route = waypoints(Path(item.path).expanduser(), f"{key}.moving.path")
+        first_s = route.time_s[0]
+        last_s = route.time_s[-1]
+        if duration_s is not None and (last_s < 0 or first_s > duration_s):
+            raise FactoryError(
+                f"{key}.moving.path={item.path}: its times, {first_s:g} to {last_s:g} s, lie "
+                f"outside the recording, 0 to {duration_s:g} s from the first frame"
+            )
+        files.append(item.path)
     return tuple(files)
 
 

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from ...common.limits import limited
 from ...common.settings import STRICT
 
 Floats = npt.NDArray[np.float64]
@@ -59,9 +60,9 @@ class ArraySettings:
         of the one before.  Moving objects alone are seen at these times.
     """
 
-    bandwidth_khz: Annotated[float, Field(gt=0)] = 60.0
-    beamwidth_deg: Annotated[float, Field(gt=0, le=90)] = 0.5
-    source_level_db: Annotated[float, Field(ge=100, le=260)] = 205.0
+    bandwidth_khz: Annotated[float, limited(0.1, 2000, "kHz")] = 60.0
+    beamwidth_deg: Annotated[float, limited(0.02, 90, "deg")] = 0.5
+    source_level_db: Annotated[float, limited(100, 260, "dB")] = 205.0
     horizontal: Taper = field(default_factory=Taper)
     vertical: Taper = field(default_factory=lambda: Taper(window="uniform"))
     pulse: Taper = field(default_factory=Taper)
@@ -244,10 +245,10 @@ class WaterSettings:
     depth_m: of the sonar below the surface, metres.  ph: acidity.
     """
 
-    temperature_c: Annotated[float, Field(ge=-2, le=40)] = 10.0
-    salinity_psu: Annotated[float, Field(ge=0, le=45)] = 35.0
-    depth_m: Annotated[float, Field(ge=0, le=11_000)] = 5.0
-    ph: Annotated[float, Field(ge=6, le=9)] = 8.0
+    temperature_c: Annotated[float, limited(-2, 40, "C")] = 10.0
+    salinity_psu: Annotated[float, limited(0.05, 45, "psu", or_zero=True)] = 35.0
+    depth_m: Annotated[float, limited(0, 11_000, "m")] = 5.0
+    ph: Annotated[float, limited(6, 9)] = 8.0
 
     def sound_speed_m_s(self) -> float:
         """Speed of sound, m/s: the linear formula of Francois & Garrison (1982)."""

@@ -10,15 +10,22 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from ...common.distribution import Altitude
 from ...common.distribution import Angle as DrawnAngle
-from ...common.distribution import Positive as DrawnPositive
+from ...common.limits import limited
 from ...common.settings import STRICT
 from ...dataset.fan_geometry import beam_centres_rad
 from ..render.base import Mount
 from .array import ArraySettings
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+FARTHEST_M = 2000.0
+NearRange = Annotated[float, limited(0, FARTHEST_M, "m")]
+FarRange = Annotated[float, limited(0.05, FARTHEST_M, "m")]
+Frequency = Annotated[float, limited(10, 10_000, "kHz")]
+# Narrower than any sonar that forms images: numbers of radians are refused.
+HorizontalSector = Annotated[float, limited(5, 180, "deg")]
+VerticalSector = Annotated[float, limited(1, 180, "deg")]
+Blur = Annotated[float, limited(0, 50)]
 MOST_SAMPLES = 8192  # of one beam
 Count = Annotated[int, Field(ge=2, le=MOST_SAMPLES)]
 
@@ -35,9 +42,9 @@ class RangeSettings:
     """
 
     auto: bool = True
-    min_m: NotNegative = 0.2
-    max_m: Positive = 30.0
-    windows_m: tuple[tuple[NotNegative, Positive], ...] = ()
+    min_m: NearRange = 0.2
+    max_m: FarRange = 30.0
+    windows_m: tuple[tuple[NearRange, FarRange], ...] = ()
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -66,8 +73,8 @@ class PointSpread:
     beams: its standard deviation across the beams, beams.
     """
 
-    range_bins: NotNegative = 0.7
-    beams: NotNegative = 0.7
+    range_bins: Blur = 0.7
+    beams: Blur = 0.7
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -116,8 +123,8 @@ class TransferSettings:
     kind: TransferKind = "linear"
     percentile: Annotated[float, Field(gt=0, le=100)] = 90.0
     reference: Annotated[float, Field(gt=0, le=1)] = 1.0
-    exponent: Positive = 0.5
-    dynamic_range_db: Positive = 40.0
+    exponent: Annotated[float, limited(0.05, 10)] = 0.5
+    dynamic_range_db: Annotated[float, limited(1, 200, "dB")] = 40.0
     black: Annotated[float, Field(ge=0, lt=1)] = 0.0
     full_scale_db: Annotated[float, Field(ge=-300, le=100)] | None = None
 
@@ -159,23 +166,23 @@ class SonarSettings:
     """
 
     name: str = "camera_matched"
-    frequency_khz: Positive = 900.0
-    hfov_deg: Annotated[float, Field(gt=0, le=180)] = 45.0
-    vfov_deg: Annotated[float, Field(gt=0, le=180)] = 30.0
+    frequency_khz: Frequency = 900.0
+    hfov_deg: HorizontalSector = 45.0
+    vfov_deg: VerticalSector = 30.0
     beams: Count = 256
     range_bins: Count = 256
     samples_per_bin: Annotated[int, Field(ge=1, le=64)] = 1
     beam_azimuths_deg: tuple[float, ...] | None = None
     projection: Literal["slant_range", "top_view"] = "slant_range"
     accumulate: Literal["mean", "max", "sum"] = "sum"
-    tvg_db_per_decade: float = 40.0
+    tvg_db_per_decade: Annotated[float, limited(-200, 200, "dB")] = 40.0
     range: RangeSettings = field(default_factory=RangeSettings)
     point_spread: PointSpread = field(default_factory=PointSpread)
     image: ImageSettings = field(default_factory=ImageSettings)
     transfer: TransferSettings = field(default_factory=TransferSettings)
     array: ArraySettings = field(default_factory=ArraySettings)
     mount: Mount = field(default_factory=Mount)
-    altitude_m: DrawnPositive | None = None
+    altitude_m: Altitude | None = None
     tilt_deg: DrawnAngle | None = None
     sector: Literal["seen", "whole"] = "seen"
 

@@ -52,6 +52,21 @@ def test_one_frame_has_no_interval() -> None:
     assert tables.interval(estimate_, 2) == "-"
 
 
+def test_a_shadow_column_that_tells_no_rows_apart_is_left_out() -> None:
+    def row(name: str, overlap: float) -> dict[str, Any]:
+        figures = {"psnr": 20.0, "ssim": 0.5, "shadow_iou": overlap}
+        metrics = {
+            key: {"mean": value, "low": None, "high": None, "count": 4}
+            for key, value in figures.items()
+        }
+        common = {"lost": None, "parameters": {}, "against_noisy": {}, "milliseconds": 1.0}
+        return {"label": name, "metrics": metrics, **common}
+
+    label = tables.METRIC_NAMES["shadow_iou"].label
+    assert label not in tables.leaderboard([row("noisy", 0.0), row("median", 0.0003)]).columns
+    assert label in tables.leaderboard([row("noisy", 0.0), row("median", 0.3)]).columns
+
+
 def test_the_paired_test_sees_frames() -> None:
     rng = np.random.default_rng(1)
     base = rng.normal(20, 3, 24)

@@ -39,9 +39,11 @@ def test_batches_are_pairs_under_fresh_noise(words: tuple[str, ...]) -> None:
     frames = len(stream.frames)
     assert frames == 4
     batch = stream.batch(0)
-    assert {name: (values.shape, values.dtype) for name, values in batch.items()} == dict.fromkeys(
-        ("noisy", "clean", "shadow"), (torch.Size([2, 1, 256, 256]), torch.float32)
-    )
+    assert {name: (values.shape, values.dtype) for name, values in batch.items()} == {
+        "noisy": (torch.Size([2, 256, 256]), torch.float32),
+        "clean": (torch.Size([2, 256, 256]), torch.float32),
+        "shadow": (torch.Size([2, 256, 256]), torch.bool),
+    }
     assert 0 <= batch["noisy"].min() < batch["noisy"].max() <= 1
     assert not torch.equal(batch["noisy"], batch["clean"])
     rounds = [[stream.pair(position) for position in range(k, k + frames)] for k in (0, frames)]
@@ -57,6 +59,30 @@ def test_batches_are_pairs_under_fresh_noise(words: tuple[str, ...]) -> None:
         assert not noisy & {sample["noisy"].tobytes() for sample in pairs}
         clean = {sample["clean"].tobytes() for sample in pairs}
     assert len(clean) == frames
+
+
+def test_labels_and_shapes_are_those_of_the_dataset(words: tuple[str, ...]) -> None:
+    layers = ("noisy", "clean", "shadow", "segmentation", "instance", "range")
+    folder = Path(words[-1].partition("=")[2]).with_name("labelled")
+    labelled = (*words[:-1], "dataset.layers=[segmentation,range]")
+    make_dataset(*labelled, out=folder)
+    with PairDataset(folder, "train", layers=layers, scaled=True, trusted=True) as pairs:
+        stored = pairs[:]
+    for stream in (
+        PairStream(*words, layers=layers, batch_size=4),
+        PairStream(words[-2], dataset=folder, batch_size=4),
+    ):
+        batch = stream.batch(0)
+        assert set(batch) == set(layers)
+        for name in layers:
+            values = batch[name].numpy()
+            assert (values.shape, values.dtype) == (stored[name].shape, stored[name].dtype)
+            # Every frame comes once, in another order; new points are drawn for noisy and clean.
+            if name not in ("noisy", "clean"):
+                images = {image.tobytes() for image in values}
+                assert images == {image.tobytes() for image in stored[name]}, name
+    with pytest.raises(FactoryError, match="echo"):
+        PairStream(*words, layers=("noisy", "echo"))
 
 
 @pytest.mark.parametrize(("workers", "method"), [(0, None), (2, "fork"), (3, "fork")])

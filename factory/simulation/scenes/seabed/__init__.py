@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from ....common.distribution import Altitude
 from ....common.distribution import Angle as DrawnAngle
-from ....common.distribution import Positive as DrawnPositive
 from ....common.errors import FactoryError
 from ....common.settings import STRICT
 from ....dataset.frame_ref import FrameRef
@@ -24,7 +24,7 @@ from ...frames.frame import Frame, checked
 from ...meshes.camera import Stance, movements
 from ...meshes.camera import camera as optics_of
 from ..base import Discovery, OwnClass, Root, SceneSettings
-from ..moving import Moving, MovingObject, check_moving, check_paths
+from ..moving import Mover, Moving, MovingObject, check_moving, check_paths
 from .terrain import FITTED_PLACES, PLACE_NAMES, ObjectPlaceName, PlaceName
 
 if TYPE_CHECKING:
@@ -106,16 +106,22 @@ class RecordingSettings(SceneSettings):
     frame_rate_hz: float | None
 
     @property
-    def moving(self) -> dict[str, Moving]:
-        """How each of the moving objects moves, by its configuration key."""
+    def movers(self) -> dict[str, Mover]:
+        """The entries whose objects move, by their configuration key."""
         by_key = {
-            f"scenes.moving_objects.{number}": item.moving
+            f"scenes.moving_objects.{number}": Mover(item.label, item.per_place, item.moving)
             for number, item in enumerate(self.moving_objects)
         }
         for number, own in enumerate(self.own_objects):
             if own.moving is not None:
-                by_key[f"scenes.own_objects.{number}"] = own.moving
+                mover = Mover(own.label, own.per_place, own.moving)
+                by_key[f"scenes.own_objects.{number}"] = mover
         return by_key
+
+    @property
+    def moving(self) -> dict[str, Moving]:
+        """How each of the moving objects moves, by its configuration key."""
+        return {key: mover.moving for key, mover in self.movers.items()}
 
     @property
     def has_moving_objects(self) -> bool:
@@ -168,7 +174,7 @@ class SeabedSettings(RecordingSettings):
     frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
     moving_objects: tuple[MovingObject, ...] = ()
     boxes: bool = False
-    camera_altitude_m: DrawnPositive | None = None
+    camera_altitude_m: Altitude | None = None
     camera_tilt_deg: DrawnAngle | None = None
     depth_gaps: bool = True
 
@@ -231,18 +237,21 @@ class SeabedReader:
         paths: tuple[str, ...] = () if settings.path is None else (settings.path,)
         # What is wrong with a mesh or a path shows before a worker starts.
         paths += tuple(path for _, own in self._own for path in own.files)
-        self._check_moving(lines)
         refs = [
             FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", paths)
             for location in range(first, first + settings.locations)
             for frame in range(frames)
         ]
+        self._check_moving(lines, refs[frames - 1])
         notes = (note for _, own in self._own for note in own.notes)
         return Discovery(tuple(refs), notes=tuple(notes))
 
-    def _check_moving(self, lines: tuple[dict[str, float], ...] | None) -> None:
+    def _check_moving(self, lines: tuple[dict[str, float], ...] | None, last_ref: FrameRef) -> None:
         settings = self._settings
-        check_paths(settings.moving)
+        if not settings.moving:
+            return
+        last_s = settings.time_s(last_ref)
+        check_paths(settings.moving, None if last_s is None else last_s - settings.start_s)
         is_timed = settings.frame_rate_hz is not None
         is_timed = is_timed or all("time_s" in line for line in lines or ())
         if settings.moving and not is_timed:

@@ -598,6 +598,49 @@ def model(kind: str, number: int) -> Mesh:
     return _BUILD[kind](stream(WORLD_SEED, "seabed", "model", kind, number))
 
 
+def drawn_moving_model(rng: Draws, kind: str) -> Mesh:
+    """A model of any built-in object that moves by itself, as `drawn_model` gives those that lie.
+
+    Chains, pipes, pillars and walls are pieces of 1 to 3 m, not parts of a place.
+    """
+    build_piece = _PIECES.get(kind)
+    return drawn_model(rng, kind) if build_piece is None else build_piece(rng)
+
+
+def _chain_piece(rng: Draws) -> Mesh:
+    line = curve(rng, np.zeros(2), float(rng.uniform(1.0, 2.0)), wander=1.5)
+    return chain(rng, line, _flat_ground)
+
+
+def _pipe_piece(rng: Draws) -> Mesh:
+    line = curve(rng, np.zeros(2), float(rng.uniform(1.5, 3.0)), wander=0.0)
+    return pipe(rng, line, _flat_ground)
+
+
+def _pillar_piece(rng: Draws) -> Mesh:
+    height_m = float(rng.uniform(0.5, 1.5))
+    return pile(rng, height_m, float(rng.uniform(0.1, 0.25)))
+
+
+def _wall_piece(rng: Draws) -> Mesh:
+    length_m = float(rng.uniform(1.0, 2.5))
+    height_m = float(rng.uniform(0.6, 1.5))
+    thickness_m = float(rng.uniform(0.12, 0.3))
+    return box((length_m, thickness_m, height_m), colour=pick(rng, CONCRETE))
+
+
+def _flat_ground(x: Points, y: Points) -> Points:
+    return np.zeros_like(x)
+
+
+_PIECES: dict[str, Callable[[Draws], Mesh]] = {
+    "Chain": _chain_piece,
+    "Pipe": _pipe_piece,
+    "Pillar": _pillar_piece,
+    "Wall": _wall_piece,
+}
+
+
 def drawn_model(rng: Draws, kind: str) -> Mesh:
     """A model of a kind, chosen at random, a little larger or smaller, lighter or darker."""
     shape = model(kind, int(rng.integers(_MODELS)))

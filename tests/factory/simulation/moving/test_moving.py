@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -13,14 +13,16 @@ import pytest
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.frame_ref import FrameRef
+from simnfnd.factory.dataset.labels import ObjectName
+from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.imaging.coherent import CoherentScene, received
 from simnfnd.factory.simulation.moving.cast import draw_cast
-from simnfnd.factory.simulation.moving.compose import Echo, compose
+from simnfnd.factory.simulation.moving.compose import Echo, bodies_at, compose
 from simnfnd.factory.simulation.moving.fish import SwimmingWave, fish_mesh, love_target_strength_db
 from simnfnd.factory.simulation.noise.draws import StreamNames, draw
 from simnfnd.factory.simulation.pairs.pair_maker import make_pair, observe_moment
 from simnfnd.factory.simulation.render.view import decode, encode, view_of
-from simnfnd.factory.simulation.scenes.moving import waypoints
+from simnfnd.factory.simulation.scenes.moving import largest_track_bytes, waypoints
 from simnfnd.factory.simulation.scenes.seabed import SeabedReader, SeabedSettings
 from tests.factory.simulation.moving.stage import Line, ball, moment, plane, settings, slab
 
@@ -262,6 +264,61 @@ def test_a_bad_path_is_one_line_that_names_file_and_line(tmp_path: Path, text, w
     with pytest.raises(FactoryError, match=word) as refusal:
         SeabedReader(chosen).discover()
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", get_args(ObjectName))
+def test_every_built_in_object_moves(name):
+    """Beside a fish: one that cannot be drawn would fail the frame."""
+    chosen = with_objects(
+        {"object": name, "moving": {"start": {"range_m": 5, "bearing_deg": 0}, "height_m": 1.5}},
+        {"moving": {"start": {"range_m": 3, "bearing_deg": 0}, "height_m": 1.5}},
+    )
+    frame, rendered = plane()
+    assert frame.surroundings is not None
+    cast = draw_cast(chosen, 0, FrameRef("seabed", "seabed-0000", "0000"), frame.surroundings)
+    bodies = bodies_at(cast, frame, 0.0)
+    echoes = [Echo(0.01, 2.0)] * 64
+    composed = compose(frame, rendered, bodies, settings().sonar.mount, echoes, 1000.0)
+    moving = composed.frame.moving
+    assert moving is not None
+    names = [body.actor.class_name for body in bodies]
+    assert sorted(names) == sorted([name, "Fish"])
+    assert (moving.alone_px > 0).all(), names
+
+
+def test_a_school_that_the_tracks_cannot_hold_is_refused():
+    def chosen(count: Any, class_name: str = "Fish") -> FactoryConfig:
+        school = {"class": class_name, "moving": {"school": {"count": count}}}
+        scenes = {"kind": "seabed", "frame_rate_hz": 10, "moving_objects": [school]}
+        return settings(scenes=scenes, dataset={"columns": ["tracks"]})
+
+    assert chosen(80)
+    assert chosen({"normal": [20, 5]})
+    for count in (300, {"uniform": [1, 300]}):
+        with pytest.raises(FactoryError, match=r"dataset\.columns.*school\.count"):
+            chosen(count)
+    with pytest.raises(FactoryError, match=r"dataset\.columns"):
+        chosen(80, "A fish with a name that is forty letters")
+
+
+def test_no_entry_of_the_tracks_is_longer_than_expected():
+    actor = ball(Line((4.0, 0.0, 0.0)), number=9999, class_name="Ball")
+    lit = observe_moment(moment([actor]), settings(dataset={"columns": ["tracks"]})).columns
+    text = str(lit["tracks"])
+    assert len(json.loads(text)) == 1
+    assert 100 < len(text) <= largest_track_bytes("Ball") + 1
+
+
+@pytest.mark.parametrize(("first_s", "last_s"), [(100, 200), (-9, -1), (0.2, 9)])
+def test_a_path_outside_the_recording_is_refused(tmp_path: Path, first_s, last_s):
+    file = tmp_path / "file.csv"
+    file.write_text(HEADER + f"{first_s},3,0,0,0,0,0\n{last_s},4,0,0,0,0,0\n")
+    chosen = with_objects({"moving": {"path": str(file)}}, locations=1, frames_per_location=2)
+    with pytest.raises(FactoryError, match=r"moving_objects\.0\.moving\.path.*outside"):
+        SeabedReader(chosen).discover()
+    longer = with_objects({"moving": {"path": str(file)}}, locations=1, frames_per_location=2000)
+    if first_s > 0:
+        assert SeabedReader(longer).discover().frames
 
 
 def test_a_path_is_followed_from_the_sonars_first_place(tmp_path: Path):
