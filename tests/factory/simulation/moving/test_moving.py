@@ -22,7 +22,7 @@ from simnfnd.factory.simulation.moving.fish import SwimmingWave, fish_mesh, love
 from simnfnd.factory.simulation.noise.draws import StreamNames, draw
 from simnfnd.factory.simulation.pairs.pair_maker import make_pair, observe_moment
 from simnfnd.factory.simulation.render.view import decode, encode, view_of
-from simnfnd.factory.simulation.scenes.moving import largest_track_bytes, waypoints
+from simnfnd.factory.simulation.scenes.moving import TRACKS_BYTES, largest_track_bytes, waypoints
 from simnfnd.factory.simulation.scenes.seabed import SeabedReader, SeabedSettings
 from tests.factory.simulation.moving.stage import Line, ball, moment, plane, settings, slab
 
@@ -292,18 +292,22 @@ def test_a_school_that_the_tracks_cannot_hold_is_refused():
         scenes = {"kind": "seabed", "frame_rate_hz": 10, "moving_objects": [school]}
         return settings(scenes=scenes, dataset={"columns": ["tracks"]})
 
-    assert chosen(80)
+    capacity = TRACKS_BYTES // largest_track_bytes("Fish")
+    assert 60 < capacity < 120
+    assert chosen(capacity)
     assert chosen({"normal": [20, 5]})
-    for count in (300, {"uniform": [1, 300]}):
+    for count in (capacity + 1, {"uniform": [1, 300]}):
         with pytest.raises(FactoryError, match=r"dataset\.columns.*school\.count"):
             chosen(count)
     with pytest.raises(FactoryError, match=r"dataset\.columns"):
-        chosen(80, "A fish with a name that is forty letters")
+        chosen(capacity, "A fish with a longer name")
 
 
 def test_no_entry_of_the_tracks_is_longer_than_expected():
     actor = ball(Line((4.0, 0.0, 0.0)), number=9999, class_name="Ball")
-    lit = observe_moment(moment([actor]), settings(dataset={"columns": ["tracks"]})).columns
+    scenes = {"kind": "seabed", "frame_rate_hz": 10, "moving_objects": [{}]}
+    chosen = settings(scenes=scenes, dataset={"columns": ["tracks"]})
+    lit = observe_moment(moment([actor]), chosen).columns
     text = str(lit["tracks"])
     assert len(json.loads(text)) == 1
     assert 100 < len(text) <= largest_track_bytes("Ball") + 1
