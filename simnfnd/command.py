@@ -113,18 +113,18 @@ def _verb_for(verb: str, path: Path) -> str:
 
 def overview() -> str:
     """What `simnfnd --help` prints."""
-    lines = ["simnfnd VERB ...: sonar images with a known truth, and denoisers made of them"]
+    lines = ["simnfnd VERB ...: make pairs of noisy and clean sonar images, and denoise recordings"]
     for group in dict.fromkeys(verb.group for verb in VERBS.values()):
         lines += ["", f"{group}:"]
         lines += [
             f"  {name:<17} {verb.line}" for name, verb in VERBS.items() if verb.group == group
         ]
-    more = "`simnfnd VERB --help` tells more about one, `simnfnd --version` the version."
+    more = "`simnfnd VERB --help` explains a verb; `simnfnd --version` prints the version."
     return "\n".join([*lines, "", more])
 
 
 def head(name: str, verb: Verb) -> str:
-    """What `simnfnd VERB --help` begins with; the options or configuration groups follow."""
+    """Return the start of `simnfnd VERB --help`; options or configuration groups follow."""
     lines = [f"simnfnd {name}: {verb.line}", "", "Examples:"]
     lines += [f"  {example}" for example in verb.examples]
     sub_verbs = {key: sub_verb for key, sub_verb in VERBS.items() if key.startswith(f"{name} ")}

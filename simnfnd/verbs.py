@@ -28,7 +28,7 @@ class Verb(NamedTuple):
 
 MAKE = "Make datasets"
 LOOK = "Look at datasets"
-PASS_ON = "Pass datasets on"
+PASS_ON = "Merge and convert"
 DENOISE = "Denoise"
 JUDGE = "Judge"
 _COMMANDS = "simnfnd.factory.production.commands"
@@ -39,13 +39,13 @@ _TORCH = ("torch", "safetensors", *_SONAR)
 
 VERBS: dict[str, Verb] = {
     "demo": Verb(
-        MAKE, "two small datasets of procedural scenes, one a profile, with a figure of both",
+        MAKE, "make two small datasets, with the paper's points and by the sonar equation",
         f"{_COMMANDS}.make:demo",
         ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
         hydra=True,
     ),
     "make": Verb(
-        MAKE, "a dataset as the configuration says; -m for a sweep", f"{_COMMANDS}.make:main",
+        MAKE, "make a dataset from a configuration; -m makes a sweep", f"{_COMMANDS}.make:main",
         (
             "simnfnd make experiment=simnfnd scenes.root=flsea-vi dataset.dir=outputs/flsea",
             "simnfnd make render=analytic scenes=csv_list scenes.file=frames.csv "
@@ -56,12 +56,12 @@ VERBS: dict[str, Verb] = {
         hydra=True,
     ),
     "plan": Verb(
-        MAKE, "what `make` would make, and the disk, memory and time it would take",
+        MAKE, "estimate what `make` would make, and its disk, memory and time",
         f"{_COMMANDS}.plan:main",
         ("simnfnd plan experiment=simnfnd scenes.root=flsea-vi", "simnfnd plan -m seed=1,2,3"),
     ),
     "cache": Verb(
-        MAKE, "the renders that are kept on disk: stats, pack, clear",
+        MAKE, "manage the renders kept on disk: stats, pack, clear",
         f"{_COMMANDS}.cache:main",
         (
             "simnfnd cache stats",
@@ -70,7 +70,8 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "status": Verb(
-        LOOK, "how far a dataset is, which frames failed and why", f"{_COMMANDS}.status:main",
+        LOOK, "show the progress of a dataset, and which frames failed and why",
+        f"{_COMMANDS}.status:main",
         (
             "simnfnd status outputs/demo",
             "simnfnd status outputs/demo --failed",
@@ -78,19 +79,20 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.viewer:sheet",
+        LOOK, "draw a contact sheet of a dataset or recording",
+        "simnfnd.evaluation.viewer.viewer:sheet",
         (
             "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
             "simnfnd preview dive.aris --out outputs/dive.png",
         ),
     ),
     "view": Verb(
-        LOOK, "a dataset or recording in the browser, before and after",
+        LOOK, "show a dataset or recording in the browser, before and after",
         "simnfnd.evaluation.viewer.viewer:view",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "lab": Verb(
-        LOOK, "noise parameters chosen by eye in the browser, beside a real image",
+        LOOK, "choose noise parameters by eye in the browser, beside a real image",
         "simnfnd.evaluation.lab.command:main",
         (
             "simnfnd lab didson_hf dive.avi",
@@ -100,18 +102,18 @@ VERBS: dict[str, Verb] = {
         needs=_SONAR,
     ),
     "inspect": Verb(
-        LOOK, "what is in a dataset", f"{_COMMANDS}.inspect:main", ("simnfnd inspect outputs/demo",)
+        LOOK, "summarise a dataset", f"{_COMMANDS}.inspect:main", ("simnfnd inspect outputs/demo",)
     ),
     "validate": Verb(
-        LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.inspect:check",
+        LOOK, "check that a dataset is complete and consistent", f"{_COMMANDS}.inspect:check",
         ("simnfnd validate outputs/demo --deep",),
     ),
     "merge": Verb(
-        PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
+        PASS_ON, "merge several datasets into one", f"{_COMMANDS}.merge:main",
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
     ),
     "export": Verb(
-        PASS_ON, "a dataset (Hugging Face, COCO, MCAP, PLY ...) or a recording (mp4, png, csv)",
+        PASS_ON, "convert a dataset (Hugging Face, COCO, MCAP ...) or a recording (mp4, png, csv)",
         "simnfnd.models.exporting.recordings:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
@@ -121,12 +123,12 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "train": Verb(
-        DENOISE, "a denoiser on a dataset", "simnfnd.models.training:main",
+        DENOISE, "train a denoiser on a dataset", "simnfnd.models.training:main",
         ("simnfnd train dataset=outputs/demo model=sonarnet train.steps=200 name=small",),
         needs=_TORCH, hydra=True,
     ),
     "denoise": Verb(
-        DENOISE, "images, videos, datasets, recordings of sonars and bags",
+        DENOISE, "denoise images, videos, datasets, recordings of sonars and bags",
         "simnfnd.models.denoise.command:main",
         (
             "simnfnd denoise outputs/demo --out outputs/denoised",
@@ -139,7 +141,7 @@ VERBS: dict[str, Verb] = {
         needs=_NETWORK,
     ),
     "adapt": Verb(
-        DENOISE, "weights fitted to your own recordings, without any truth",
+        DENOISE, "fit weights to your own recordings, without ground truth",
         "simnfnd.models.adapting.command:main",
         (
             "simnfnd adapt dive.aris --out own.safetensors",
@@ -149,7 +151,7 @@ VERBS: dict[str, Verb] = {
         needs=_TORCH,
     ),
     "export-weights": Verb(
-        DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
+        DENOISE, "write trained weights in 16 bits with a model card, or as ONNX",
         "simnfnd.models.exporting.export:main",
         (
             "simnfnd export-weights outputs/models/sonarnet/weights.safetensors "
@@ -159,7 +161,7 @@ VERBS: dict[str, Verb] = {
         needs=_TORCH,
     ),
     "evaluate": Verb(
-        JUDGE, "the report on a dataset, and on methods that denoise it",
+        JUDGE, "report on a dataset and on methods that denoise it",
         "simnfnd.evaluation.commands:report",
         (
             "simnfnd evaluate dataset=outputs/demo",
@@ -170,40 +172,40 @@ VERBS: dict[str, Verb] = {
         needs=("pandas", "skimage", *_SONAR), hydra=True,
     ),
     "evaluate tune": Verb(
-        JUDGE, "the best parameters of the classical filters first",
+        JUDGE, "find the best parameters of the classical filters",
         "simnfnd.evaluation.commands:tune",
         ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
         needs=("torch", "skimage", *_SONAR), hydra=True,
     ),
     "evaluate paper": Verb(
-        JUDGE, "the paper's Tables 2 and 3: dataset, trainings and report",
+        JUDGE, "reproduce the paper's Tables 2 and 3: dataset, trainings and report",
         "simnfnd.evaluation.report.paper:main",
         ("simnfnd evaluate paper --quick",
          "simnfnd evaluate paper --scenes flsea-vi --real mdd"),
         needs=("pandas", "skimage", *_TORCH),
     ),
     "evaluate compare": Verb(
-        JUDGE, "is one report's row better than another's",
+        JUDGE, "test whether one report's row is better than another's",
         "simnfnd.evaluation.report.compare:main",
         ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
          "--row-b noisy",),
         needs=("pandas", *_SONAR),
     ),
     "evaluate real": Verb(
-        JUDGE, "what methods make of real images and recordings",
+        JUDGE, "judge methods on real images and recordings",
         "simnfnd.evaluation.commands:real",
         ("simnfnd evaluate real mdd models=[simnfnd]",),
         needs=("skimage", *_SONAR), hydra=True,
     ),
     "evaluate detect": Verb(
-        JUDGE, "what denoising leaves of moving targets inserted into recordings",
+        JUDGE, "measure what denoising leaves of moving targets inserted into recordings",
         "simnfnd.evaluation.commands:detect",
         ("simnfnd evaluate detect dive.avi", "simnfnd evaluate detect dive.avi frames=[7] "
          "models=[simnfnd,own.safetensors] contrasts=[1,2]"),
         needs=("pandas", "skimage", *_SONAR), hydra=True,
     ),
     "evaluate transfer": Verb(
-        JUDGE, "what a detector that learned from a dataset finds in real images",
+        JUDGE, "measure what a detector that learned from a dataset finds in real images",
         "simnfnd.evaluation.commands:transfer",
         ("simnfnd evaluate transfer outputs/objects tank ignore=[Wall]",
          "simnfnd evaluate transfer outputs/objects tank --quick",
@@ -211,13 +213,13 @@ VERBS: dict[str, Verb] = {
         needs=("pandas", "pycocotools", *_TORCH), hydra=True,
     ),
     "evaluate realism": Verb(
-        JUDGE, "how near datasets are to real images",
+        JUDGE, "measure how close datasets come to real images",
         "simnfnd.evaluation.commands:realism",
         ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
         needs=("skimage", *_SONAR), hydra=True,
     ),
     "evaluate fit": Verb(
-        JUDGE, "the noise parameters that come nearest to real images",
+        JUDGE, "search the noise parameters that come closest to real images",
         "simnfnd.evaluation.commands:fit",
         ("simnfnd evaluate fit mdd name=mine trials=100",
          "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "

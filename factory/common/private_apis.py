@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import signal
 from contextlib import suppress
-from multiprocessing import forkserver
 from typing import Any
 
 
@@ -42,4 +41,6 @@ def kill_fork_server() -> None:
 
 
 def _fork_server() -> Any:
+    from multiprocessing import forkserver  # `simnfnd --help` must not wait for it
+
     return vars(forkserver)["_forkserver"]
