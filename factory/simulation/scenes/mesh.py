@@ -231,7 +231,7 @@ class MeshReader:
         try:
             return checked(frame)
         except FrameError as error:
-            if settings.poses is None or frame.depth_m.any():
+            if settings.poses is None:
                 raise
             remark = axes_remark(settings.poses_frame, viewpoint.matrix[:3, 2])
             raise FrameError(f"{error}; {remark}") from error
