@@ -49,10 +49,10 @@ def test_text_of_a_dataset_means_itself(text: str, monkeypatch: pytest.MonkeyPat
 def test_files_in_lists_mean_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SIMNFND_SECRET", "hidden")
     config = compose(
-        ["scenes.own_objects=[{file: /tmp/a.ply, class: crate, per_place: [1, 1]}]"]
+        ["scenes.own_objects=[{file: meshes/a.ply, class: crate, per_place: [1, 1]}]"]
     ).config
     values = plain(config)
-    name = "/tmp/${oc.env:SIMNFND_SECRET} (1), b=c.ply"
+    name = "meshes/${oc.env:SIMNFND_SECRET} (1), b=c.ply"
     values["scenes"]["own_objects"][0]["file"] = name
     again: Any = compose(words_of(from_mapping(values))).config.scenes
     assert again.own_objects[0].file == name
