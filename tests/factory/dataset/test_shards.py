@@ -105,7 +105,9 @@ PYTHON = [step for step in steps(ROOT / "docs" / "dataset.md") if step.kind == "
 def test_every_layer_column_and_attribute_is_documented() -> None:
     """By its name, and with its type, unit and meaning in the same line of a table."""
     lines = [line for line in PAGE.splitlines() if line.startswith("| ")]
-    requested_columns = requested(("pose", "intrinsics", "calibration", "boxes", "tracks"))
+    requested_columns = requested(
+        ("pose", "intrinsics", "calibration", "boxes", "visibility", "tracks")
+    )
     expected = [
         *((f"/{entry.name}", entry.units, entry.description) for entry in layers("uint8")),
         *(
