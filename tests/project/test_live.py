@@ -121,7 +121,7 @@ def test_memory_does_not_grow() -> None:
 
     def frames() -> Iterator[Bytes]:
         for number in range(many):
-            side = 24 + number % 12
+            side = 24 + number % 3
             frame = rng.integers(0, 255, (side, 32), dtype=np.uint8)
             yield frame
             yield frame

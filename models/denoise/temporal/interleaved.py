@@ -18,6 +18,7 @@ from .strength import Strength
 _PAUSE = 32
 """Frames of other kinds after which a stream no longer waits for the next one of its own."""
 _MOST_NAMED = 6
+_MOST_REMEMBERED = 64  # kinds: a live stream has no end
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +72,9 @@ class Interleaved:
         self._place = 0
         self._finished: dict[int, tuple[Any, Grey]] = {}
         self._order: deque[int] = deque()  # places of the frames whose results are to come
-        self._kinds: list[Kind] = []
-        self._ended: list[Strength] = []
+        self._kinds: list[Kind] = []  # the first ones
+        self._kind_count = 0
+        self._ended: Strength | None = None  # of the kind that it was fitted to most often
 
     def push(self, shot: Shot) -> Iterator[tuple[Any, Grey]]:
         """Take the next frame; the key of each that is denoised by now and its levels, in order."""
@@ -119,7 +121,9 @@ class Interleaved:
     @property
     def strength(self) -> Strength:
         """The strength of the kind that it was fitted to most often."""
-        strengths = [*self._ended, *(stream.strength for stream in self._in_time())]
+        strengths = [stream.strength for stream in self._in_time()]
+        if self._ended is not None:
+            strengths.append(self._ended)
         return max(strengths, key=lambda strength: strength.measured)
 
     def _in_time(self) -> list[InTime]:
@@ -130,9 +134,9 @@ class Interleaved:
         """What was found in the sequence, line by line."""
         if len(self._kinds) > 1:
             named = ", ".join(self._named(kind) for kind in self._kinds[:_MOST_NAMED])
-            more = len(self._kinds) - _MOST_NAMED
+            more = self._kind_count - _MOST_NAMED
             named += f" and {more} more" if more > 0 else ""
-            yield (f"kinds of frames: {len(self._kinds)}, each denoised among its like: {named}")
+            yield f"kinds of frames: {self._kind_count}, each denoised among its like: {named}"
 
     def _named(self, kind: Kind) -> str:
         """A kind by what tells it from the others, with its frames."""
@@ -156,7 +160,9 @@ class Interleaved:
                 in_time = self._next_stream()
                 stream = _KindStream(in_time, Unrepeated(in_time, self._tally))
                 self._streams[kind] = stream
-                self._kinds.append(kind)
+                self._kind_count += 1
+                if self._kind_count <= _MOST_REMEMBERED:
+                    self._kinds.append(kind)
             stream.is_resting = False
             self._keep(stream.frames.push(_ticketed(shot, self._place, kind)))
             self._let_rest()
@@ -184,7 +190,10 @@ class Interleaved:
     def _end(self, kind: Kind) -> None:
         stream = self._streams.pop(kind)
         self._keep(stream.frames.finish())
-        self._ended.append(stream.in_time.strength)
+        kind.thumbnail = np.zeros((0, 0), np.float32)
+        strength = stream.in_time.strength
+        if self._ended is None or strength.measured > self._ended.measured:
+            self._ended = strength
 
     def _keep(self, results: Iterable[tuple[Any, Grey]]) -> None:
         for ticket, denoised in results:
