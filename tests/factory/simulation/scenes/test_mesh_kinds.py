@@ -270,7 +270,9 @@ def test_texture_coordinates_follow_the_cut_of_a_face(tmp_path: Path) -> None:
 
 
 def test_a_face_of_too_many_corners_is_refused(tmp_path: Path) -> None:
-    comb = "\n".join(f"v {number / 100} {5 * (number % 2)} 0" for number in range(6000))
+    teeth = [(number / 100, 5 * (number % 2)) for number in range(5998)]
+    corners = [*teeth, (60, -1), (0, -1)]
+    comb = "\n".join(f"v {x} {y} 0" for x, y in corners)
     (tmp_path / "comb.obj").write_text(f"{comb}\nf {' '.join(map(str, range(1, 6001)))}\n")
     with pytest.raises(FactoryError, match="6,000 corners"):
         parts_of(tmp_path / "comb.obj")
