@@ -128,7 +128,7 @@ def test_the_python_of_the_documentation_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole(tmp_path / "outputs" / "demo")
-    assert len(PYTHON) == 3
+    assert len(PYTHON) == 2
     for block in PYTHON:
         run(block, tmp_path)
         printed = capsys.readouterr().out
