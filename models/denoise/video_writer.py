@@ -123,14 +123,20 @@ def write_video(
         writer: _StreamWriter | None = None
         for number, timed in enumerate(images):
             if writer is None:
-                size = timed.image.shape[:2]
+                height, width = timed.image.shape[:2]
+                size = height, width
                 writer = _StreamWriter(av, output, codec, video, size, output.mux)
             writer.write(number, timed)
         if writer is not None:
             writer.finish()
-    is_matroska = container in ("matroska", "webm")
-    if writer is not None and is_matroska and video.pixel_aspect != 1:
-        state_pixel_aspect(file, writer.size, video.pixel_aspect)
+    if writer is not None:
+        _state_shape(file, container, video, writer.size)
+
+
+def _state_shape(file: Path, container: str, video: VideoProperties, size: tuple[int, int]) -> None:
+    """State the shape of pixels where FFmpeg does not.  size: (H, W) of the images."""
+    if container in ("matroska", "webm") and video.pixel_aspect != 1:
+        state_pixel_aspect(file, size, video.pixel_aspect)
 
 
 KeepPacket = Callable[[dict[str, Any], memoryview], None]
@@ -157,7 +163,8 @@ class VideoPackets:
     def add(self, timed: TimedImage) -> None:
         """Encode the next image.  Raises FrameError where its size is not that of the first."""
         if self._writer is None:
-            self.size = self.size or timed.image.shape[:2]
+            height, width = timed.image.shape[:2]
+            self.size = self.size or (height, width)
             self._writer = self._opened(self.size)
         self._writer.write(self._count, timed)
         self._count += 1
@@ -218,6 +225,7 @@ def join_packets(
             packet.time_base = Fraction(header["time_base"])
             packet.stream = writer.stream
             output.mux(packet)
+    _state_shape(file, container, video, size)
 
 
 class _StreamWriter:

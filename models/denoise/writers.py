@@ -96,9 +96,12 @@ def _write_pages(partial: Path, images: Iterable[TimedImage], tags: Tags) -> Non
             page = Image.fromarray(np.ascontiguousarray(swapped(timed.image)))
             page_tags = TiffImagePlugin.ImageFileDirectory_v2()
             for tag, value in tags.items():
-                if tag != DESCRIPTION or number == 0:
-                    is_fraction = isinstance(value, tuple)
-                    page_tags[tag] = TiffImagePlugin.IFDRational(*value) if is_fraction else value
+                if tag == DESCRIPTION and number > 0:
+                    continue
+                if isinstance(value, tuple):
+                    page_tags[tag] = TiffImagePlugin.IFDRational(*value)
+                else:
+                    page_tags[tag] = value
             page.save(pages, format="TIFF", compression="tiff_adobe_deflate", tiffinfo=page_tags)
             pages.newFrame()
 

@@ -97,9 +97,10 @@ def decoded(content: bytes, name: str) -> Samples:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise FrameError(f"{name}: not a readable image")
-    if directory is not None and directory.is_white_zero and image.dtype.kind == "u":
-        image = np.iinfo(image.dtype).max - image
-    return as_samples(orientation.upright(np.asarray(image)), name)
+    pixels: Samples = np.asarray(image)
+    if directory is not None and directory.is_white_zero and pixels.dtype.kind == "u":
+        pixels = np.iinfo(pixels.dtype).max - pixels
+    return as_samples(orientation.upright(pixels), name)
 
 
 def read_planes(file: Path | IO[bytes], name: str, page: int = 0) -> Samples:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pytest
 import tifffile
 
+from simnfnd.factory.common.ros_types import typestore
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.temporal.brightness import gain_of
@@ -20,7 +21,7 @@ from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.device_settings import DeviceSettings, settings_in_name
 from tests.models.denoise.test_temporal import as_it_is, noisy, scene
 from tests.models.denoise.untrained import Halving
-from tests.models.recordings.bag_files import sonar, typestore, write_bag
+from tests.models.recordings.bag_files import sonar, write_bag
 from tests.models.recordings.recording_files import write_aris
 
 Frames = npt.NDArray[Any]
@@ -35,11 +36,12 @@ def static(seed: int, *, count: int = COUNT, level: float = 1.0, side: int = SID
     """(count, side, side) float32 in 0..1: one scene with noise of its own in each frame."""
     truth = scene(side, seed) * np.float32(level)
     frames = [noisy(truth / level, 100 * seed + number) * level for number in range(count)]
-    return np.stack(frames).astype(np.float32)
+    stack: Frames = np.stack(frames).astype(np.float32)
+    return stack
 
 
 def denoised(
-    frames: Sequence[Frames],
+    frames: Frames,
     settings: Sequence[DeviceSettings] | None = None,
     **options: Any,
 ) -> tuple[Frames, str]:
@@ -170,7 +172,7 @@ def test_settings(first: DeviceSettings, second: DeviceSettings, is_like: bool) 
 @pytest.mark.usefixtures("halving")
 @pytest.mark.parametrize("change", [{"offset_440": 0}, {"offset_68": 12}, {"offset_444": 40}])
 def test_headers_of_aris_that_take_turns(
-    tmp_path: Path, change: dict[str, int], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, change: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Frequency, gain and pulse."""
     samples = np.rint(static(3, side=64, count=8)[:, :, :48] * 255).astype(np.uint8)

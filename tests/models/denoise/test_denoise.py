@@ -103,7 +103,11 @@ def test_images_keep_name_size_and_dtype(
 def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:
     weights = untrained_sonarnet(tmp_path)
     grey = fan_images(40, np.random.default_rng(0))[0].astype(np.float32)
-    whole, half, none = (Denoiser(weights, "cpu", strength=part)(grey) for part in (1.0, 0.5, 0.0))
+    network = Denoiser(weights, "cpu")
+    whole, half, none = (
+        Denoising(network, strength=part).denoise_image(grey, lambda _: None).image
+        for part in (1.0, 0.5, 0.0)
+    )
     np.testing.assert_array_equal(none, grey)
     assert np.abs(whole - grey).max() > 0.01
     inside = (whole > 0) & (whole < 1)

@@ -42,7 +42,7 @@ def recorded(name: str) -> Frames:
     file, count, part = EXAMPLES[name]
     with open_recording(ROOT / "examples" / file) as recording:
         frames = [recording[number].samples[part] for number in range(count)]
-    result = np.stack(frames)
+    result: Frames = np.stack(frames)
     result.setflags(write=False)
     return result
 
