@@ -42,7 +42,8 @@ SHOWN = {
     for card in sorted((ROOT / "models/pretrained").glob("*.md"))
 } | {
     f"examples/{script.name}": f"reference/{script.name}"
-    for script in sorted((ROOT / "examples").glob("*.py"))
+    for script in sorted((ROOT / "examples").iterdir())
+    if script.suffix in (".py", ".cpp")
 } | {
     path.relative_to(ROOT).as_posix(): f"reference/{path.relative_to(ROOT).as_posix()}"
     for path in sorted((ROOT / "conf").rglob("*.yaml"))
