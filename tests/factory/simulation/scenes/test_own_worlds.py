@@ -230,7 +230,7 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
     assert validate(out, deep=True).findings == ()
     export(out, "coco", tmp_path / "coco")
     document = json.loads((tmp_path / "coco/annotations/instances_train.json").read_text())
-    assert document["categories"][-1] == {"id": 21, "name": "target", "supercategory": "object"}
+    assert document["categories"][-1] == {"id": 1, "name": "target", "supercategory": "object"}
     config = compose_config(words)
     with h5py.File(out / "train/shard-00000.h5") as shard:
         assert list(shard["segmentation"].attrs["classes"])[21:] == ["target"]
@@ -263,7 +263,7 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
             assert entry["range_m"] == pytest.approx(spans[0], abs=0.02)
             assert entry["bearing_deg"] == pytest.approx(np.rad2deg(spans[1]), abs=0.3)
     export(out, "yolo", tmp_path / "yolo")
-    assert "20: target" in (tmp_path / "yolo/data.yaml").read_text()
+    assert "0: target" in (tmp_path / "yolo/data.yaml").read_text()
     export(out, "huggingface", tmp_path / "hub")
     import datasets
 
