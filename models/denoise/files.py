@@ -256,8 +256,8 @@ class _Run:
                 panels = frame.samples, denoised.image, denoised.removed.shown()
                 self._shown.append(Compared(*(view_of(frame, panel) for panel in panels)))
             if self._job.video is not None:
-                views = (view_of(frame, image) for image in (frame.samples, denoised.image))
-                self._job.video.add(*views, frame.time_s)
+                noisy = view_of(frame, frame.samples)
+                self._job.video.add(noisy, view_of(frame, denoised.image), frame.time_s)
             self._result.add(frame, denoised.image)
             self._job.bar.update()
 

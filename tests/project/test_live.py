@@ -7,6 +7,7 @@ import sys
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,7 @@ def frames_of(count: int, side: int = 64) -> Bytes:
     """(count, side, side): a static scene in noise."""
     ground = scene(0, side, side)
     stack = np.stack([noisy(ground, number) for number in range(count)])
-    return np.rint(stack * 255).astype(np.uint8)
+    return np.asarray(np.rint(stack * 255), np.uint8)
 
 
 def test_a_stream_has_the_bytes_of_the_command(tmp_path: Path) -> None:
@@ -92,7 +93,7 @@ def test_frames_may_change_their_size_and_shape() -> None:
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
 def test_a_frame_keeps_its_type(dtype: type) -> None:
     full = 1 if np.dtype(dtype).kind == "f" else np.iinfo(dtype).max
-    frame = (np.random.default_rng(0).random((40, 48)) * full).astype(dtype)
+    frame: np.ndarray = (np.random.default_rng(0).random((40, 48)) * full).astype(dtype)
     with simnfnd.Denoiser(geometry=None, frames=1) as stream:
         assert stream(frame).dtype == dtype
 
@@ -165,6 +166,7 @@ def test_geometry_is_stated_or_refused(tmp_path: Path) -> None:
         simnfnd.denoise(frame.image, geometry=frame),
         simnfnd.denoise(frame.image, geometry=frame.geometry),
     )
+    geometry: Any
     for array, geometry in (
         (samples, frame.geometry),
         (frame.image, frame.samples_geometry),
@@ -203,6 +205,8 @@ def test_the_opening_of_polar_images_is_stated_or_said() -> None:
     [("device", "cuda"), ("device", "nonsense"), ("frames", 4), ("frames", 33), ("strength", 2)],
 )
 def test_parameters_are_checked_in_words_of_python(name: str, value: object) -> None:
-    for make in (lambda **given: simnfnd.denoise(np.zeros((8, 8)), **given), simnfnd.Denoiser):
+    denoise: Any = simnfnd.denoise
+    stream: Any = simnfnd.Denoiser
+    for make in (lambda **given: denoise(np.zeros((8, 8)), **given), stream):
         with pytest.raises(ValueError, match=f"^{name}={value!r}"):
             make(**{name: value})

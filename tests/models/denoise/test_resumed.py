@@ -53,7 +53,7 @@ def moving_scene(count: int = FRAMES, side: int = 48) -> Bytes:
     ground = scene(0, side, side)
     frames = [noisy(np.roll(ground, number // 9, 1), number) for number in range(count)]
     frames[20:21] = frames[19:20]
-    return np.rint(np.stack(frames) * 255).astype(np.uint8)
+    return np.asarray(np.rint(np.stack(frames) * 255), np.uint8)
 
 
 def write_video(path: Path) -> None:
@@ -136,7 +136,7 @@ def test_a_killed_run_goes_on(tmp_path: Path) -> None:
     words = [str(tmp_path / "a.avi"), "--frames", "3", "--geometry", "none", "--out"]
 
     def run(at: int, out: str) -> subprocess.CompletedProcess[str]:
-        call = [sys.executable, script, str(at), *words, str(tmp_path / out)]
+        call = [sys.executable, str(script), str(at), *words, str(tmp_path / out)]
         return subprocess.run(call, capture_output=True, text=True, env={**os.environ})
 
     assert run(0, "whole").returncode == 0

@@ -164,7 +164,12 @@ def test_scenes_with_a_clock_keep_their_times() -> None:
     clock_s = 1.7e9
 
     def sample(scene: str, time_s: float) -> Any:
-        record = {"location": "a", "scene": scene, "variant": 0, "time_s": time_s}
+        record: dict[str, float | int | str] = {
+            "location": "a",
+            "scene": scene,
+            "variant": 0,
+            "time_s": time_s,
+        }
         return Sample("train", 0, {}, record)
 
     times = [("a", clock_s), ("a", clock_s + 2), ("b", clock_s + 1), ("c", clock_s + 60), ("d", 3)]
