@@ -160,6 +160,7 @@ class TransferSettings:
     ignore: list[str]
     class_names: dict[str, str]
     padding: Annotated[float, Field(ge=0, le=0.2)]
+    margin: Annotated[float, Field(ge=-0.2, le=0.2)]
     clutter: bool
     arms: Annotated[list[ArmName], Field(min_length=1)]
     shares: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=1)]

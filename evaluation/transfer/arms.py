@@ -101,6 +101,7 @@ class Comparison:
         facts = {
             "about": f"{len(self.simulated)} simulated images",
             "padding": settings.padding,
+            "margin": settings.margin,
             "simulated": digest_of(self.simulated),
         }
         schedule = Schedule(settings.steps, settings.batch, settings.learning_rate, settings.seed)
@@ -160,10 +161,10 @@ class Comparison:
         """Detections in some real images, with the labels of the real classes."""
         own = {name: label for label, name in enumerate(self.real.classes)}
         renumbered = np.array([own.get(name, UNKNOWN) for name in trained.classes], np.int64)
-        images = [self.working[number] for number in numbers]
+        images = [self.real.images[number].labelled for number in numbers]
         return [
             Detections(found.boxes, found.scores, renumbered[found.labels])
-            for found in detect(trained.network, images)
+            for found in detect(trained, images)
         ]
 
     def _countable(self, found: Sequence[Detections]) -> list[Detections]:

@@ -131,7 +131,7 @@ def _categories(path: Path, content: Mapping[str, Any]) -> dict[int, str]:
     """Number -> name of every class."""
     categories: dict[int, str] = {}
     for entry in _entries(path, content, "categories"):
-        number = entry.get("id")
+        number: Any = entry.get("id")
         name = entry.get("name")
         if not _is_whole(number) or not isinstance(name, str) or not name:
             raise FactoryError(f"{path}: a category needs a whole number `id` and a `name`")

@@ -46,7 +46,7 @@ HOW = (
     "Intervals: 95 % bootstrap that draws groups of images. Arms with real labels are "
     "cross-validated: a group is never split, and a detector never saw images of the groups it is "
     "judged on. The detector is a network of at most one million parameters, the same in all arms; "
-    "an image and its mirror image are averaged.",
+    "it looks at each image in three sizes, mirrored and not.",
 )
 
 
@@ -293,14 +293,11 @@ def _simulated_figures(comparison: Comparison) -> Figures | None:
     """Those of simulation alone on simulated images that it did not learn from."""
     if comparison.trained is None or not comparison.held_out:
         return None
-    held_out = [RealImage(w.labelled, w.labelled.boxes[:0]) for w in comparison.held_out]
-    found = detect(comparison.trained.network, comparison.held_out)
-    # Boxes are those at the detector's size.
-    scaled = [
-        type(one)(one.boxes * np.float32(w.scale), one.scores, one.labels)
-        for one, w in zip(found, comparison.held_out, strict=True)
+    held_out = [
+        RealImage(working.labelled, working.labelled.boxes[:0]) for working in comparison.held_out
     ]
-    figures, _ = figures_of(held_out, scaled, None, np.zeros((0, len(held_out)), np.int64))
+    found = detect(comparison.trained, [image.labelled for image in held_out])
+    figures, _ = figures_of(held_out, found, None, np.zeros((0, len(held_out)), np.int64))
     return figures
 
 

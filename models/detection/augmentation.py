@@ -90,7 +90,8 @@ def _vary_gain(image: Values, rng: Generator) -> Values:
     height, width = image.shape
     coarse = rng.normal(0, 0.15, (5, 3)).astype(np.float32)
     coarse += rng.normal(0, 0.25, (5, 1)).astype(np.float32)
-    log_gain = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    resized = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    log_gain = np.asarray(resized, np.float32)
     if rng.random() < 0.5:
         log_gain += _range_step(height, width, rng)
     gamma = float(np.exp(rng.uniform(-0.6, 0.6)))
@@ -114,7 +115,8 @@ def _vary_grain(image: Values, rng: Generator) -> Values:
     """Blur, speckle, a noise floor and lines along the range."""
     height, width = image.shape
     if rng.random() < 0.5:
-        image = cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.3, 1.0)))
+        blurred = cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.3, 1.0)))
+        image = np.asarray(blurred, np.float32)
     if rng.random() < 0.6:
         grain = _noise((height, width), float(rng.uniform(0, 0.8)), rng)
         image = image * np.exp(float(rng.uniform(0.0, 0.25)) * grain)

@@ -25,13 +25,14 @@ def add_clutter(image: Values, boxes: Boxes, rng: Generator) -> Values:
         draw = (_draw_rope, _draw_grid, _draw_blob, _draw_blob, _draw_arc)[int(rng.integers(5))]
         draw(layer, rng)
     if rng.random() < 0.3:
-        wall = _wall(image.shape, rng)
+        height, width = image.shape
+        wall = _wall(height, width, rng)
         if not _covers_objects(wall, boxes):
             layer = np.maximum(layer, wall)
-    layer = cv2.GaussianBlur(layer, (0, 0), float(rng.uniform(0.5, 1.2)))
+    blurred = cv2.GaussianBlur(layer, (0, 0), float(rng.uniform(0.5, 1.2)))
     grain = np.sqrt(rng.exponential(1.0, image.shape)).astype(np.float32)
     grain = np.clip(grain, 0.2, 1.6)
-    return np.asarray(np.clip(np.maximum(image, layer * grain), 0, 1), np.float32)
+    return np.asarray(np.clip(np.maximum(image, blurred * grain), 0, 1), np.float32)
 
 
 def add_shadows(image: Values, rng: Generator) -> Values:
@@ -52,7 +53,7 @@ def add_shadows(image: Values, rng: Generator) -> Values:
                 [x - 0.8 * half_width, bottom],
             ]
         )
-        cv2.fillPoly(layer, [corners.astype(np.int32)], float(rng.uniform(0.2, 0.7)))
+        cv2.fillPoly(layer, [corners.astype(np.int32)], (float(rng.uniform(0.2, 0.7)),))
     return np.asarray(image * cv2.GaussianBlur(layer, (0, 0), 1.5), np.float32)
 
 
@@ -69,7 +70,7 @@ def _draw_rope(layer: Values, rng: Generator) -> None:
     for begin in np.arange(0, length, 2 * dash):
         ends = [start + direction * at for at in (begin, min(begin + dash, length))]
         first, last = (tuple(np.rint(end).astype(int).tolist()) for end in ends)
-        cv2.line(layer, first, last, level, thickness)
+        cv2.line(layer, first, last, (level,), thickness)
 
 
 def _draw_grid(layer: Values, rng: Generator) -> None:
@@ -83,7 +84,7 @@ def _draw_grid(layer: Values, rng: Generator) -> None:
     for row in range(int(rng.integers(1, 6))):
         for column in range(int(rng.integers(3, 14))):
             start = (int(x + column * step_x), int(y + row * step_y))
-            cv2.line(layer, start, (start[0], start[1] + stroke), level, 1)
+            cv2.line(layer, start, (start[0], start[1] + stroke), (level,), 1)
 
 
 def _draw_blob(layer: Values, rng: Generator) -> None:
@@ -94,7 +95,7 @@ def _draw_blob(layer: Values, rng: Generator) -> None:
     for _ in range(int(rng.integers(1, 4))):
         centre = (int(x + rng.normal(0, 3)), int(y + rng.normal(0, 3)))
         axes = (int(rng.integers(1, 6)), int(rng.integers(1, 4)))
-        cv2.ellipse(layer, centre, axes, float(rng.uniform(-40, 40)), 0, 360, level, -1)
+        cv2.ellipse(layer, centre, axes, float(rng.uniform(-40, 40)), 0, 360, (level,), -1)
 
 
 def _draw_arc(layer: Values, rng: Generator) -> None:
@@ -106,13 +107,12 @@ def _draw_arc(layer: Values, rng: Generator) -> None:
     half_deg = float(rng.uniform(1, 12))
     level = float(rng.uniform(0.25, 0.8))
     ends_deg = (middle_deg - half_deg, middle_deg + half_deg)
-    cv2.ellipse(layer, apex, (radius, radius), 0, *ends_deg, level, int(rng.integers(1, 4)))
+    cv2.ellipse(layer, apex, (radius, radius), 0, *ends_deg, (level,), int(rng.integers(1, 4)))
 
 
-def _wall(shape: tuple[int, int], rng: Generator) -> Values:
+def _wall(height: int, width: int, rng: Generator) -> Values:
     """A wide striped band across the far part of the fan, (H, W)."""
-    height, width = shape
-    layer = np.zeros(shape, np.float32)
+    layer = np.zeros((height, width), np.float32)
     y = float(rng.uniform(-0.02, 0.25)) * height
     slope = float(rng.normal(0, 0.4))
     thickness = float(rng.uniform(6, 40))
@@ -123,7 +123,7 @@ def _wall(shape: tuple[int, int], rng: Generator) -> Values:
         stripe = int(max(2, thickness * rng.uniform(0.1, 0.6)))
         start = (int(left), int(y + offset + slope * (left - width / 2)))
         end = (width, int(y + offset + slope * width / 2))
-        cv2.line(layer, start, end, level * float(rng.uniform(0.5, 1)), stripe)
+        cv2.line(layer, start, end, (level * float(rng.uniform(0.5, 1)),), stripe)
     return layer
 
 

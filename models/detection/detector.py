@@ -14,11 +14,20 @@ from torch.nn import functional
 
 from . import SHIPPED_NAME, find_detector
 from .augmentation import place_unchanged
-from .boxes import Boxes, clip_boxes, no_boxes, suppress_duplicates
+from .boxes import (
+    Boxes,
+    clip_boxes,
+    grow_boxes,
+    intersection_over_union,
+    no_boxes,
+    suppress_duplicates,
+)
 from .images import LabelledImage, Labels, WorkingImage, canvas_shape, scale_image
 from .network import DIVISOR, STRIDE, DetectorNetwork, Outputs
-from .weights import load_detector
+from .weights import TrainedDetector, load_detector
 
+_SIDES_PX = (112, 160, 224)
+"""Longer sides at which an image is looked at: objects come in more sizes than a dataset has."""
 _MOST = 40  # detections in an image
 _LEAST_SCORE = 0.01
 _SAME_IOU = 0.45  # detections that overlap more are of one object
@@ -62,30 +71,80 @@ def find_objects(
     wrote, or the name of the one that ships.  Raises FactoryError when there is no such detector.
     """
     trained = load_detector(find_detector(detector))
+    unlabelled = [
+        LabelledImage("", "", image, no_boxes(), np.zeros(0, np.int64)) for image in images
+    ]
     return [
         [
             FoundObject(trained.classes[label], float(score), *map(float, box))
             for box, score, label in zip(found.boxes, found.scores, found.labels, strict=True)
         ]
-        for found in detect(trained.network, [scale_image(_unlabelled(image)) for image in images])
+        for found in detect(trained, unlabelled)
     ]
 
 
-def _unlabelled(image: npt.NDArray[np.uint8]) -> LabelledImage:
-    return LabelledImage("", "", image, no_boxes(), np.zeros(0, np.int64))
+def detect(trained: TrainedDetector, images: Sequence[LabelledImage]) -> list[Detections]:
+    """The objects in each image, in its own pixels.
+
+    Every image is looked at in three sizes, each as it is and mirrored.
+    """
+    by_size = [_detect_at(trained.network, images, side_px) for side_px in _SIDES_PX]
+    found = []
+    for image, views in zip(images, zip(*by_size, strict=True), strict=True):
+        fused = _fuse(views)
+        margin_px = trained.margin * max(image.image.shape)
+        boxes = grow_boxes(fused.boxes, margin_px, *image.image.shape)
+        found.append(Detections(boxes, fused.scores, fused.labels))
+    return found
 
 
-def detect(network: DetectorNetwork, images: Sequence[WorkingImage]) -> list[Detections]:
-    """The objects in each image; outputs of an image and its mirror image are averaged."""
+def _detect_at(
+    network: DetectorNetwork, images: Sequence[LabelledImage], side_px: int
+) -> list[Detections]:
+    """The objects in each image at one size; views and mirrored views are averaged."""
     found: list[Detections] = []
     for start in range(0, len(images), _BATCH):
-        batch = images[start : start + _BATCH]
+        batch = [scale_image(image, side_px) for image in images[start : start + _BATCH]]
         shape = canvas_shape(batch, DIVISOR)
         inputs = np.stack([place_unchanged(working, shape)[0] for working in batch])
         outputs = _with_mirror(network, torch.from_numpy(inputs))
         for number, working in enumerate(batch):
             found.append(_decode(outputs, number, working))
     return found
+
+
+def _fuse(views: Sequence[Detections]) -> Detections:
+    """One detection of all that overlap: the mean box, weighted by the scores.
+
+    Its score is the mean of the best one and of the mean over all views, so that an object that is
+    found in one size alone counts, and one that is found in all of them counts more (after Solovyev
+    et al. 2021, "Weighted boxes fusion").
+    """
+    boxes = np.concatenate([view.boxes for view in views])
+    scores = np.concatenate([view.scores for view in views])
+    labels = np.concatenate([view.labels for view in views])
+    order = np.argsort(-scores, kind="stable")
+    overlap = intersection_over_union(boxes, boxes)
+    is_free = np.ones(len(boxes), bool)
+    fused: list[tuple[npt.NDArray[np.float32], float, int]] = []
+    for best in order:
+        if not is_free[best]:
+            continue
+        is_member = (overlap[best] >= _SAME_IOU) & is_free
+        is_free &= ~is_member
+        weights = scores[is_member]
+        box = np.average(boxes[is_member], axis=0, weights=weights)
+        mean_score = min(1.0, float(weights.sum()) / len(views))
+        fused.append((box, (float(scores[best]) + mean_score) / 2, int(labels[best])))
+    fused.sort(key=lambda item: -item[1])
+    if not fused:
+        return no_detections()
+    kept_boxes, kept_scores, kept_labels = zip(*fused[:_MOST], strict=True)
+    return Detections(
+        np.array(kept_boxes, np.float32),
+        np.array(kept_scores, np.float32),
+        np.array(kept_labels, np.int64),
+    )
 
 
 def _with_mirror(network: DetectorNetwork, inputs: Tensor) -> Outputs:

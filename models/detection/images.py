@@ -15,7 +15,7 @@ Grey = npt.NDArray[np.uint8]
 Labels = npt.NDArray[np.int64]
 
 SIDE_PX = 160
-"""The longer side of an image as the detector sees it."""
+"""The longer side of an image that the detector learns from."""
 
 UNKNOWN = -1
 """Label of an object whose class the detector does not know."""
@@ -38,7 +38,7 @@ class LabelledImage:
 
 @dataclass(frozen=True, eq=False)
 class WorkingImage:
-    """A labelled image scaled so that its longer side has SIDE_PX pixels.
+    """A labelled image at the size at which a network sees it.
 
     scale: pixels here for each pixel of the original.  is_fan: (H, W) bool, the insonified sector.
     """
@@ -48,10 +48,10 @@ class WorkingImage:
     is_fan: npt.NDArray[np.bool_]
 
 
-def scale_image(source: LabelledImage) -> WorkingImage:
-    """The image at the size of the detector, with its boxes and its fan."""
+def scale_image(source: LabelledImage, side_px: int = SIDE_PX) -> WorkingImage:
+    """The image with `side_px` pixels on its longer side, with its boxes and its fan."""
     height, width = source.image.shape
-    scale = SIDE_PX / max(height, width)
+    scale = side_px / max(height, width)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     image = np.asarray(cv2.resize(source.image, size, interpolation=interpolation), np.uint8)
@@ -73,7 +73,7 @@ def find_fan(image: Grey) -> npt.NDArray[np.bool_]:
     filled = np.zeros(image.shape, np.uint8)
     lit = cv2.findNonZero((image > 2).astype(np.uint8))
     if lit is not None:
-        cv2.fillConvexPoly(filled, cv2.convexHull(lit), 1)
+        cv2.fillConvexPoly(filled, cv2.convexHull(lit), (1,))
     return filled > 0
 
 

@@ -28,6 +28,14 @@ class TrainedDetector:
     classes: tuple[str, ...]
     training: Mapping[str, Any]
 
+    @property
+    def margin(self) -> float:
+        """By which share of the longer side of an image boxes grow on every side when found.
+
+        Negative where it learned wider boxes than people draw.
+        """
+        return float(self.training.get("margin", 0.0))
+
 
 def save_detector(path: Path, detector: TrainedDetector) -> None:
     """Write a detector in 16 bits, whole or not at all; same weights, same bytes."""
@@ -81,5 +89,8 @@ def read_header(path: Path) -> dict[str, Any]:
     is_ours = isinstance(classes, list) and all(isinstance(name, str) for name in classes)
     if not is_ours or header.get("format") != FORMAT or not classes:
         raise FactoryError(f"detector={path}: not a detector ({FORMAT}) of this program")
-    header.setdefault("training", {})
+    training = header.setdefault("training", {})
+    margin = training.get("margin", 0.0) if isinstance(training, dict) else None
+    if not isinstance(margin, int | float) or not -0.2 <= margin <= 0.2:
+        raise FactoryError(f"detector={path}: `training` in the header is damaged")
     return dict(header)

@@ -19,7 +19,14 @@ from simnfnd.models.detection.boxes import (
     share_inside,
     suppress_duplicates,
 )
-from simnfnd.models.detection.detector import _decode, detect, find_objects
+from simnfnd.models.detection.detector import (
+    Detections,
+    _decode,
+    _detect_at,
+    _fuse,
+    detect,
+    find_objects,
+)
 from simnfnd.models.detection.images import (
     SIDE_PX,
     LabelledImage,
@@ -37,7 +44,7 @@ from simnfnd.models.detection.training import (
     Source,
     train_detector,
 )
-from simnfnd.models.detection.weights import load_detector
+from simnfnd.models.detection.weights import TrainedDetector, load_detector, save_detector
 from tests.small_detection import CLASSES, HEIGHT, WIDTH, working_images
 
 
@@ -150,13 +157,17 @@ def test_training_finds_what_it_learned(tmp_path: Path) -> None:
     trained = train(tmp_path, 70)
     unseen = working_images(4, seed=1)
     hits = 0
-    for working, found in zip(unseen, detect(trained.network, unseen), strict=True):
+    labelled_images = [working.labelled for working in unseen]
+    for working, found in zip(
+        unseen, _detect_at(trained.network, labelled_images, HEIGHT), strict=True
+    ):
         boxes = found.boxes[: len(working.labelled.boxes)]
         overlap = intersection_over_union(working.labelled.boxes, boxes)
         hits += int((overlap.max(axis=1, initial=0) > 0.5).sum())
     assert hits >= 6  # of 8
-    images = [working.labelled.image for working in unseen]
-    named = find_objects(images, str(tmp_path / DETECTOR_NAME))
+    named = find_objects(
+        [labelled.image for labelled in labelled_images], str(tmp_path / DETECTOR_NAME)
+    )
     assert len(named) == len(unseen)
     assert {item.class_name for items in named for item in items} <= set(CLASSES)
     # The same objects at the detector's own size, which is larger than these images.
@@ -206,7 +217,34 @@ def test_black_images_hold_nothing_to_fail_on() -> None:
     working = WorkingImage(source, 1.0, find_fan(image))
     inputs, _, _ = place_unchanged(working, (HEIGHT, WIDTH))
     assert not inputs.any()
-    assert len(detect(DetectorNetwork(2).eval(), [working])) == 1
+    trained = TrainedDetector(DetectorNetwork(2).eval(), CLASSES, {})
+    assert len(detect(trained, [source])) == 1
+
+
+def test_views_are_fused() -> None:
+    labels = np.array([1, 0])
+    box = as_boxes((0, 0, 10, 10), (40, 40, 50, 50))
+    first = Detections(box, np.array([0.8, 0.3], np.float32), labels)
+    second = Detections(box[:1] + 1, np.array([0.4], np.float32), np.array([0]))
+    fused = _fuse([first, second])
+    np.testing.assert_allclose(fused.boxes, [[1 / 3, 1 / 3, 31 / 3, 31 / 3], box[1]], rtol=1e-5)
+    np.testing.assert_allclose(fused.scores, [(0.8 + 0.6) / 2, (0.3 + 0.15) / 2], rtol=1e-6)
+    assert fused.labels.tolist() == [1, 0]
+
+
+def test_margin_of_the_file_moves_the_sides(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = DetectorNetwork(2).eval()
+    network.heads.bias.data[0] = 3.0  # everything is an object
+    (working,) = working_images(1)
+    found = []
+    for margin in (0.0, -0.01):
+        save_detector(tmp_path / "d", TrainedDetector(network, CLASSES, {"margin": margin}))
+        found.append(detect(load_detector(tmp_path / "d"), [working.labelled])[0].boxes)
+    shift = np.array([1, 1, -1, -1]) * 0.01 * HEIGHT
+    is_inside = (found[0][:, :2] > 0).all(1) & (found[0][:, 2:] < [WIDTH, HEIGHT]).all(1)
+    assert is_inside.any()
+    np.testing.assert_allclose(found[1][is_inside], (found[0] + shift)[is_inside], rtol=1e-5)
 
 
 def test_mirrored_twice_is_the_same() -> None:
