@@ -38,8 +38,9 @@ SHOWN = {
     "LICENSE": "project/LICENSE.txt",
     "CITATION.cff": "project/CITATION.cff",
 } | {
-    f"models/pretrained/{card.name}": f"reference/weights-{card.name}"
-    for card in sorted((ROOT / "models/pretrained").glob("*.md"))
+    card.relative_to(ROOT).as_posix(): f"reference/weights-{card.name}"
+    for folder in ("pretrained", "detection")
+    for card in sorted((ROOT / "models" / folder).glob("*.md"))
 } | {
     f"examples/{script.name}": f"reference/{script.name}"
     for script in sorted((ROOT / "examples").iterdir())

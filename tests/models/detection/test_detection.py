@@ -10,6 +10,8 @@ import pytest
 import torch
 
 from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.common.files import sha256_of
+from simnfnd.models.detection import SHIPPED_NAME, find_detector
 from simnfnd.models.detection import training as training_module
 from simnfnd.models.detection.augmentation import place_unchanged, vary
 from simnfnd.models.detection.boxes import (
@@ -245,6 +247,19 @@ def test_margin_of_the_file_moves_the_sides(tmp_path: Path) -> None:
     is_inside = (found[0][:, :2] > 0).all(1) & (found[0][:, 2:] < [WIDTH, HEIGHT]).all(1)
     assert is_inside.any()
     np.testing.assert_allclose(found[1][is_inside], (found[0] + shift)[is_inside], rtol=1e-5)
+
+
+def test_the_detector_that_ships_is_that_of_its_card() -> None:
+    path = find_detector(SHIPPED_NAME)
+    assert path.stat().st_size <= 3_000_000
+    card = path.with_suffix(".md").read_text(encoding="utf-8")
+    assert sha256_of(path) in card
+    trained = load_detector(path)
+    count = sum(parameter.numel() for parameter in trained.network.parameters())
+    assert f"{count:,}" in card
+    assert "steps=12000" in card
+    assert trained.training["schedule"]["steps"] == 12000
+    assert all(name in card for name in trained.classes)
 
 
 def test_mirrored_twice_is_the_same() -> None:
