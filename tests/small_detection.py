@@ -71,7 +71,10 @@ def write_labelled_dataset(root: Path, train: int = 8, test: int = 2) -> Path:
                 "location": "test", "scene": split, "frame": f"{number:04d}", "variant": 0,
             }  # fmt: skip
             values = image.astype(np.float32) / 255
-            layers = {"segmentation": lookup[instance], "instance": instance}
+            layers: dict[str, npt.NDArray[np.generic]] = {
+                "segmentation": lookup[instance],
+                "instance": instance,
+            }
             pairs.append(Pair(values, values, image < 0, record, layers))
         add_shard(root, f"{split}/shard-00000.h5", pairs, layers=("segmentation",))
     return root

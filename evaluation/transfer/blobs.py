@@ -34,7 +34,8 @@ def detect_blobs(images: Sequence[WorkingImage]) -> list[Detections]:
 
 
 def _detect_in(working: WorkingImage) -> Detections:
-    shape = working.labelled.image.shape
+    height, width = working.labelled.image.shape
+    shape = (height, width)
     inputs, _, _ = place_unchanged(working, shape)
     smooth = _smoothed(inputs[0], inputs[2])
     candidates = [

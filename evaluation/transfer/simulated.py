@@ -73,7 +73,7 @@ def _read_images(
     for number in numbers:
         sample = pairs[number]
         boxes, labels = _objects_in(sample["instance"], sample["segmentation"], label_of)
-        image = stored_image(sample["noisy"], "uint8")
+        image = np.asarray(stored_image(sample["noisy"], "uint8"), np.uint8)
         grown = grow_boxes(boxes, padding * max(image.shape), *image.shape)
         name = f"{pairs.split}-{number:06d}"
         images.append(scale_image(LabelledImage(name, name, image, grown, labels)))

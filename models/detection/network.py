@@ -60,10 +60,10 @@ class DetectorNetwork(nn.Module):
         self.merge_quarter = _convolution(_HEAD, _HEAD)
         self.heads = nn.Conv2d(_HEAD, 5 + class_count, 1)
         nn.init.normal_(self.heads.weight, std=0.01)
-        nn.init.zeros_(self.heads.bias)
-        with torch.no_grad():
-            self.heads.bias[0] = _RARE
-            self.heads.bias[1:5] = 1.0
+        bias = torch.zeros(5 + class_count)
+        bias[0] = _RARE
+        bias[1:5] = 1.0
+        self.heads.bias = nn.Parameter(bias)
 
     def forward(self, x: Tensor) -> Outputs:
         """H and W must divide by DIVISOR."""

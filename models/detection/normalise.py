@@ -53,7 +53,7 @@ def _rank(values: Values, is_fan: Mask) -> Values:
 
 def _local_contrast(grey: Values, fan: Values) -> Values:
     """(grey - local mean) / local deviation of the smoothed image, clipped, in -1..1."""
-    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
+    smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), np.float32)
     mean = _local_mean(smooth, fan, _NARROW_PX)
     square = _local_mean(smooth * smooth, fan, _NARROW_PX)
     deviation = np.sqrt(np.maximum(square - mean * mean, 0)) + 0.02

@@ -234,7 +234,7 @@ def test_folds_and_shares_keep_groups() -> None:
 
 def test_blobs_are_found() -> None:
     image = np.full((HEIGHT, WIDTH), 60, np.uint8)
-    cv2.circle(image, (30, 50), 9, 220, -1)
+    cv2.circle(image, (30, 50), 9, (220,), -1)
     (working,) = working_images(1)
     labelled = LabelledImage("blob", "blob", image, no_boxes(), np.zeros(0, np.int64))
     (found,) = detect_blobs([type(working)(labelled, 1.0, working.is_fan)])

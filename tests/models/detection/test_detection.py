@@ -57,8 +57,8 @@ def as_boxes(*corners: tuple[float, float, float, float]) -> np.ndarray:
 def test_overlap_of_boxes() -> None:
     first = as_boxes((0, 0, 4, 4), (10, 10, 12, 12))
     second = as_boxes((2, 0, 6, 4))
-    np.testing.assert_allclose(intersection_over_union(first, second), [[8 / 24], [0]])
-    np.testing.assert_allclose(share_inside(first, second), [[0.5], [0]])
+    np.testing.assert_allclose(intersection_over_union(first, second), [[8 / 24], [0.0]])
+    np.testing.assert_allclose(share_inside(first, second), [[0.5], [0.0]])
     np.testing.assert_allclose(grow_boxes(first, 3, 12, 12)[1], [7, 7, 12, 12])
 
 
@@ -227,7 +227,7 @@ def test_views_are_fused() -> None:
     labels = np.array([1, 0])
     box = as_boxes((0, 0, 10, 10), (40, 40, 50, 50))
     first = Detections(box, np.array([0.8, 0.3], np.float32), labels)
-    second = Detections(box[:1] + 1, np.array([0.4], np.float32), np.array([0]))
+    second = Detections(as_boxes((1, 1, 11, 11)), np.array([0.4], np.float32), np.array([0]))
     fused = _fuse([first, second])
     np.testing.assert_allclose(fused.boxes, [[1 / 3, 1 / 3, 31 / 3, 31 / 3], box[1]], rtol=1e-5)
     np.testing.assert_allclose(fused.scores, [(0.8 + 0.6) / 2, (0.3 + 0.15) / 2], rtol=1e-6)
@@ -237,6 +237,7 @@ def test_views_are_fused() -> None:
 def test_margin_of_the_file_moves_the_sides(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = DetectorNetwork(2).eval()
+    assert network.heads.bias is not None
     network.heads.bias.data[0] = 3.0  # everything is an object
     (working,) = working_images(1)
     found = []
