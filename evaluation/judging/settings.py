@@ -158,7 +158,7 @@ class TransferSettings:
     annotations: str | None
     detector: str | None
     ignore: list[str]
-    class_names: dict[str, str]
+    class_names: dict[str, str] | None
     padding: Annotated[float, Field(ge=0, le=0.2)]
     margin: Annotated[float, Field(ge=-0.2, le=0.2)]
     clutter: bool

@@ -77,7 +77,7 @@ def evaluate(settings: TransferSettings) -> None:
         settings.real,
         annotations=settings.annotations,
         ignore=settings.ignore,
-        names=settings.class_names,
+        names=settings.class_names or {},
     )
     check_writable(settings.folder, "out")
     comparison = open_comparison(settings, real)

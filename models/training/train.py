@@ -44,11 +44,11 @@ _GAP = 4  # pixels between the images of samples.png
 _SHOWN = 4  # its rows
 
 
-def train(settings: ModelsSettings, config: Mapping[str, Any], command: str) -> Row:
+def train(settings: ModelsSettings, config: Mapping[str, Any], command: str = "") -> Row:
     """Train, or continue, or find it done; returns the metrics row of the weights that were kept.
 
     config: the same settings as plain values, for config.yaml.  command: that was given, which
-    config.yaml begins with and a model card prints.  Writes weights.safetensors,
+    config.yaml begins with and a model card prints; empty: unknown.  Writes weights.safetensors,
     config.yaml, metrics.csv, samples.png and checkpoint.ckpt into `output_folder(settings)`.
     Raises FactoryError for unusable data, configuration, folder or a loss that became NaN, and
     `Stopped` after Ctrl-C or SIGTERM, with a checkpoint of the last step.

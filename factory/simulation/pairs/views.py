@@ -143,7 +143,13 @@ _NOT_PIXELS = {
 # All code and data between the files of a recording and the rendered pixels.
 RENDER_CODE = (
     *("common/compiled.py", "common/distribution.py", "common/elementary.py", "common/errors.py"),
-    *("common/files.py", "common/isolated.py", "common/quiet.py", "common/seeds.py"),
+    *(
+        "common/files.py",
+        "common/isolated.py",
+        "common/limits.py",
+        "common/quiet.py",
+        "common/seeds.py",
+    ),
     *("common/settings.py", "common/small_files.py", "common/text_tables.py"),
     *("dataset/frame_ref.py", "dataset/labels.py"),
     *("simulation/frames", "simulation/meshes", "simulation/render", "simulation/scenes"),

@@ -33,9 +33,11 @@ from .frame_files import image_size, in_metres, read_frame, read_rgb, refuse_mar
 _EXPECTED = "a CSV file of rgb,depth lines"
 
 
-_FocalLength = Annotated[float, limited(1, 1e6, "px")]
+# Those in widths of the image are refused later, with their value in pixels.
+_FocalLength = Annotated[float, limited(1e-3, 1e6, "px")]
 _ImagePlace = Annotated[float, limited(-1e6, 1e6, "px")]
-_Depth = Annotated[float, limited(-1e6, 1e6, "m")]
+# Renders mark the sky by distances that no sonar sees.
+_Depth = Annotated[float, limited(-1e12, 1e12, "m")]
 _DepthScale = Annotated[float, limited(1e-9, 1e9)]
 
 

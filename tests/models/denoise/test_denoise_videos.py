@@ -146,7 +146,8 @@ def test_frames_keep_times_of_a_variable_rate(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("halving")
 def test_a_turned_video_is_upright_when_it_is_denoised(tmp_path: Path, turned_deg: int) -> None:
     upright = np.zeros((48, 32), np.uint8)
-    upright[4:20, 3:12] = 200  # left and above
+    # Left and above, and nowhere saturated.
+    upright[4:20, 3:12] = np.linspace(50, 100, 16 * 9).astype(np.uint8).reshape(16, 9) * 2
     stored = np.rot90(upright, -turned_deg // 90)
     path = encode(tmp_path / "a.mov", [stored] * 2, codec="png", turned_deg=turned_deg)
     assert main([str(path), "--out", str(tmp_path / "out"), "--weights", "x"]) == 0

@@ -221,5 +221,5 @@ def test_what_does_not_fit_is_told(tmp_path: Path) -> None:
         export(tmp_path / "plain", "ply", tmp_path / "out")
     drawn = ("experiment=any_sonar", "scenes=seabed", *WORDS[:-2], *small)
     make_dataset(*drawn, out=tmp_path / "drawn")
-    with pytest.raises(FactoryError, match="no one device"):
+    with pytest.raises(FactoryError, match="points seen from above"):
         export(tmp_path / "drawn", "mcap", tmp_path / "out")

@@ -149,6 +149,7 @@ OTHER: dict[str, Any] = {
 _OF_MESHES: dict[str, Any] = {
     "scenes.file": "tall.obj",
     "scenes.up": "y",
+    "scenes.poses_frame": "flu",
     "scenes.scale": 1.1,
     "scenes.classes": [{"class": "Target", "parts": "*"}],
     "scenes.poses": "poses.txt",
@@ -167,6 +168,7 @@ OTHER_OF_RECORDED: dict[str, dict[str, Any]] = {
         "scenes.file": "fewer.csv",
         "scenes.intrinsics": [80.0, 80.0, 48.0, 32.0],
         "scenes.depth_scale": 900.0,
+        "scenes.depth_kind": "ray",
         "scenes.invalid_below_m": 2.5,
         "scenes.invalid_above_m": 3.5,
     },

@@ -42,7 +42,9 @@ class PlaneViews(Views):
 
 @pytest.fixture(scope="module")
 def maker() -> PairMaker:
-    words = ["experiment=fish", "sonar.image.width_px=384", "sonar.image.height_px=384"]
+    # Static and clean images with their speckle show where objects are.
+    words = ["experiment=fish", "acoustics.target=mean_log"]
+    words += ["sonar.image.width_px=384", "sonar.image.height_px=384"]
     return PairMaker(compose_config(words), PlaneViews())
 
 

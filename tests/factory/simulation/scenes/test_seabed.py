@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import subprocess
 import sys
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ from simnfnd.factory.simulation.meshes.camera import moved, movements, pose
 from simnfnd.factory.simulation.meshes.triangle_mesh import grid_triangles
 from simnfnd.factory.simulation.scenes import open_reader
 from simnfnd.factory.simulation.scenes.seabed import SeabedReader, SeabedSettings
-from simnfnd.factory.simulation.scenes.seabed.terrain import PLACE_NAMES, catalogue
+from simnfnd.factory.simulation.scenes.seabed.terrain import PLACE_NAMES, ObjectPlaceName, catalogue
 from simnfnd.factory.simulation.scenes.seabed.world import World
 from tests.project_files import ROOT
 
@@ -154,9 +154,9 @@ def test_only_wanted_kinds_lie_there() -> None:
 
 def test_the_table_has_every_place_and_class() -> None:
     table = catalogue()
-    assert set(table["places"]) == set(PLACE_NAMES)
+    assert set(table["places"]) == {*PLACE_NAMES, *get_args(ObjectPlaceName)}
     assert len({tuple(sorted(place)) for place in table["places"].values()}) == 1
-    assert set(table["finishes"]) == {*CLASSES[1:], "own"}
+    assert set(table["finishes"]) == {*CLASSES[1:], "Fitting", "own"}
 
 
 def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
