@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .factory.dataset.fan_geometry import FanGeometry
     from .factory.dataset.schema import Pair
     from .models.denoise.denoiser import Denoiser
-    from .models.recordings import Frame
+    from .models.recordings import SonarFrame
     from .models.recordings.base import Beams, Samples
     from .models.recordings.fan_tracking import FanTracker
 
@@ -292,7 +292,7 @@ class RecordedFrame:
     image: npt.NDArray[Any]
     geometry: FanGeometry | None
     time_s: float | None
-    frame: Frame
+    frame: SonarFrame
 
     @property
     def samples(self) -> Samples:
@@ -360,7 +360,7 @@ class OpenRecording:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _shown(self, frame: Frame) -> RecordedFrame:
+    def _shown(self, frame: SonarFrame) -> RecordedFrame:
         from .models.recordings.views import fan_of, grey_of
 
         if frame.beams is not None:
@@ -369,11 +369,11 @@ class OpenRecording:
             return RecordedFrame(frame.samples, frame.geometry, frame.time_s, frame)
         from .models.recordings.fan_finder import find_geometry  # of the extra sonar
         from .models.recordings.fan_tracking import FanTracker
-        from .models.recordings.images import Images
+        from .models.recordings.images import ImageFiles
 
         # Images of a folder may have a fan each; that of a video changes now and then.
         samples = frame.samples
-        if isinstance(self._recording, Images):
+        if isinstance(self._recording, ImageFiles):
             geometry = find_geometry(samples)
         else:
             tracker = self._trackers.setdefault(samples.shape, FanTracker())

@@ -28,8 +28,8 @@ from .factory.simulation.scenes.base import (
 )
 from .factory.simulation.sonar.polar import Echoes
 from .factory.simulation.sonar.window import Window
-from .models.recordings.base import Beams, Device, Pose
-from .models.recordings.base import Frame as RecordingFrame
+from .models.recordings.base import Beams, RecordingDevice, SonarPose
+from .models.recordings.base import SonarFrame as RecordingFrame
 from .models.recordings.extension_files import (
     RecordingEntry,
     RecordingReader,
@@ -42,7 +42,6 @@ __all__ = [
     "AnyNumber",
     "Baseline",
     "Beams",
-    "Device",
     "Discovery",
     "Echoes",
     "Effect",
@@ -58,14 +57,15 @@ __all__ = [
     "OwnSceneSettings",
     "PairImages",
     "Ping",
-    "Pose",
     "Positive",
     "Reader",
     "ReaderEntry",
+    "RecordingDevice",
     "RecordingEntry",
     "RecordingFrame",
     "RecordingReader",
     "Signal",
+    "SonarPose",
     "Window",
     "check_recording_reader",
     "checked",

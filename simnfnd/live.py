@@ -13,7 +13,7 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from .api import RecordedFrame
     from .factory.dataset.fan_geometry import FanGeometry
-    from .models.recordings import Frame
+    from .models.recordings import SonarFrame
     from .models.recordings.fan_tracking import FanTracker
 
 Pixels = npt.NDArray[Any]
@@ -85,7 +85,7 @@ class Denoiser:
         self._shape: tuple[int, ...] | None = None
 
     def __call__(
-        self, frame: npt.ArrayLike | Frame | RecordedFrame, *, time_s: float | None = None
+        self, frame: npt.ArrayLike | SonarFrame | RecordedFrame, *, time_s: float | None = None
     ) -> Pixels:
         """The next frame, denoised, of the same shape and dtype.
 
@@ -132,18 +132,18 @@ class Denoiser:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _frame_of(self, frame: Any, time_s: float | None) -> Frame:
+    def _frame_of(self, frame: Any, time_s: float | None) -> SonarFrame:
         from .api import RecordedFrame, _values_of
-        from .models.recordings import Frame
+        from .models.recordings import SonarFrame
 
         if isinstance(frame, RecordedFrame):
             return frame.frame
-        if isinstance(frame, Frame):
+        if isinstance(frame, SonarFrame):
             return frame
-        return Frame(self._count, _values_of(frame), time_s=time_s)
+        return SonarFrame(self._count, _values_of(frame), time_s=time_s)
 
     def _geometry_of(self, image: Pixels, sequence: str = "") -> FanGeometry | None:
-        """The geometry of an image whose frame does not state it.  sequence: see `Frame`."""
+        """The geometry of an image whose frame does not state it.  sequence: see `SonarFrame`."""
         from .api import fitting_geometry
         from .models.recordings.fan_tracking import FanTracker
 

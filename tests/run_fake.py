@@ -10,7 +10,7 @@ from simnfnd.factory.common.workers.settings import SchedulerSettings
 from simnfnd.factory.common.workers.signals import Interrupted
 from simnfnd.factory.dataset.schema import Provenance, config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
-from simnfnd.factory.production.scheduler.plan import Job, plan_shards
+from simnfnd.factory.production.scheduler.plan import DatasetJob, plan_shards
 from simnfnd.factory.production.scheduler.results import RunReport
 from simnfnd.factory.production.scheduler.run import make_dataset
 from tests.fake_source import FakeConfig, FakeSource, refs, rerun
@@ -34,10 +34,10 @@ def job(
     recycle_frames: int = 200,
     scheduler: dict[str, Any] | None = None,
     **changes: Any,
-) -> Job:
+) -> DatasetJob:
     """A dataset of 12 train and 4 test frames, two variants each, in shards of 8 samples.
 
-    changes: fields of `Job`.
+    changes: fields of `DatasetJob`.
     """
     settings = SchedulerSettings(
         workers=workers,
@@ -61,7 +61,7 @@ def job(
         "skipped": {"no depth": 3},
         **changes,
     }
-    return Job(**fields)
+    return DatasetJob(**fields)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from ..metrics.measure import Figures, Grey, ratio_figures
 from ..metrics.statistics import evenly
 from .detector import Responses, real_motion, responses_of
 from .recording import StaticRecording, open_static
-from .rows import REACH, RECORDED, Row, Stored, denoise_sequence, rows_of
+from .rows import REACH, RECORDED, MethodRow, Stored, denoise_sequence, rows_of
 from .scores import Answers, MethodFigures, figures_of
 from .targets import Sighting, Track, TrackPlan, classes_of, draw_tracks, insert_targets
 
@@ -52,7 +52,7 @@ class TwinSequences:
         return range(REACH + 1, len(self.with_targets) - REACH - 1)
 
 
-class Images(NamedTuple):
+class TwinImages(NamedTuple):
     """A denoised frame, (H, W) float32 in 0..1, with targets and without."""
 
     with_targets: Grey
@@ -60,17 +60,17 @@ class Images(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Example:
+class SightingExample:
     """A sighting that the report shows.  images: label of a row -> its images of the frame."""
 
     sequence_number: int
     track: Track
     sighting: Sighting
-    images: dict[str, Images]
+    images: dict[str, TwinImages]
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class DetectionOutcome:
     """What was measured.
 
     figures: label of a row -> its figures.  lost: label -> why a row has none.
@@ -81,26 +81,26 @@ class Outcome:
     figures: dict[str, MethodFigures]
     ratios: dict[str, Figures]
     lost: dict[str, str]
-    examples: list[Example]
+    examples: list[SightingExample]
     notes: list[str]
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class DetectionTask:
     """A row to run on one pair of sequences; it travels to a worker.
 
     example_frames: numbers of the frames whose denoised images come back.
     """
 
     sequence_number: int
-    row: Row
+    row: MethodRow
     twins: TwinSequences
     device: str
     example_frames: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class DetectionResult:
     """What a row gave on one pair of sequences.
 
     responses: None if the row failed; `lost` gives the reason.
@@ -109,22 +109,24 @@ class Result:
     """
 
     responses: Responses | None
-    images: dict[int, Images] = field(default_factory=dict)
+    images: dict[int, TwinImages] = field(default_factory=dict)
     ratio: Figures = field(default_factory=dict)
     lost: str = ""
 
 
-Results = dict[tuple[int, str], Result]
+Results = dict[tuple[int, str], DetectionResult]
 """(number of the sequences, label of the row) -> result."""
 
 
-def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool) -> Outcome:
+def judge(
+    settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
+) -> DetectionOutcome:
     """All figures.  Raises FactoryError where no recording can be judged."""
     networks = networks_at(settings.models)
     recordings, notes = _static_recordings(stretches, settings.limit)
     notes += learned_notes(stretches, networks)
     sequences: list[TwinSequences] = []
-    rows_of_sequence: list[list[Row]] = []
+    rows_of_sequence: list[list[MethodRow]] = []
     for recording in recordings:
         rows = rows_of(
             recording.frames,
@@ -139,12 +141,12 @@ def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
             rows_of_sequence.append(rows)
 
     examples = _choose_examples(sequences, settings)
-    tasks: list[Task] = []
+    tasks: list[DetectionTask] = []
     for number, (twins, rows) in enumerate(zip(sequences, rows_of_sequence, strict=True)):
         frames = {
             example.sighting.frame for example in examples if example.sequence_number == number
         }
-        tasks += [Task(number, row, twins, settings.device, tuple(frames)) for row in rows]
+        tasks += [DetectionTask(number, row, twins, settings.device, tuple(frames)) for row in rows]
     results, lost = _run_tasks(tasks, pool, settings.image_timeout_s * len(recordings[0].frames))
 
     every_label = dict.fromkeys(task.row.label for task in tasks)
@@ -158,10 +160,10 @@ def judge(settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
         for label in labels
     }
     figures = {label: _row_figures(label, results, sequences, settings) for label in labels}
-    return Outcome(sequences, figures, ratios, lost, examples, notes)
+    return DetectionOutcome(sequences, figures, ratios, lost, examples, notes)
 
 
-def run_row(task: Task) -> Result:
+def run_row(task: DetectionTask) -> DetectionResult:
     """Denoise both sequences and ask the detectors; or say why the row failed."""
     twins = task.twins
     try:
@@ -170,12 +172,12 @@ def run_row(task: Task) -> Result:
             for stored in (twins.with_targets, twins.without)
         )
     except Exception as error:  # a method that crashes loses its row, not the report
-        return Result(None, lost=reason(error))
+        return DetectionResult(None, lost=reason(error))
     responses = responses_of(
         with_targets, without, twins.tracks, twins.insonified, twins.motion, twins.judged
     )
     images = {
-        number: Images(with_targets[number], without[number]) for number in task.example_frames
+        number: TwinImages(with_targets[number], without[number]) for number in task.example_frames
     }
     full_scale = np.float32(twins.full_scale)
     ratios = [
@@ -184,7 +186,7 @@ def run_row(task: Task) -> Result:
         )
         for number in evenly(twins.judged, _RATIO_FRAMES)
     ]
-    return Result(responses, images, _mean_figures(ratios))
+    return DetectionResult(responses, images, _mean_figures(ratios))
 
 
 def _mean_figures(figures: Sequence[Figures]) -> Figures:
@@ -241,9 +243,11 @@ def _insert_tracks(
     )
 
 
-def _choose_examples(sequences: Sequence[TwinSequences], settings: DetectSettings) -> list[Example]:
+def _choose_examples(
+    sequences: Sequence[TwinSequences], settings: DetectSettings
+) -> list[SightingExample]:
     """The middle sighting of the first track of each class, sequences taking turns."""
-    examples: list[Example] = []
+    examples: list[SightingExample] = []
     classes = evenly(classes_of(settings.sizes, settings.contrasts), settings.examples)
     for turn, target in enumerate(classes):
         number = turn % len(sequences)
@@ -251,12 +255,12 @@ def _choose_examples(sequences: Sequence[TwinSequences], settings: DetectSetting
         for track in twins.tracks:
             middle = track.sightings[len(track.sightings) // 2]
             if track.target == target and middle.frame in twins.judged:
-                examples.append(Example(number, track, middle, {}))
+                examples.append(SightingExample(number, track, middle, {}))
                 break
     return examples
 
 
-def _tuning_note(name: str, rows: Sequence[Row]) -> str:
+def _tuning_note(name: str, rows: Sequence[MethodRow]) -> str:
     """Which parameters the tuned rows of a recording have."""
     tuned = [row for row in rows if row.kind != "filter" or row.label.endswith("tuned")]
     texts = [row.label + shown(row.parameters) for row in tuned if row.parameters]
@@ -264,7 +268,7 @@ def _tuning_note(name: str, rows: Sequence[Row]) -> str:
 
 
 def _run_tasks(
-    tasks: Sequence[Task], pool: TaskPool, timeout_s: float
+    tasks: Sequence[DetectionTask], pool: TaskPool, timeout_s: float
 ) -> tuple[Results, dict[str, str]]:
     """The results; and label -> why a row is lost."""
     results: Results = {}

@@ -14,8 +14,8 @@ from ..judging.recorded import Stretch, frame_of, open_input
 from ..judging.settings import DetectSettings
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, interval, plain, written
-from .judge import Outcome, judge
-from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, Estimate, MethodFigures
+from .judge import DetectionOutcome, judge
+from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, FigureEstimate, MethodFigures
 from .sheet import crop_sheet
 from .targets import classes_of
 
@@ -58,7 +58,7 @@ def evaluate(settings: DetectSettings) -> None:
     print(f"report: {settings.folder / 'detect.html'}")
 
 
-def write(settings: DetectSettings, outcome: Outcome) -> str:
+def write(settings: DetectSettings, outcome: DetectionOutcome) -> str:
     """Write the files; returns what the terminal shows."""
     frame_count = sum(len(twins.with_targets) for twins in outcome.sequences)
     track_count = sum(len(twins.tracks) for twins in outcome.sequences)
@@ -95,7 +95,7 @@ def write(settings: DetectSettings, outcome: Outcome) -> str:
     return f"{about.strip()}\n\n{as_markdown(table)}"
 
 
-def overall_table(outcome: Outcome) -> pd.DataFrame:
+def overall_table(outcome: DetectionOutcome) -> pd.DataFrame:
     """Means over classes with their intervals, a line for each method."""
     head = [
         "method", "AUC", "contrast", "detection", "against recorded", "false alarms a frame",
@@ -118,7 +118,7 @@ def overall_table(outcome: Outcome) -> pd.DataFrame:
     return as_table(head, lines)
 
 
-def class_table(settings: DetectSettings, outcome: Outcome) -> pd.DataFrame:
+def class_table(settings: DetectSettings, outcome: DetectionOutcome) -> pd.DataFrame:
     """AUC / contrast / detection of each class, a line for each method."""
     classes = classes_of(settings.sizes, settings.contrasts)
     head = ["AUC / contrast / detection", *(target.label for target in classes)]
@@ -133,7 +133,7 @@ def _class_cell(figures: ClassFigures) -> str:
     return " / ".join(written(estimate.value, 2) for estimate in estimates)
 
 
-def _with_interval(estimate: Estimate, sign: bool = False) -> str:
+def _with_interval(estimate: FigureEstimate, sign: bool = False) -> str:
     text = written(estimate.value, 3, sign)
     if math.isfinite(estimate.low):
         text += f" ({interval(estimate._asdict(), 2, sign)})"
@@ -162,7 +162,7 @@ def _plots(figures: dict[str, MethodFigures]) -> Sequence[Plot]:
     )
 
 
-def _facts(settings: DetectSettings, outcome: Outcome) -> dict[str, Any]:
+def _facts(settings: DetectSettings, outcome: DetectionOutcome) -> dict[str, Any]:
     """The content of detect.json."""
     classes = classes_of(settings.sizes, settings.contrasts)
     return {
@@ -204,5 +204,5 @@ def _plain_figures(figures: ClassFigures) -> dict[str, dict[str, float | None]]:
     return {name: _plain_estimate(estimate) for name, estimate in figures._asdict().items()}
 
 
-def _plain_estimate(estimate: Estimate) -> dict[str, float | None]:
+def _plain_estimate(estimate: FigureEstimate) -> dict[str, float | None]:
     return {name: plain(value) for name, value in estimate._asdict().items()}

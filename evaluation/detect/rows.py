@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.denoise.images import Denoising
-from ...models.denoise.temporal.stream import Shot
+from ...models.denoise.temporal.stream import SequenceFrame
 from ..filters import REGISTRY, Baseline, Parameters, method_of
 from ..filters.windows import mean_around, registered_mean
 from ..judging import tuning
@@ -30,7 +30,7 @@ Stored = npt.NDArray[np.unsignedinteger]
 
 
 @dataclass(frozen=True)
-class Row:
+class MethodRow:
     """A method as the benchmark runs it.
 
     kind: recorded, filter, mean, registered mean or network.
@@ -47,7 +47,7 @@ class Row:
     frames: int = 1
 
 
-RECORDED = Row("recorded", "recorded")
+RECORDED = MethodRow("recorded", "recorded")
 
 
 def rows_of(
@@ -57,7 +57,7 @@ def rows_of(
     tuned: Sequence[Baseline],
     networks: Sequence[Method],
     windows: Sequence[int],
-) -> list[Row]:
+) -> list[MethodRow]:
     """All rows of a recording.
 
     frames: (N, H, W) in 0..1 without targets; filters are tuned on them.
@@ -66,7 +66,7 @@ def rows_of(
     """
     static_kind = next(kinds_of(frames))
     samples = tuple(
-        tuning.Sample(
+        tuning.TuningImage(
             static_kind.frames[number], static_kind.references[number], static_kind.masks[number]
         )
         for number in evenly(static_kind.numbers(), _TUNED_ON)
@@ -75,23 +75,27 @@ def rows_of(
     for filters in fixed:
         rows += [_fixed_filter(name, parameters) for name, parameters in filters.items()]
     for baseline in tuned:
-        tuned_parameters = tuning.on_frames(tuning.Task(baseline.name, samples, 0))
+        tuned_parameters = tuning.on_frames(tuning.TuningTask(baseline.name, samples, 0))
         if isinstance(tuned_parameters, str):
             raise FactoryError(f"baselines: {baseline.name} cannot be tuned: {tuned_parameters}")
-        rows.append(Row(f"{baseline.name}, tuned", "filter", baseline.name, tuned_parameters))
+        rows.append(MethodRow(f"{baseline.name}, tuned", "filter", baseline.name, tuned_parameters))
     window = 2 * REACH + 1
     tv_parameters = {"weight": tuned_weight([static_kind])}
-    rows.append(Row(f"mean of {window}", "mean"))
-    rows.append(Row(f"registered mean of {window} + TV", "registered mean", "tv", tv_parameters))
+    rows.append(MethodRow(f"mean of {window}", "mean"))
+    rows.append(
+        MethodRow(f"registered mean of {window} + TV", "registered mean", "tv", tv_parameters)
+    )
     for method in networks:
         for frame_count in windows:
             fused = "single frames" if frame_count == 1 else f"{frame_count} frames"
             label = f"{method.label}, {fused}"
-            rows.append(Row(label, "network", weights=method.weights or "", frames=frame_count))
+            rows.append(
+                MethodRow(label, "network", weights=method.weights or "", frames=frame_count)
+            )
     return rows
 
 
-def _fixed_filter(name: str, parameters: Parameters) -> Row:
+def _fixed_filter(name: str, parameters: Parameters) -> MethodRow:
     """Raises FactoryError for a filter or parameter that does not exist."""
     if name not in REGISTRY:
         raise FactoryError(f"fixed.{name}: no such filter; there are {', '.join(REGISTRY)}")
@@ -101,11 +105,11 @@ def _fixed_filter(name: str, parameters: Parameters) -> Row:
             f"fixed.{name}.{unknown[0]}: no such parameter; {name} has {', '.join(default)}"
         )
     point = {**default, **parameters}
-    return Row(name + shown(point), "filter", name, point)
+    return MethodRow(name + shown(point), "filter", name, point)
 
 
 def denoise_sequence(
-    row: Row, stored: Stored, full_scale: int, geometry: FanGeometry | None, device: str
+    row: MethodRow, stored: Stored, full_scale: int, geometry: FanGeometry | None, device: str
 ) -> Frames:
     """(N, H, W) float32 in 0..1: what a row makes of a sequence."""
     if row.kind == "network":
@@ -123,11 +127,13 @@ def denoise_sequence(
     return np.stack(list(filtered_means))
 
 
-def _by_network(row: Row, stored: Stored, geometry: FanGeometry | None, device: str) -> Stored:
+def _by_network(
+    row: MethodRow, stored: Stored, geometry: FanGeometry | None, device: str
+) -> Stored:
     """A sequence denoised as by `simnfnd denoise --frames N`, in the levels it is stored in."""
     denoising = Denoising(network(row.weights, device), frames=row.frames)
 
-    def shots() -> Iterator[Shot]:
+    def shots() -> Iterator[SequenceFrame]:
         for number, frame in enumerate(stored):
             yield denoising.shot(number, frame, lambda _: geometry)
 

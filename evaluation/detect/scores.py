@@ -26,7 +26,7 @@ _LEAST_TRACKS = 3  # of a class, for an interval of its AUC
 _INTERVAL = (0.025, 0.975)
 
 
-class Estimate(NamedTuple):
+class FigureEstimate(NamedTuple):
     """A figure with its 95 % bootstrap interval; NaN where there is nothing to measure."""
 
     value: float
@@ -43,10 +43,10 @@ class ClassFigures(NamedTuple):
     detection_gain: detection minus that in the recorded frames.
     """
 
-    auc: Estimate
-    contrast: Estimate
-    detection: Estimate
-    detection_gain: Estimate
+    auc: FigureEstimate
+    contrast: FigureEstimate
+    detection: FigureEstimate
+    detection_gain: FigureEstimate
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class MethodFigures:
 
     by_class: tuple[ClassFigures, ...]
     overall: ClassFigures
-    false_alarms: Estimate
+    false_alarms: FigureEstimate
     curve: tuple[float, ...]
     roc: tuple[float, ...]
 
@@ -130,7 +130,7 @@ def _class_figures(class_draws: Values) -> ClassFigures:
     return ClassFigures(*(_estimate(_mean(figure_draws)) for figure_draws in class_draws))
 
 
-def _overall(class_draws: Values) -> Estimate:
+def _overall(class_draws: Values) -> FigureEstimate:
     """Mean over recordings, then over classes.  class_draws: (classes, recordings, draws)."""
     class_means = [_mean(recording_draws) for recording_draws in class_draws]
     return _estimate(_mean(np.stack(class_means)))
@@ -237,7 +237,7 @@ def _sums(responses: Responses, values: npt.NDArray[np.generic], tracks: Sequenc
     return np.asarray(by_track[list(tracks)], np.float64)
 
 
-def _false_alarms(recordings: Sequence[Answers], resamples: int, seed: int) -> Estimate:
+def _false_alarms(recordings: Sequence[Answers], resamples: int, seed: int) -> FigureEstimate:
     """False alarms per frame, with an interval that resamples blocks of frames."""
     draws = []
     for number, answers in enumerate(recordings):
@@ -295,12 +295,12 @@ def _mean(draws: Values) -> Values:
     return np.asarray(draws[has_value].mean(axis=0))
 
 
-def _estimate(draws: Values) -> Estimate:
+def _estimate(draws: Values) -> FigureEstimate:
     """Estimate from `draws[0]`, the original sample; the interval comes from the resamples."""
     value = draws[0]
     resampled = draws[1:]
     finite = resampled[np.isfinite(resampled)]
     if np.isnan(value) or not len(finite):
-        return Estimate(float(value), np.nan, np.nan)
+        return FigureEstimate(float(value), np.nan, np.nan)
     low, high = np.quantile(finite, _INTERVAL)
-    return Estimate(float(value), float(low), float(high))
+    return FigureEstimate(float(value), float(low), float(high))

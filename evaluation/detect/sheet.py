@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..metrics.measure import Grey
-from .judge import Example
+from .judge import SightingExample
 from .targets import Sighting, Track, ellipse
 
 Pixels = npt.NDArray[np.uint8]
@@ -23,7 +23,7 @@ _MARK = (60, 200, 255)  # BGR
 _TEXT = (235, 235, 235)
 
 
-def crop_sheet(examples: Sequence[Example], labels: Sequence[str]) -> bytes:
+def crop_sheet(examples: Sequence[SightingExample], labels: Sequence[str]) -> bytes:
     """A PNG: two lines of crops for each example, and a column for each row of the benchmark.
 
     The first column outlines the target.  Below each image is what the target adds to it: the
@@ -52,7 +52,7 @@ def crop_sheet(examples: Sequence[Example], labels: Sequence[str]) -> bytes:
     return content.tobytes()
 
 
-def _panels(example: Example, labels: Sequence[str]) -> tuple[list[Pixels], list[Pixels]]:
+def _panels(example: SightingExample, labels: Sequence[str]) -> tuple[list[Pixels], list[Pixels]]:
     """The enlarged crops of an example, and what the target adds to each."""
     crops = [_crop(example.images[label].with_targets, example.sighting) for label in labels]
     twins = [_crop(example.images[label].without, example.sighting) for label in labels]

@@ -17,12 +17,12 @@ from ...factory.dataset.manifest import load_manifest
 from ...factory.dataset.pair_dataset import PairDataset
 from ...factory.dataset.reader import ImageStack, Split, open_shard, reading, value_range
 from ...factory.dataset.schema import CORE
-from ...models.recordings.base import Frame
+from ...models.recordings.base import SonarFrame
 from ...models.recordings.images import read_image
 from ...models.recordings.views import grey_of
 from ..filters import REGISTRY
 from ..metrics.fidelity import MetricError, finite_psnr
-from ..metrics.measure import Figures, Grey, PairImages, Scene, sector_of
+from ..metrics.measure import Figures, Grey, MeasuredPair, PairImages, sector_of
 from ..metrics.own import own_figures
 from .methods import Method
 from .runner import Subject
@@ -38,7 +38,7 @@ Place = tuple[str, int]
 
 
 @dataclass(frozen=True)
-class Item(Subject):
+class JudgedPair(Subject):
     """One pair: where it is, what it shows, and what is measured of it.
 
     split, number: as `simnfnd export --to png` names it.
@@ -87,7 +87,7 @@ class Item(Subject):
         return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in figures.items()}
 
 
-def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
+def items_of(root: Path, split: Split, limit: int | None = None) -> list[JudgedPair]:
     """Every pair of a split (the first `limit`), in the dataset's order.
 
     Raises FactoryError when `root` is no dataset.
@@ -105,12 +105,12 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
         place = (str(sample.path), sample.row)
         key = f"{digest[:24]}:{sample.row}"
         identity = sample.location, sample.scene, sample.frame, sample.variant
-        items.append(Item(name, place, sample.split, counts[sample.split], key, *identity))
+        items.append(JudgedPair(name, place, sample.split, counts[sample.split], key, *identity))
         counts[sample.split] += 1
     return items[:limit]
 
 
-def drawn_of(items: Sequence[Item]) -> pd.DataFrame:
+def drawn_of(items: Sequence[JudgedPair]) -> pd.DataFrame:
     """(items x columns of /meta) what was drawn: numbers, NaN where absent, or text."""
     import pandas as pd
 
@@ -125,7 +125,7 @@ def drawn_of(items: Sequence[Item]) -> pd.DataFrame:
     return every.astype(numbers).reset_index(drop=True)
 
 
-def config_hash_of(item: Item) -> str:
+def config_hash_of(item: JudgedPair) -> str:
     """Of the dataset that an item is of."""
     with open_shard(Path(item.place[0])) as file:
         return str(file.attrs["config_hash"])
@@ -160,12 +160,12 @@ def geometry_of(place: Place) -> FanGeometry | None:
 
 
 @lru_cache(maxsize=8)
-def _scene(item: Item) -> Scene:
+def _scene(item: JudgedPair) -> MeasuredPair:
     """What all methods share on a pair."""
-    return Scene(pair_images(item.place))
+    return MeasuredPair(pair_images(item.place))
 
 
-def names_of(item: Item) -> list[str]:
+def names_of(item: JudgedPair) -> list[str]:
     """Where another program's image may lie, without its suffix.
 
     As `simnfnd export --to png` and `simnfnd denoise` name it.
@@ -193,7 +193,7 @@ def read_external_image(folder: Path, names: Sequence[str]) -> Grey:
         if (image[..., :3] != image[..., :1]).any():
             raise FactoryError(f"{path}: in colour; sonar images are grey, convert it first")
         image = image[..., 0]
-    return grey_of(Frame(0, image))
+    return grey_of(SonarFrame(0, image))
 
 
 def given_methods(folders: Sequence[ImagesFolder], names: Sequence[Sequence[str]]) -> list[Method]:

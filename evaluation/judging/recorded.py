@@ -53,7 +53,7 @@ _SAME = 0.9
 
 
 @dataclass(frozen=True)
-class Shot:
+class RecordedImage:
     """An image, or a frame of a recording.
 
     path, number: of the image or recording, and of the frame in it.
@@ -88,7 +88,7 @@ class Stretch:
     """Shots in which one scene may stay: those of a folder or of a recording, in order."""
 
     name: str
-    shots: tuple[Shot, ...]
+    shots: tuple[RecordedImage, ...]
 
 
 def open_input(
@@ -121,13 +121,13 @@ def open_input(
     return [Stretch(stretch.name, stretch.shots[:most]) for stretch in stretches], notes
 
 
-def open_real(location: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
+def open_real(location: str | Path) -> tuple[list[RecordedImage], tuple[str, ...]]:
     """The same shots, each with its geometry: given, or found in the image.
 
     Raises FactoryError, also where nothing says where range and bearing are.
     """
     stretches, notes = open_input(location)
-    shots_with_fans: list[Shot] = []
+    shots_with_fans: list[RecordedImage] = []
     trackers: dict[Path, FanTracker] = {}
     for shot in (shot for stretch in stretches for shot in stretch.shots):
         known = shot.known
@@ -143,7 +143,7 @@ def open_real(location: str | Path) -> tuple[list[Shot], tuple[str, ...]]:
     return shots_with_fans, notes
 
 
-def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
+def _with_geometry(root: Path) -> tuple[tuple[RecordedImage, ...], tuple[str, ...]]:
     """The images of a folder whose geometry is known, by name, and notes."""
     images = root / "Images" if (root / "Images").is_dir() else root
     files = sorted(path for path in images.iterdir() if path.is_file())
@@ -165,7 +165,7 @@ def _with_geometry(root: Path) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
                 f"outside the sector); write {table} (docs/realism.md says how)"
             )
         counts[name] += 1
-        shots.append(Shot(path, 0, path.name, MDD_GEOMETRIES[name]))
+        shots.append(RecordedImage(path, 0, path.name, MDD_GEOMETRIES[name]))
     mix = ", ".join(f"{count} of geometry {name}" for name, count in counts.items() if count)
     return tuple(shots), (f"Marine Debris Dataset: {mix}",)
 
@@ -197,7 +197,7 @@ def outline(image: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     return np.asarray(left & right)
 
 
-def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
+def _with_table(table: Path, paths: list[Path]) -> tuple[RecordedImage, ...]:
     lines = dict[str, FanGeometry]()
     number = 1
     try:
@@ -214,7 +214,9 @@ def _with_table(table: Path, paths: list[Path]) -> tuple[Shot, ...]:
         raise FactoryError(f"{table}: {absent[0]} is listed but there is no such image")
     if "*" not in lines and (more := [path.name for path in paths if path.name not in lines]):
         raise FactoryError(f"{table}: no line for {more[0]}; add one, or one for all: *")
-    return tuple(Shot(path, 0, path.name, lines.get(path.name) or lines["*"]) for path in paths)
+    return tuple(
+        RecordedImage(path, 0, path.name, lines.get(path.name) or lines["*"]) for path in paths
+    )
 
 
 def _line(row: Mapping[str, str | None]) -> tuple[str, FanGeometry]:
@@ -245,7 +247,7 @@ def _below(root: Path) -> list[Stretch]:
         files = sorted(path for path in folder.iterdir() if path.is_file())
         kinds = {path: kind_of(path) for path in files}
         images = in_order([path for path, kind in kinds.items() if kind == "images"])
-        shots = tuple(Shot(path, 0, path.name) for path in images)
+        shots = tuple(RecordedImage(path, 0, path.name) for path in images)
         if shots:
             stretches.append(Stretch("/".join(parts) or root.resolve().name, shots))
         for path, kind in kinds.items():
@@ -258,5 +260,5 @@ def _recording(path: Path, name: str) -> Stretch:
     with open_recording(path) as recording:
         count = len(recording)
     if kind_of(path) == "images":
-        return Stretch(name, (Shot(path, 0, path.name),))
-    return Stretch(name, tuple(Shot(path, n, f"{path.name}#{n}") for n in range(count)))
+        return Stretch(name, (RecordedImage(path, 0, path.name),))
+    return Stretch(name, tuple(RecordedImage(path, n, f"{path.name}#{n}") for n in range(count)))

@@ -50,7 +50,7 @@ class Subject:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class JudgingTask:
     """Some methods on some images, by their numbers; the unit that travels to a worker.
 
     keep: numbers of the images whose denoised images come back.  again: a worker died with it.
@@ -64,7 +64,7 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class MethodResult:
     """What a method gave: figures and images by number of the image, or why it failed."""
 
     figures: dict[int, Figures] = field(default_factory=dict)
@@ -126,11 +126,11 @@ def run(
     measured = Measured({method.label: {} for method in methods})
     for batch in batches:
         every = list(batch.items())
-        waiting: deque[Task] = deque()
+        waiting: deque[JudgingTask] = deque()
         for first in range(0, len(every), chunk):
             some = dict(every[first : first + chunk])
             if todo := tuple(item for item in methods if item.label not in measured.lost):
-                waiting.append(Task(todo, some, device, frozenset(filter(keep, some))))
+                waiting.append(JudgingTask(todo, some, device, frozenset(filter(keep, some))))
         for task, results in pool.run(
             measure_task,
             waiting,
@@ -140,7 +140,7 @@ def run(
                 if again := _again(task):
                     waiting.extendleft(again)
                     continue
-                results = [Result(lost=results.reason)] * len(task.methods)
+                results = [MethodResult(lost=results.reason)] * len(task.methods)
             for method, result in zip(task.methods, results, strict=True):
                 tick(len(task.subjects))
                 if result.lost is not None:
@@ -160,7 +160,7 @@ def run(
     return measured
 
 
-def _again(task: Task) -> list[Task]:
+def _again(task: JudgingTask) -> list[JudgingTask]:
     """What to try once more after a worker died with this task: each method alone."""
     if task.again:
         return []
@@ -169,7 +169,7 @@ def _again(task: Task) -> list[Task]:
     return [replace(task, methods=methods, again=True) for methods in apart]
 
 
-def measure_task(task: Task) -> list[Result]:
+def measure_task(task: JudgingTask) -> list[MethodResult]:
     """Run the methods and measure what they give; a result for each, in their order.
 
     Raises FactoryError for a damaged image.
@@ -181,9 +181,9 @@ def measure_task(task: Task) -> list[Result]:
             outputs[method.output] = _applied(method, task)
         output = outputs[method.output]
         if isinstance(output, str):
-            results.append(Result(lost=output))
+            results.append(MethodResult(lost=output))
             continue
-        result = Result()
+        result = MethodResult()
         for number, (image, seconds) in output.items():
             if method.levels is not None:
                 image = method.levels(image)
@@ -194,7 +194,7 @@ def measure_task(task: Task) -> list[Result]:
     return results
 
 
-def _applied(method: Method, task: Task) -> dict[int, tuple[Grey, float]] | str:
+def _applied(method: Method, task: JudgingTask) -> dict[int, tuple[Grey, float]] | str:
     """The method's image of each subject without levels, (H, W) in 0..1, and its seconds.
 
     Seconds are NaN where another program took them.  Or why the method failed.  Raises FactoryError

@@ -234,7 +234,7 @@ _FIXED = (
 
 
 @dataclass(frozen=True, config=STRICT)
-class Parameter:
+class SearchedKey:
     """What is searched for one key of the factory's configuration.
 
     low, high: limits of its value.  log: search the logarithm.  choices: instead of limits, the
@@ -279,7 +279,7 @@ class FitSettings:
     """Keys of `simnfnd evaluate fit`, as conf/fit.yaml explains them."""
 
     real: Annotated[str, Field(min_length=1)]
-    parameters: dict[str, Parameter]
+    parameters: dict[str, SearchedKey]
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")] = "fitted"
     recipe: tuple[str, ...] = ("experiment=physical",)
     frames: Annotated[int, Field(ge=8)] = 24

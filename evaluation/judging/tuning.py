@@ -31,7 +31,7 @@ from ..filters import REGISTRY, Baseline, Parameters, method_of
 from ..metrics.fidelity import finite_psnr, psnr
 from ..metrics.measure import Grey, Levels, fit_levels
 from .methods import reason, shown
-from .pairs import Item, items_of, pair_images
+from .pairs import JudgedPair, items_of, pair_images
 from .settings import EvaluationSettings
 
 SCHEMA = "simnfnd-tuned/1"
@@ -43,7 +43,7 @@ _LEAST_SIDE = 96  # pixels of the middle of a frame
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class TuningImage:
     """An image to tune on.
 
     noisy, reference: (H, W) in 0..1.  mask: (H, W) bool, what counts; None: all.
@@ -55,11 +55,11 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class TuningTask:
     """A filter to be tuned on samples.  fold: whom the result is for."""
 
     baseline: str
-    samples: tuple[Sample, ...]
+    samples: tuple[TuningImage, ...]
     fold: int = 0
 
 
@@ -85,12 +85,14 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
     lost: dict[str, str] = {}
     keys = {baseline.name: _key(baseline, items) for baseline in baselines}
     pairs = [pair_images(item.place) for item in items]
-    samples = tuple(Sample(pair.noisy, pair.clean) for pair in pairs)
+    samples = tuple(TuningImage(pair.noisy, pair.clean) for pair in pairs)
     tasks = [
-        Task(name, samples) for name, key in keys.items() if known.get(name, {}).get("key") != key
+        TuningTask(name, samples)
+        for name, key in keys.items()
+        if known.get(name, {}).get("key") != key
     ]
 
-    def limit_s(task: Task) -> float:
+    def limit_s(task: TuningTask) -> float:
         points = len(method_of(task.baseline).points()) + 1
         return settings.image_timeout_s * len(items) * points
 
@@ -104,11 +106,11 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
 
 
 def run_tasks(
-    function: Callable[[Task], dict[str, Any] | str],
-    tasks: Sequence[Task],
+    function: Callable[[TuningTask], dict[str, Any] | str],
+    tasks: Sequence[TuningTask],
     pool: TaskPool,
-    limit_s: Callable[[Task], float],
-) -> Iterator[tuple[Task, dict[str, Any] | str]]:
+    limit_s: Callable[[TuningTask], float],
+) -> Iterator[tuple[TuningTask, dict[str, Any] | str]]:
     """Each task with what `function` found, or why it failed, as they are done."""
     if not tasks:
         return
@@ -118,7 +120,7 @@ def run_tasks(
             yield task, outcome.reason if isinstance(outcome, TaskLost) else outcome
 
 
-def on_pairs(task: Task) -> dict[str, Any] | str:
+def on_pairs(task: TuningTask) -> dict[str, Any] | str:
     """The default, the best, and the best after levels, as in the file; or why not."""
     baseline = method_of(task.baseline)
     known = dict[tuple[float, ...], Point]()
@@ -138,7 +140,7 @@ def on_pairs(task: Task) -> dict[str, Any] | str:
         return reason(error)
 
 
-def on_frames(task: Task) -> Parameters | str:
+def on_frames(task: TuningTask) -> Parameters | str:
     """The best parameters after one gain and offset an image; or why not."""
     baseline = method_of(task.baseline)
     try:
@@ -150,21 +152,21 @@ def on_frames(task: Task) -> Parameters | str:
         return reason(error)
 
 
-def _mean_psnr(images: Sequence[Grey], samples: Sequence[Sample]) -> float:
+def _mean_psnr(images: Sequence[Grey], samples: Sequence[TuningImage]) -> float:
     return float(np.mean([
         finite_psnr(psnr(sample.reference, image, data_range=1.0, mask=sample.mask))
         for image, sample in zip(images, samples, strict=True)
     ]))  # fmt: skip
 
 
-def _measured(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> Point:
+def _measured(baseline: Baseline, point: Parameters, samples: Sequence[TuningImage]) -> Point:
     images = [baseline(sample.noisy, point) for sample in samples]
     levels = fit_levels((i, s.reference) for i, s in zip(images, samples, strict=True))
     corrected = [levels(image) for image in images]
     return Point(point, _mean_psnr(images, samples), _mean_psnr(corrected, samples), levels)
 
 
-def _score(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> float:
+def _score(baseline: Baseline, point: Parameters, samples: Sequence[TuningImage]) -> float:
     images = [baseline(sample.noisy, point) for sample in samples]
     fitted = [
         fit_levels([(image[sample.mask], sample.reference[sample.mask])])(image)
@@ -173,7 +175,7 @@ def _score(baseline: Baseline, point: Parameters, samples: Sequence[Sample]) -> 
     return _mean_psnr(fitted, samples)
 
 
-def _middle(frame: Sample) -> Sample:
+def _middle(frame: TuningImage) -> TuningImage:
     """The middle of what is judged of a frame, half as high and half as wide."""
     cut = []
     assert frame.mask is not None
@@ -188,7 +190,7 @@ def _middle(frame: Sample) -> Sample:
     return replace(frame, **planes, mask=np.ascontiguousarray(frame.mask[part]))
 
 
-def validation_items(settings: EvaluationSettings) -> list[Item]:
+def validation_items(settings: EvaluationSettings) -> list[JudgedPair]:
     """The pairs to tune on: those that `simnfnd train` validates on, with the same seed."""
     try:
         # torch takes seconds to import; the split must be the very one of training.
@@ -223,14 +225,14 @@ def load_tuned(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _key(baseline: Baseline, items: list[Item]) -> str:
+def _key(baseline: Baseline, items: list[JudgedPair]) -> str:
     """Changes with the pairs, the grid and the default."""
     pairs = [item.key for item in items]
     parts = [baseline.name, dict(baseline.default), dict(baseline.grid), pairs]
     return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
 
 
-def _save(path: Path, known: dict[str, Any], items: list[Item]) -> None:
+def _save(path: Path, known: dict[str, Any], items: list[JudgedPair]) -> None:
     content = {
         "schema": SCHEMA,
         "validation": [f"{item.shard}#{item.place[1]}" for item in items],

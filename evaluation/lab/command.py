@@ -20,7 +20,7 @@ _DEFAULT = "experiment=physical"
 _PARTS_OF_A_FRAME = 3
 
 
-class Subject(NamedTuple):
+class PageSubject(NamedTuple):
     """What the page begins with.
 
     words: of `simnfnd make`.  real: the image or recording to compare with.
@@ -52,7 +52,7 @@ def main(words: list[str]) -> None:
         server.serve_until_interrupted(opens_browser=not options.no_browser)
 
 
-def read_words(words: Sequence[str]) -> Subject:
+def read_words(words: Sequence[str]) -> PageSubject:
     """Sort words by what they name.
 
     Raises FactoryError, one line, for a word that names nothing, or one kind of thing twice.
@@ -79,7 +79,7 @@ def read_words(words: Sequence[str]) -> Subject:
         start = [word for word in start if not word.startswith("sonar")]
         start.append(f"sonar={named['device']}")
     real = Path(named["image"]) if "image" in named else None
-    return Subject([*start, *settings], real, named.get("frame", ""))
+    return PageSubject([*start, *settings], real, named.get("frame", ""))
 
 
 def _is_setting(word: str) -> bool:

@@ -41,7 +41,7 @@ _OPEN = 1e-9
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Control:
     """One control of the page.
 
     key: dotted, as for `simnfnd make`.  group: the block that holds it.  kind: of the control.
@@ -73,9 +73,9 @@ class Parameter:
         return asdict(self)
 
 
-def parameters_of(config: FactoryConfig) -> list[Parameter]:
+def parameters_of(config: FactoryConfig) -> list[Control]:
     """The parameters of the noise, the device and its image formation, group by group."""
-    parameters: list[Parameter] = []
+    parameters: list[Control] = []
     for name, block in blocks(config.noise).items():
         parameters += _of_settings(f"noise.{name}", block)
     parameters += _of_settings("sonar", config.sonar)
@@ -85,7 +85,7 @@ def parameters_of(config: FactoryConfig) -> list[Parameter]:
     return parameters
 
 
-def _of_settings(group: str, settings: Any) -> Iterator[Parameter]:
+def _of_settings(group: str, settings: Any) -> Iterator[Control]:
     """Own parameters first, then those of the settings inside; text, lists and tables are none."""
     hints = get_type_hints(type(settings), include_extras=True)
     sentences = sentences_of(type(settings))
@@ -144,14 +144,14 @@ def _bound(limit: Any, name: str, sign: int = 1) -> float:
 
 def _parameter(
     group: str, name: str, value: Any, limits: _Limits, unit: str, sentence: str
-) -> Parameter | None:
+) -> Control | None:
     key = f"{group}.{name}"
     if limits.words:
         if len(limits.words) == 1:
             return None
-        return Parameter(key, group, "choice", value, sentence, words=limits.words)
+        return Control(key, group, "choice", value, sentence, words=limits.words)
     if bool in limits.types:
-        return Parameter(key, group, "switch", value, sentence or "whether it acts")
+        return Control(key, group, "switch", value, sentence or "whether it acts")
     if tuple in limits.types or not limits.types & {int, float, Distribution}:
         return None
 
@@ -171,7 +171,7 @@ def _parameter(
     if low < step and low == _rounded(lowest) > 0:
         # Else all values of the slider would have its last digits.
         low = step
-    return Parameter(
+    return Control(
         key,
         group,
         "number",

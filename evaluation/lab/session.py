@@ -23,7 +23,7 @@ from ...factory.simulation.render.base import Mount, RenderSettings
 from ...factory.simulation.render.view import View
 from ...factory.simulation.scenes import Scenes, open_reader
 from .exports import Base, Exports, command_line, put, recipe, sweep_line
-from .parameters import Parameter, parameters_of
+from .parameters import Control, parameters_of
 
 Changes = Mapping[str, Any]
 """Changed parameters: plain values by dotted key."""
@@ -60,7 +60,7 @@ class Session:
             # A thread of the server would load it, and a process crashes at its end unless its main
             # thread has loaded Blender.
             importlib.import_module("bpy")
-        self.parameters: list[Parameter] = parameters_of(self.config)
+        self.parameters: list[Control] = parameters_of(self.config)
         self.frames = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
         # In a sweep a comma of a name would begin another point, so names are quoted.
         flags = [word for word in words if word.startswith("-")]

@@ -80,7 +80,7 @@ def fit_levels(pairs: Iterable[tuple[Floats, Floats]]) -> Levels:
     return Levels(float(gain), float(mean_y - gain * mean_x))
 
 
-class Scene:
+class MeasuredPair:
     """A pair, checked, and what the metrics of all methods on it share."""
 
     def __init__(self, pair: PairImages) -> None:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ...factory.common import extensions
 from ...factory.common.errors import FactoryError
-from .measure import Figures, Grey, PairImages, Scene
+from .measure import Figures, Grey, MeasuredPair, PairImages
 
 _SIDE = 48
 
@@ -90,7 +90,7 @@ def _problems(metric: Any) -> Iterator[str]:
     if metric.better not in (-1, 0, 1):
         yield f"better={metric.better!r}: give 1, -1 or 0"
     pair = _pair()
-    if metric.name in Scene(pair).figures(pair.noisy):
+    if metric.name in MeasuredPair(pair).figures(pair.noisy):
         yield "there is one of that name"
     try:
         figure = metric.function(pair.noisy, pair)

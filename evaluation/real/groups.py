@@ -16,7 +16,7 @@ from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.repeats import CopyFinder
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
-from ..judging.recorded import Shot, Stretch, outline
+from ..judging.recorded import RecordedImage, Stretch, outline
 from ..metrics.fidelity import Mask
 from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
@@ -47,7 +47,7 @@ class Group:
     """
 
     name: str
-    shots: tuple[Shot, ...]
+    shots: tuple[RecordedImage, ...]
     shifts_px: np.ndarray
     geometry: FanGeometry | None
     mask: Mask
@@ -60,11 +60,11 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ReferencedFrame:
     """A frame with its nearly noise-free reference, (H, W) each; None without one."""
 
     group: int | None
-    shot: Shot
+    shot: RecordedImage
     noisy: Grey
     reference: Grey | None
     mask: Mask
@@ -75,7 +75,7 @@ class Searched(NamedTuple):
     """Static groups of a stretch, its readable shots, and notes for the report."""
 
     groups: list[Group]
-    shots: list[Shot]
+    shots: list[RecordedImage]
     notes: list[str]
 
 
@@ -91,7 +91,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     tracker = FanTracker()
     copy_finder = CopyFinder()
     copies = 0
-    shots: list[Shot] = []
+    shots: list[RecordedImage] = []
     fans: list[FanGeometry | None] = []
     sectors: list[Mask] = []
     for shot in stretch.shots:
@@ -131,7 +131,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
 
 
 @dataclass(frozen=True)
-class Part:
+class GroupPart:
     """What is done with a group.
 
     judged: places of its frames that are judged.  fold: by filters that were tuned in the other.
@@ -143,7 +143,7 @@ class Part:
     tuning: dict[int, tuple[int, ...]]
 
 
-def parts_of(groups: Sequence[Group]) -> list[Part]:
+def parts_of(groups: Sequence[Group]) -> list[GroupPart]:
     """What is tuned on and what is judged: every other group; of a single one its two halves.
 
     So no filter is judged on frames that chose its parameters.
@@ -152,7 +152,7 @@ def parts_of(groups: Sequence[Group]) -> list[Part]:
         count = len(groups[0].shots)
         half = count // 2
         tuning = {0: tuple(evenly(range(half), MOST_FRAMES))}
-        return [Part(tuple(range(half, count)), 0, tuning)]
+        return [GroupPart(tuple(range(half, count)), 0, tuning)]
     # Of many groups a part is enough to tune on.
     most = MOST_FRAMES // FRAMES_OF_A_GROUP
     used = {n for fold in range(FOLDS) for n in evenly(range(fold, len(groups), FOLDS), most)}
@@ -161,11 +161,11 @@ def parts_of(groups: Sequence[Group]) -> list[Part]:
         every = range(len(group.shots))
         next_fold = (number + 1) % FOLDS
         tuning = {next_fold: tuple(evenly(every, FRAMES_OF_A_GROUP))} if number in used else {}
-        parts.append(Part(tuple(every), number % FOLDS, tuning))
+        parts.append(GroupPart(tuple(every), number % FOLDS, tuning))
     return parts
 
 
-def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Judged]:
+def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[ReferencedFrame]:
     """The frames at these places of a group, each with the mean of the others as its reference."""
     frames = [shot.read()[0] for shot in group.shots]
     static = StaticGroup(tuple(range(len(frames))), group.shifts_px)
@@ -174,14 +174,14 @@ def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Judged]
         laid = laid_over(frames, static, place, others)
         reference = np.asarray(np.mean(laid, axis=0, dtype=np.float64), np.float32)
         shot = group.shots[place]
-        yield Judged(number, shot, frames[place], reference, group.mask, group.geometry)
+        yield ReferencedFrame(number, shot, frames[place], reference, group.mask, group.geometry)
 
 
-def alone(shot: Shot) -> Judged:
+def alone(shot: RecordedImage) -> ReferencedFrame:
     """An image of no group: without a reference."""
     noisy, geometry = shot.read()
     geometry = geometry or find_geometry(noisy)
-    return Judged(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
+    return ReferencedFrame(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
 
 
 def sector_of(image: Grey, geometry: FanGeometry | None) -> Mask:
@@ -203,7 +203,7 @@ def nearest(count: int, place: int, most: int) -> list[int]:
 
 def _group(
     name: str,
-    shots: Sequence[Shot],
+    shots: Sequence[RecordedImage],
     fans: Sequence[FanGeometry | None],
     sectors: Sequence[Mask],
     static: StaticGroup,
@@ -229,7 +229,7 @@ def _group(
 class _Images(Sequence[Grey]):
     """Images that are read when they are looked at."""
 
-    def __init__(self, shots: Sequence[Shot]) -> None:
+    def __init__(self, shots: Sequence[RecordedImage]) -> None:
         self._shots = shots
 
     def __len__(self) -> int:

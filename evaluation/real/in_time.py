@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from ...factory.common.progress import progress_bar
 from ...factory.common.workers.tasks import TaskLost, TaskPool
-from ...models.denoise.temporal.stream import InTime, Network, Shot
+from ...models.denoise.temporal.stream import InTime, Network, SequenceFrame
 from ..filters import REGISTRY
 from ..filters.windows import mean_around, registered_mean
 from ..judging.methods import Method, network
@@ -59,7 +59,7 @@ _WAKE_PX = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class JudgedInput:
     """One kind of input with what it is judged by.
 
     frames, references: (N, H, W) float32 in 0..1.  masks: (N, H, W), which pixels count.
@@ -88,19 +88,21 @@ class Judged:
         }
 
 
-def kinds_of(frames: Grey, seed: int = 0) -> Iterator[Judged]:
+def kinds_of(frames: Grey, seed: int = 0) -> Iterator[JudgedInput]:
     """The three kinds of one recording.
 
     frames: (N, H, W) float32 in 0..1, of a static scene; `LEAST_FRAMES` at least.
     """
     references, masks = _references(frames)
-    static = Judged("static", frames, references, masks)
+    static = JudgedInput("static", frames, references, masks)
     yield static
     yield _moving(static, np.random.default_rng([seed, 1]))
     yield _ghost(static, np.random.default_rng([seed, 2]))
 
 
-def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callable[[int], Grey]]:
+def rows_of(
+    judged: JudgedInput, network: Network, weight: float
+) -> dict[str, Callable[[int], Grey]]:
     """Row -> what it makes of a frame.  weight: of the total variation."""
     fused, denoised = (_in_time(judged.frames, model) for model in (None, network))
     tv = REGISTRY["tv"]
@@ -123,7 +125,7 @@ def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callab
     }
 
 
-def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
+def tuned_weight(others: Sequence[JudgedInput], step: int = 8) -> float:
     """The weight of total variation that is best for means of 7 of other recordings."""
     tv = REGISTRY["tv"]
     means = [
@@ -143,7 +145,7 @@ def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
 
 def _in_time(frames: Grey, network: Network | None) -> list[Grey]:
     """Fused, and denoised where there is a network."""
-    shots = (Shot(number, frame) for number, frame in enumerate(frames))
+    shots = (SequenceFrame(number, frame) for number, frame in enumerate(frames))
     return [image for _, image in InTime(network)(shots)]
 
 
@@ -165,7 +167,7 @@ def _references(frames: Grey) -> tuple[Grey, Mask]:
     return references, masks
 
 
-def _moving(static: Judged, rng: np.random.Generator) -> Judged:
+def _moving(static: JudgedInput, rng: np.random.Generator) -> JudgedInput:
     """A window of part of the frame on a smooth random way, whole pixels a frame."""
     count, *sides = static.frames.shape
     size = np.array([int(side * _WINDOW) // 8 * 8 for side in sides])
@@ -184,10 +186,10 @@ def _moving(static: Judged, rng: np.random.Generator) -> Judged:
     def cut(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.stack([plane[window] for plane, window in zip(planes, windows, strict=True)])
 
-    return Judged("moving", cut(static.frames), cut(static.references), cut(static.masks))
+    return JudgedInput("moving", cut(static.frames), cut(static.references), cut(static.masks))
 
 
-def _ghost(static: Judged, rng: np.random.Generator) -> Judged:
+def _ghost(static: JudgedInput, rng: np.random.Generator) -> JudgedInput:
     """A bright body with a grain of its own, weaving down the middle of the frame."""
     _, height, width = static.frames.shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
@@ -208,7 +210,7 @@ def _ghost(static: Judged, rng: np.random.Generator) -> Judged:
         references[number] = references[number] * (1 - body) + _LEVEL * body
         masks[number] = cv2.dilate((body > 0.1).astype(np.uint8), wake) > 0
     frames = np.rint(frames * 255) / np.float32(255)
-    return Judged("ghost", frames, references, masks, levels=False)
+    return JudgedInput("ghost", frames, references, masks, levels=False)
 
 
 def judged_in_time(

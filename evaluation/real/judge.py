@@ -20,7 +20,7 @@ from ..filters import Baseline, Parameters
 from ..judging import tuning
 from ..judging.learned import learned_notes
 from ..judging.methods import NOISY, Method, baselines_of, networks_at
-from ..judging.recorded import Shot, Stretch
+from ..judging.recorded import RecordedImage, Stretch
 from ..judging.runner import SECONDS, Measured, Subject, run
 from ..judging.settings import RealSettings
 from ..metrics.fidelity import Mask, edge_preservation, finite_psnr, psnr, ssim
@@ -36,7 +36,17 @@ from ..metrics.measure import (
 )
 from ..metrics.statistics import estimate, evenly
 from ..report.tables import plain
-from .groups import LEAST, Group, Judged, Part, Searched, alone, judged, parts_of, search
+from .groups import (
+    LEAST,
+    Group,
+    GroupPart,
+    ReferencedFrame,
+    Searched,
+    alone,
+    judged,
+    parts_of,
+    search,
+)
 from .in_time import judged_in_time
 
 if TYPE_CHECKING:
@@ -57,7 +67,7 @@ _DARK_SHARE = 0.1  # darkest part of the sector
 _BRIGHT_SHARE = 0.5  # brightest part of the sector
 
 
-class Row(TypedDict):
+class ReportRow(TypedDict):
     """A row of the report as plain data.
 
     label: of the method.  network: whether the method is a network.
@@ -82,7 +92,7 @@ class Row(TypedDict):
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class RealOutcome:
     """What was measured.
 
     files: names of the judged images.  examples: number -> image, of those that the report shows;
@@ -90,17 +100,17 @@ class Outcome:
     """
 
     groups: list[Group]
-    parts: list[Part]
+    parts: list[GroupPart]
     files: list[str]
-    rows: list[Row]
+    rows: list[ReportRow]
     measured: Measured
-    examples: dict[int, Judged]
+    examples: dict[int, ReferencedFrame]
     best: dict[str, str]
     in_time: pd.DataFrame
     notes: list[str]
 
 
-class Plan(NamedTuple):
+class JudgingPlan(NamedTuple):
     """Which images are judged, and by which filters.
 
     shots: the judged images, in order.
@@ -109,13 +119,13 @@ class Plan(NamedTuple):
     lost: label -> why a filter could not be tuned.
     """
 
-    shots: list[Shot]
+    shots: list[RecordedImage]
     filters: list[tuple[Method, ...]]
     group_of_image: npt.NDArray[np.int64]
     lost: dict[str, str]
 
 
-def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) -> Outcome:
+def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) -> RealOutcome:
     """Find static groups, tune the filters, and measure every method.
 
     Raises FactoryError when something cannot be read, or there is nothing to judge.
@@ -151,7 +161,7 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
         seed=settings.seed,
     )
     in_time, time_notes = judged_in_time(settings, groups, networks, pool)
-    return Outcome(
+    return RealOutcome(
         groups=groups,
         parts=parts,
         files=[shot.name for shot in plan.shots],
@@ -182,7 +192,7 @@ def _search_groups(
                 searched[number] = stretch_result
 
     groups: list[Group] = []
-    shots: list[Shot] = []
+    shots: list[RecordedImage] = []
     notes: list[str] = []
     for _, stretch_result in sorted(searched.items()):
         groups += stretch_result.groups
@@ -204,55 +214,55 @@ def _search_groups(
 def _plan_groups(
     settings: RealSettings,
     groups: Sequence[Group],
-    parts: Sequence[Part],
+    parts: Sequence[GroupPart],
     baselines: Sequence[Baseline],
     pool: TaskPool,
-) -> Plan:
+) -> JudgingPlan:
     """Judge frames of static groups by filters that were tuned on other frames."""
     parameters_of_filter, lost = _tune_filters(settings, groups, parts, baselines, pool)
     filters = [
         tuple(Method(name, TUNED, parameters) for _, parameters in sorted(of_fold.items()))
         for name, of_fold in parameters_of_filter.items()
     ]
-    shots: list[Shot] = []
+    shots: list[RecordedImage] = []
     for group, part in zip(groups, parts, strict=True):
         shots += [group.shots[place] for place in part.judged]
     group_of_image = np.repeat(np.arange(len(parts)), [len(part.judged) for part in parts])
-    return Plan(shots, filters, group_of_image, lost)
+    return JudgingPlan(shots, filters, group_of_image, lost)
 
 
 def _plan_single_images(
-    settings: RealSettings, shots: Sequence[Shot], baselines: Sequence[Baseline]
-) -> Plan:
+    settings: RealSettings, shots: Sequence[RecordedImage], baselines: Sequence[Baseline]
+) -> JudgingPlan:
     """Judge images without references by filters at their default parameters."""
     judged_shots = evenly(shots, settings.limit)
     filters: list[tuple[Method, ...]] = [
         (Method(baseline.name, "", dict(baseline.default)),) for baseline in baselines
     ]
     group_of_image = np.arange(len(judged_shots))  # every image is a group
-    return Plan(judged_shots, filters, group_of_image, {})
+    return JudgingPlan(judged_shots, filters, group_of_image, {})
 
 
 def _tune_filters(
     settings: RealSettings,
     groups: Sequence[Group],
-    parts: Sequence[Part],
+    parts: Sequence[GroupPart],
     baselines: Sequence[Baseline],
     pool: TaskPool,
 ) -> tuple[dict[str, dict[int, Parameters]], dict[str, str]]:
     """Filter -> fold -> parameters; and label -> why a filter could not be tuned."""
-    samples_of_fold: dict[int, list[tuning.Sample]] = {}
+    samples_of_fold: dict[int, list[tuning.TuningImage]] = {}
     for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
         for fold, places in part.tuning.items():
             samples_of_fold.setdefault(fold, []).extend(
-                tuning.Sample(frame.noisy, frame.reference, frame.mask)
+                tuning.TuningImage(frame.noisy, frame.reference, frame.mask)
                 for frame in judged(number, group, places)
                 if frame.reference is not None
             )
 
     filters = [baseline.name for baseline in baselines if baseline.grid]
     tasks = [
-        tuning.Task(name, tuple(samples), fold)
+        tuning.TuningTask(name, tuple(samples), fold)
         for name in filters
         for fold, samples in sorted(samples_of_fold.items())
     ]
@@ -271,15 +281,15 @@ def _tune_filters(
 def _measure_methods(
     settings: RealSettings,
     groups: Sequence[Group],
-    parts: Sequence[Part],
-    shots: Sequence[Shot],
+    parts: Sequence[GroupPart],
+    shots: Sequence[RecordedImage],
     methods_by_label: Mapping[str, Sequence[Method]],
     example_numbers: set[int],
     pool: TaskPool,
-) -> tuple[Measured, dict[int, Judged]]:
+) -> tuple[Measured, dict[int, ReferencedFrame]]:
     """Every method on every image, fold after fold; and number -> image of the examples."""
     all_measured = Measured({label: {} for label in methods_by_label})
-    examples: dict[int, Judged] = {}
+    examples: dict[int, ReferencedFrame] = {}
     image_count = len(shots) * len(methods_by_label)
     with progress_bar(total=image_count, unit="image", desc="judging") as bar:
         for fold in sorted({part.fold for part in parts}) or [0]:
@@ -303,7 +313,9 @@ def _measure_methods(
 
 
 def _batches(
-    images: Iterator[tuple[int, Judged]], example_numbers: set[int], examples: dict[int, Judged]
+    images: Iterator[tuple[int, ReferencedFrame]],
+    example_numbers: set[int],
+    examples: dict[int, ReferencedFrame],
 ) -> Iterator[dict[int, Subject]]:
     """The images in batches as `run` takes them; those of the examples are kept in `examples`."""
     while batch := dict(islice(images, _BATCH_IMAGES)):
@@ -312,8 +324,8 @@ def _batches(
 
 
 def _images_of_fold(
-    fold: int, groups: Sequence[Group], parts: Sequence[Part], shots: Sequence[Shot]
-) -> Iterator[tuple[int, Judged]]:
+    fold: int, groups: Sequence[Group], parts: Sequence[GroupPart], shots: Sequence[RecordedImage]
+) -> Iterator[tuple[int, ReferencedFrame]]:
     """Number and image of all that is judged in a fold; without groups these are all shots."""
     if not groups:
         yield from enumerate(map(alone, shots))
@@ -333,7 +345,7 @@ def rows_of(
     has_static_groups: bool,
     resamples: int,
     seed: int,
-) -> tuple[list[Row], dict[str, str]]:
+) -> tuple[list[ReportRow], dict[str, str]]:
     """The rows of the report; and figure -> label of the best filter in it.
 
     methods: label -> its method for each fold; one entry if untuned, none if lost.
@@ -344,7 +356,7 @@ def rows_of(
     group_means = table.drop(columns="picture").groupby(["method", "group"], sort=False).mean()
     best = _best_filters(methods, group_means)
     groups = range(int(group_of_image.max(initial=-1)) + 1)
-    rows: list[Row] = []
+    rows: list[ReportRow] = []
     for label, folds in methods.items():
         row = _report_row(label, folds, measured)
         rows.append(row)
@@ -380,9 +392,9 @@ def _best_filters(
     return {figure: str(method_means.loc[filters, figure].idxmax()) for figure in figures}
 
 
-def _report_row(label: str, folds: Sequence[Method], measured: Measured) -> Row:
+def _report_row(label: str, folds: Sequence[Method], measured: Measured) -> ReportRow:
     """The row of a method, still without means over groups."""
-    row = Row(
+    row = ReportRow(
         label=label,
         network=bool(folds) and folds[0].kind == "network",
         parameters=[method.parameters for method in folds],
@@ -412,7 +424,12 @@ def _group_values(label: str, group_means: pd.DataFrame, best: Mapping[str, str]
 
 
 def _add_means(
-    row: Row, group_values: pd.DataFrame, has_static_groups: bool, *, resamples: int, seed: int
+    row: ReportRow,
+    group_values: pd.DataFrame,
+    has_static_groups: bool,
+    *,
+    resamples: int,
+    seed: int,
 ) -> None:
     """Fill in means over groups; of static groups the values of each, and intervals."""
     group_names = [str(number) for number in group_values.index]
@@ -427,7 +444,7 @@ def _add_means(
             row["intervals"][name] = [over_groups.low, over_groups.high]
 
 
-def _group_notes(groups: Sequence[Group], parts: Sequence[Part]) -> list[str]:
+def _group_notes(groups: Sequence[Group], parts: Sequence[GroupPart]) -> list[str]:
     """What the report says of the static groups."""
     frame_count = sum(len(group.shots) for group in groups)
     notes = [f"{len(groups)} static groups of {frame_count} frames in all"]
@@ -460,7 +477,7 @@ def score(image: Grey, reference: Grey, mask: Mask) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class Scene:
+class MeasuredImage:
     """A noisy image and its regions, in which the output of every method is measured.
 
     sector: (H, W) bool, the insonified part.  dark, bright: (H, W) bool, dark and bright ground.
@@ -474,7 +491,7 @@ class Scene:
     zones: npt.NDArray[np.int64]
 
 
-def scene_of(noisy: Grey, sector: Mask, name: str) -> Scene:
+def scene_of(noisy: Grey, sector: Mask, name: str) -> MeasuredImage:
     """The regions of an image, (H, W) in 0..1; sector: (H, W) bool.
 
     Raises FactoryError, which names the image, when it is too small or black.
@@ -489,7 +506,7 @@ def scene_of(noisy: Grey, sector: Mask, name: str) -> Scene:
     if not inner.any():
         inner = sector
     low, high = np.quantile(smooth[inner], (_DARK_SHARE, 1 - _BRIGHT_SHARE))
-    return Scene(
+    return MeasuredImage(
         noisy,
         sector,
         dark=inner & (smooth <= low),
@@ -498,7 +515,7 @@ def scene_of(noisy: Grey, sector: Mask, name: str) -> Scene:
     )
 
 
-def figures_of(image: Grey, scene: Scene) -> Figures:
+def figures_of(image: Grey, scene: MeasuredImage) -> Figures:
     """The figures without a truth of an image, (H, W) in 0..1; NaN where one is undefined."""
     return {
         "enl": enl(image, scene.zones),
@@ -512,7 +529,7 @@ def figures_of(image: Grey, scene: Scene) -> Figures:
 class RealImage(Subject):
     """A judged image as methods and workers get it."""
 
-    judged: Judged
+    judged: ReferencedFrame
 
     def noisy_image(self) -> Grey:
         """See `Subject`."""
@@ -532,7 +549,7 @@ class RealImage(Subject):
         return {"psnr_db": psnr_db, "ssim": similarity, "gain_db": gain_db, **figures}
 
     @cached_property
-    def _scene(self) -> Scene:
+    def _scene(self) -> MeasuredImage:
         return scene_of(self.judged.noisy, self.judged.mask, str(self.judged.shot.path))
 
     @cached_property

@@ -11,11 +11,11 @@ from ..judging.methods import shown
 from ..judging.recorded import frame_of, open_input
 from ..judging.runner import SECONDS
 from ..judging.settings import RealSettings
-from ..report.document import Example, Section, write_report
+from ..report.document import ComparedImages, Section, write_report
 from ..report.tables import Metric, as_markdown, as_table, interval, written
 from .groups import MOST, MOST_OTHERS
 from .in_time import wide
-from .judge import MARGINS, Outcome, Row, judge
+from .judge import MARGINS, RealOutcome, ReportRow, judge
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -68,7 +68,7 @@ def evaluate(settings: RealSettings) -> None:
     print(f"report: {settings.folder / 'real.html'}")
 
 
-def write(settings: RealSettings, notes: Sequence[str], outcome: Outcome) -> str:
+def write(settings: RealSettings, notes: Sequence[str], outcome: RealOutcome) -> str:
     """Write the three files; returns what the terminal shows: the notes, tables and verdict.
 
     FactoryError when the folder cannot be written to.
@@ -121,7 +121,7 @@ def write(settings: RealSettings, notes: Sequence[str], outcome: Outcome) -> str
     return "\n\n".join(filter(None, texts))
 
 
-def table_of(rows: Sequence[Row]) -> pd.DataFrame:
+def table_of(rows: Sequence[ReportRow]) -> pd.DataFrame:
     """The means as text, a line a method."""
     names = [name for name in COLUMNS if any(row["means"].get(name) is not None for row in rows)]
     lines = []
@@ -133,7 +133,7 @@ def table_of(rows: Sequence[Row]) -> pd.DataFrame:
     return as_table(["method", *(COLUMNS[name].label for name in names)], lines)
 
 
-def _words(row: Row) -> str:
+def _words(row: ReportRow) -> str:
     """The label, and the parameters of each fold."""
     chosen = dict.fromkeys(
         shown(parameters).strip(" ()") for parameters in row["parameters"] if parameters
@@ -141,7 +141,7 @@ def _words(row: Row) -> str:
     return str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
 
 
-def _cell(row: Row, name: str) -> str:
+def _cell(row: ReportRow, name: str) -> str:
     """A figure as text, with its interval where it has one."""
     digits = COLUMNS[name].digits
     signed = name in _SIGNED
@@ -152,13 +152,13 @@ def _cell(row: Row, name: str) -> str:
     return text
 
 
-def _verdict(outcome: Outcome) -> str:
+def _verdict(outcome: RealOutcome) -> str:
     """Which filters are the best."""
     best = dict.fromkeys(f"`{label}`" for label in outcome.best.values())
     return f"The best filter (PSNR, SSIM): {', '.join(best)}." if best else ""
 
 
-def _examples(outcome: Outcome) -> list[Example]:
+def _examples(outcome: RealOutcome) -> list[ComparedImages]:
     """What the rows made of some images."""
     truth = "mean of the other frames"
     measured = outcome.measured
@@ -171,8 +171,8 @@ def _examples(outcome: Outcome) -> list[Example]:
         known = [label for label in alive if (label, number) in measured.images]
         images = {label: measured.images[label, number] for label in known}
         if judged.reference is None:
-            examples.append(Example(name, images))
+            examples.append(ComparedImages(name, images))
             continue
         psnr = {label: measured.figures[label][number]["psnr_db"] for label in known}
-        examples.append(Example(name, {**images, truth: judged.reference}, psnr, truth))
+        examples.append(ComparedImages(name, {**images, truth: judged.reference}, psnr, truth))
     return examples

@@ -25,7 +25,7 @@ from ...factory.production.cli.compose import compose_config
 from ...factory.simulation.config.root import FactoryConfig, from_mapping, plain
 from ...factory.simulation.pairs.pair_maker import PairMaker
 from ...factory.simulation.pairs.views import Views, open_views
-from ..judging.settings import FitSettings, Grid, Parameter
+from ..judging.settings import FitSettings, Grid, SearchedKey
 from ..metrics.features import features_of
 from ..metrics.statistics import evenly
 from ..report.document import write_files
@@ -156,7 +156,7 @@ def _sampler(settings: FitSettings, number: int) -> optuna.samplers.BaseSampler:
     )
 
 
-def _values(parameters: Mapping[str, Parameter], trial: Any) -> dict[str, Any]:
+def _values(parameters: Mapping[str, SearchedKey], trial: Any) -> dict[str, Any]:
     """The trial's proposal as values of a config."""
     values: dict[str, Any] = {}
     for key, parameter in parameters.items():
@@ -170,13 +170,13 @@ def _values(parameters: Mapping[str, Parameter], trial: Any) -> dict[str, Any]:
     return values
 
 
-def _middle(parameter: Parameter) -> Any:
+def _middle(parameter: SearchedKey) -> Any:
     if parameter.choices is not None:
         return parameter.choices[0]
     return written(parameter, sum(parameter.limits) / 2, parameter.spreads[1])
 
 
-def written(parameter: Parameter, value: float, spread: float = 0.0) -> Any:
+def written(parameter: SearchedKey, value: float, spread: float = 0.0) -> Any:
     """A value and its spread as a config writes them, four digits."""
     if spread <= 0:
         return _short(value)

@@ -19,12 +19,12 @@ from ...factory.common.seeds import stream
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.dataset.reader import Split
 from ..judging.pairs import Place, geometry_of, items_of, pair_images
-from ..judging.recorded import GEOMETRY_FILE, Shot, open_real
+from ..judging.recorded import GEOMETRY_FILE, RecordedImage, open_real
 from ..judging.settings import Grid, RealismSettings
 from ..metrics.features import FEATURES, features_of
 from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
-from ..report.document import Example, Section, write_report
+from ..report.document import ComparedImages, Section, write_report
 from ..report.tables import as_markdown, as_table, plain, written
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def evaluate(settings: RealismSettings) -> None:
     print(*notes, as_markdown(shown), f"report: {out / 'realism.html'}", sep="\n")
 
 
-def _examples_of(collections: Mapping[str, Collection], grid: Grid) -> list[Example]:
+def _examples_of(collections: Mapping[str, Collection], grid: Grid) -> list[ComparedImages]:
     """Polar images of all collections beside each other, far range on top."""
     sources_by_name = {
         name: collection.at_most(_EXAMPLES).sources for name, collection in collections.items()
@@ -88,7 +88,7 @@ def _examples_of(collections: Mapping[str, Collection], grid: Grid) -> list[Exam
         images = {
             name: sources[number].polar(grid)[::-1] for name, sources in sources_by_name.items()
         }
-        examples.append(Example(f"images {number + 1}", images))
+        examples.append(ComparedImages(f"images {number + 1}", images))
     return examples
 
 
@@ -185,16 +185,16 @@ _LEAST = 0.25
 
 
 @dataclass(frozen=True)
-class Source:
+class ReadableImage:
     """An image that can be read when its turn comes: of a dataset, or a shot."""
 
     geometry: FanGeometry
-    place: Place | Shot
+    place: Place | RecordedImage
 
     def polar(self, grid: Grid) -> Grey:
         """(range_bins, beams) float32 in 0..1.  Raises FactoryError."""
         place = self.place
-        image = place.read()[0] if isinstance(place, Shot) else pair_images(place).noisy
+        image = place.read()[0] if isinstance(place, RecordedImage) else pair_images(place).noisy
         return to_polar(image, self.geometry, grid)
 
 
@@ -203,7 +203,7 @@ class Collection:
     """Images that belong together.  name: what tables call them.  notes: for the report."""
 
     name: str
-    sources: tuple[Source, ...]
+    sources: tuple[ReadableImage, ...]
     notes: tuple[str, ...] = ()
 
     def at_most(self, limit: int | None) -> Collection:
@@ -244,14 +244,14 @@ def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[
 def real_images(folder: str | Path) -> Collection:
     """See `open_real`."""
     shots, notes = open_real(folder)
-    sources = [Source(shot.known, shot) for shot in shots if shot.known]
+    sources = [ReadableImage(shot.known, shot) for shot in shots if shot.known]
     return Collection(Path(folder).expanduser().resolve().name, tuple(sources), notes)
 
 
 def open_dataset(folder: str | Path, split: Split) -> Collection:
     """The images of a dataset folder.  Raises FactoryError when there are none to compare."""
     root = Path(folder).expanduser()
-    sources: list[Source] = []
+    sources: list[ReadableImage] = []
     items = items_of(root, split)
     for item in items:
         geometry = geometry_of(item.place)
@@ -259,7 +259,7 @@ def open_dataset(folder: str | Path, split: Split) -> Collection:
             raise FactoryError(f"sim={root}: {item.shard} does not say how its images are laid out")
         first, last = geometry.data_fraction
         if last - first >= _LEAST:
-            sources.append(Source(geometry, item.place))
+            sources.append(ReadableImage(geometry, item.place))
     narrow = f"the camera saw less than {_LEAST:.0%} of the sector"
     if not sources:
         raise FactoryError(f"sim={root}: {narrow} in every image; use a narrower sonar.hfov_deg")

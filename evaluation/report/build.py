@@ -16,7 +16,7 @@ from ..filters import Baseline
 from ..judging import tuning
 from ..judging.methods import NOISY, Method, baselines_of, methods_of, networks_of
 from ..judging.pairs import (
-    Item,
+    JudgedPair,
     config_hash_of,
     drawn_of,
     given_methods,
@@ -28,7 +28,7 @@ from ..judging.runner import SECONDS, Measured, Subject, run
 from ..judging.settings import EvaluationSettings
 from . import tables
 from .content import best_forms, content_of, shown_rows, verdict
-from .document import Example, Section, write_report
+from .document import ComparedImages, Section, write_report
 from .tables import Content
 
 PAGE_NAME = "report.html"
@@ -82,13 +82,13 @@ def _tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Tas
         print(f"not tuned: {error}")
 
 
-def _image_facts(item: Item) -> dict[str, str | None]:
+def _image_facts(item: JudgedPair) -> dict[str, str | None]:
     """The size of the images, and the settings that they were made with."""
     shape = pair_images(item.place).clean.shape
     return {"image": "x".join(map(str, shape)), "config_hash": config_hash_of(item)}
 
 
-def _write(out: Path, content: Content, examples: Sequence[Example]) -> None:
+def _write(out: Path, content: Content, examples: Sequence[ComparedImages]) -> None:
     """Write the report, and print its leaderboard and where the page is."""
     facts = content["facts"]
     title = f"Report: {facts['dataset']}, {facts['split']} split"
@@ -107,7 +107,7 @@ def _write(out: Path, content: Content, examples: Sequence[Example]) -> None:
 
 def measure(
     settings: EvaluationSettings,
-    items: Sequence[Item],
+    items: Sequence[JudgedPair],
     methods: Sequence[Method],
     pool: TaskPool,
     *,
@@ -132,7 +132,7 @@ def measure(
         )
 
 
-def write_results(path: Path, measured: Measured, items: Sequence[Item]) -> None:
+def write_results(path: Path, measured: Measured, items: Sequence[JudgedPair]) -> None:
     """results.csv: a line for each row of the report and pair, with what was drawn for it."""
     import pandas as pd
 
@@ -181,11 +181,11 @@ def sections_of(content: Content) -> list[Section]:
 
 def _examples(
     settings: EvaluationSettings,
-    items: Sequence[Item],
+    items: Sequence[JudgedPair],
     measured: Measured,
     methods: Sequence[Method],
     pool: TaskPool,
-) -> list[Example]:
+) -> list[ComparedImages]:
     """Pairs from the worst to the best by the PSNR of the noisy image, evenly between."""
     count = min(settings.examples, len(items))
     if not count:
@@ -200,7 +200,9 @@ def _examples(
     ]
 
 
-def _example(item: Item, number: int, measured: Measured, methods: Sequence[Method]) -> Example:
+def _example(
+    item: JudgedPair, number: int, measured: Measured, methods: Sequence[Method]
+) -> ComparedImages:
     """A pair with its denoised images; number: of the pair in `measured`."""
     # A method that fails is left out.
     labels = [method.label for method in methods if (method.label, number) in measured.images]
@@ -211,4 +213,4 @@ def _example(item: Item, number: int, measured: Measured, methods: Sequence[Meth
     title = f"{item.scene} {item.frame}"
     if item.variant:
         title += f" #{item.variant}"
-    return Example(title, images, psnr_db, truth="clean")
+    return ComparedImages(title, images, psnr_db, truth="clean")

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ..judging.methods import NOISY, Method
-from ..judging.pairs import Item
+from ..judging.pairs import JudgedPair
 from ..judging.runner import Measured
 from ..judging.settings import EvaluationSettings
 from ..metrics.fidelity import PSNR_CAP_DB
@@ -22,7 +22,7 @@ SCHEMA = "simnfnd-report/1"
 def content_of(
     methods: Sequence[Method],
     measured: Measured,
-    items: Sequence[Item],
+    items: Sequence[JudgedPair],
     settings: EvaluationSettings,
     tuned: Mapping[str, Any],
 ) -> dict[str, Any]:
@@ -158,7 +158,9 @@ def _evidence(margin: Mapping[str, Any]) -> str:
     return "".join(f"{part}; " for part in parts)
 
 
-def _facts(settings: EvaluationSettings, items: Sequence[Item], identical: int) -> dict[str, Any]:
+def _facts(
+    settings: EvaluationSettings, items: Sequence[JudgedPair], identical: int
+) -> dict[str, Any]:
     """What was measured, and how."""
     rules = [
         "Intervals: 95 % bootstrap that draws whole frames. p: Wilcoxon signed ranks of the mean "

@@ -54,7 +54,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Example:
+class ComparedImages:
     """Images to compare.  images: label -> (H, W) float32 in 0..1, the noisy one first.
 
     psnr: label -> dB.  truth: label of the image that errors are against; '': there is none.
@@ -74,7 +74,7 @@ def write_report(
     sections: Sequence[Section],
     *,
     facts: Mapping[str, Any],
-    examples: Sequence[Example] = (),
+    examples: Sequence[ComparedImages] = (),
 ) -> None:
     """<name>.md, .json and .html in a folder, and the drawings of its sections.
 
@@ -118,7 +118,7 @@ def as_data_uri(image: npt.NDArray[np.float32]) -> str:
     return "data:image/png;base64," + base64.b64encode(content.tobytes()).decode("ascii")
 
 
-def _data(examples: Sequence[Example]) -> Markup:
+def _data(examples: Sequence[ComparedImages]) -> Markup:
     """What the viewer of the page shows, as JSON; empty without examples."""
     if not examples:
         return Markup("")

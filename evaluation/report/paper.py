@@ -37,7 +37,7 @@ _FIGURE_EXAMPLES = 6
 
 
 @dataclass(frozen=True)
-class Plan:
+class PaperPlan:
     """How much is made and trained.
 
     scenes: a folder of FLSea VI, None for procedural places.  real: the images of OldData.
@@ -82,7 +82,7 @@ def main(words: Sequence[str]) -> int:
     check_writable(options.out, "--out")
     frames = options.frames or (32 if options.quick else 8000)
     steps = options.steps or (200 if options.quick else 4000)
-    plan = Plan(options.out, options.scenes, options.real, options.quick, frames, steps)
+    plan = PaperPlan(options.out, options.scenes, options.real, options.quick, frames, steps)
     print(plan.about, flush=True)
     if plan.quick:
         print(f"time: {_QUICK_TIME}", flush=True)
@@ -100,7 +100,7 @@ def run(words: Sequence[str]) -> int:
     return subprocess.run([sys.executable, "-m", "simnfnd", *words], check=False).returncode
 
 
-def steps_of(plan: Plan) -> Iterator[list[str]]:
+def steps_of(plan: PaperPlan) -> Iterator[list[str]]:
     """The commands, in their order."""
     dataset = f"dataset.dir={quote(str(plan.out / 'dataset'))}"
     make = ["make", "experiment=simnfnd", f"frames.variants={1 + plan.quick}", dataset]
@@ -137,7 +137,7 @@ def steps_of(plan: Plan) -> Iterator[list[str]]:
         ]  # fmt: skip
 
 
-def written(plan: Plan) -> str:
+def written(plan: PaperPlan) -> str:
     """Both tables as Markdown, also in tables.md.  FactoryError where it cannot be written."""
     content = json.loads((plan.out / "report" / REPORT_NAME).read_text(encoding="utf-8"))
     ours = "ours (quick)" if plan.quick else "ours"
@@ -152,7 +152,7 @@ def written(plan: Plan) -> str:
     return text
 
 
-def _figure_14(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> str:
+def _figure_14(plan: PaperPlan, rows: Sequence[Mapping[str, Any]]) -> str:
     """The methods of the figure on the test pairs, and where real images are shown."""
     lines = []
     for row in rows:

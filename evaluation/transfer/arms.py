@@ -15,7 +15,7 @@ from ...factory.common.progress import stage
 from ...models.detection import find_detector
 from ...models.detection.detector import Detections, detect
 from ...models.detection.images import UNKNOWN, WorkingImage, scale_image
-from ...models.detection.training import Schedule, Source, train_detector
+from ...models.detection.training import BatchShare, Schedule, train_detector
 from ...models.detection.weights import TrainedDetector, load_detector
 from ..judging.settings import TransferSettings
 from .blobs import detect_blobs
@@ -107,7 +107,7 @@ class Comparison:
         schedule = Schedule(settings.steps, settings.batch, settings.learning_rate, settings.seed)
         return train_detector(
             settings.folder / "simulation",
-            [Source(self.simulated, 1.0, settings.clutter)],
+            [BatchShare(self.simulated, 1.0, settings.clutter)],
             self.real.classes,
             schedule,
             facts,
@@ -138,12 +138,12 @@ class Comparison:
     ) -> TrainedDetector:
         settings = self.settings
         images = [self.working[number] for number in learned]
-        sources = [Source(images, 1.0, with_clutter=False)]
+        sources = [BatchShare(images, 1.0, with_clutter=False)]
         facts: dict[str, Any] = {"real": digest_of(images)}
         rate = settings.learning_rate
         if after_simulation:
-            sources[0] = Source(images, 1 - _SIMULATED_SHARE, with_clutter=False)
-            sources.append(Source(self.simulated, _SIMULATED_SHARE, settings.clutter))
+            sources[0] = BatchShare(images, 1 - _SIMULATED_SHARE, with_clutter=False)
+            sources.append(BatchShare(self.simulated, _SIMULATED_SHARE, settings.clutter))
             facts["simulated"] = digest_of(self.simulated)
             rate *= _FINE_TUNING_RATE
         kind = "both" if after_simulation else "real"

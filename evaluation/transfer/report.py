@@ -21,7 +21,7 @@ from .arms import BLOB, SIMULATION, Arm, Comparison, open_comparison, open_train
 from .coco import RealImage, RealImages, read_coco
 from .scores import (
     CURVE_ALARMS,
-    Estimate,
+    FigureEstimate,
     Figures,
     Matches,
     difference,
@@ -230,7 +230,7 @@ def class_tables(judged: Sequence[JudgedArm]) -> list[pd.DataFrame]:
     return [as_table(["detector", *names, "mean"], lines)]
 
 
-def _shown(estimate: Estimate, sign: bool = False) -> str:
+def _shown(estimate: FigureEstimate, sign: bool = False) -> str:
     text = written(estimate.value, 3, sign)
     if math.isfinite(estimate.low):
         low = written(estimate.low, 2, sign)
@@ -352,6 +352,6 @@ def _facts(
 def _plain(figures: Figures) -> dict[str, Any]:
     entries: dict[str, Any] = {"objects": figures.object_count}
     for name in ("ap50", "ap30", "recall"):
-        estimate: Estimate = getattr(figures, name)
+        estimate: FigureEstimate = getattr(figures, name)
         entries[name] = {key: plain(value) for key, value in estimate._asdict().items()}
     return entries

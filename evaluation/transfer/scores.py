@@ -34,7 +34,7 @@ CURVE_ALARMS = tuple(float(value) for value in np.geomspace(0.05, 10, 41))
 """False alarms per image at which the curve of recall is sampled."""
 
 
-class Estimate(NamedTuple):
+class FigureEstimate(NamedTuple):
     """A figure with its 95 % interval; NaN where there is none."""
 
     value: float
@@ -48,9 +48,9 @@ class Figures(NamedTuple):
     recall: at one false alarm per image, with an overlap of IOU_STRICT.  object_count: of truth.
     """
 
-    ap50: Estimate
-    ap30: Estimate
-    recall: Estimate
+    ap50: FigureEstimate
+    ap30: FigureEstimate
+    recall: FigureEstimate
     object_count: int
 
 
@@ -250,7 +250,7 @@ def figures_of(
     return figures, strict
 
 
-def difference(first: Matches, second: Matches, draws: npt.NDArray[np.int64]) -> Estimate:
+def difference(first: Matches, second: Matches, draws: npt.NDArray[np.int64]) -> FigureEstimate:
     """AP50 of the first minus that of the second, paired over draws of groups."""
     samples = [
         average_precision(first, weights) - average_precision(second, weights) for weights in draws
@@ -258,9 +258,9 @@ def difference(first: Matches, second: Matches, draws: npt.NDArray[np.int64]) ->
     return _estimate(average_precision(first) - average_precision(second), samples)
 
 
-def _estimate(value: float, samples: Sequence[float]) -> Estimate:
+def _estimate(value: float, samples: Sequence[float]) -> FigureEstimate:
     finite = np.array(samples)[np.isfinite(samples)]
     if finite.size < 20:
-        return Estimate(value, float("nan"), float("nan"))
+        return FigureEstimate(value, float("nan"), float("nan"))
     low, high = np.quantile(finite, [0.025, 0.975])
-    return Estimate(value, float(low), float(high))
+    return FigureEstimate(value, float(low), float(high))

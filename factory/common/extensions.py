@@ -34,7 +34,7 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
 @dataclass(frozen=True)
-class Source:
+class ExtensionSource:
     """Where an extension comes from.
 
     package, version: of the distribution that names it; "" for what a script registers.
@@ -54,20 +54,20 @@ class Extension:
     kind: Kind
     name: str
     value: Any
-    source: Source
+    source: ExtensionSource
 
 
 _registered: dict[tuple[Kind, str], Extension] = {}
 
 
-def register(kind: Kind, name: str, value: Any, source: Source | None = None) -> Extension:
+def register(kind: Kind, name: str, value: Any, source: ExtensionSource | None = None) -> Extension:
     """Make an object known by its name in this process; a later one of the name replaces it.
 
     Raises ValueError for a name that is not lower-case letters, digits and underscores.
     """
     if not _NAME.fullmatch(name):
         raise ValueError(f"{name!r}: name a {kind} by lower-case letters, digits and underscores")
-    extension = Extension(kind, name, value, source or Source())
+    extension = Extension(kind, name, value, source or ExtensionSource())
     _registered[kind, name] = extension
     return extension
 
@@ -83,12 +83,16 @@ def names(kind: Kind) -> list[str]:
     return list(dict.fromkeys((*registered, *_entry_points(kind))))
 
 
-def source_of(kind: Kind, name: str) -> Source:
+def source_of(kind: Kind, name: str) -> ExtensionSource:
     """Where an extension comes from; imports nothing."""
     if (kind, name) in _registered:
         return _registered[kind, name].source
     distribution = _entry_points(kind)[name].dist
-    return Source(distribution.name, distribution.version) if distribution else Source()
+    return (
+        ExtensionSource(distribution.name, distribution.version)
+        if distribution
+        else ExtensionSource()
+    )
 
 
 def find(kind: Kind, name: str) -> Extension | None:

@@ -23,7 +23,7 @@ from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
 from .meaning import formation_of
 from .reader import Image, OpenShards, Split, check_in_isolation, listed_shards, reading
-from .recordings import STATIC, WINDOW_FRAMES, FrameSequence, Recordings
+from .recordings import STATIC, WINDOW_FRAMES, DatasetRecordings, FrameSequence
 from .schema import (
     CORE,
     EFFECT_FOLDER,
@@ -44,7 +44,7 @@ Sample = dict[str, Image]
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
+class DatasetForm:
     """What all shards share, as the first one says it.
 
     layers, sizes: dtype and shape of the images of each layer, the core ones first.
@@ -207,7 +207,7 @@ class PairDataset:
         return self.paths[shard], number - self._ends[shard] + self._counts[shard]
 
     @cached_property
-    def form(self) -> Form:
+    def form(self) -> DatasetForm:
         """Of the dataset."""
         with reading(self.paths[0]) as file:
             table = file["meta"]
@@ -219,7 +219,7 @@ class PairDataset:
                 )
                 columns.append(Column(name, table.dtype[name].str, *texts))
             names = (*CORE, *optional_layers(file))
-            return Form(
+            return DatasetForm(
                 {name: file[name].dtype for name in names},
                 {name: file[name].shape[1:] for name in names},
                 image_axes(file["noisy"]),
@@ -290,9 +290,9 @@ class PairDataset:
                 yield SampleName(path, row, path.parent.name, *texts, int(variant))
 
     @cached_property
-    def recordings(self) -> Recordings:
+    def recordings(self) -> DatasetRecordings:
         """Its recordings: the frames of each scene in the order of time."""
-        return Recordings(self)
+        return DatasetRecordings(self)
 
     def sequence(self, recording: str) -> FrameSequence:
         """All frames of one recording, `location/scene`: (T, H, W) noisy, clean, static and more.

@@ -75,7 +75,7 @@ def is_of_recordings(config: Mapping[str, Any]) -> bool:
     return any(isinstance(item, Mapping) and item.get("moving") for item in own_objects)
 
 
-class Recordings:
+class DatasetRecordings:
     """The recordings of an open dataset, of one variant of the noise.
 
     Reads the tables of all shards once, and images when they are asked for.

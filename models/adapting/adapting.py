@@ -12,11 +12,11 @@ from torch import Tensor
 
 from ...factory.common.seeds import stream
 from ..data.crops import concatenate, crop, whole_image
-from ..data.pairs import Batch, Image, Sample, spread
+from ..data.pairs import Batch, Image, TrainingImage, spread
 from ..networks import averaged
 from ..networks.network import Network, known_extras
 from ..settings import TrainSettings
-from ..training.loop import Loop, Row, denoised
+from ..training.loop import Row, TrainingLoop, denoised
 from .stretches import Lessons, Still
 
 _BATCH = 2  # crops of a step
@@ -75,7 +75,7 @@ class Lesson:
             samples = [_single(still, i) for i in rng.integers(len(still.frames), size=_BATCH)]
         return concatenate([_crop(sample, self.extras, rng) for sample in samples])
 
-    def figure(self, samples: Sequence[Sample], network: Network | None = None) -> float:
+    def figure(self, samples: Sequence[TrainingImage], network: Network | None = None) -> float:
         """Mean PSNR in dB after levels against the mean of the others; None: of the frames."""
         figures = []
         for sample in samples:
@@ -107,7 +107,9 @@ def tune(
         ema=0.98,
         precision="32-true",
     )
-    loop = Loop(network, squared_differences, settings, lesson.seed, device, label="adapting")
+    loop = TrainingLoop(
+        network, squared_differences, settings, lesson.seed, device, label="adapting"
+    )
     before = lesson.figure(lesson.judging, network)
     first = lesson.figure(lesson.choosing, network)
     best: Row = {"step": 0, "figure": first}
@@ -155,15 +157,15 @@ def psnr_after_levels(image: Image, reference: Image) -> float:
     return float(-10 * np.log10(max(float(np.square(fitted - y).mean()), 1e-10)))
 
 
-def _single(still: Still, number: int) -> Sample:
-    return Sample(still.frames[number], still.targets[number], None, still.geometry)
+def _single(still: Still, number: int) -> TrainingImage:
+    return TrainingImage(still.frames[number], still.targets[number], None, still.geometry)
 
 
-def _mean(still: Still, first: int, count: int) -> Sample:
+def _mean(still: Still, first: int, count: int) -> TrainingImage:
     """The mean of frames that follow each other, towards that of the others of the stretch."""
     noisy, target = still.averaged(first, count)
     frames = np.full(noisy.shape, averaged(count), np.float32)
-    return Sample(noisy, target, None, still.geometry, frames=frames)
+    return TrainingImage(noisy, target, None, still.geometry, frames=frames)
 
 
 def _most(still: Still) -> int:
@@ -171,7 +173,7 @@ def _most(still: Still) -> int:
     return min(_MOST_FRAMES, len(still.laid) - _LEAST_OTHERS)
 
 
-def _crop(sample: Sample, extras: Sequence[str], rng: np.random.Generator) -> Batch:
+def _crop(sample: TrainingImage, extras: Sequence[str], rng: np.random.Generator) -> Batch:
     """A batch of one, mirrored or not; drawn again while most of its target is unknown."""
     height, width = sample.noisy.shape
     rows, columns = min(height, _PATCH), min(width, _PATCH)

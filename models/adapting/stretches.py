@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
-from ..recordings import Frame, Recording, open_recording
-from ..recordings.images import Images
-from ..recordings.inputs import Geometries, Item, find_items, sequences
+from ..recordings import Recording, SonarFrame, open_recording
+from ..recordings.images import ImageFiles
+from ..recordings.inputs import Geometries, InputFile, find_items, sequences
 from ..recordings.palettes import grey_of_colours
 from ..recordings.repeats import CopyFinder
 from ..recordings.static import aligned, find_groups, laid_over, moving
@@ -35,7 +35,7 @@ _LEAST_KNOWN = 0.1  # of the sector that must be static
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class StretchFrame:
     """One frame: (H, W) float32 in 0..1, and where range and bearing are, if that is known."""
 
     grey: Image
@@ -55,7 +55,7 @@ class Clip:
     """Frames in the order of time."""
 
     name: str
-    shots: list[Shot]
+    shots: list[StretchFrame]
     shuffled: bool = False  # judged by their names, which may be anything
 
 
@@ -100,7 +100,7 @@ def read_clips(
     return read
 
 
-def _refuse_shards(items: Sequence[Item]) -> None:
+def _refuse_shards(items: Sequence[InputFile]) -> None:
     for item in items:
         if item.kind == "shard":
             raise FactoryError(
@@ -109,7 +109,7 @@ def _refuse_shards(items: Sequence[Item]) -> None:
             )
 
 
-def _count_frames(source: list[Item], read: ReadClips) -> int:
+def _count_frames(source: list[InputFile], read: ReadClips) -> int:
     """Number of frames of a recording; 0, and a line in `read.skipped`, if it cannot be opened."""
     try:
         with _opened(source) as recording:
@@ -119,14 +119,14 @@ def _count_frames(source: list[Item], read: ReadClips) -> int:
         return 0
 
 
-def presented(shots: list[Shot]) -> list[Shot]:
+def presented(shots: list[StretchFrame]) -> list[StretchFrame]:
     """Return the frames of a clip as denoisers show them to the weights, all with one gain."""
     presentations = [presentation_of(shot.grey, shot.geometry) for shot in shots]
     gain = min(presentation.gain for presentation in presentations)
     shown = []
     for shot, presentation in zip(shots, presentations, strict=True):
         equalised = replace(presentation, gain=gain)
-        shown.append(Shot(equalised.shown(shot.grey), equalised.geometry))
+        shown.append(StretchFrame(equalised.shown(shot.grey), equalised.geometry))
     return shown
 
 
@@ -143,16 +143,16 @@ def runs(count: int, share: float) -> list[int]:
     return numbers
 
 
-def _opened(source: list[Item]) -> Recording:
+def _opened(source: list[InputFile]) -> Recording:
     path = source[0].source
     if source[0].kind == "images":
-        return Images(path.parent, [item.source for item in source])
+        return ImageFiles(path.parent, [item.source for item in source])
     return open_recording(path)
 
 
 def _shots(
-    source: list[Item], numbers: list[int], geometries: Geometries, read: ReadClips
-) -> Iterator[Shot]:
+    source: list[InputFile], numbers: list[int], geometries: Geometries, read: ReadClips
+) -> Iterator[StretchFrame]:
     """Frames by their numbers; notes those that are damaged, and leaves out copies of others.
 
     The target of a frame must not hold its copy, which has its noise.
@@ -172,12 +172,12 @@ def _shots(
                 yield shot
 
 
-def _shot_of(frame: Frame, item: Item, geometries: Geometries) -> Shot:
+def _shot_of(frame: SonarFrame, item: InputFile, geometries: Geometries) -> StretchFrame:
     if frame.beams is not None:
-        return Shot(grey_of(frame), polar_geometry(frame.beams, len(frame.samples)))
+        return StretchFrame(grey_of(frame), polar_geometry(frame.beams, len(frame.samples)))
     is_grey = frame.samples.ndim == 2
     grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
-    return Shot(grey, frame.geometry or geometries.of(item, grey))
+    return StretchFrame(grey, frame.geometry or geometries.of(item, grey))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ class Lessons:
 class _Stretch(NamedTuple):
     """The frames of a stretch that fit, and what is known of it."""
 
-    shots: list[Shot]
+    shots: list[StretchFrame]
     still: Still
 
 
@@ -265,7 +265,7 @@ def _split_single(stretch: _Stretch) -> Lessons | None:
     return Lessons([learning.still], [held], same=True)
 
 
-def _stretches(clip: Clip) -> list[list[Shot]]:
+def _stretches(clip: Clip) -> list[list[StretchFrame]]:
     """The shots of each stretch: first of frames in sequence, then of the remaining frames."""
     numbers = range(len(clip.shots))
     # Frames in sequence show one scene unless they clearly differ.
@@ -294,7 +294,7 @@ def _groups(clip: Clip, numbers: list[int], alike: float) -> list[list[int]]:
     return groups
 
 
-def _stretch_of(shots: list[Shot]) -> _Stretch | None:
+def _stretch_of(shots: list[StretchFrame]) -> _Stretch | None:
     """The stretch of these shots, without those that do not fit; None when too little fits."""
     sector = shots[0].sector
     group = aligned([shot.grey for shot in shots], sector)

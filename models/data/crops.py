@@ -19,8 +19,8 @@ from torch.utils.data import Dataset, Sampler
 from ...factory.common.seeds import stream
 from ...factory.dataset.pair_dataset import mixed_order
 from ..settings import DataSettings
-from .displays import Display, Window, draw_display, resized_planes, show, with_greys
-from .pairs import Batch, Sample, Source
+from .displays import Display, ImagePart, draw_display, resized_planes, show, with_greys
+from .pairs import Batch, ImageSource, TrainingImage
 
 LANES = 8
 """Steps that follow each other draw their images from so many lanes; see `VisitSampler`."""
@@ -52,7 +52,7 @@ class Crops(Dataset[Batch]):
     """
 
     def __init__(
-        self, source: Source, data: DataSettings, seed: int, extras: Sequence[str] = ()
+        self, source: ImageSource, data: DataSettings, seed: int, extras: Sequence[str] = ()
     ) -> None:
         self.source = source
         self.data = data
@@ -81,7 +81,7 @@ class Crops(Dataset[Batch]):
         return concatenate(parts)
 
 
-def whole_image(sample: Sample, extras: Sequence[str] = ()) -> Batch:
+def whole_image(sample: TrainingImage, extras: Sequence[str] = ()) -> Batch:
     """A sample as a batch of one."""
     return crop(sample, (0, 0), sample.noisy.shape, False, extras)
 
@@ -95,7 +95,7 @@ def extent_of(
 
 
 def crop(
-    sample: Sample,
+    sample: TrainingImage,
     corner: tuple[int, int],
     shape: tuple[int, ...],
     flip: bool,
@@ -120,7 +120,7 @@ def crop(
     parts = {name: plane[window] for name, plane in planes.items()}
     if display != _AS_IT_IS:
         rows, columns = sample.noisy.shape
-        place = Window(top, left, (height, width), (rows, columns))
+        place = ImagePart(top, left, (height, width), (rows, columns))
         parts["clean"] = show(parts["clean"], display, place)
         parts["noisy"] = with_greys(show(parts["noisy"], display, place), display.greys)
     images = {name: part[:, ::step] for name, part in parts.items()}
@@ -221,20 +221,20 @@ class VisitSampler(Sampler[list[Visit]]):
         return self._orders[round_]
 
 
-class KeptSource(Source):
+class KeptSource(ImageSource):
     """A source whose last samples are not made again."""
 
-    images: Source
+    images: ImageSource
 
-    def __init__(self, source: Source, processes: int = 1) -> None:
+    def __init__(self, source: ImageSource, processes: int = 1) -> None:
         """processes: how many share the lanes of `VisitSampler`."""
         self.images = source
         # Some lanes draw their next image before others do.
         self._capacity = -(-KEPT // processes) + LANES
-        self._samples: OrderedDict[tuple[int, int | None], Sample] = OrderedDict()
+        self._samples: OrderedDict[tuple[int, int | None], TrainingImage] = OrderedDict()
 
-    def sample(self, index: int, visit: int | None) -> Sample:
-        """See `Source`."""
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
+        """See `ImageSource`."""
         key = (index, visit)
         if key not in self._samples:
             if len(self._samples) == self._capacity:

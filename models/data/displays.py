@@ -76,7 +76,7 @@ class Display:
 
 
 @dataclass(frozen=True)
-class Window:
+class ImagePart:
     """A part of an image: its first row and column, and its size and that of the image."""
 
     top: int
@@ -123,7 +123,7 @@ def _draw_band(rng: np.random.Generator) -> Band:
     return Band(axis, middle - half, middle + half, float(gain), rng.uniform(0.003, 0.12))
 
 
-def show(image: Image, display: Display, window: Window) -> Image:
+def show(image: Image, display: Display, window: ImagePart) -> Image:
     """An image, or its `window`, as a display shows it, but for its size and number of greys.
 
     image: float32 of the shape of the window, 0 to 1, NaN where unknown.
@@ -134,7 +134,7 @@ def show(image: Image, display: Display, window: Window) -> Image:
     return np.asarray(shown, np.float32)
 
 
-def gains(display: Display, window: Window) -> Image:
+def gains(display: Display, window: ImagePart) -> Image:
     """(H, W) float32: what each pixel of a window is multiplied by."""
     height, width = window.image_shape
     rows = ((np.arange(window.shape[0]) + window.top + 0.5) / height).astype(np.float32)

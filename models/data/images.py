@@ -23,7 +23,7 @@ from ..recordings import IMAGE_SUFFIXES, is_recording, kind_of, open_recording
 from ..recordings.fan_tables import read_fans
 from ..recordings.views import frame_image
 from ..settings import OldData
-from .pairs import Image, Sample, SampleRef, Source, weakened
+from .pairs import Image, ImageSource, SampleRef, TrainingImage, weakened
 
 _FAR_M = 10.0  # of the far edge: the noise knows fractions of the range alone, so any would do
 _SPREAD_PX = 0.7
@@ -79,7 +79,7 @@ def digest_of(samples: Sequence[SampleRef]) -> str:
     return hashlib.blake2b(repr(contents).encode(), digest_size=8).hexdigest()
 
 
-class OldDataSource(Source):
+class OldDataSource(ImageSource):
     """Real images taken as clean, the factory's noise on top (Table 3, OldData).
 
     A real image keeps its own noise in the "clean" image, so a network learns to leave noise of
@@ -105,8 +105,8 @@ class OldDataSource(Source):
                 f"{len(unknown) - 1} more images; add them, or give another data.folder"
             )
 
-    def sample(self, index: int, visit: int | None) -> Sample:
-        """See `Source`."""
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
+        """See `ImageSource`."""
         ref = self.images[index]
         clean, known_geometry = read_sample(ref)
         geometry = self.fans.get(ref.frame, known_geometry or FanGeometry.polar()).with_size(
@@ -121,7 +121,7 @@ class OldDataSource(Source):
             strength = np.float32(weakened(self.weaker, self.seed, index, visit))
             noisy = clean + strength * (noisy - clean)
         shadow = (sector > 0) & (clean <= _DARK)
-        return Sample(noisy, clean, shadow.astype(np.float32), geometry)
+        return TrainingImage(noisy, clean, shadow.astype(np.float32), geometry)
 
 
 def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:

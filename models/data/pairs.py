@@ -32,7 +32,7 @@ TAUGHT = 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class TrainingImage:
     """One training image.
 
     noisy, clean: (H, W) float32 in 0..1; clean is NaN where it is unknown.
@@ -51,7 +51,7 @@ class Sample:
     taught: float = TAUGHT
 
 
-class Source:
+class ImageSource:
     """Training images by their index, in any process.
 
     images: what each is made of.  places: the shard of each, where these are fetched from a URL;
@@ -64,7 +64,7 @@ class Source:
     def __len__(self) -> int:
         return len(self.images)
 
-    def sample(self, index: int, visit: int | None) -> Sample:
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
         """Image `index` as it is at its visit number `visit`; None: for validation.
 
         Its noise may differ from visit to visit, and depends on nothing else.
@@ -80,8 +80,8 @@ class Data:
     recordings: files of real sonars that are learned from.
     """
 
-    learning: Source
-    validation: Source
+    learning: ImageSource
+    validation: ImageSource
     facts: dict[str, Any]
     recordings: tuple[Path, ...] = ()
 
@@ -166,7 +166,7 @@ def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, 
     return tuple(samples[index * len(samples) // limit] for index in range(limit))
 
 
-class PairSource(Source):
+class TrainingPairs(ImageSource):
     """`data=pairs`: the pairs of a dataset.
 
     weaker: part of the visits in which the noise is blended towards the clean image, by a factor
@@ -191,8 +191,8 @@ class PairSource(Source):
             self.places = [sample.path for sample in samples]
         self._open = OpenShards()
 
-    def sample(self, index: int, visit: int | None) -> Sample:
-        """See `Source`."""
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
+        """See `ImageSource`."""
         ref = self.images[index]
         stored = self._open.read(ref.path, ("noisy", "clean", "shadow"), ref.row)
         noisy = in_unit_range(stored[0])
@@ -204,7 +204,7 @@ class PairSource(Source):
         geometry = None
         if self.sonar is not None and ref.window is not None:
             geometry = FanGeometry.from_sonar(self.sonar, *ref.window)
-        return Sample(noisy, clean, stored[2].astype(np.float32), geometry)
+        return TrainingImage(noisy, clean, stored[2].astype(np.float32), geometry)
 
 
 def weakened(share: float, seed: int, *names: int | str) -> float:

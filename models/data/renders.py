@@ -29,7 +29,7 @@ from ...factory.simulation.sonar.fan import rasterised
 from ...factory.simulation.sonar.settings import SonarSettings
 from ..networks import DEFAULT
 from ..settings import RenderedData
-from .pairs import Sample, Source, weakened
+from .pairs import ImageSource, TrainingImage, weakened
 
 _ATTEMPTS = 40
 _LEAST_ECHOES = 0.02  # part of the bins that must hold surface: an image of nothing is no lesson
@@ -60,7 +60,7 @@ def image_scales(data: RenderedData) -> list[ImageScale]:
 _SAME_SIZE = ImageScale(1.0, 1.0)
 
 
-class RenderedSource(Source):
+class RenderedSource(ImageSource):
     """Pairs made on the fly of rendered frames."""
 
     images: tuple[FrameRef, ...]
@@ -89,8 +89,8 @@ class RenderSource(RenderedSource):
             for scale, config in configs.items()
         }
 
-    def sample(self, index: int, visit: int | None) -> Sample:
-        """See `Source`."""
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
+        """See `ImageSource`."""
         scale = _SAME_SIZE
         number = 0
         noise = None
@@ -103,7 +103,7 @@ class RenderSource(RenderedSource):
             (pair,) = maker.pairs(self.images[index], (number,), noise)
         except FrameError as error:
             raise FactoryError(f"data=renders: {error}; leave the frame out") from error
-        return Sample(
+        return TrainingImage(
             in_unit_range(pair.noisy),
             in_unit_range(pair.clean),
             pair.shadow.astype(np.float32),
@@ -151,8 +151,8 @@ class DeviceSource(RenderedSource):
     def _views(self) -> Views:
         return open_views(self.config)
 
-    def sample(self, index: int, visit: int | None) -> Sample:
-        """See `Source`."""
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
+        """See `ImageSource`."""
         names = (index, "validation" if visit is None else visit)
         for attempt in range(_ATTEMPTS):
             # A frame that shows nothing to this device gives way to the next one.
@@ -168,7 +168,7 @@ class DeviceSource(RenderedSource):
             "after it; make renders of other places"
         )
 
-    def _sample(self, ref: FrameRef, *names: int | str) -> Sample | None:
+    def _sample(self, ref: FrameRef, *names: int | str) -> TrainingImage | None:
         assert self.config.devices is not None
         device = devices.draw(self.config.devices, self.seed, ref.name, *names)
         view = self._views.view(ref)
@@ -186,7 +186,7 @@ class DeviceSource(RenderedSource):
         clean = rasterised(sample.without(DEFAULT), window, config.sonar, noisy=False)
         strength = np.float32(weakened(self.data.weaker, self.seed, *names))
         limits = (window.range_min_m, window.range_max_m)
-        return Sample(
+        return TrainingImage(
             clean + strength * (noisy - clean),
             clean,
             (observed.shadow & (clean <= _BLACK)).astype(np.float32),

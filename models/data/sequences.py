@@ -22,7 +22,7 @@ from ...factory.dataset import PairDataset
 from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ..networks import averaged
 from ..settings import SequencesData
-from .pairs import Data, Image, Sample, Source, spread
+from .pairs import Data, Image, ImageSource, TrainingImage, spread
 
 _HELD_RECORDINGS = 8
 _LAYERS = ("noisy", "clean", "static")
@@ -33,7 +33,7 @@ _WIDENED_PX = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class FrameWindow:
     """T frames of one recording, and what they should show.
 
     noisy, clean, static: (T, H, W) float32 in 0..1.
@@ -50,10 +50,10 @@ class Window:
     corner: tuple[int, int] = (0, 0)
     geometry: FanGeometry | None = None
 
-    def cropped(self, top: int, left: int, side: int) -> Window:
+    def cropped(self, top: int, left: int, side: int) -> FrameWindow:
         """The square of `side` pixels from a corner on."""
         part = np.s_[..., top : top + side, left : left + side]
-        return Window(
+        return FrameWindow(
             noisy=self.noisy[part],
             clean=self.clean[part],
             static=self.static[part],
@@ -72,7 +72,7 @@ class WindowRef:
     start: int
 
 
-class SequenceSource(Source):
+class SequenceSource(ImageSource):
     """Windows by their index; the same index and visit give the same window in any process."""
 
     images: tuple[WindowRef, ...]
@@ -88,7 +88,7 @@ class SequenceSource(Source):
         self._sonar = recorded_sonar(self._pairs.form.config)
         self._standing = lru_cache(maxsize=_HELD_RECORDINGS)(self._standing_scene)
 
-    def window(self, index: int) -> Window:
+    def window(self, index: int) -> FrameWindow:
         """A whole window."""
         ref = self.images[index]
         sequence = self._pairs.recordings.window(ref.recording, ref.start, self.data.frames)
@@ -100,7 +100,7 @@ class SequenceSource(Source):
         reference = sequence.clean[middle]
         if self.data.reference == "standing":
             reference = np.where(moving[middle], reference, self._standing(ref.recording))
-        return Window(
+        return FrameWindow(
             noisy=sequence.noisy,
             clean=sequence.clean,
             static=sequence.static,
@@ -109,7 +109,7 @@ class SequenceSource(Source):
             geometry=self._geometry(ref.recording),
         )
 
-    def crops(self, index: int, visit: int, side: int) -> list[Window]:
+    def crops(self, index: int, visit: int, side: int) -> list[FrameWindow]:
         """`data.crops` squares of a window; `data.targets` of them show a moving object.
 
         side: pixels; of a smaller image the whole.
@@ -127,7 +127,7 @@ class SequenceSource(Source):
             crops.append(window.cropped(top, left, side))
         return crops
 
-    def sample(self, index: int, visit: int | None) -> Sample:
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
         """The window as an ideal fusion gives it to a network, and its reference.
 
         Where nothing moves the mean of all its frames, where an object is its middle frame alone.
@@ -145,7 +145,7 @@ class SequenceSource(Source):
         is_averaged[middle - first] = True
         numbers = is_averaged.sum(axis=0)
         mean = (window.noisy[members] * is_averaged).sum(axis=0) / numbers
-        return Sample(
+        return TrainingImage(
             noisy=np.asarray(mean, np.float32),
             clean=window.reference,
             geometry=window.geometry,
@@ -172,7 +172,7 @@ class SequenceSource(Source):
 
 
 def _around_target(
-    window: Window, side: int, rng: np.random.Generator, otherwise: tuple[int, int]
+    window: FrameWindow, side: int, rng: np.random.Generator, otherwise: tuple[int, int]
 ) -> tuple[int, int]:
     """The corner of a square that shows a moving object of the middle frame, if there is one."""
     rows, columns = np.nonzero(window.moving[len(window.moving) // 2])

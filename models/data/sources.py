@@ -24,7 +24,7 @@ from ...factory.simulation.pairs.views import open_views
 from ...factory.simulation.scenes import open_reader
 from ..settings import DataSettings, MixedData, ModelsSettings, OldData, RenderedData, SequencesData
 from .images import OldDataSource, digest_of, list_images, smallest_side
-from .pairs import Data, PairSource, SampleRef, hold_out, read_table, spread
+from .pairs import Data, SampleRef, TrainingPairs, hold_out, read_table, spread
 from .renders import DeviceSource, RenderSource, image_scales
 from .sequences import open_sequences
 from .time_stacks import MixedSource, open_stacks
@@ -58,9 +58,9 @@ def open_data(settings: ModelsSettings) -> Data:
         "dataset.pairs": len(table.samples),
         "dataset.image": [table.height, table.width],
     }
-    validation = PairSource(spread(held, data.validation_limit), table.sonar)
+    validation = TrainingPairs(spread(held, data.validation_limit), table.sonar)
     if not isinstance(data, RenderedData):
-        source = PairSource(learning, table.sonar, weaker=data.weaker, seed=seed)
+        source = TrainingPairs(learning, table.sonar, weaker=data.weaker, seed=seed)
         return Data(source, validation, facts)
     config, ready, others = renders_of(data, folder, learning, held)
     names = "\n".join(ref.name for ref in ready)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .pairs import Image, Sample
+from .pairs import Image, TrainingImage
 
 _AREA_PX = 56 * 56  # of an image for each target
 _SEMI_MINOR_PX = (1.3, 5.0)
@@ -68,7 +68,7 @@ def draw_targets(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[Targ
     return tuple(targets)
 
 
-def insert_targets(sample: Sample, targets: Sequence[Target]) -> Sample:
+def insert_targets(sample: TrainingImage, targets: Sequence[Target]) -> TrainingImage:
     """The sample with targets in its noisy image and its reference; the grain stays."""
     added = _profiles(targets, sample.noisy.shape) * _grain_sigma(sample)
     shadow = sample.shadow
@@ -104,7 +104,7 @@ def _profiles(targets: Sequence[Target], shape: tuple[int, ...]) -> Image:
     return total
 
 
-def _grain_sigma(sample: Sample) -> Image:
+def _grain_sigma(sample: TrainingImage) -> Image:
     """(H, W) standard deviation of the grain of a single frame around each pixel; 0 in black."""
     noisy = sample.noisy
     grain = noisy - _blurred(noisy, _GRAIN_SIGMA_PX)

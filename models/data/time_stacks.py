@@ -23,7 +23,7 @@ from ..recordings.static import find_groups, shifted
 from ..recordings.views import presentation_of
 from ..settings import MixedData
 from .images import list_images, read_sample
-from .pairs import Image, Sample, SampleRef, Source
+from .pairs import Image, ImageSource, SampleRef, TrainingImage
 from .targets import draw_targets, insert_targets
 
 _LEAST_FRAMES = 10
@@ -59,7 +59,7 @@ class Stack:
     geometry: FanGeometry
     is_still: bool
 
-    def sample(self, rng: np.random.Generator) -> Sample:
+    def sample(self, rng: np.random.Generator) -> TrainingImage:
         """A single frame or a mean of several, towards the mean of others, NaN where unknown."""
         count = len(self.frames)
         most = min(_MOST, count // 2)
@@ -67,8 +67,10 @@ class Stack:
             number = int(rng.integers(count))
             grey = _grey(self.frames[number])
             if not self.is_still or count < 3:
-                return Sample(grey, np.full_like(grey, np.nan), None, self.geometry, taught=1.0)
-            return Sample(grey, self._target([number]), None, self.geometry, taught=_TAUGHT)
+                return TrainingImage(
+                    grey, np.full_like(grey, np.nan), None, self.geometry, taught=1.0
+                )
+            return TrainingImage(grey, self._target([number]), None, self.geometry, taught=_TAUGHT)
         several = int(rng.integers(2, most + 1))
         first = int(rng.integers(count - several + 1))
         members = list(range(first, first + several))
@@ -83,7 +85,7 @@ class Stack:
         weights /= weights.sum(axis=0)
         mean = np.asarray((weights * stack).sum(axis=0), np.float32)
         frames = averaged(1 / np.square(weights).sum(axis=0))
-        return Sample(mean, self._target(members), None, self.geometry, frames, taught=0.0)
+        return TrainingImage(mean, self._target(members), None, self.geometry, frames, taught=0.0)
 
     def _target(self, members: Sequence[int]) -> Image:
         """The mean of frames around the members, NaN where something moved."""
@@ -135,7 +137,7 @@ def _shown(ref: SampleRef) -> tuple[Image, FanGeometry | None]:
     return grey, geometry
 
 
-class MixedSource(Source):
+class MixedSource(ImageSource):
     """`data=mixed`, what the network that ships learns from.
 
     Images of drawn devices as single frames and as means of frames, the paper's points, and
@@ -143,7 +145,12 @@ class MixedSource(Source):
     """
 
     def __init__(
-        self, devices: Source, points: Source, stacks: Sequence[Stack], data: MixedData, seed: int
+        self,
+        devices: ImageSource,
+        points: ImageSource,
+        stacks: Sequence[Stack],
+        data: MixedData,
+        seed: int,
     ) -> None:
         """devices: drawn pairs, one for each render.  points: those of the same renders."""
         self.images = self.devices = devices
@@ -152,8 +159,8 @@ class MixedSource(Source):
         self.data = data
         self.seed = seed
 
-    def sample(self, index: int, visit: int | None) -> Sample:
-        """See `Source`."""
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
+        """See `ImageSource`."""
         if visit is None:
             return self.devices.sample(index, None)
         rng = stream(self.seed, "mixed", index, visit)
@@ -173,7 +180,7 @@ class MixedSource(Source):
         return with_loud_beam(sample, rng)
 
 
-def resized(sample: Sample, rng: np.random.Generator) -> Sample:
+def resized(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
     """A recorded image as another display shows it: larger or smaller, brighter or darker."""
     if rng.random() < _AS_RECORDED or sample.geometry is None:
         return sample
@@ -202,7 +209,7 @@ def resized(sample: Sample, rng: np.random.Generator) -> Sample:
     )
 
 
-def standing(sample: Sample, rng: np.random.Generator) -> Sample:
+def standing(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
     """A drawn pair as the mean of frames: some of its speckle is static, the rest is fresh."""
     part = np.float32(rng.choice([0.0, 0.3, 0.6, 1.0]))
     target = sample.clean + part * (sample.noisy - sample.clean)
@@ -240,7 +247,7 @@ def temporal_noise(rng: np.random.Generator, image: Image) -> Image:
     return np.asarray(rng.uniform(0.015, 0.07) * level * grain * (image > 0.004), np.float32)
 
 
-def with_loud_beam(sample: Sample, rng: np.random.Generator) -> Sample:
+def with_loud_beam(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
     """The same with a beam that is too loud along most of its length, which the target lacks."""
     if sample.geometry is None or rng.random() >= _LOUD:
         return sample

@@ -17,12 +17,19 @@ from ...factory.common.workers.machine import keep_freed_memory
 from ...factory.production.cli import Parser
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
-from ..recordings.inputs import FIND, Geometries, Item, find_items, said_of_sequences, sequences
+from ..recordings.inputs import (
+    FIND,
+    Geometries,
+    InputFile,
+    find_items,
+    said_of_sequences,
+    sequences,
+)
 from .comparison_video import SUFFIX, comparison_video
 from .denoiser import Denoiser
 from .files import denoise_files
 from .images import Denoising, LevelRange
-from .job import Job
+from .job import DenoisingJob
 from .journal import opened_journal
 from .reports import TABLE, line_of, write_table
 from .temporal.stream import FRAMES
@@ -74,7 +81,7 @@ def main(arguments: Sequence[str]) -> int:
         if is_anew:
             journal.begin_anew()
             shutil.rmtree(out / UNFINISHED, ignore_errors=True)
-        job = Job(
+        job = DenoisingJob(
             out=out,
             denoise=denoise,
             points=partial(load, options.weights or POINTS),
@@ -120,7 +127,7 @@ def _command(options: argparse.Namespace, denoise: Denoiser) -> dict[str, object
     return chosen
 
 
-def _summary(job: Job, options: argparse.Namespace) -> Iterator[str]:
+def _summary(job: DenoisingJob, options: argparse.Namespace) -> Iterator[str]:
     """What a run found and did, line by line."""
     yield from _lines_of_files(job)
     yield from job.geometries.summary()
@@ -136,7 +143,7 @@ def _summary(job: Job, options: argparse.Namespace) -> Iterator[str]:
     yield f"table: {job.out / TABLE}"
 
 
-def _lines_of_files(job: Job) -> Iterator[str]:
+def _lines_of_files(job: DenoisingJob) -> Iterator[str]:
     """A line for each recording, and for each sequence of images."""
     for row in job.rows[:_MOST_LINES]:
         yield line_of(row, job.denoising.frames)
@@ -204,7 +211,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     return options
 
 
-def _check_video(video: Path | None, items: Sequence[Item], out: Path) -> None:
+def _check_video(video: Path | None, items: Sequence[InputFile], out: Path) -> None:
     """FactoryError for a video to compare by that would replace an input or a result."""
     if video is None:
         return
@@ -213,7 +220,7 @@ def _check_video(video: Path | None, items: Sequence[Item], out: Path) -> None:
         raise FactoryError(f"--compare {video}: is an input or a result; give another name")
 
 
-def _denoise_all(items: Sequence[Item], job: Job) -> None:
+def _denoise_all(items: Sequence[InputFile], job: DenoisingJob) -> None:
     """Denoise all files under a progress bar.  FactoryError when none could be."""
     runs = sequences(items)
     job.journal.begin(runs, in_time=job.denoising.frames > 1)

@@ -10,16 +10,16 @@ import numpy as np
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.files import write_atomically
 from ...factory.dataset.fan_geometry import FanGeometry
-from ..recordings import Frame, Recording, open_recording
+from ..recordings import Recording, SonarFrame, open_recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX
 from ..recordings.device_settings import settings_in_name
 from ..recordings.images import read_image
-from ..recordings.inputs import Item
+from ..recordings.inputs import InputFile
 from ..recordings.portable_grey import white_of_file
 from .frame_shots import FrameShots
 from .images import Denoised, OutOfRange, Pixels, Place
-from .job import Job
+from .job import DenoisingJob
 from .reports import FileReport, fusion_columns
 from .results import State, open_result, view_of
 from .shards import denoise_shards
@@ -30,7 +30,7 @@ from .writers import COMPARED, Compared, write_compared, write_frames, write_ima
 _LOSSY = (".jpg", ".jpeg")
 
 
-def denoise_files(items: Sequence[Item], job: Job) -> None:
+def denoise_files(items: Sequence[InputFile], job: DenoisingJob) -> None:
     """Denoise image files or shards that follow each other in time, or one other file.
 
     Those of an earlier run are left out.
@@ -48,7 +48,7 @@ def denoise_files(items: Sequence[Item], job: Job) -> None:
             job.failures.append(str(error))
 
 
-def _denoise_images(items: Sequence[Item], job: Job) -> None:
+def _denoise_images(items: Sequence[InputFile], job: DenoisingJob) -> None:
     """Denoise image files, one after the other; see `_Images`."""
     unfinished = Unfinished(job.out, f"images {items[0].relative}", job.journal.key(items[0]))
     images = _Images(items, job, unfinished.load() if job.resumes else None)
@@ -67,7 +67,7 @@ class _Images:
     count: how many were read.
     """
 
-    def __init__(self, items: Sequence[Item], job: Job, state: State | None) -> None:
+    def __init__(self, items: Sequence[InputFile], job: DenoisingJob, state: State | None) -> None:
         """state: of another object that was interrupted."""
         self._items = items
         self._job = job
@@ -82,7 +82,7 @@ class _Images:
             self._total = state["total"]
             self.count = state["count"]
 
-    def push(self, item: Item) -> None:
+    def push(self, item: InputFile) -> None:
         """Read the next file; write those that are denoised by now."""
         self.count += 1
         try:
@@ -117,7 +117,7 @@ class _Images:
         if not self._is_single and self._total.frames:
             self._job.rows.append(self._total.row(self._job.denoise.name, self._sequence))
 
-    def _place_of(self, key: tuple[Item, Pixels]) -> Place:
+    def _place_of(self, key: tuple[InputFile, Pixels]) -> Place:
         return partial(self._job.geometries.of, key[0])
 
     def _write(self, results: Iterable[Denoised]) -> None:
@@ -137,7 +137,7 @@ class _Images:
             self._total.merge(report, item.relative.name)
 
 
-def _write_results(item: Item, image: Pixels, denoised: Denoised, job: Job) -> None:
+def _write_results(item: InputFile, image: Pixels, denoised: Denoised, job: DenoisingJob) -> None:
     """Write a denoised image in the form of its file, and what compares it with the noisy one."""
     path = job.out / item.relative
     if item.source.suffix.lower() == ARRAY_SUFFIX:
@@ -154,7 +154,7 @@ def _write_results(item: Item, image: Pixels, denoised: Denoised, job: Job) -> N
         write_compared(job.out / item.compared, [row])
 
 
-def _denoise_recording(item: Item, job: Job) -> None:
+def _denoise_recording(item: InputFile, job: DenoisingJob) -> None:
     """Denoise a video, a stack, arrays, a bag, or a sonar's own recording, ping by ping.
 
     Images become what `write_frames` says.  An ARIS recording and a bag become one, with the same
@@ -185,7 +185,9 @@ class _Run:
     frames_read: of the recording, those of a run that was interrupted included.
     """
 
-    def __init__(self, item: Item, recording: Recording, job: Job, unfinished: Unfinished) -> None:
+    def __init__(
+        self, item: InputFile, recording: Recording, job: DenoisingJob, unfinished: Unfinished
+    ) -> None:
         self._item = item
         self._recording = recording
         self._job = job
@@ -206,7 +208,7 @@ class _Run:
         self._bar_end = job.bar.n + recording.count
         job.bar.update(self._report.frames)
 
-    def push(self, frame: Frame) -> None:
+    def push(self, frame: SonarFrame) -> None:
         """Take the next frame; keep those that are denoised by now."""
         try:
             shot = self._shot_of(frame)
@@ -290,7 +292,7 @@ class _Run:
         return partial(self._job.geometries.of, self._item)
 
 
-def _opened(item: Item, topics: Sequence[str]) -> Recording:
+def _opened(item: InputFile, topics: Sequence[str]) -> Recording:
     try:
         return open_recording(item.source, topics)
     except FactoryError as error:

@@ -7,28 +7,28 @@ from collections.abc import Callable
 from functools import partial
 
 from ...factory.dataset.fan_geometry import FanGeometry
-from ..recordings.base import Frame
+from ..recordings.base import SonarFrame
 from ..recordings.device_settings import settings_of
 from ..recordings.views import polar_geometry
 from .images import Denoising, Pixels
-from .temporal.stream import Shot
+from .temporal.stream import SequenceFrame
 
 
 class FrameShots:
     """Turns the frames of a recording into shots, in order.
 
-    previous: the last frame of each sequence, see `Frame`.
+    previous: the last frame of each sequence, see `SonarFrame`.
     """
 
     def __init__(
         self, denoising: Denoising, find_geometry: Callable[[Pixels, str], FanGeometry | None]
     ) -> None:
-        """find_geometry: of an image, given its `Frame.sequence`; called in order."""
+        """find_geometry: of an image, given its `SonarFrame.sequence`; called in order."""
         self._denoising = denoising
         self._find_geometry = find_geometry
-        self.previous: dict[str, Frame] = {}
+        self.previous: dict[str, SonarFrame] = {}
 
-    def __call__(self, frame: Frame) -> Shot:
+    def __call__(self, frame: SonarFrame) -> SequenceFrame:
         """The shot of the next frame.  Raises ValueError as `Denoising.shot` does."""
         shift_px = _turned_px(frame, self.previous.get(frame.sequence))
         shot = self._denoising.shot(
@@ -42,13 +42,13 @@ class FrameShots:
         self.previous[frame.sequence] = frame
         return shot
 
-    def _geometry(self, frame: Frame, image: Pixels) -> FanGeometry | None:
+    def _geometry(self, frame: SonarFrame, image: Pixels) -> FanGeometry | None:
         if frame.beams is not None:
             return polar_geometry(frame.beams, len(image))
         return frame.geometry or self._find_geometry(image, frame.sequence)
 
 
-def _turned_px(frame: Frame, previous: Frame | None) -> tuple[float, float] | None:
+def _turned_px(frame: SonarFrame, previous: SonarFrame | None) -> tuple[float, float] | None:
     """How far a scene moved across the beams since the previous frame, by the compass."""
     heading_deg = frame.pose.heading_deg
     previous_deg = previous.pose.heading_deg if previous is not None else None

@@ -23,7 +23,7 @@ from ..recordings.device_settings import DeviceSettings
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from .removed import Removed
 from .temporal.interleaved import Interleaved
-from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, Shot
+from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, SequenceFrame
 from .temporal.strength import Strength
 
 Grey = npt.NDArray[np.float32]
@@ -143,11 +143,11 @@ class Denoising:
         wanted: bool = True,
         is_tracked: bool = False,
         settings: DeviceSettings | None = None,
-    ) -> Shot:
+    ) -> SequenceFrame:
         """An image of a sequence, its colours read.
 
         image: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
-        place, shift_px, wanted, is_tracked, settings: see `Shot`.
+        place, shift_px, wanted, is_tracked, settings: see `SequenceFrame`.
         Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
         """
         stored = image
@@ -170,9 +170,11 @@ class Denoising:
             key, stored, self._strength, shown, levels, painted, white, self._level_range
         )
         stated = DeviceSettings() if settings is None else settings
-        return Shot(source, levels, fan, shift_px, wanted, is_tracked, stated)
+        return SequenceFrame(source, levels, fan, shift_px, wanted, is_tracked, stated)
 
-    def sequence(self, shots: Iterable[Shot], *, alone: bool = False) -> Iterator[Denoised]:
+    def sequence(
+        self, shots: Iterable[SequenceFrame], *, alone: bool = False
+    ) -> Iterator[Denoised]:
         """What became of each image of a sequence, in order; see `open_sequence`."""
         yield from self.open_sequence(alone=alone).run(shots)
 
@@ -304,13 +306,13 @@ class FrameSequence:
             if isinstance(shot.place, LazyFan):
                 shot.place.bind(place_of(shot.key.key))
 
-    def run(self, shots: Iterable[Shot]) -> Iterator[Denoised]:
+    def run(self, shots: Iterable[SequenceFrame]) -> Iterator[Denoised]:
         """Denoise a whole sequence."""
         for shot in shots:
             yield from self.push(shot)
         yield from self.finish()
 
-    def push(self, shot: Shot) -> Iterator[Denoised]:
+    def push(self, shot: SequenceFrame) -> Iterator[Denoised]:
         """Take the next image; yields those that are denoised by now."""
         yield from _results(self._stream.push(shot))
 

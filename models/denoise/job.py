@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..pretrained import DEFAULT, POINTS
-from ..recordings.inputs import Geometries, Item
+from ..recordings.inputs import Geometries, InputFile
 from .comparison_video import ComparisonVideo
 from .denoiser import Denoiser
 from .images import Denoising, FrameSequence
@@ -21,7 +21,7 @@ from .unchanged import UnchangedReport
 
 
 @dataclass
-class Job:
+class DenoisingJob:
     """How files are denoised, and into which folder; what came of it.
 
     points: gives what denoises shards of the paper's points.  topics: of bags, whose images;
@@ -54,7 +54,7 @@ class Job:
 
     def done(
         self,
-        item: Item,
+        item: InputFile,
         report: FileReport,
         name: str,
         *,
@@ -85,7 +85,7 @@ class Job:
         self.unchanged.merge(report.unchanged)
         self.inverted.merge(report.inverted)
 
-    def warn(self, item: Item, report: FileReport, warning: str) -> None:
+    def warn(self, item: InputFile, report: FileReport, warning: str) -> None:
         """A warning of a file, for the table and for the end of the run."""
         report.warnings.append(warning)
         self.warnings.append(f"{item.source}: {warning}")

@@ -22,7 +22,7 @@ from filelock import FileLock, Timeout
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import explain_os_errors, write_atomically
 from ..recordings import dataset_of
-from ..recordings.inputs import Item
+from ..recordings.inputs import InputFile
 
 JOURNAL_NAME = ".denoise-finished"
 LOCK_NAME = ".denoise-lock"
@@ -58,7 +58,7 @@ class Journal:
         self._keys: dict[Path, str] = {}
         self._file: IO[bytes] | None = None
 
-    def __contains__(self, item: Item) -> bool:
+    def __contains__(self, item: InputFile) -> bool:
         """Whether this command has denoised a file as it is now, and its result is there."""
         entry = self._entries.get(str(item.relative))
         if entry is None or entry.key != self.key(item):
@@ -69,7 +69,7 @@ class Journal:
         """Count nothing as finished."""
         self._entries.clear()
 
-    def begin(self, sequences: Sequence[Sequence[Item]], *, in_time: bool) -> None:
+    def begin(self, sequences: Sequence[Sequence[InputFile]], *, in_time: bool) -> None:
         """Make room for all files.  Raises FactoryError when there is none.
 
         in_time: whether a file's result depends on the others of its sequence.
@@ -89,11 +89,11 @@ class Journal:
             self._file = self._path.open("r+b")
             self._file.seek(len(head))
 
-    def key(self, item: Item) -> str:
+    def key(self, item: InputFile) -> str:
         """Of the command and of the sources that decide on the result of an item."""
         return self._keys.get(item.relative, "")
 
-    def add(self, item: Item, row: dict[str, Any], result: Path | None = None) -> None:
+    def add(self, item: InputFile, row: dict[str, Any], result: Path | None = None) -> None:
         """A file is denoised.  row: of the table.  result: what was written, if not usual."""
         path = result or self._out / item.relative
         name = os.path.relpath(path, self._out)
@@ -103,7 +103,7 @@ class Journal:
             self._file.write(_line_of(entry).encode())
             self._file.flush()
 
-    def amend(self, item: Item, columns: dict[str, Any]) -> None:
+    def amend(self, item: InputFile, columns: dict[str, Any]) -> None:
         """Say more of a finished file, once its sequence is at its end."""
         entry = self._entries.get(str(item.relative))
         if entry is not None:
@@ -115,7 +115,7 @@ class Journal:
             if entry.row and (self._out / entry.result).exists():
                 yield entry.row
 
-    def row(self, item: Item) -> dict[str, Any]:
+    def row(self, item: InputFile) -> dict[str, Any]:
         """The row of a finished file."""
         return self._entries[str(item.relative)].row
 
@@ -149,7 +149,7 @@ def _line_of(entry: Entry) -> str:
     return json.dumps(entry.__dict__) + "\n"
 
 
-def _source_state(item: Item) -> str:
+def _source_state(item: InputFile) -> str:
     dataset = dataset_of(item.source) if not item.source.exists() else None
     if dataset is not None:  # a recording in a dataset
         return _state_of_files(sorted(dataset.rglob("*.h5")))

@@ -16,7 +16,7 @@ Positions = Sequence[Grey]
 _SMALLEST = np.float32(1e-6)
 
 
-class PolarGrid(NamedTuple):
+class FanCells(NamedTuple):
     """Cells of range by bearing, near range first, as many as a fan image has pixels.
 
     cells_in_fan: rows and columns, (H, W) each, of the cells in the fan image, pixels.
@@ -29,7 +29,7 @@ class PolarGrid(NamedTuple):
     cells: Maps
 
 
-def polar_grid(maps: Maps) -> PolarGrid | None:
+def polar_grid(maps: Maps) -> FanCells | None:
     """Return the polar grid of a fan image, in NumPy, as `models.networks.polar_grid` computes it.
 
     None for images that are polar already, or too small to tell.
@@ -70,7 +70,7 @@ def polar_grid(maps: Maps) -> PolarGrid | None:
         2 * (radius - near) / (far - near) - 1,
         2 * (azimuth - left) / (right_end - left) - 1,
     ]
-    return PolarGrid(
+    return FanCells(
         _in_pixels(cells_in_fan, radius.shape),
         _in_pixels(pixels_in_grid, radius.shape),
         {"range_fraction": cell_range, "azimuth_rad": cell_azimuth},

@@ -15,11 +15,11 @@ import numpy as np
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.files import write_atomically
 from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
-from ..recordings.inputs import Item
+from ..recordings.inputs import InputFile
 from .images import Denoised, Pixels
-from .job import Job
+from .job import DenoisingJob
 from .reports import FileReport
-from .temporal.stream import Shot
+from .temporal.stream import SequenceFrame
 from .writers import COMPARED, Compared, write_compared
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class _Images(NamedTuple):
 class _Shard:
     """A shard, and the results of its rows, in memory until all are there."""
 
-    def __init__(self, item: Item) -> None:
+    def __init__(self, item: InputFile) -> None:
         """Raises FrameError when it is no shard of this program, or damaged."""
         from ...factory.dataset.layout import config_of
 
@@ -133,7 +133,7 @@ class _Shard:
         return self._source
 
 
-def denoise_shards(items: Sequence[Item], job: Job) -> None:
+def denoise_shards(items: Sequence[InputFile], job: DenoisingJob) -> None:
     """Denoise one shard, or all shards of a dataset of recordings.
 
     A recording with a frame that cannot be denoised fails with all shards that it lies in.
@@ -182,7 +182,7 @@ def _sequences(shards: Sequence[_Shard]) -> Iterator[list[_Sample]]:
         yield sorted(samples, key=lambda sample: sample.shard.table[sample.row]["frame"])
 
 
-def _denoise_sequence(samples: Sequence[_Sample], finished: set[int], job: Job) -> None:
+def _denoise_sequence(samples: Sequence[_Sample], finished: set[int], job: DenoisingJob) -> None:
     """Denoise samples and keep the results of those whose shards are not finished.
 
     Raises FrameError for one that cannot be denoised.
@@ -191,7 +191,7 @@ def _denoise_sequence(samples: Sequence[_Sample], finished: set[int], job: Job) 
     network = job.points() if first.of_points else job.denoise
     denoising = job.denoising.of_simulated(network)
 
-    def shot_of(sample: _Sample) -> Shot:
+    def shot_of(sample: _Sample) -> SequenceFrame:
         shard = sample.shard
         wanted = id(shard) not in finished
         place = partial(shard.place, sample.row)
@@ -206,7 +206,7 @@ def _denoise_sequence(samples: Sequence[_Sample], finished: set[int], job: Job) 
             _keep(denoised, job)
 
 
-def _keep(denoised: Denoised, job: Job) -> None:
+def _keep(denoised: Denoised, job: DenoisingJob) -> None:
     (shard, row), noisy, clean = denoised.key
     shard.put(row, denoised.image)
     shard.report.add(f"pair {row}", noisy, denoised)
@@ -219,7 +219,7 @@ def _keep(denoised: Denoised, job: Job) -> None:
     job.bar.update()
 
 
-def _write(shard: _Shard, job: Job) -> None:
+def _write(shard: _Shard, job: DenoisingJob) -> None:
     path = job.out / shard.item.relative
     path.parent.mkdir(parents=True, exist_ok=True)
     network = job.points() if shard.of_points else job.denoise

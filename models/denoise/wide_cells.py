@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .images import Grey
-from .polar import Maps, PolarGrid, polar_grid, sampled
+from .polar import FanCells, Maps, polar_grid, sampled
 
 _LEAST_SIDE = 192
 """Places along a side of a coarser grid: networks have seen few of fewer."""
@@ -68,7 +68,7 @@ def _mean_of_cells(plane: Grey, rows: int, columns: int) -> Grey:
     return np.asarray(cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA))
 
 
-def _maps_of_cells(maps: Maps, grid: PolarGrid, rows: int, columns: int) -> dict[str, Grey]:
+def _maps_of_cells(maps: Maps, grid: FanCells, rows: int, columns: int) -> dict[str, Grey]:
     """The maps of a grid with one place for each cell, (rows, columns) each."""
     range_fraction = _mean_of_cells(grid.cells["range_fraction"], rows, columns)
     azimuth_rad = _mean_of_cells(grid.cells["azimuth_rad"], rows, columns)

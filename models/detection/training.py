@@ -49,7 +49,7 @@ class Schedule:
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class BatchShare:
     """Images to learn from, and which share of every batch they are.
 
     with_clutter: whether unlabelled echoes are drawn over them.
@@ -62,7 +62,7 @@ class Source:
 
 def train_detector(
     folder: Path,
-    sources: Sequence[Source],
+    sources: Sequence[BatchShare],
     classes: Sequence[str],
     schedule: Schedule,
     facts: Mapping[str, Any],
@@ -107,7 +107,7 @@ class _Training:
 
     def __init__(
         self,
-        sources: Sequence[Source],
+        sources: Sequence[BatchShare],
         class_count: int,
         schedule: Schedule,
         start: TrainedDetector | None,

@@ -22,8 +22,8 @@ from ...factory.common.progress import progress_bar
 from ...factory.production.cli import Parser
 from ...factory.production.cli.extras import Need, require
 from ...factory.production.commands.export import main as export_dataset
-from ..recordings import Frame, Recording, dataset_of, is_recording, open_recording
-from ..recordings.base import FULL_SCALE, Device, Pose
+from ..recordings import Recording, SonarFrame, dataset_of, is_recording, open_recording
+from ..recordings.base import FULL_SCALE, RecordingDevice, SonarPose
 from ..recordings.views import fan_of, grey_of, polar_geometry
 
 FORMATS = ("mp4", "png", "csv")
@@ -34,8 +34,8 @@ _FRAME_COLUMNS = (
     "frame", "file", "time_s", "time_utc", "duration_s", "rows", "columns", "beams",
     "range_min_m", "range_max_m", "opening_deg",
 )  # fmt: skip
-_POSE_COLUMNS = tuple(field.name for field in fields(Pose))
-_DEVICE_COLUMNS = {f"device_{field.name}": field.name for field in fields(Device)}
+_POSE_COLUMNS = tuple(field.name for field in fields(SonarPose))
+_DEVICE_COLUMNS = {f"device_{field.name}": field.name for field in fields(RecordingDevice)}
 _HELP = """\
 RECORDING (ARIS, DDF, Oculus, a bag, a video, a stack, arrays, a folder of images; recorded or
 denoised) instead of a dataset:
@@ -111,7 +111,7 @@ def _chosen(words: list[str]) -> _Chosen | None:
     return _Chosen(source, options.to, target, tuple(options.topic))
 
 
-def _frames(recording: Recording) -> Iterator[Frame]:
+def _frames(recording: Recording) -> Iterator[SonarFrame]:
     """All frames under a progress bar; of folders of `denoise` the fans and not their samples."""
     names = {path.name for path in recording.files}
     with progress_bar(total=recording.count, unit="frame", desc="export") as bar:
@@ -147,7 +147,7 @@ def _write_images(recording: Recording, chosen: _Chosen) -> int:
     return count
 
 
-def _image_of(frame: Frame) -> Any:
+def _image_of(frame: SonarFrame) -> Any:
     """A frame as it is looked at, uint8 or uint16; pings as fans, float32 in 16 bits."""
     samples = frame.samples
     stored = "uint16" if samples.dtype == np.float32 else str(samples.dtype)
@@ -176,7 +176,7 @@ def _write_table(recording: Recording, chosen: _Chosen) -> int:
     return count
 
 
-def _row_of(frame: Frame, name: str) -> dict[str, Any]:
+def _row_of(frame: SonarFrame, name: str) -> dict[str, Any]:
     """What is not known is empty."""
     rows, columns = frame.samples.shape[:2]
     row: dict[str, Any] = {"frame": frame.number, "file": name, "rows": rows, "columns": columns}

@@ -42,7 +42,7 @@ def gate(x: Tensor) -> Tensor:
     return first * second
 
 
-class Block(nn.Module):
+class GatedBlock(nn.Module):
     """A gated depthwise convolution with channel attention, then a gated pointwise network.
 
     Each half is a residual that starts as nothing (scale 0), so a deep network trains from the
@@ -104,4 +104,4 @@ class NAFNet(Network):
 
 
 def _blocks(channels: int, count: int) -> nn.Sequential:
-    return nn.Sequential(*(Block(channels) for _ in range(count)))
+    return nn.Sequential(*(GatedBlock(channels) for _ in range(count)))

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 
-class PolarGrid(NamedTuple):
+class FanSampling(NamedTuple):
     """Where the cells of a polar grid lie in fan images, and the pixels of these in the grid.
 
     to_polar, to_fan: (N, H, W, 2) positions for `sampled`.
@@ -26,7 +26,7 @@ class PolarGrid(NamedTuple):
 
 def polar_grid(
     range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor, fan: bool | None = None
-) -> PolarGrid | None:
+) -> FanSampling | None:
     """The grid for fan images whose pixels have these maps, each (N, 1, H, W), H and W 2 or more.
 
     fan: whether they are fans; None: seen from the maps.
@@ -62,7 +62,7 @@ def polar_grid(
     across_grid = 2 * (azimuth - left) / (right_end - left) - 1
     down_grid = 2 * (radius - near) / (far - near) - 1
     to_fan = torch.stack([across_grid, down_grid], dim=-1)
-    return PolarGrid(to_polar, to_fan, cell_range[:, None], cell_azimuth[:, None])
+    return FanSampling(to_polar, to_fan, cell_range[:, None], cell_azimuth[:, None])
 
 
 def extent(values: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:

@@ -2,7 +2,7 @@
 
 - It works on a polar grid: where the geometry of a fan image is known, the image is resampled
   to range and bearing, and the network's correction is resampled back to the fan's pixels
-  (`PolarGrid`).  The noisy image itself is never resampled, so no detail is lost.
+  (`FanSampling`).  The noisy image itself is never resampled, so no detail is lost.
 - Range, bearing and the insonified sector of every cell are inputs.  What is to be removed scales
   and shifts the features of every level (FiLM, Perez et al. 2018), and so does, pixel by pixel, how
   many frames were averaged, which changes nothing for a single frame.
@@ -37,7 +37,7 @@ from .blocks import residual_blocks, zeroed
 from .even_level import CELL_PX, evening_gain
 from .line_context import GridLines, LineContext, Lines, MapLines
 from .network import Network, NetworkOutput, Step, down_and_up, padded
-from .polar_grid import PolarGrid, polar_grid, sampled
+from .polar_grid import FanSampling, polar_grid, sampled
 
 _TOLD = 32  # features of what is to be removed
 _FRAMES = 4.0  # log2 of the most frames that are averaged
@@ -195,7 +195,7 @@ class SonarNet(Network):
         return self.core(remove, frames, MapLines.of(*planes), noisy, *maps)
 
     def _on_polar_grid(
-        self, noisy: Tensor, remove: Tensor, grid: PolarGrid, sector: Tensor
+        self, noisy: Tensor, remove: Tensor, grid: FanSampling, sector: Tensor
     ) -> CoreOutput:
         """What the core computes on the polar grid, resampled to the pixels of the fan."""
         polar = sampled(torch.cat([noisy, sector], dim=1), grid.to_polar)

@@ -19,12 +19,12 @@ from .base import (
     HDF5_SUFFIXES,
     IMAGE_SUFFIXES,
     TIFF_SUFFIXES,
-    Frame,
     Recording,
+    SonarFrame,
 )
 from .extension_files import ExtensionFile, entry_for, entry_of, known_suffixes
 
-__all__ = ["IMAGE_SUFFIXES", "Frame", "Recording", "is_recording", "kind_of", "open_recording"]
+__all__ = ["IMAGE_SUFFIXES", "Recording", "SonarFrame", "is_recording", "kind_of", "open_recording"]
 
 READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "aris": ("sonar_files:ArisFile", (".aris",)),

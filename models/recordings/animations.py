@@ -20,9 +20,9 @@ from PIL import Image
 from ...factory.common.errors import FrameError
 from .base import (
     Ended,
-    Frame,
     Recording,
     Samples,
+    SonarFrame,
     ask_bytes,
     ask_pixels,
     explained,
@@ -107,7 +107,7 @@ class Animation(Recording):
             return _frames_of_webp(self._file)
         raise FrameError(f"{self.path}: not a readable image (no GIF, WebP or PNG)")
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         name = f"{self.path}: frame {number}"
         try:
             with explained(f"{name} cannot be read", passing=EOFError):
@@ -116,7 +116,7 @@ class Animation(Recording):
         except EOFError as error:
             raise Ended(f"{name} cannot be read") from error
         duration_s = float(image.info.get("duration", 0) or 0) / 1000 or _USUAL_DURATION_S
-        return Frame(number, _samples_of(image), duration_s=duration_s)
+        return SonarFrame(number, _samples_of(image), duration_s=duration_s)
 
 
 def _samples_of(image: Image.Image) -> Samples:

@@ -19,9 +19,9 @@ from .base import (
     ARRAY_SUFFIX,
     ARRAY_SUFFIXES,
     HDF5_SUFFIXES,
-    Frame,
     Recording,
     Samples,
+    SonarFrame,
     as_samples,
     ask_bytes,
     ask_pixels,
@@ -86,10 +86,10 @@ class ArrayFile(Recording):
         with explained(f"{self.path}: cannot be read; is the file damaged?", reason=True):
             return _load(self.path, self._listed)
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         name = f"{self.path}: image {number + 1}" if self.count > 1 else str(self.path)
         page = self.stored if self._listed.is_single else self.stored[number]
-        return Frame(number, as_samples(np.ascontiguousarray(swapped(page)), name))
+        return SonarFrame(number, as_samples(np.ascontiguousarray(swapped(page)), name))
 
 
 def _is_rather_last(shape: Sequence[int]) -> bool:

@@ -62,7 +62,7 @@ class Beams:
 
 
 @dataclass(frozen=True)
-class Pose:
+class SonarPose:
     """Pose of the sonar; None where the file does not give it."""
 
     heading_deg: float | None = None  # of the sonar's compass, as the next two
@@ -76,7 +76,7 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Device:
+class RecordingDevice:
     """The sonar and those of its settings that the file gives."""
 
     name: str = "unknown"
@@ -89,7 +89,7 @@ class Device:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class SonarFrame:
     """One frame.
 
     number: counts from 0.
@@ -107,8 +107,8 @@ class Frame:
     beams: Beams | None = None
     time_s: float | None = None
     duration_s: float | None = None
-    pose: Pose = field(default_factory=Pose)
-    device: Device = field(default_factory=Device)
+    pose: SonarPose = field(default_factory=SonarPose)
+    device: RecordingDevice = field(default_factory=RecordingDevice)
     geometry: FanGeometry | None = None
     sequence: str = ""
 
@@ -149,23 +149,23 @@ class Recording(ABC):
         """Count the frames.  Raises FactoryError when there are none of this kind."""
 
     @abstractmethod
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         """Read a frame that is there.  Raises FrameError when it is damaged."""
 
     def __len__(self) -> int:
         return self.count
 
-    def __getitem__(self, number: int) -> Frame:
+    def __getitem__(self, number: int) -> SonarFrame:
         """One frame.  Raises IndexError, and FrameError when it cannot be used."""
         if not 0 <= number < self.count:
             raise IndexError(f"{self.path}: frame {number} of {self.count}")
         return self._read(number)
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SonarFrame]:
         """All frames that are there, in order.  Raises FrameError at one that cannot be used."""
         yield from self.frames_from(0)
 
-    def frames_from(self, first: int) -> Iterator[Frame]:
+    def frames_from(self, first: int) -> Iterator[SonarFrame]:
         """Those that `__iter__` gives from frame number `first` on."""
         for number in range(first, self.count):
             try:
@@ -303,7 +303,7 @@ def known(value: float, most: float = 1e6) -> float | None:
     return float(value) if np.isfinite(value) and abs(value) <= most else None
 
 
-def pose_of(header: np.void) -> Pose:
-    """What those fields of a header say that are named as fields of `Pose`."""
-    names = set(header.dtype.names or ()) & set(Pose.__dataclass_fields__)
-    return Pose(**{name: known(header[name]) for name in names})
+def pose_of(header: np.void) -> SonarPose:
+    """What those fields of a header say that are named as fields of `SonarPose`."""
+    names = set(header.dtype.names or ()) & set(SonarPose.__dataclass_fields__)
+    return SonarPose(**{name: known(header[name]) for name in names})

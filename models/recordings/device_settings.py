@@ -10,7 +10,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from .base import Frame
+from .base import SonarFrame
 
 _SAME_FREQUENCY = 0.01  # part of it: devices state measured ones
 _SAME_GAIN_DB = 0.5
@@ -69,7 +69,7 @@ class DeviceSettings:
         return [text for name, text in texts.items() if _differs(self, other, name) and text]
 
 
-def settings_of(frame: Frame) -> DeviceSettings:
+def settings_of(frame: SonarFrame) -> DeviceSettings:
     """The settings that a frame of a recording states."""
     beams = frame.beams
     return DeviceSettings(

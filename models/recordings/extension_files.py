@@ -26,9 +26,9 @@ from .base import (
     MOST_RANGES,
     Beams,
     Ended,
-    Frame,
     Recording,
     Samples,
+    SonarFrame,
     explained,
 )
 
@@ -47,7 +47,7 @@ class RecordingReader(Protocol):
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, number: int) -> Frame: ...
+    def __getitem__(self, number: int) -> SonarFrame: ...
 
     def close(self) -> None:
         """Let go of the file."""
@@ -160,7 +160,7 @@ class ExtensionFile(Recording):
         warning = getattr(self._reader, "warning", "")
         self.warning = f"{self.path}: {' '.join(str(warning).split())}" if warning else ""
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         assert self._reader is not None
         name = f"{self.path}: frame {number}"
         with self._explained(f"{name} cannot be read"):
@@ -179,13 +179,13 @@ class ExtensionFile(Recording):
                 self._reader.close()
 
 
-def checked_frame(frame: Any, number: int, name: str) -> Frame:
+def checked_frame(frame: Any, number: int, name: str) -> SonarFrame:
     """A frame as readers of this project give it: in native byte order and in one piece.
 
     number: that it must have.  name: names it in errors.
     Raises FrameError for samples, beams or numbers that cannot be.
     """
-    if not isinstance(frame, Frame):
+    if not isinstance(frame, SonarFrame):
         raise FrameError(f"{name}: is a {type(frame).__name__}, no Frame")
     if frame.number != number:
         raise FrameError(f"{name}: says that it is frame {frame.number}")
@@ -201,7 +201,7 @@ def checked_frame(frame: Any, number: int, name: str) -> Frame:
             raise FrameError(
                 f"{name}: {quantity} is {str(value)[:40]!r}; expected a number or None"
             )
-    return Frame(
+    return SonarFrame(
         number, samples, frame.beams, frame.time_s, frame.duration_s, frame.pose, frame.device,
         frame.geometry,
     )  # fmt: skip

@@ -18,9 +18,9 @@ from .base import (
     ARRAY_SUFFIX,
     IMAGE_SUFFIXES,
     TOO_LARGE,
-    Frame,
     Recording,
     Samples,
+    SonarFrame,
     as_samples,
     ask_pixels,
     explained,
@@ -32,7 +32,7 @@ from .portable_grey import decode_portable_grey, portable_grey_header
 from .tiff import BITS, ORIENTATION, TIFF_HEADS, Directory, directories_of, with_upright_tags
 
 
-class Images(Recording):
+class ImageFiles(Recording):
     """A `Recording` of image files: one, those given, or all right in a folder, by name.
 
     Those of a folder come in the order of their sequences, see `names`.
@@ -54,8 +54,8 @@ class Images(Recording):
         if not self.count:
             raise FactoryError(f"{self.path}: holds no image ({', '.join(IMAGE_SUFFIXES)})")
 
-    def _read(self, number: int) -> Frame:
-        return Frame(number, read_image(self.files[number]))
+    def _read(self, number: int) -> SonarFrame:
+        return SonarFrame(number, read_image(self.files[number]))
 
 
 def read_image(path: Path) -> Samples:

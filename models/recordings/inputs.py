@@ -30,7 +30,7 @@ _ASSUMED_OPENING_DEG = 30.0
 
 
 @dataclass(frozen=True)
-class Item:
+class InputFile:
     """One input file (or a folder that is a bag) and its name below the output folder.
 
     dataset: of recordings, which a shard belongs to; None for all other files.
@@ -59,7 +59,7 @@ class Item:
         return kind_of(self.source) or "images"
 
 
-def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> list[Item]:
+def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> list[InputFile]:
     """The files to denoise, in a fixed order.
 
     A folder stands for all such files below it, a dataset's folder for its shards alone.
@@ -74,7 +74,7 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
         for item in _of_input(path, out)
     }
     sources = {source for _, source in items}
-    written: dict[Path, Item] = {}
+    written: dict[Path, InputFile] = {}
     for item in items.values():
         for relative in (item.relative, item.compared) if compare else (item.relative,):
             path = (out / relative).resolve()
@@ -89,13 +89,13 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
     return list(items.values())
 
 
-def sequences(items: Sequence[Item]) -> list[list[Item]]:
+def sequences(items: Sequence[InputFile]) -> list[list[InputFile]]:
     """Image files that follow each other in time, as their names say; other files alone.
 
     The files of a sequence lie in one folder; see `sequences_of`.  Shards of a dataset of
     recordings come together.
     """
-    runs: list[list[Item]] = []
+    runs: list[list[InputFile]] = []
     for folder, in_folder in _by_folder(items).items():
         if folder is None:
             runs += [[item] for item in in_folder if item.dataset is None]
@@ -108,16 +108,16 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
     return runs
 
 
-def _by_folder(items: Sequence[Item]) -> dict[Path | None, list[Item]]:
+def _by_folder(items: Sequence[InputFile]) -> dict[Path | None, list[InputFile]]:
     """Image files by their folder, and other files under None, in the order of the items."""
-    folders: dict[Path | None, list[Item]] = {}
+    folders: dict[Path | None, list[InputFile]] = {}
     for item in items:
         folder = item.source.parent if item.kind == "images" else None
         folders.setdefault(folder, []).append(item)
     return folders
 
 
-def said_of_sequences(items: Sequence[Item]) -> Iterator[str]:
+def said_of_sequences(items: Sequence[InputFile]) -> Iterator[str]:
     """One line a folder of several images: as how many sequences their names read."""
     folders = [(folder, some) for folder, some in _by_folder(items).items() if folder and some[1:]]
     for folder, some in folders[:_MOST_FOLDERS_SAID]:
@@ -132,12 +132,12 @@ def said_of_sequences(items: Sequence[Item]) -> Iterator[str]:
         yield f"sequences: {len(folders) - _MOST_FOLDERS_SAID} more folders"
 
 
-def _of_input(path: Path, out: Path) -> list[Item]:
+def _of_input(path: Path, out: Path) -> list[InputFile]:
     if kind_of(path) == DATASET:
-        return [Item(path, Path(path.name))]
+        return [InputFile(path, Path(path.name))]
     refuse_absent(path)
     if path.is_dir() and is_bag_folder(path):
-        return [Item(path, Path(path.resolve().name))]
+        return [InputFile(path, Path(path.resolve().name))]
     if path.is_dir():
         # These load h5py, which a single image can do without.
         from ...factory.dataset import PairDataset
@@ -149,7 +149,7 @@ def _of_input(path: Path, out: Path) -> list[Item]:
             # Each is looked at when it is opened.
             shards = PairDataset(path, "all", trusted=True).paths
             dataset = path if is_of_recordings(manifest.config) else None
-            return [Item(shard, shard.relative_to(path), dataset) for shard in shards]
+            return [InputFile(shard, shard.relative_to(path), dataset) for shard in shards]
         items = items_below(path, out)
     else:
         items = [_item(path, path.parent)] if path.suffix.lower() in _suffixes() else []
@@ -164,7 +164,7 @@ def _suffixes() -> tuple[str, ...]:
     return (*suffixes_known(), *HDF5_SUFFIXES)
 
 
-def items_below(folder: Path, out: Path) -> list[Item]:
+def items_below(folder: Path, out: Path) -> list[InputFile]:
     """All files (and folders that are bags) below a folder, but for those below `out`.
 
     What begins with a dot is no result yet, of this program or of one that copies.
@@ -187,13 +187,13 @@ def items_below(folder: Path, out: Path) -> list[Item]:
     ]
 
 
-def _item(file: Path, folder: Path) -> Item:
+def _item(file: Path, folder: Path) -> InputFile:
     """A file below a folder: arrays of all formats become .npy files."""
     relative = file.relative_to(folder)
     suffix = file.suffix.lower()
     is_foreign = suffix in HDF5_SUFFIXES and not is_shard_file(file)
     is_array = suffix in ARRAY_SUFFIXES or is_foreign
-    return Item(file, relative.with_suffix(ARRAY_SUFFIX) if is_array else relative)
+    return InputFile(file, relative.with_suffix(ARRAY_SUFFIX) if is_array else relative)
 
 
 class Geometries:
@@ -221,7 +221,9 @@ class Geometries:
         self._trackers: dict[tuple[Path, str, tuple[int, ...]], FanTracker] = {}
         self._fans_found: dict[Path, dict[Path, bool]] = {}  # by folder, then by image
 
-    def of(self, item: Item, image: npt.NDArray[Any], sequence: str = "") -> FanGeometry | None:
+    def of(
+        self, item: InputFile, image: npt.NDArray[Any], sequence: str = ""
+    ) -> FanGeometry | None:
         """The geometry of an image of `item`; None where it is not known.
 
         Frames of a recording are to be asked for in order.  sequence: see `Frame`.
@@ -242,7 +244,7 @@ class Geometries:
         fan_found[item.source] = geometry is not None
         return geometry
 
-    def trackers_of(self, item: Item) -> dict[tuple[Path, str, tuple[int, ...]], FanTracker]:
+    def trackers_of(self, item: InputFile) -> dict[tuple[Path, str, tuple[int, ...]], FanTracker]:
         """What has been found in an item so far, for `restore`."""
         return {key: tracker for key, tracker in self._trackers.items() if key[0] == item.source}
 

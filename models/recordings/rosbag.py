@@ -32,11 +32,11 @@ from .base import (
     MOST_RANGE_M,
     MOST_RANGES,
     Beams,
-    Device,
     Ended,
-    Frame,
     Recording,
+    RecordingDevice,
     Samples,
+    SonarFrame,
     explained,
     known,
 )
@@ -144,7 +144,7 @@ class RosBag(Recording):
                 raise FactoryError(f"{self.path}: {connection.topic} has {mismatch} ({stated})")
         return chosen
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         if number < self._next:
             chosen = [
                 connection for connection in self._connections if connection.id in self._chosen
@@ -164,7 +164,7 @@ class RosBag(Recording):
     def rewrite(self, samples: Iterable[Samples], path: Path) -> None:
         """The same bag with other samples in its frames; all else is copied.
 
-        samples: of each frame in order, in the shape and type of `Frame.samples`.
+        samples: of each frame in order, in the shape and type of `SonarFrame.samples`.
         Raises ValueError for samples of another shape, type or number, FrameError when the bag is
         damaged, FactoryError when `path` is there or cannot be written.
         """
@@ -282,7 +282,7 @@ def digest_of(msgtype: str, version: int) -> str:
     return store.generate_msgdef(msgtype)[1] if version == 1 else store.hash_rihs01(msgtype)
 
 
-def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, name: str) -> Frame:
+def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, name: str) -> SonarFrame:
     """The frame in a message.
 
     bag_time_s: when it was recorded, taken where its header has no stamp.  name: names the message
@@ -295,11 +295,11 @@ def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, name: s
     # As this machine orders bytes, and in one piece.
     samples = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
     if msgtype != SONAR:
-        return Frame(number, samples, time_s=time_s, device=Device(frame_id))
+        return SonarFrame(number, samples, time_s=time_s, device=RecordingDevice(frame_id))
     frequency_khz = known(message.ping_info.frequency / 1000) or None
     speed_m_s = known(message.ping_info.sound_speed, 1e4) or None
-    device = Device(frame_id, frequency_khz=frequency_khz, sound_speed_m_s=speed_m_s)
-    return Frame(number, samples, _beams(message, name), time_s, device=device)
+    device = RecordingDevice(frame_id, frequency_khz=frequency_khz, sound_speed_m_s=speed_m_s)
+    return SonarFrame(number, samples, _beams(message, name), time_s, device=device)
 
 
 def with_samples(message: Any, msgtype: str, samples: Samples, name: str) -> Any:

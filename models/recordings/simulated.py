@@ -8,7 +8,7 @@ from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ...factory.dataset.pair_dataset import PairDataset
 from . import dataset_of
-from .base import Device, Frame, Recording, known
+from .base import Recording, RecordingDevice, SonarFrame, known
 
 
 class DatasetRecording(Recording):
@@ -42,16 +42,16 @@ class DatasetRecording(Recording):
         self._sonar = recorded_sonar(self._pairs.form.config)
         self.count = len(self._samples)
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         sample = self._samples[number]
         record = self._table[sample]
         has_time = "time_s" in (self._table.dtype.names or ())
         geometry = None if self._sonar is None else FanGeometry.from_record(self._sonar, record)
-        return Frame(
+        return SonarFrame(
             number,
             self._pairs[sample]["noisy"],
             time_s=known(record["time_s"]) if has_time else None,
-            device=Device("simulated" if self._sonar is None else self._sonar.name),
+            device=RecordingDevice("simulated" if self._sonar is None else self._sonar.name),
             geometry=geometry,
         )
 

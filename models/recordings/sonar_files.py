@@ -26,10 +26,10 @@ from .base import (
     MOST_RANGE_M,
     MOST_RANGES,
     Beams,
-    Device,
-    Frame,
     Recording,
+    RecordingDevice,
     Samples,
+    SonarFrame,
     explained,
     known,
     pose_of,
@@ -123,7 +123,7 @@ class ArisFile(_SoundMetricsFile):
             raise FrameError(f"{self.path}: a frame has no frame's signature; it is damaged")
         return _BEAMS_OF_PING_MODES[int(self.within("PingMode", header["PingMode"], 1, 12))]
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         header = self._header(number)
         if (self._beam_count(header), header["SamplesPerBeam"]) != (self.beams, self.ranges):
             raise FrameError(f"{self.path}: frame {number} is not as large as the first")
@@ -141,13 +141,13 @@ class ArisFile(_SoundMetricsFile):
         lens = "3000" if self.beams in (64, 128) else "telephoto" if header["LargeLens"] else "1800"
         azimuths = np.deg2rad(beam_centres_deg()[f"{lens}_{self.beams}"])
         name, low_khz, high_khz = _SYSTEMS.get(int(header["TheSystemType"]), ("ARIS", None, None))
-        return Frame(
+        return SonarFrame(
             number,
             np.ascontiguousarray(self._samples(number)[:, ::-1]),  # beam 0 is the rightmost
             Beams(tuple(azimuths.tolist()), near, far),
             time_s=float(header["FrameTime"]) * 1e-6,
             pose=pose_of(header),
-            device=Device(
+            device=RecordingDevice(
                 name=name,
                 serial_number=int(header["SonarSerialNumber"]),
                 frequency_khz=high_khz if header["FrequencyHiLow"] else low_khz,
@@ -196,7 +196,7 @@ class DdfFile(_SoundMetricsFile):
         self.ranges = int(self.within("samplesperchannel", ranges, 2, MOST_RANGES))
         self._count_frames()
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         header = self._header(number)
         samples = self._samples(number)
         samples = samples if self._file_header["reverse"] else samples[:, ::-1]
@@ -205,13 +205,13 @@ class DdfFile(_SoundMetricsFile):
             time_s = seconds + min(max(int(header["hsecond"]), 0), 99) / 100
         except (ValueError, OverflowError):
             time_s = float(header["frametime"])
-        return Frame(
+        return SonarFrame(
             number,
             np.ascontiguousarray(samples),
             Beams(_didson_azimuths_rad(self.beams), *self._window(header)),
             time_s=time_s or None,
             pose=pose_of(header),
-            device=Device(
+            device=RecordingDevice(
                 name="DIDSON",
                 serial_number=int(self._file_header["serialnumber"]),
                 gain_db=known(header["receivergain"], 100),
@@ -331,7 +331,7 @@ class OculusFile(Recording):
         with explained(f"{self.path}: a message cannot be unpacked; it is damaged"):
             return zlib.decompressobj().decompress(content[4:], most)
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         message = self._pings[number]
         name = f"ping {number}"
         content = self._content(message)
@@ -359,13 +359,13 @@ class OculusFile(Recording):
             raise FrameError(f"{self.path}: {name} ends within its samples; it is damaged")
         rows = np.frombuffer(content, np.uint8, count=ranges * stride, offset=start)
         rows = np.ascontiguousarray(rows.reshape(ranges, stride)[:, extra:])
-        return Frame(
+        return SonarFrame(
             number,
             rows if width == 1 else rows.view("<u2").astype(np.uint16),
             Beams(tuple(np.deg2rad(bearings).tolist()), 0.0, far),
             time_s=message.time_s or (known(ping["start_s"], 1e10) if second else None),
             pose=pose_of(ping),
-            device=Device(
+            device=RecordingDevice(
                 name="Oculus",
                 serial_number=int(ping["source"]),
                 frequency_khz=known(float(ping["frequency_hz"]) / 1000),

@@ -12,9 +12,9 @@ from PIL import Image
 from ...factory.common.errors import FrameError
 from ...factory.common.quiet import quiet_stderr
 from .base import (
-    Frame,
     Recording,
     Samples,
+    SonarFrame,
     as_samples,
     ask_bytes,
     ask_pixels,
@@ -118,7 +118,7 @@ class StackFile(Recording):
             count -= 1
         return count
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         name = f"{self.path}: page {number + 1}"
         page = self._contiguous(number, name) if self._is_contiguous else self._page(number, name)
         width, height = self._first.size
@@ -127,7 +127,7 @@ class StackFile(Recording):
             raise FrameError(f"{name} has {own} pixels, the first {width} x {height}")
         samples = as_samples(page, name)
         time_s = self._axes.time_s(number)
-        return Frame(
+        return SonarFrame(
             number,
             samples,
             time_s=time_s,

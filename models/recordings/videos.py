@@ -21,9 +21,9 @@ from ...factory.production.cli.extras import Need, require
 from .base import (
     MOST_PIXELS,
     Ended,
-    Frame,
     Recording,
     Samples,
+    SonarFrame,
     ask_pixels,
     explained,
     untinted,
@@ -214,11 +214,11 @@ class VideoFile(Recording):
         self.warning = self._warning(reading)
         return reading.stamps
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[SonarFrame]:
         """All frames that decode, in order; `warning` says afterwards whether some are missing."""
         yield from self.frames_from(0)
 
-    def frames_from(self, first: int) -> Iterator[Frame]:
+    def frames_from(self, first: int) -> Iterator[SonarFrame]:
         """Those that `__iter__` gives from frame number `first` on; the others are decoded, too."""
         reading = _Reading()
         timing: _Timing | None = None
@@ -229,13 +229,13 @@ class VideoFile(Recording):
                     yield self._frame(number, decoded, timing)
         self.warning = self._warning(reading)
 
-    def __getitem__(self, number: int) -> Frame:
+    def __getitem__(self, number: int) -> SonarFrame:
         """One frame.  Raises IndexError, and FrameError when it cannot be used."""
         if not 0 <= number < len(self):
             raise IndexError(f"{self.path}: frame {number} of {len(self)}")
         return self._read(number)
 
-    def _read(self, number: int) -> Frame:
+    def _read(self, number: int) -> SonarFrame:
         is_near = self._next <= number <= self._next + _SEEK_BEYOND
         if self._cursor is None or not is_near:
             self._cursor = self._decoded_from(number)
@@ -263,11 +263,11 @@ class VideoFile(Recording):
         with self._opened() as (_, stream):
             yield from enumerate(self._decoded(stream, _Reading()))
 
-    def _frame(self, number: int, decoded: Any, timing: _Timing) -> Frame:
+    def _frame(self, number: int, decoded: Any, timing: _Timing) -> SonarFrame:
         ask_pixels(str(self.path), decoded.width, decoded.height)
         with explained(f"{self.path}: frame {number} cannot be read", reason=True):
             samples = _orientation_of(decoded).upright(samples_of(decoded))
-        return Frame(number, samples, time_s=timing.time_s, duration_s=timing.duration_s)
+        return SonarFrame(number, samples, time_s=timing.time_s, duration_s=timing.duration_s)
 
     def _timing(self, number: int, decoded: Any, before: _Timing | None) -> _Timing:
         """before: of the frame before, by which this one is dated if the file does not do it."""

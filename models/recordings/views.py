@@ -19,7 +19,7 @@ from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.simulation.sonar.fan import fan_table
 from . import open_recording
-from .base import FULL_SCALE, Beams, Frame
+from .base import FULL_SCALE, Beams, SonarFrame
 
 if TYPE_CHECKING:
     from ...factory.simulation.sonar.settings import SonarSettings
@@ -30,7 +30,7 @@ MOST_ROWS = 1024
 _MOST_SIDE = 2048
 
 
-def grey_of(frame: Frame) -> Grey:
+def grey_of(frame: SonarFrame) -> Grey:
     """The samples as float32 in 0..1, in the shape that they have."""
     return frame.samples.astype(np.float32) / np.float32(FULL_SCALE[str(frame.samples.dtype)])
 

@@ -52,7 +52,7 @@ class Stopped(KeyboardInterrupt):
         self.exit_code = 128 + number
 
 
-class Loop:
+class TrainingLoop:
     """Takes the steps that the settings say and checks `average` every `check_every` of them.
 
     average: the network with the running average of its weights, in evaluation mode.

@@ -34,7 +34,7 @@ from .adversarial import Opponent
 from .batch_reader import BatchReader, innermost_message
 from .checkpoints import checkpoint_to_continue, write_checkpoint
 from .cost import Cost, CostMeter, read_cost
-from .loop import Loop, Row, denoised, device_of, precision_of
+from .loop import Row, TrainingLoop, denoised, device_of, precision_of
 from .losses import Loss
 from .objective import training_loss
 from .recipe import files_learned_from, full_recipe
@@ -123,7 +123,7 @@ class Training:
         self._opponent = None
         if isinstance(network, AdversarialNetwork):
             self._opponent = Opponent(network, settings.train.learning_rate, device)
-        self._loop = Loop(
+        self._loop = TrainingLoop(
             network, self._objective, settings.train, settings.seed, device, save=self._save
         )
         if checkpoint is not None:

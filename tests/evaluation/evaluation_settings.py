@@ -15,7 +15,7 @@ from scipy import ndimage
 from simnfnd.evaluation.filters import Baseline
 from simnfnd.evaluation.judging.methods import NOISY, Method
 from simnfnd.evaluation.judging.pairs import items_of
-from simnfnd.evaluation.judging.runner import Measured, Task, measure_task
+from simnfnd.evaluation.judging.runner import JudgingTask, Measured, measure_task
 from simnfnd.evaluation.judging.settings import EvaluationSettings
 from simnfnd.evaluation.report.build import measure
 from simnfnd.factory.common.settings import build
@@ -71,7 +71,7 @@ BROKEN = Baseline("broken", _broken, {}, {}, "here")
 """A filter that crashes."""
 
 
-def killed_by_median(task: Task) -> Any:
+def killed_by_median(task: JudgingTask) -> Any:
     """A worker that dies of one method."""
     if any(method.name == "median" for method in task.methods):
         os.kill(os.getpid(), signal.SIGKILL)

@@ -26,7 +26,7 @@ from simnfnd.evaluation.judging.pairs import geometry_of, items_of, pair_images
 from simnfnd.evaluation.judging.runner import SECONDS, Measured
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
-from simnfnd.evaluation.metrics.measure import PairImages, Scene, fit_levels, sector_of
+from simnfnd.evaluation.metrics.measure import MeasuredPair, PairImages, fit_levels, sector_of
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report import paper
 from simnfnd.evaluation.report.compare import read_results
@@ -161,7 +161,7 @@ def test_a_killed_worker_costs_the_row_of_its_method_alone(
 def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
     noisy, clean, shadow = fan_images(64, np.random.default_rng(1))
     sector = sector_of(noisy, clean, shadow)
-    scene = Scene(PairImages(noisy, clean, shadow, sector))
+    scene = MeasuredPair(PairImages(noisy, clean, shadow, sector))
     scores = scene.figures(noisy)
     share = sector.mean()
     assert 0.2 < share < 0.8

@@ -18,7 +18,7 @@ from ...common.errors import FactoryError
 from ...common.small_files import load_yaml
 from ...common.words import quote
 from .hydra_loader import config_folders, load, searched_folders, take_config_folders
-from .text_values import Form, form_of, hydra_value
+from .text_values import ValueForm, form_of, hydra_value
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -237,7 +237,7 @@ def own_effect_key(key: str) -> str:
     return f"++{key}" if is_own else key
 
 
-def _hydra_word(word: str, name: str, form: Form, *, in_sweep: bool) -> str:
+def _hydra_word(word: str, name: str, form: ValueForm, *, in_sweep: bool) -> str:
     key, equals, value = word.partition("=")
     if not equals or not _KEY.fullmatch(key):
         return word
@@ -247,7 +247,7 @@ def _hydra_word(word: str, name: str, form: Form, *, in_sweep: bool) -> str:
         value = os.path.expanduser(value)
 
     path = key.lstrip("+")
-    own_form = Form(is_text=True) if _HYDRA_FOLDER.fullmatch(path) else form.at(path)
+    own_form = ValueForm(is_text=True) if _HYDRA_FOLDER.fullmatch(path) else form.at(path)
     if own_form.holds_text:
         roots = frozenset[str]()
         if "${" in value:

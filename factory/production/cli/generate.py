@@ -41,7 +41,7 @@ from ...simulation.pairs.compilation import compile_needed
 from ...simulation.pairs.pair_maker import pair_maker
 from ...simulation.pairs.views import Cache, ViewMaker
 from ...simulation.scenes import open_reader
-from ..scheduler.plan import Job, plan_shards, with_inputs, work_folder
+from ..scheduler.plan import DatasetJob, plan_shards, with_inputs, work_folder
 from . import EXIT_BAD_INPUT, PRELOADED
 from .extras import needs_of, require
 from .hydra_loader import config_folder_words
@@ -161,7 +161,7 @@ def run(
 
 def job_of(
     config: FactoryConfig, arguments: Sequence[str], reporter: RunReporter = PRINTING
-) -> Job:
+) -> DatasetJob:
     """The frames that there are, planned as shards, and how they are made.
 
     Reports what there is and what the recordings lack.  Raises FactoryError when no frame is left.
@@ -192,7 +192,7 @@ def job_of(
     values = {**identity(config), "frames_found": frames_digest(frames)}
     directory = config.dataset.directory(config_hash(values), config.shard.part)
     working = with_cache(config, work_folder(directory, config.shard))
-    return Job(
+    return DatasetJob(
         directory=directory,
         tasks=tasks,
         source=pair_maker,

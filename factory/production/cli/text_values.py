@@ -23,7 +23,7 @@ _OPENING = {"[": "]", "{": "}", "(": ")"}
 
 
 @dataclass(frozen=True)
-class Form:
+class ValueForm:
     """What the values of a key look like.
 
     is_text: one name or path.  items: of a list.  fields: of a mapping, by key; "*" is any key.
@@ -31,8 +31,8 @@ class Form:
     """
 
     is_text: bool = False
-    items: Form | None = None
-    fields: Mapping[str, Form] = field(default_factory=dict)
+    items: ValueForm | None = None
+    fields: Mapping[str, ValueForm] = field(default_factory=dict)
     words: frozenset[str] = frozenset()
 
     @property
@@ -40,54 +40,54 @@ class Form:
         """Whether there is text in it anywhere."""
         return self.is_text or self.items is not None or bool(self.fields)
 
-    def at(self, key: str) -> Form:
+    def at(self, key: str) -> ValueForm:
         """The form of a dotted key below this one."""
         form = self
         for name in key.split("."):
-            form = form.fields.get(name) or form.fields.get("*") or Form()
+            form = form.fields.get(name) or form.fields.get("*") or ValueForm()
         return form
 
 
-def form_of(kind: Any) -> Form:
+def form_of(kind: Any) -> ValueForm:
     """The form of values of a type: a settings class, `str`, lists, mappings and unions of them."""
     if kind is str:
-        return Form(is_text=True)
+        return ValueForm(is_text=True)
     if settings := getattr(kind, "__pydantic_fields__", None):
         fields = {info.alias or name: form_of(info.annotation) for name, info in settings.items()}
-        return Form(fields=_with_text(fields))
+        return ValueForm(fields=_with_text(fields))
     if hasattr(kind, "__metadata__"):  # Annotated
         return form_of(get_args(kind)[0])
 
     origin = get_origin(kind)
     arguments = get_args(kind)
     if origin is Literal:
-        return Form(words=frozenset(map(str, arguments)))
+        return ValueForm(words=frozenset(map(str, arguments)))
     if origin in (Union, types.UnionType):
         if {int, float} & set(arguments):  # a text among numbers is typed as in Hydra
-            return Form()
+            return ValueForm()
         return _joined([form_of(member) for member in arguments])
     if not isinstance(origin, type) or not arguments:
-        return Form()
+        return ValueForm()
     if issubclass(origin, Mapping):
-        return Form(fields=_with_text({"*": form_of(arguments[1])}))
+        return ValueForm(fields=_with_text({"*": form_of(arguments[1])}))
     if issubclass(origin, Sequence):
         items = form_of(arguments[0])
-        return Form(items=items) if items.holds_text else Form()
-    return Form()
+        return ValueForm(items=items) if items.holds_text else ValueForm()
+    return ValueForm()
 
 
-def _with_text(fields: Mapping[str, Form]) -> dict[str, Form]:
+def _with_text(fields: Mapping[str, ValueForm]) -> dict[str, ValueForm]:
     return {name: form for name, form in fields.items() if form.holds_text}
 
 
-def _joined(forms: Sequence[Form]) -> Form:
+def _joined(forms: Sequence[ValueForm]) -> ValueForm:
     """The form of a value that has one of several."""
-    fields: dict[str, Form] = {}
+    fields: dict[str, ValueForm] = {}
     for form in forms:
         for name, value in form.fields.items():
             fields[name] = _joined([fields[name], value]) if name in fields else value
     items = [form.items for form in forms if form.items is not None]
-    return Form(
+    return ValueForm(
         is_text=any(form.is_text for form in forms),
         items=_joined(items) if items else None,
         fields=fields,
@@ -95,7 +95,7 @@ def _joined(forms: Sequence[Form]) -> Form:
     )
 
 
-def hydra_value(value: str, form: Form, *, in_sweep: bool, roots: frozenset[str]) -> str:
+def hydra_value(value: str, form: ValueForm, *, in_sweep: bool, roots: frozenset[str]) -> str:
     """A value as typed, in Hydra's grammar.
 
     in_sweep: commas outside of brackets, without a space after them, separate points of a sweep.
@@ -110,7 +110,7 @@ def hydra_value(value: str, form: Form, *, in_sweep: bool, roots: frozenset[str]
     return _one_value(value, form, roots)
 
 
-def _one_value(value: str, form: Form, roots: frozenset[str]) -> str:
+def _one_value(value: str, form: ValueForm, roots: frozenset[str]) -> str:
     stripped = value.strip()
     if stripped == "null":
         return value
@@ -123,8 +123,8 @@ def _one_value(value: str, form: Form, roots: frozenset[str]) -> str:
     return _text(value, roots) if form.is_text else value
 
 
-def _list_value(value: str, form: Form, roots: frozenset[str]) -> str:
-    items = form.items or Form()
+def _list_value(value: str, form: ValueForm, roots: frozenset[str]) -> str:
+    items = form.items or ValueForm()
     if value in form.words or _is_reference(value, roots):
         return value
     if value.startswith("[") and value.endswith("]"):
@@ -136,13 +136,13 @@ def _list_value(value: str, form: Form, roots: frozenset[str]) -> str:
     return _text(value, roots) if form.is_text else value
 
 
-def _item(value: str, form: Form, roots: frozenset[str]) -> str:
+def _item(value: str, form: ValueForm, roots: frozenset[str]) -> str:
     if form.is_text:  # no item is null
         return value if _quoted_whole(value) else _text(value, roots)
     return _one_value(value, form, roots)
 
 
-def _mapping_value(value: str, form: Form, roots: frozenset[str]) -> str:
+def _mapping_value(value: str, form: ValueForm, roots: frozenset[str]) -> str:
     entries = []
     for entry in _split(value[1:-1]):
         key, colon, text = entry.partition(":")

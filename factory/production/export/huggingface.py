@@ -18,7 +18,7 @@ from .notes import describe_fields, write_notes
 from .object_selection import ClassList, ObjectSelection
 from .objects import ExportedObjects, has_labels, survey_objects, visible_objects
 from .png_encoding import encode_png, fits_png
-from .samples import Sample, divide_into_files, flat_name
+from .samples import ExportedSample, divide_into_files, flat_name
 
 # The hub reads whole row groups to show one row.
 _SAMPLES_PER_GROUP = 100
@@ -89,7 +89,9 @@ def _front_matter(pairs: PairDataset, exported: ExportedObjects | None) -> str:
     return f"---\n{yaml.safe_dump(fields, sort_keys=False)}---\n\n"
 
 
-def _row_of(sample: Sample, pairs: PairDataset, exported: ExportedObjects | None) -> dict[str, Any]:
+def _row_of(
+    sample: ExportedSample, pairs: PairDataset, exported: ExportedObjects | None
+) -> dict[str, Any]:
     """A row of a Parquet file: column -> value."""
     row: dict[str, Any] = {}
     if exported is not None:

@@ -20,7 +20,7 @@ from ...dataset.meaning import formation_of
 from ...dataset.pair_dataset import PairDataset
 from ...simulation.sonar.array import WaterSettings
 from .notes import write_notes
-from .samples import Sample, read_samples
+from .samples import ExportedSample, read_samples
 
 _POSE = "geometry_msgs/msg/PoseStamped"
 _IMAGE = "sensor_msgs/msg/Image"
@@ -59,7 +59,7 @@ class PingFacts(NamedTuple):
     beam_rad: float
 
 
-class PolarGrid(NamedTuple):
+class PingGrid(NamedTuple):
     """The ranges (R,) in metres and bearings (B,) in radians, right positive, of a polar image."""
 
     ranges_m: npt.NDArray[np.float64]
@@ -107,7 +107,7 @@ def write_mcap(pairs: PairDataset, folder: Path) -> str:
     return f"{len(pairs.splits)} MCAP files, {count} pings"
 
 
-def _timed(split_samples: Iterator[Sample]) -> Iterator[tuple[Sample, float]]:
+def _timed(split_samples: Iterator[ExportedSample]) -> Iterator[tuple[ExportedSample, float]]:
     """Each sample with its time, in seconds since 1970.
 
     Scenes lie one after another: at the times of their recordings, where these have a clock and do
@@ -135,7 +135,7 @@ def _timed(split_samples: Iterator[Sample]) -> Iterator[tuple[Sample, float]]:
 
 
 def _messages(
-    sample: Sample,
+    sample: ExportedSample,
     time_s: float,
     sonar: SonarDevice,
     config: Mapping[str, Any],
@@ -239,19 +239,17 @@ def _stamped(transform: Any, parent: str, child: str, stamp: Any, types: Mapping
     return types[_TRANSFORMS](transforms=[stamped])
 
 
-def polar_grid(sonar: SonarDevice, geometry: FanGeometry) -> PolarGrid:
+def polar_grid(sonar: SonarDevice, geometry: FanGeometry) -> PingGrid:
     """The ranges and bearings that the device measures in the window of an image."""
     near = geometry.range_min_m
     far = geometry.range_max_m
     assert near is not None
     assert far is not None
     steps = (np.arange(sonar.range_bins) + 0.5) / sonar.range_bins
-    return PolarGrid(near + steps * (far - near), sonar.beam_centres_rad().astype(np.float64))
+    return PingGrid(near + steps * (far - near), sonar.beam_centres_rad().astype(np.float64))
 
 
-def polar_image(
-    image: npt.NDArray[Any], geometry: FanGeometry, grid: PolarGrid
-) -> npt.NDArray[Any]:
+def polar_image(image: npt.NDArray[Any], geometry: FanGeometry, grid: PingGrid) -> npt.NDArray[Any]:
     """(R, B) of the same type: a polar image as it is, a fan at the nearest pixels to the grid."""
     if geometry.layout == "polar":
         return image
@@ -266,7 +264,7 @@ def polar_image(
 
 
 def _ping(
-    polar: npt.NDArray[Any], grid: PolarGrid, header: Any, sonar: SonarDevice,
+    polar: npt.NDArray[Any], grid: PingGrid, header: Any, sonar: SonarDevice,
     facts: PingFacts, types: Mapping[str, Any],
 ) -> Any:  # fmt: skip
     direction = types["geometry_msgs/msg/Vector3"]

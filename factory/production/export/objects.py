@@ -22,7 +22,7 @@ from ...dataset.schema import stored_image
 from .object_boxes import Box, ObjectPlace, box_of_object, box_with_shadow, parse_places
 from .object_selection import ClassList, ObjectSelection
 from .png_encoding import encode_png
-from .samples import Sample, read_samples
+from .samples import ExportedSample, read_samples
 
 MIN_OBJECT_PX = 8
 """An object that shows in fewer pixels is no larger than a speckle, and is left out."""
@@ -184,7 +184,7 @@ def _refuse_missing_columns(pairs: PairDataset, selection: ObjectSelection) -> N
 
 
 def visible_objects(
-    sample: Sample, pairs: PairDataset, selection: ObjectSelection
+    sample: ExportedSample, pairs: PairDataset, selection: ObjectSelection
 ) -> Iterator[VisibleObject]:
     """The pixels of each number in /instance, with the class that most of them have.
 
@@ -210,7 +210,7 @@ def visible_objects(
             yield VisibleObject(classes[label], mask, box, visibility_db.get(number))
 
 
-def _visibility_db(sample: Sample, pairs: PairDataset) -> dict[int, float]:
+def _visibility_db(sample: ExportedSample, pairs: PairDataset) -> dict[int, float]:
     """Number in /instance -> visibility, dB; empty where the dataset does not say."""
     text = sample.record.get("visibility")
     if text is None:
@@ -227,7 +227,7 @@ def _visibility_db(sample: Sample, pairs: PairDataset) -> dict[int, float]:
 class _SampleBoxes:
     """The boxes of the objects of one sample, by a convention."""
 
-    def __init__(self, sample: Sample, pairs: PairDataset, convention: str) -> None:
+    def __init__(self, sample: ExportedSample, pairs: PairDataset, convention: str) -> None:
         self._make_box = _BOX_MAKERS.get(convention)
         self._places: Mapping[int, ObjectPlace] = {}
         if self._make_box is None:

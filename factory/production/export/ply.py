@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ...common.errors import FactoryError
 from ...dataset.pair_dataset import PairDataset, in_unit_range
 from .notes import describe_labels, write_notes
-from .samples import Sample, read_samples
+from .samples import ExportedSample, read_samples
 
 _NEEDED = ("range", "azimuth", "elevation")
 
@@ -40,7 +40,7 @@ def write_ply(pairs: PairDataset, folder: Path) -> str:
     return f"{len(pairs)} point clouds, {points} points"
 
 
-def write_points(path: Path, sample: Sample) -> int:
+def write_points(path: Path, sample: ExportedSample) -> int:
     """Write the cloud of one sample; returns the number of its points."""
     from open3d import core, t
 

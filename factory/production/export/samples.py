@@ -21,7 +21,7 @@ Value = float | int | str
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class ExportedSample:
     """One sample of a split.
 
     index: counts from 0 within the split, in the order of the dataset.
@@ -57,7 +57,7 @@ def flat_name(layer: str) -> str:
     return layer.replace("/", "_")
 
 
-def read_samples(pairs: PairDataset, split: str) -> Iterator[Sample]:
+def read_samples(pairs: PairDataset, split: str) -> Iterator[ExportedSample]:
     """Every sample of one split of a dataset that was opened with all layers.
 
     Raises FactoryError where a shard has other layers, columns or sizes than the first.
@@ -72,7 +72,7 @@ def read_samples(pairs: PairDataset, split: str) -> Iterator[Sample]:
 
         for record in records:
             images = _read_images(pairs, dataset_index, shard_path)
-            yield Sample(split, split_index, images, _plain_record(record))
+            yield ExportedSample(split, split_index, images, _plain_record(record))
             dataset_index += 1
             split_index += 1
 
@@ -99,7 +99,7 @@ class FilePart(NamedTuple):
     """A file of an export, and the samples that belong into it."""
 
     name: str
-    samples: Iterator[Sample]
+    samples: Iterator[ExportedSample]
 
 
 def divide_into_files(

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ...dataset.pair_dataset import PairDataset
 from .notes import write_notes
 from .png_encoding import encode_png, fits_png
-from .samples import Sample, divide_into_files
+from .samples import ExportedSample, divide_into_files
 
 # A loader of WebDataset gives each worker tars of its own.
 _MIN_TARS_PER_SPLIT = 8
@@ -40,7 +40,7 @@ def write_webdataset(pairs: PairDataset, folder: Path) -> str:
     return f"{tar_count} tars, {counts}"
 
 
-def _entry_of(sample: Sample) -> dict[str, str | bytes]:
+def _entry_of(sample: ExportedSample) -> dict[str, str | bytes]:
     """The key of a sample, and the bytes of each of its files by their extension."""
     entry: dict[str, str | bytes] = {"__key__": sample.key}
     for layer, image in sample.images.items():

@@ -18,7 +18,7 @@ from ...common.workers.settings import NOISE, RENDER
 from ...dataset.frame_ref import FrameRef
 from ...dataset.manifest import Failure, FailureKind
 from ...dataset.schema import Prepared
-from .plan import Job
+from .plan import DatasetJob
 from .progress import ProgressBar
 from .results import Results
 from .worker import ShardAttempt, ShardResult, make_shard, prepare_frame
@@ -34,7 +34,7 @@ _Work = ShardAttempt | FrameRef
 _Reports = deque[tuple[int | None, int, int]]
 
 
-class Loop:
+class ShardLoop:
     """Makes the shards that `results` leaves to do, and tries again when workers die.
 
     A frame that was in hand at `retries` + 1 deaths is given up, and the rest goes on without it.
@@ -42,7 +42,9 @@ class Loop:
     frame, so there is an end whatever happens.
     """
 
-    def __init__(self, job: Job, results: Results, progress: ProgressBar, backend: Backend) -> None:
+    def __init__(
+        self, job: DatasetJob, results: Results, progress: ProgressBar, backend: Backend
+    ) -> None:
         self._job = job
         self._recipe = job.recipe
         self._results = results

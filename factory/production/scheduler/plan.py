@@ -83,7 +83,7 @@ class Recipe:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job(Recipe):
+class DatasetJob(Recipe):
     """The dataset in `directory`: what it is made of, how, and by which workers.
 
     tasks: all shards of the dataset, also where only a slice of them is to be made.

@@ -14,7 +14,7 @@ from ...common.errors import FactoryError
 from ...common.files import write_atomically
 from ...common.progress import Lines, RunProgress, clock, terminal_bars
 from ...dataset.folder import STATUS_NAME
-from .plan import Job
+from .plan import DatasetJob
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -32,7 +32,7 @@ class ProgressBar:
         samples that no frame gave, and the frames that failed.
     """
 
-    def __init__(self, job: Job, total: int, settled: int) -> None:
+    def __init__(self, job: DatasetJob, total: int, settled: int) -> None:
         """total: planned samples.  settled: of them, those that need no work from the first."""
         self.frames = {"total": 0, "rendered": 0, "from_cache": 0, "failed": 0}
         self.settled = settled

@@ -23,7 +23,7 @@ from ...dataset.manifest import (
     save_manifest,
     save_outcome,
 )
-from .plan import Job, ShardTask
+from .plan import DatasetJob, ShardTask
 from .worker import ShardResult
 
 
@@ -48,7 +48,7 @@ class Results:
     lacking: path of such a shard -> names of the frames it lacks.
     """
 
-    def __init__(self, job: Job, manifest: Manifest) -> None:
+    def __init__(self, job: DatasetJob, manifest: Manifest) -> None:
         """Compare plan, results and disk; say which shards are damaged."""
         self._job = job
         self._manifest = manifest

@@ -19,13 +19,13 @@ from ...dataset.preview import preview
 from ...dataset.schema import SPLITS
 from ...dataset.writer import write_index
 from .lock import locked, publishing
-from .loop import Loop
-from .plan import Job, work_folder
+from .loop import ShardLoop
+from .plan import DatasetJob, work_folder
 from .progress import ProgressBar
 from .results import Results, RunReport
 
 
-def make_dataset(job: Job) -> RunReport:
+def make_dataset(job: DatasetJob) -> RunReport:
     """Make the dataset of `job`, or finish it; running the same again keeps what is whole.
 
     Raises FactoryError when the folder is another dataset's, cannot be written, nothing was
@@ -50,7 +50,7 @@ def make_dataset(job: Job) -> RunReport:
     return report
 
 
-def _make_shards(job: Job, manifest: Manifest) -> RunReport:
+def _make_shards(job: DatasetJob, manifest: Manifest) -> RunReport:
     """Make every shard of the job that `manifest` does not hold whole already."""
     results = Results(job, manifest)
     todo = results.todo
@@ -69,7 +69,7 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
                 with closing(
                     _backend(job, worker_counts, max(len(task.items) for task in todo))
                 ) as backend:
-                    Loop(job, results, progress, backend).run()
+                    ShardLoop(job, results, progress, backend).run()
             finally:
                 _tidy(job)
         results.write_manifest()
@@ -82,7 +82,7 @@ def _make_shards(job: Job, manifest: Manifest) -> RunReport:
     return results.report()
 
 
-def _starting_text(job: Job, worker_counts: WorkerCounts, pairs: int) -> str:
+def _starting_text(job: DatasetJob, worker_counts: WorkerCounts, pairs: int) -> str:
     """The line that says who makes the pairs."""
     if job.scheduler.backend == "serial":
         return f"making {pairs} pairs in this process"
@@ -91,7 +91,7 @@ def _starting_text(job: Job, worker_counts: WorkerCounts, pairs: int) -> str:
     return f"starting {count}{renders} for {pairs} pairs"
 
 
-def _backend(job: Job, worker_counts: WorkerCounts, frames_per_shard: int) -> Backend:
+def _backend(job: DatasetJob, worker_counts: WorkerCounts, frames_per_shard: int) -> Backend:
     """What runs the tasks.  Raises FactoryError when it cannot be had."""
     if job.scheduler.backend == "serial":
         return Backend()
@@ -106,14 +106,14 @@ def _backend(job: Job, worker_counts: WorkerCounts, frames_per_shard: int) -> Ba
     return LocalBackend((heavy, light), job.preload)
 
 
-def _tidy(job: Job) -> None:
+def _tidy(job: DatasetJob) -> None:
     """Remove what crashed workers and dead writers left."""
     shutil.rmtree(work_folder(job.directory, job.shard), ignore_errors=True)
     for split in SPLITS:
         remove_stale_temporaries(job.directory / split)
 
 
-def _describe(job: Job, report: RunReport) -> None:
+def _describe(job: DatasetJob, report: RunReport) -> None:
     """Write all that stands beside the shards."""
     if (finished := load_manifest(job.directory)) is not None and report.samples:
         with_preview = " and preview" if job.dataset.preview_pairs else ""

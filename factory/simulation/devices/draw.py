@@ -43,7 +43,7 @@ _ODD = ("spokes", "ghosts", "gains")
 """Artefacts that many recordings do not have; seen always, they teach to take detail for them."""
 
 
-class ImageSettings(Protocol):
+class DrawnSettings(Protocol):
     """What of a configuration, a dataclass, a device decides; its other fields stay as they are."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -61,11 +61,11 @@ class ImageSettings(Protocol):
         """The effects."""
 
 
-Config = TypeVar("Config", bound=ImageSettings)
+Config = TypeVar("Config", bound=DrawnSettings)
 
 
 @dataclass(frozen=True)
-class Device:
+class DrawnDevice:
     """What was drawn for one image.
 
     values: by the keys of `distributions`; shares are drawn as 1 or 0.
@@ -85,7 +85,7 @@ class Device:
         return {f"device.{name}": value for name, value in self.values.items()}
 
 
-def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Device:
+def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> DrawnDevice:
     """The device of the image of this name; the same name draws the same."""
     values = {}
     for name, distribution in distributions(settings).items():
@@ -97,7 +97,7 @@ def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Devic
         name: seeds.stream(seed, "device", "coin", name, *stream_names).random() < 0.5
         for name in EFFECTS
     }
-    return Device(values, coins)
+    return DrawnDevice(values, coins)
 
 
 def columns(settings: DeviceSettings) -> tuple[Column, ...]:
@@ -109,7 +109,7 @@ def columns(settings: DeviceSettings) -> tuple[Column, ...]:
     )
 
 
-def configured(config: Config, device: Device, *, any_size: bool) -> Config:
+def configured(config: Config, device: DrawnDevice, *, any_size: bool) -> Config:
     """The configuration of one image by this device, but for what depends on its window.
 
     any_size: whether images may differ in size and layout; else they keep `sonar.image`.
@@ -156,7 +156,7 @@ def configured(config: Config, device: Device, *, any_size: bool) -> Config:
     return replace(config, **changed)
 
 
-def _image(image: FanSettings, device: Device, *, any_size: bool) -> FanSettings:
+def _image(image: FanSettings, device: DrawnDevice, *, any_size: bool) -> FanSettings:
     """The image of the device; see `configured`."""
     drawn = device.values
     points = device.formation == "pointwise"
@@ -176,7 +176,7 @@ def _image(image: FanSettings, device: Device, *, any_size: bool) -> FanSettings
     return replace(image, **changed)
 
 
-def _range(limits: RangeSettings, device: Device) -> RangeSettings:
+def _range(limits: RangeSettings, device: DrawnDevice) -> RangeSettings:
     """The range window of the device, or what it is fitted within."""
     drawn = device.values
     if device.formation == "pointwise":
@@ -190,7 +190,7 @@ def _range(limits: RangeSettings, device: Device) -> RangeSettings:
     return RangeSettings(auto=False, min_m=near_m, max_m=far_m)
 
 
-def _acoustics(acoustics: AcousticsSettings, device: Device) -> AcousticsSettings:
+def _acoustics(acoustics: AcousticsSettings, device: DrawnDevice) -> AcousticsSettings:
     """The image formation of the device."""
     if device.formation == "pointwise":
         return PointwiseSettings()
@@ -204,7 +204,7 @@ def _acoustics(acoustics: AcousticsSettings, device: Device) -> AcousticsSetting
     return replace(acoustics, reflectivity_db=_reflectivity_db(acoustics, device), **changed)
 
 
-def _reflectivity_db(acoustics: CoherentSettings, device: Device) -> dict[str, float]:
+def _reflectivity_db(acoustics: CoherentSettings, device: DrawnDevice) -> dict[str, float]:
     """Backscatter coefficient of each class by name, dB."""
     drawn = device.values
     echo_db = dict(acoustics.reflectivity_db)
@@ -221,7 +221,7 @@ def _reflectivity_db(acoustics: CoherentSettings, device: Device) -> dict[str, f
     return echo_db
 
 
-def resolved(config: Config, device: Device, window: Window, *, any_size: bool) -> Config:
+def resolved(config: Config, device: DrawnDevice, window: Window, *, any_size: bool) -> Config:
     """The same, with what the device resolves in its window, and a fan as wide as its sector."""
     if device.formation == "pointwise":
         return config
@@ -242,7 +242,7 @@ def resolved(config: Config, device: Device, window: Window, *, any_size: bool) 
     return replace(config, sonar=replace(sonar, array=array, image=image))
 
 
-def fitted(config: Config, device: Device, scene: PointwiseScene | CoherentScene) -> Config:
+def fitted(config: Config, device: DrawnDevice, scene: PointwiseScene | CoherentScene) -> Config:
     """The same once the scene is known: the receiver's noise lies so far over its median echo."""
     receiver = config.noise.receiver
     if "receiver_db" not in device.values:
@@ -268,7 +268,7 @@ def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
     return replace(sonar, beams=image.width_px, range_bins=image.height_px)
 
 
-def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
+def _transfer(transfer: TransferSettings, device: DrawnDevice) -> TransferSettings:
     drawn = device.values
     if device.formation == "pointwise" and not drawn.get("points_log_share", 0.0):
         return replace(transfer, kind="linear", percentile=90.0, reference=1.0)
@@ -304,7 +304,7 @@ def _log_transfer(
     return replace(transfer, **changed)
 
 
-def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
+def _of_formation(noise: NoiseSettings, device: DrawnDevice) -> NoiseSettings:
     """The effects of the device's formation that are on in this image."""
     changed: dict[str, EffectSettings] = {}
     for name, block in blocks(noise).items():
@@ -313,7 +313,7 @@ def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
     return with_blocks(noise, changed)
 
 
-def _is_drawn(name: str, device: Device) -> bool:
+def _is_drawn(name: str, device: DrawnDevice) -> bool:
     """Whether the device shows the effect in this image.
 
     Quiet images have no effect at all.  A coin decides where an image has fewer effects, and always

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from ...common.errors import FrameError
 from ..sonar import polar, transfer
-from .contract import EffectCloud, Floats, Layers, Sample, effect_clouds
+from .contract import EffectCloud, Floats, Layers, SceneSample, effect_clouds
 from .effect import DrawnEffect
 from .expected import Expected, display, expected
 from .signal import Ping, Signal, averaged, beamform, beamform_power, is_audible
@@ -63,14 +63,14 @@ class CoherentScene(Ping):
 
 
 @dataclass(frozen=True, eq=False)
-class CoherentSample(Sample):
+class CoherentSample(SceneSample):
     """A scene with the effects of one sample, all of its scatterers kept."""
 
     scene: CoherentScene
 
     @property
     def clean(self) -> Floats:
-        """See `Sample`."""
+        """See `SceneSample`."""
         acoustics = self.scene.acoustics
         if acoustics.target == "noise_free":
             return self._displayed(expected(self.scene, ()), ())
@@ -87,7 +87,7 @@ class CoherentSample(Sample):
         return self._displayed(state, ())
 
     def noisy(self, effects: Collection[str]) -> Floats:
-        """See `Sample`."""
+        """See `SceneSample`."""
         ping = self.scene
         level = received(ping, [effect for effect in self.effects if effect.name in effects])
         level = ping.averaged(level)
@@ -127,7 +127,7 @@ class CoherentSample(Sample):
         return images
 
     def without(self, artefacts: Collection[str]) -> Floats:
-        """See `Sample`."""
+        """See `SceneSample`."""
         if "speckle" not in artefacts:
             return super().without(artefacts)
         shown_names = self.free_of(artefacts)

@@ -31,7 +31,7 @@ class EffectCloud(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Sample(ABC):
+class SceneSample(ABC):
     """One sample of a scene.
 
     Images are (range_bins, beams) float32 grey values, 0 to 1, and 0 in beams without data.

@@ -18,7 +18,7 @@ from ..sonar import polar, transfer
 from ..sonar.ghosts import ghost_echoes
 from ..sonar.polar import Echoes
 from ..sonar.surface import LitSurface
-from .contract import EffectCloud, Floats, Sample, effect_clouds
+from .contract import EffectCloud, Floats, SceneSample, effect_clouds
 from .effect import DrawnEffect
 from .settings import ResampleSettings
 
@@ -77,7 +77,7 @@ class PointwiseScene:
 
 
 @dataclass(frozen=True, eq=False)
-class PointwiseSample(Sample):
+class PointwiseSample(SceneSample):
     """A resampled scene and what each effect makes of it.
 
     echoes: the scene's echoes before the noise; level: theirs, (range_bins, beams).
@@ -89,12 +89,12 @@ class PointwiseSample(Sample):
 
     @property
     def clean(self) -> Floats:
-        """See `Sample`."""
+        """See `SceneSample`."""
         curve = self.scene.surface.sonar.transfer
         return transfer.grey(self.level, self.full_scale, curve, "intensity")
 
     def noisy(self, effects: Collection[str]) -> Floats:
-        """See `Sample`."""
+        """See `SceneSample`."""
         chosen = [cloud for cloud in self.clouds if cloud.name in effects]
         level = self.scene.level(noisy_cloud(self.echoes, chosen, self.full_scale))
         return transfer.grey(level, self.full_scale, self.scene.surface.sonar.transfer, "intensity")

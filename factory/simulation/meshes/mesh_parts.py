@@ -37,7 +37,7 @@ AsStated = Literal["stated"]
 """As the format of a file states; z where it states nothing."""
 
 
-class Part(NamedTuple):
+class MeshPart(NamedTuple):
     """A mesh of a file and its name there, metres, z up.  turned: it came inside out."""
 
     name: str
@@ -52,7 +52,7 @@ class Model(NamedTuple):
     notes: lines for the user.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[MeshPart, ...]
     origin_m: npt.NDArray[np.float64]
     notes: tuple[str, ...]
 
@@ -94,7 +94,7 @@ def _linked(path: str, _modified_ns: int) -> tuple[list[str], list[str]]:
     return needed, named
 
 
-def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[Part, ...]:
+def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[MeshPart, ...]:
     """The parts of a file, in metres; see `read_model`."""
     return read_model(path, key, scale, largest_m, "stated").parts
 
@@ -140,7 +140,7 @@ def read_model(
 
 
 def _check_size(
-    path: Path, key: str, parts: tuple[Part, ...], scale: float, largest_m: float
+    path: Path, key: str, parts: tuple[MeshPart, ...], scale: float, largest_m: float
 ) -> None:
     """Raise FactoryError for a world too small or too large, whose unit is hardly the metre."""
     points = np.concatenate([part.mesh.vertices for part in parts])
@@ -155,7 +155,7 @@ def _check_size(
     )
 
 
-def stands_like_a_wall(parts: tuple[Part, ...]) -> bool:
+def stands_like_a_wall(parts: tuple[MeshPart, ...]) -> bool:
     """Whether a world has its largest faces upright along x and z, as a floor with y up would."""
     points = np.concatenate([part.mesh.vertices for part in parts])
     width, thickness, height = np.ptp(points, axis=0)
@@ -168,7 +168,7 @@ def stands_like_a_wall(parts: tuple[Part, ...]) -> bool:
 
 
 def _turn_up(
-    path: Path, key: str, parts: tuple[Part, ...], up: Up | AsStated
+    path: Path, key: str, parts: tuple[MeshPart, ...], up: Up | AsStated
 ) -> npt.NDArray[np.float64] | None:
     """(3, 3) that turns what was read so that z points up; None where it does."""
     stated = _STATED_UP.get(path.suffix.lower())
@@ -182,7 +182,7 @@ def _turn_up(
     return Z_UP if is_y_up else None
 
 
-def _turned_note(path: Path, parts: tuple[Part, ...]) -> tuple[str, ...]:
+def _turned_note(path: Path, parts: tuple[MeshPart, ...]) -> tuple[str, ...]:
     """A line that names the parts of a file that came inside out, if there are any."""
     names = sorted({part.name for part in parts if part.turned})
     return (f"{path.name}: inside out, turned: {', '.join(names)[:200]}",) if names else ()
@@ -191,7 +191,7 @@ def _turned_note(path: Path, parts: tuple[Part, ...]) -> tuple[str, ...]:
 class _Stored(NamedTuple):
     """Parts in units of the file; origin, step and remarks as of `mesh_loading.load`."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[MeshPart, ...]
     origin: npt.NDArray[np.float64]
     step: float
     remarks: tuple[str, ...]
@@ -212,7 +212,7 @@ def _stored(path: str, _modified_ns: int) -> _Stored:
             strict=True,
         )
         parts = tuple(
-            Part(str(name), Mesh(vertices, colours, triangles), bool(turned))
+            MeshPart(str(name), Mesh(vertices, colours, triangles), bool(turned))
             for name, vertices, colours, triangles, turned in pieces
         )
         remarks = tuple(map(str, saved["remarks"]))

@@ -61,7 +61,7 @@ class StaticScene:
         return held
 
 
-class Recordings:
+class MovingRecordings:
     """Gives the moments of a configuration's recordings; holds the cast of the last one."""
 
     def __init__(self, settings: SceneSettings, seed: int) -> None:

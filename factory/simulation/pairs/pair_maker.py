@@ -27,7 +27,7 @@ from ..devices import draw as devices
 from ..frames.frame import Frame
 from ..imaging import layers as truth
 from ..imaging.coherent import CoherentSample, CoherentScene
-from ..imaging.contract import Floats, Sample
+from ..imaging.contract import Floats, SceneSample
 from ..imaging.pointwise import PointwiseScene
 from ..imaging.settings import CoherentSettings, with_materials
 from ..labels.camera_layers import Camera, CameraLayers
@@ -35,7 +35,7 @@ from ..labels.image_axes import image_axes
 from ..labels.insonified import check_share, insonified_share
 from ..labels.visibility import visibility_row
 from ..moving.compose import Echo, compose
-from ..moving.recordings import Moment, Recordings
+from ..moving.recordings import Moment, MovingRecordings
 from ..noise.draws import Draws, StreamNames, draw
 from ..sonar import polar, surface, transfer
 from ..sonar.fan import lay_out, lay_out_nearest, rasterised
@@ -101,7 +101,7 @@ class PairMaker:
         self.views = views
         self._kept_frames = kept_frames
         self._observed: OrderedDict[FrameRef, ObservedFrame] = OrderedDict()
-        self._recordings = Recordings(config.scenes, config.seed)
+        self._recordings = MovingRecordings(config.scenes, config.seed)
         self._camera = camera or Camera(config, choose_frames)
 
     def axes(self) -> tuple[Axis, Axis]:
@@ -336,7 +336,7 @@ def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Wi
 
 
 def observe_by(
-    device: devices.Device,
+    device: devices.DrawnDevice,
     moment: Moment,
     config: FactoryConfig,
     *,
@@ -381,7 +381,7 @@ def make_pair(
     observed: ObservedFrame,
     variant: int,
     config: FactoryConfig,
-    device: devices.Device | None = None,
+    device: devices.DrawnDevice | None = None,
 ) -> Pair:
     """One (noisy, clean) pair; the same frame, variant and configuration give the same bytes.
 
@@ -438,7 +438,7 @@ def make_pair(
 
 
 def _visibility(
-    samples: Sequence[Sample],
+    samples: Sequence[SceneSample],
     layout: _Layout,
     instance: npt.NDArray[np.uint16],
     config: FactoryConfig,
@@ -460,7 +460,7 @@ def _visibility(
 
 
 def _measured_values(
-    samples: Sequence[Sample], draws: Draws, config: FactoryConfig
+    samples: Sequence[SceneSample], draws: Draws, config: FactoryConfig
 ) -> dict[str, npt.NDArray[np.generic]]:
     """(range_bins, beams) of the measured layers, by name; each beam from the sample of its group.
 

@@ -11,7 +11,7 @@ from ...common import seeds
 from ...dataset.fan_geometry import pixel_size
 from ...dataset.frame_ref import FrameRef
 from ...dataset.schema import Column
-from ..imaging.contract import Sample
+from ..imaging.contract import SceneSample
 from ..imaging.settings import Formation
 from ..noise import draws as drawn
 from ..noise.draws import Draws
@@ -85,7 +85,7 @@ def record(
     variant: int,
     window: Window,
     sonar: SonarSettings,
-    sample: Sample,
+    sample: SceneSample,
     draws: Draws,
     formation: Formation = "pointwise",
 ) -> Row:

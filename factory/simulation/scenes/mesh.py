@@ -34,7 +34,7 @@ from ...dataset.labels import class_names
 from ..frames.frame import Frame, Intrinsics, Surroundings, checked
 from ..meshes.blend_files import camera_image
 from ..meshes.camera import Objects, Optics, Pose, Stance, ZBuffer, camera, centred, pose
-from ..meshes.mesh_parts import READING, Part, Up, files_of, read_model, stands_like_a_wall
+from ..meshes.mesh_parts import READING, MeshPart, Up, files_of, read_model, stands_like_a_wall
 from .base import Discovery, OwnClass, Root
 from .moving import MovingObject, check_moving, check_paths
 from .poses import PosesFrame, axes_remark, optical_trajectory, trajectory
@@ -160,7 +160,7 @@ class MeshSettings(RecordingSettings):
 
 
 @plain_dataclass(frozen=True, eq=False)
-class World:
+class MeshWorld:
     """A mesh file ready to be seen.
 
     shades: (T + 1, 3) uint8 of its faces and of nothing.  origin_m: (3,) of its coordinates in
@@ -271,7 +271,7 @@ class MeshReader:
         return Surroundings(start.matrix, along, _AROUND_STEP_M)
 
     @cached_property
-    def _world(self) -> World:
+    def _world(self) -> MeshWorld:
         settings = self._settings
         up = "stated" if settings.up == "auto" and settings.poses is not None else settings.up
         model = read_model(self._path, _KEY, settings.scale, _LARGEST_M, up)
@@ -282,9 +282,9 @@ class MeshReader:
                 "the poses is z, set scenes.up=y",
             )
         objects = Objects([part.mesh for part in model.parts], self._labels(model.parts))
-        return World(objects, _shades(objects), model.origin_m, notes)
+        return MeshWorld(objects, _shades(objects), model.origin_m, notes)
 
-    def _labels(self, parts: tuple[Part, ...]) -> npt.NDArray[np.uint8]:
+    def _labels(self, parts: tuple[MeshPart, ...]) -> npt.NDArray[np.uint8]:
         """(N,) classes of the parts.  Raises FactoryError for a pattern that no name matches."""
         settings = self._settings
         class_numbers = class_names(settings.own_classes())
@@ -329,7 +329,7 @@ class MeshReader:
             return self._orbit(target, rng, height_m, heading_rad)
         return self._transect(target, rng, height_m, heading_rad)
 
-    def _draw_target(self, rng: np.random.Generator) -> Target:
+    def _draw_target(self, rng: np.random.Generator) -> PathTarget:
         """One of the parts with a class; all of the world where none has."""
         objects = self._world.objects
         classified = np.flatnonzero(objects.labels)
@@ -340,10 +340,10 @@ class MeshReader:
         low = points.min(axis=0).astype(float)
         high = points.max(axis=0).astype(float)
         reach_m = float(np.hypot(*(high - low)[:2])) / 2
-        return Target((low + high) / 2, reach_m, is_part=len(classified) > 0)
+        return PathTarget((low + high) / 2, reach_m, is_part=len(classified) > 0)
 
     def _orbit(
-        self, target: Target, rng: np.random.Generator, height_m: float, heading_rad: float
+        self, target: PathTarget, rng: np.random.Generator, height_m: float, heading_rad: float
     ) -> PosesAlong:
         """Around the target, which stays in the middle of the image."""
         distance_m = rng.uniform(*self._settings.distance_m)
@@ -363,7 +363,7 @@ class MeshReader:
         return orbit
 
     def _transect(
-        self, target: Target, rng: np.random.Generator, height_m: float, heading_rad: float
+        self, target: PathTarget, rng: np.random.Generator, height_m: float, heading_rad: float
     ) -> PosesAlong:
         """Straight over the target, looking ahead and down."""
         aside_m = 2 * rng.uniform(-0.25, 0.25) * target.reach_m
@@ -383,7 +383,7 @@ class MeshReader:
 
         return transect
 
-    def _level_above(self, places: Points, target: Target) -> float:
+    def _level_above(self, places: Points, target: PathTarget) -> float:
         """Height of the ground below a path: the median at (N, 3) places along it."""
         measured = [height for height in map(self._ground_m, places) if height is not None]
         return float(np.median(measured)) if measured else float(target.centre[2])
@@ -430,7 +430,7 @@ class MeshReader:
 
 
 @plain_dataclass(frozen=True, eq=False)
-class Target:
+class PathTarget:
     """What a path goes round or over: its middle (3,), half its diagonal seen from above, metres.
 
     is_part: it is a part with a class, and not the whole world.

@@ -58,7 +58,7 @@ class Neighbour:
 
 
 @dataclass(frozen=True, eq=False)
-class Fused:
+class FusedFrame:
     """A frame fused with its neighbours.
 
     image: (H, W) or (H, W, C) float32.
@@ -120,12 +120,12 @@ class Fusion:
         self._score_spread = RunningSpread()
         self.noise = NoiseByLevel()
 
-    def __call__(self, frame: Grey, neighbours: Sequence[Neighbour]) -> Fused:
+    def __call__(self, frame: Grey, neighbours: Sequence[Neighbour]) -> FusedFrame:
         """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""
         grey = grey_of(frame)
         if not neighbours:
             ones = np.ones(grey.shape, np.float32)
-            return Fused(frame, ones, ones)
+            return FusedFrame(frame, ones, ones)
         small, visible = _reduce(grey, neighbours)
         noise_sample = None
         index = self._neighbour_to_measure(len(neighbours))
@@ -148,7 +148,7 @@ class Fusion:
             for with_median, with_frame in zip(agrees_with_median, agrees_with_frame, strict=True)
         ]
         image, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, weights)
-        fused = Fused(image, frame_count, _enlarge(static, grey.shape))
+        fused = FusedFrame(image, frame_count, _enlarge(static, grey.shape))
 
         trackable = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
         if len(trackable) + 1 < _MIN_TRACKED_FRAMES:
@@ -158,7 +158,7 @@ class Fusion:
             return fused
         return _with_targets(fused, frame, neighbours, agrees_with_median, targets)
 
-    def shows_same(self, fused: Fused, later: Grey, visible: Grey) -> npt.NDArray[np.bool_]:
+    def shows_same(self, fused: FusedFrame, later: Grey, visible: Grey) -> npt.NDArray[np.bool_]:
         """Where another frame, (H, W), shows the static scene that was fused.
 
         Excludes pixels where something moves in either frame: calibration would mistake the motion
@@ -301,12 +301,12 @@ def _weighted_mean(
 
 
 def _with_targets(
-    fused: Fused,
+    fused: FusedFrame,
     frame: Grey,
     neighbours: Sequence[Neighbour],
     agrees_with_median: Sequence[Grey],
     targets: _Targets,
-) -> Fused:
+) -> FusedFrame:
     """A fused frame that shows each moving target as its mean along its path.
 
     agrees_with_median: (h, w) reduced, 1 where a neighbour shows the static scene.
@@ -317,7 +317,7 @@ def _with_targets(
     gate = _enlarge(targets.gate, frame.shape) * (scene_count > 1)
     target = _mean_target(frame, scene, neighbours, targets)
     image = fused.image + _like(gate, fused.image) * (scene + target - fused.image)
-    return Fused(np.clip(image, 0, 1), fused.frame_count, fused.static_share * (1 - gate))
+    return FusedFrame(np.clip(image, 0, 1), fused.frame_count, fused.static_share * (1 - gate))
 
 
 def _explained(deviation: Grey, path_mean: Grey) -> Grey:

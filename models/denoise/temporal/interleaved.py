@@ -12,7 +12,7 @@ import numpy as np
 from .kinds import Kind, KindFinder
 from .motion import Grey
 from .repeated import Unrepeated
-from .stream import InTime, Network, Shot
+from .stream import InTime, Network, SequenceFrame
 from .strength import Strength
 
 _PAUSE = 32
@@ -76,7 +76,7 @@ class Interleaved:
         self._kind_count = 0
         self._ended: Strength | None = None  # of the kind that it was fitted to most often
 
-    def push(self, shot: Shot) -> Iterator[tuple[Any, Grey]]:
+    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Grey]]:
         """Take the next frame; the key of each that is denoised by now and its levels, in order."""
         self._pass_on(self._finder.push(shot))
         yield from self._in_order()
@@ -111,7 +111,7 @@ class Interleaved:
         for stream in self._in_time():
             stream.attach(network, at_once)
 
-    def shots(self) -> Iterator[Shot]:
+    def shots(self) -> Iterator[SequenceFrame]:
         """The frames that are in memory."""
         yield from self._finder.shots()
         for stream in self._streams.values():
@@ -150,7 +150,7 @@ class Interleaved:
         plural = "s" * (kind.count != 1)
         return f"{name} ({kind.count} frame{plural}, {kind.first} to {kind.last})"
 
-    def _pass_on(self, judged: Iterable[tuple[Shot, Kind]]) -> None:
+    def _pass_on(self, judged: Iterable[tuple[SequenceFrame, Kind]]) -> None:
         """Give frames to the streams of their kinds."""
         for shot, kind in judged:
             if shot.wanted:
@@ -204,7 +204,7 @@ class Interleaved:
             yield self._finished.pop(self._order.popleft())
 
 
-def _ticketed(shot: Shot, place: int, kind: Kind) -> Shot:
+def _ticketed(shot: SequenceFrame, place: int, kind: Kind) -> SequenceFrame:
     """A shot as the stream of its kind takes it."""
     ticket = _Ticket(place, shot.key, shot.levels, kind.gain)
     levels = shot.levels

@@ -16,7 +16,7 @@ import numpy as np
 from ...recordings.device_settings import DeviceSettings
 from .brightness import UNLIKE, difference, gain_of, likeness_of, thumbnail_of
 from .motion import Grey, grey_of
-from .stream import Shot
+from .stream import SequenceFrame
 
 _MUCH_CLOSER = 0.5  # times the difference from the frame before
 _MOST_AHEAD = 8  # frames that are looked at before an unlike one is judged
@@ -52,7 +52,7 @@ class _Look:
     """A frame that is being judged.  number: of the frame.  gain: see `Kind`."""
 
     number: int
-    shot: Shot
+    shot: SequenceFrame
     thumbnail: Grey
     gain: float
 
@@ -71,7 +71,7 @@ class KindFinder:
     _seen: int = 0
     _gain: float = 1.0
 
-    def push(self, shot: Shot) -> Iterator[tuple[Shot, Kind]]:
+    def push(self, shot: SequenceFrame) -> Iterator[tuple[SequenceFrame, Kind]]:
         """Take the next frame; each frame that is judged by now with its kind, in order."""
         self._gain = gain_of(grey_of(shot.levels), self._gain)
         levels = shot.levels * np.float32(self._gain) if self._gain != 1 else shot.levels
@@ -79,15 +79,15 @@ class KindFinder:
         self._seen += 1
         yield from self._judged(is_end=False)
 
-    def finish(self) -> Iterator[tuple[Shot, Kind]]:
+    def finish(self) -> Iterator[tuple[SequenceFrame, Kind]]:
         """The frames that are left; the sequence has ended."""
         yield from self._judged(is_end=True)
 
-    def shots(self) -> Iterator[Shot]:
+    def shots(self) -> Iterator[SequenceFrame]:
         """The frames that are not judged yet."""
         yield from (look.shot for look in self._waiting)
 
-    def _judged(self, *, is_end: bool) -> Iterator[tuple[Shot, Kind]]:
+    def _judged(self, *, is_end: bool) -> Iterator[tuple[SequenceFrame, Kind]]:
         """Those of the waiting frames that can be judged."""
         while self._waiting:
             look = self._waiting[0]

@@ -61,7 +61,7 @@ class Motion:
         return Motion(back, None if self.flow is None else -self.flow)
 
 
-class View:
+class AlignmentView:
     """What alignment keeps of a frame: reduced, its noise made equal, coarse levels taken away.
 
     grey: (H, W) in 0..1.  shift_px: see `Aligner.add`.
@@ -124,7 +124,7 @@ class Aligner:
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
-        self._views: dict[int, View] = {}
+        self._views: dict[int, AlignmentView] = {}
         self._motions: dict[tuple[int, int], Motion | None] = {}
         self._last = np.zeros(6)
 
@@ -134,7 +134,7 @@ class Aligner:
         shift_px: how far right and down what the frame before saw lies now, where a compass tells
         it; a start, nothing more.
         """
-        self._views[number] = View(grey, shift_px)
+        self._views[number] = AlignmentView(grey, shift_px)
         oldest = number - self._capacity
         self._views.pop(oldest, None)
         self._motions = {pair: motion for pair, motion in self._motions.items() if pair[1] > oldest}
@@ -252,7 +252,7 @@ def factors(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _affine_motion(
-    view: View, neighbour_view: View, starts: Sequence[Floats]
+    view: AlignmentView, neighbour_view: AlignmentView, starts: Sequence[Floats]
 ) -> tuple[Floats, float]:
     """The simplest affine motion that explains the frame, and the correlation that it leaves."""
     none = np.zeros(6)
@@ -282,7 +282,7 @@ def _affine_motion(
     return chosen, best
 
 
-def _refined(view: View, neighbour_view: View, affine: Floats) -> Floats:
+def _refined(view: AlignmentView, neighbour_view: AlignmentView, affine: Floats) -> Floats:
     change, hessian = view.steepest
     for _ in range(_STEPS):
         residual, noise = _residual(view, neighbour_view, affine)
@@ -297,7 +297,7 @@ def _refined(view: View, neighbour_view: View, affine: Floats) -> Floats:
     return affine
 
 
-def _block_flow(view: View, neighbour_view: View, affine: Floats) -> Grey | None:
+def _block_flow(view: AlignmentView, neighbour_view: AlignmentView, affine: Floats) -> Grey | None:
     """What blocks move besides, where that is beyond doubt; (rows, columns, 2)."""
     along, down = view.slopes
     residual, noise = _residual(view, neighbour_view, affine)
@@ -327,7 +327,9 @@ def _block_flow(view: View, neighbour_view: View, affine: Floats) -> Grey | None
     return flow if np.hypot(flow[..., 0], flow[..., 1]).max() > 0.15 else None
 
 
-def _residual(view: View, neighbour_view: View, affine: Floats) -> tuple[Grey, float]:
+def _residual(
+    view: AlignmentView, neighbour_view: AlignmentView, affine: Floats
+) -> tuple[Grey, float]:
     """The difference that a motion leaves, clipped where objects move, and its noise power."""
     residual = (_warp(neighbour_view.band, affine) - view.band) * view.lit
     lit = view.lit.ravel()[::7] > 0
@@ -351,7 +353,7 @@ def _dot(first: Grey, second: Grey) -> float:
     return float(np.einsum("ij,ij->", first, second))
 
 
-def _phase_shift(view: View, neighbour_view: View) -> Floats:
+def _phase_shift(view: AlignmentView, neighbour_view: AlignmentView) -> Floats:
     """The shift with the highest phase correlation (Kuglin and Hines 1975), in whole pixels."""
     cross = cv2.mulSpectrums(neighbour_view.spectrum, view.spectrum, 0, conjB=True)
     magnitude = np.maximum(length_of(cross[..., 0], cross[..., 1]), 1e-12)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...recordings.repeats import RepeatFinder
 from .motion import Grey, grey_of
-from .stream import InTime, Shot, outside_of
+from .stream import InTime, SequenceFrame, outside_of
 
 _MOST_COPIES = 64
 """Copies that wait for one result; after so many the next one counts as a frame of its own."""
@@ -27,7 +27,7 @@ class _Run:
     levels of a copy: None where it is exact.  count: of all copies.
     """
 
-    shot: Shot
+    shot: SequenceFrame
     copies: deque[tuple[Any, Grey | None]] = field(default_factory=deque)
     count: int = 0
 
@@ -47,13 +47,13 @@ class Unrepeated:
         self._waits = False  # whether the newest frame waits for a copy that is wanted
         self._last: tuple[_Run, Grey] | None = None  # the last result
 
-    def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
+    def __call__(self, shots: Iterable[SequenceFrame]) -> Iterator[tuple[Any, Grey]]:
         """The key of each frame that is wanted and its levels, denoised, in order."""
         for shot in shots:
             yield from self.push(shot)
         yield from self.finish()
 
-    def push(self, shot: Shot) -> Iterator[tuple[Any, Grey]]:
+    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Grey]]:
         """Take the next frame; yields those that are denoised by now, a copy at once."""
         is_repeat = self._finder.is_repeat(grey_of(shot.levels))
         newest = self._newest
@@ -83,7 +83,7 @@ class Unrepeated:
         yield from self._pass_waiting()
         yield from self._results(self._stream.finish())
 
-    def shots(self) -> Iterator[Shot]:
+    def shots(self) -> Iterator[SequenceFrame]:
         """The frames that are in memory."""
         yield from self._stream.shots()
         runs = [*self._runs, self._newest, self._last[0] if self._last else None]
@@ -114,7 +114,7 @@ class Unrepeated:
                 yield key, levels
             yield from self._copies(run, levels)
 
-    def _add_copy(self, run: _Run, shot: Shot) -> None:
+    def _add_copy(self, run: _Run, shot: SequenceFrame) -> None:
         run.count += 1
         self._tally["repeats"] += 1
         if shot.wanted:
@@ -127,7 +127,7 @@ class Unrepeated:
             yield key, denoised if levels is None else _of_copy(run.shot, denoised, levels)
 
 
-def _of_copy(shot: Shot, denoised: Grey, levels: Grey) -> Grey:
+def _of_copy(shot: SequenceFrame, denoised: Grey, levels: Grey) -> Grey:
     """What was made of a frame, with what its copy shows besides: a clock, pixels around the fan.
 
     shot: the frame.  levels: of the copy.

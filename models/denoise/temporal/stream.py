@@ -21,7 +21,7 @@ from ....factory.dataset.fan_geometry import FanGeometry
 from ...recordings.device_settings import DeviceSettings
 from ..saturated import with_saturated
 from .brightness import UNLIKE, gain_between
-from .fusion import Fused, Fusion, Neighbour
+from .fusion import FusedFrame, Fusion, Neighbour
 from .motion import Aligner, Grey, grey_of, laid_over
 from .strength import Predictors, Strength, Weights
 
@@ -45,7 +45,7 @@ averaged at each pixel.
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class SequenceFrame:
     """A frame of a sequence.
 
     key: comes back with the result.  levels: (H, W) or (H, W, C) float32 in 0..1.
@@ -81,7 +81,7 @@ class _FusedFrame:
         computed them already.
     """
 
-    fused: Fused
+    fused: FusedFrame
     sigma: Grey
     geometry: FanGeometry | None
     predictors: Predictors | None = None
@@ -133,7 +133,7 @@ class InTime:
         self.strength = Strength(frames, frame_aware=self._is_frame_aware)
 
         # By frame number.
-        self._shots: dict[int, Shot] = {}
+        self._shots: dict[int, SequenceFrame] = {}
         self._geometries: dict[int, FanGeometry | None] = {}
         self._fused_early: dict[int, _FusedFrame] = {}
         self._newest = -1
@@ -144,13 +144,13 @@ class InTime:
         self._max_pending = at_once if at_once > 1 else 0
         self._pending: deque[tuple[Any, Future[Grey]]] = deque()
 
-    def __call__(self, shots: Iterable[Shot]) -> Iterator[tuple[Any, Grey]]:
+    def __call__(self, shots: Iterable[SequenceFrame]) -> Iterator[tuple[Any, Grey]]:
         """The key of each frame and its levels, denoised, in order."""
         for shot in shots:
             yield from self.push(shot)
         yield from self.finish()
 
-    def push(self, shot: Shot) -> Iterator[tuple[Any, Grey]]:
+    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Grey]]:
         """Take the next frame; yields the key and the levels of each that is denoised by now."""
         self._newest += 1
         self._shots[self._newest] = shot
@@ -176,7 +176,7 @@ class InTime:
         self._pool = ThreadPoolExecutor(at_once)
         self._max_pending = at_once if at_once > 1 else 0
 
-    def shots(self) -> Iterator[Shot]:
+    def shots(self) -> Iterator[SequenceFrame]:
         """The frames that are in memory."""
         yield from self._shots.values()
 
@@ -231,7 +231,7 @@ class InTime:
             key, denoised = self._pending.popleft()
             yield key, denoised.result()
 
-    def _count(self, fused: Fused) -> None:
+    def _count(self, fused: FusedFrame) -> None:
         """Add a frame to the tally."""
         lit = grey_of(fused.image) > _DARK
         if not lit.any():
@@ -374,7 +374,9 @@ class InTime:
         is_same_scene = self._fusion.shows_same(frame.fused, target_levels, visible)
 
         ones = np.ones_like(frame.fused.frame_count)
-        single = _FusedFrame(Fused(levels, ones, ones), self._sigma(levels, ones), frame.geometry)
+        single = _FusedFrame(
+            FusedFrame(levels, ones, ones), self._sigma(levels, ones), frame.geometry
+        )
         single_predictors = self._compute_predictors(single)
         self.strength.add_single(single_predictors, target_levels, is_same_scene)
 

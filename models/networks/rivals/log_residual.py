@@ -43,7 +43,7 @@ class LogResidualSettings:
     median: NotNegative
 
 
-class Block(nn.Module):
+class WideBlock(nn.Module):
     """A wide depthwise convolution and a pointwise network (Liu et al., ConvNeXt, CVPR 2022)."""
 
     def __init__(self, channels: int) -> None:
@@ -69,7 +69,7 @@ class LogResidual(Network):
         self.settings = settings
         self.layers = nn.Sequential(
             nn.Conv2d(1, settings.width, 3, padding=1),
-            *(Block(settings.width) for _ in range(settings.blocks)),
+            *(WideBlock(settings.width) for _ in range(settings.blocks)),
             nn.Conv2d(settings.width, 1, 3, padding=1),
         )
 

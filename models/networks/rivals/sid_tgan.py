@@ -85,7 +85,7 @@ class Attention(nn.Module):
         return x + fed
 
 
-class Fused(nn.Module):
+class FusedFeatures(nn.Module):
     """Global features of attention and local ones of convolutions, side by side, then fused."""
 
     def __init__(self, channels: int, heads: int) -> None:
@@ -116,7 +116,7 @@ class SIDTGAN(AdversarialNetwork):
             self.ups.insert(0, nn.ConvTranspose2d(coarse, fine, 2, stride=2))
             self.decoders.insert(0, residual_blocks(fine, 1))
         self.middle = nn.Sequential(
-            *(Fused(widths[-1], settings.heads) for _ in range(settings.blocks))
+            *(FusedFeatures(widths[-1], settings.heads) for _ in range(settings.blocks))
         )
         self.outro = nn.Conv2d(settings.width, 1, 3, padding=1)
 
@@ -180,7 +180,7 @@ class Discriminator(nn.Module):
             spectral_norm(nn.Conv2d(before, after, 4, stride=2, padding=1))
             for before, after in pairwise(widths)
         )
-        self.fused = Fused(widths[-1], settings.heads)
+        self.fused = FusedFeatures(widths[-1], settings.heads)
         self.judge = spectral_norm(nn.Conv2d(widths[-1], 1, 3, padding=1))
 
     def forward(self, noisy: Tensor, image: Tensor) -> Seen:

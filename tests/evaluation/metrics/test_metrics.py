@@ -18,8 +18,8 @@ from skimage.metrics import structural_similarity
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.fidelity import edge_preservation, gmsd, ms_ssim
 from simnfnd.evaluation.metrics.measure import (
+    MeasuredPair,
     PairImages,
-    Scene,
     contrast_to_noise,
     enl,
     fit_levels,
@@ -309,7 +309,7 @@ def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
     noisy[:, :20] = 0
     clean[:, :20] = 0
     sector = sector_of(noisy, clean, shadow)
-    scene = Scene(PairImages(noisy, clean, shadow, sector))
+    scene = MeasuredPair(PairImages(noisy, clean, shadow, sector))
     zones = homogeneous_zones(clean, data_range=1, sector=sector)
     assert len(zones) > 1
     for image in (noisy, ndimage.gaussian_filter(noisy, 2), rng.random(clean.shape, np.float32)):

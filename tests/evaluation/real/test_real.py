@@ -16,10 +16,10 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.judging.methods import Method
-from simnfnd.evaluation.judging.recorded import MDD_GEOMETRIES, MDD_SHAPE, Shot, open_input
+from simnfnd.evaluation.judging.recorded import MDD_GEOMETRIES, MDD_SHAPE, RecordedImage, open_input
 from simnfnd.evaluation.real import in_time
 from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of, search, sector_of
-from simnfnd.evaluation.real.judge import Scene, figures_of, scene_of
+from simnfnd.evaluation.real.judge import MeasuredImage, figures_of, scene_of
 from simnfnd.factory.common.workers.tasks import TaskPool
 from simnfnd.models.recordings.static import aligned, moving, shift_px
 from tests.evaluation.evaluation_settings import BROKEN
@@ -59,7 +59,7 @@ def fans(root: Path, count: int) -> Path:
     return root
 
 
-def shown(shot: Shot) -> Scene:
+def shown(shot: RecordedImage) -> MeasuredImage:
     image, geometry = shot.read()
     return scene_of(image, sector_of(image, geometry), shot.name)
 
@@ -156,7 +156,7 @@ def recording(path: Path, seed: int, count: int) -> Group:
     for image in stored(seed, count):
         video.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     video.release()
-    shots = tuple(Shot(path, number, f"{path.name}#{number}") for number in range(count))
+    shots = tuple(RecordedImage(path, number, f"{path.name}#{number}") for number in range(count))
     return Group(path.name, shots, np.zeros((count, 2)), None, np.ones(SHAPE, bool), 1.0)
 
 
@@ -193,7 +193,7 @@ def group(folder: Path, values: list[int]) -> Group:
     for number, value in enumerate(values):
         path = folder / f"{number}.png"
         cv2.imwrite(str(path), np.full(SHAPE, value, np.uint8))
-        shots.append(Shot(path, 0, path.name))
+        shots.append(RecordedImage(path, 0, path.name))
     still = np.zeros((len(shots), 2)), None, np.ones(SHAPE, bool), 1.0
     return Group("even", tuple(shots), *still)
 

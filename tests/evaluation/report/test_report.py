@@ -20,7 +20,7 @@ from scipy import stats
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.judging.methods import NOISY, Method
-from simnfnd.evaluation.judging.pairs import Item
+from simnfnd.evaluation.judging.pairs import JudgedPair
 from simnfnd.evaluation.judging.runner import SECONDS, Measured
 from simnfnd.evaluation.metrics import statistics
 from simnfnd.evaluation.report import build as builder
@@ -59,7 +59,12 @@ def test_a_shadow_column_that_tells_no_rows_apart_is_left_out() -> None:
             key: {"mean": value, "low": None, "high": None, "count": 4}
             for key, value in figures.items()
         }
-        common = {"lost": None, "parameters": {}, "against_noisy": {}, "milliseconds": 1.0}
+        common: dict[str, Any] = {
+            "lost": None,
+            "parameters": {},
+            "against_noisy": {},
+            "milliseconds": 1.0,
+        }
         return {"label": name, "metrics": metrics, **common}
 
     label = tables.METRIC_NAMES["shadow_iou"].label
@@ -123,9 +128,9 @@ def measured_of(**psnr: Any) -> Measured:
     return Measured(figures)
 
 
-def items(count: int, scenes: int = 2) -> list[Item]:
+def items(count: int, scenes: int = 2) -> list[JudgedPair]:
     return [
-        Item("s", ("s", n), "test", n, str(n), "", f"scene-{n % scenes}", str(n), 0)
+        JudgedPair("s", ("s", n), "test", n, str(n), "", f"scene-{n % scenes}", str(n), 0)
         for n in range(count)
     ]
 

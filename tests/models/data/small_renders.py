@@ -14,7 +14,7 @@ from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.production.cli.generate import run
 from simnfnd.factory.simulation.pairs.views import CachedViews
 from simnfnd.factory.simulation.render.pack import write_pack
-from simnfnd.models.data.pairs import Source
+from simnfnd.models.data.pairs import ImageSource
 from simnfnd.models.data.renders import DeviceSource, RenderSource
 from simnfnd.models.data.sources import open_data
 from simnfnd.models.data.time_stacks import MixedSource
@@ -58,7 +58,7 @@ def drawn_devices(rendered: tuple[Path, Path], **changes: Any) -> DeviceSource:
     return source.devices
 
 
-def _opened(rendered: tuple[Path, Path], kind: str, changes: dict[str, Any]) -> Source:
+def _opened(rendered: tuple[Path, Path], kind: str, changes: dict[str, Any]) -> ImageSource:
     data_options = {"pack": str(rendered[1]), "validation": 0.3, **changes}
     settings, _ = composed(f"data={kind}", f"dataset.dir='{rendered[0]}'", "data.patch=32")
     data = replace(settings.data, **data_options)

@@ -11,7 +11,13 @@ from torch.utils.data import DataLoader
 
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.data.crops import Crops, KeptSource, Visit, VisitSampler, concatenate
-from simnfnd.models.data.pairs import PairSource, Sample, Source, hold_out, read_table
+from simnfnd.models.data.pairs import (
+    ImageSource,
+    TrainingImage,
+    TrainingPairs,
+    hold_out,
+    read_table,
+)
 from tests.models.data.small_renders import data_settings
 from tests.small_dataset import write_dataset
 
@@ -40,8 +46,8 @@ def test_validation_shares_no_scene_with_training(dataset: Path) -> None:
 def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None:
     table = read_table(dataset, "train")
     samples = table.samples
-    crops = Crops(PairSource(samples, None), data_settings(crops=4, patch=20), 0)
-    whole = PairSource(samples, None).sample(3, None)
+    crops = Crops(TrainingPairs(samples, None), data_settings(crops=4, patch=20), 0)
+    whole = TrainingPairs(samples, None).sample(3, None)
     assert whole.shadow is not None
     images = whole.noisy, whole.clean, whole.shadow
     windows = set()
@@ -70,7 +76,7 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
 
     def batches(workers: int) -> list[torch.Tensor]:
         loader = DataLoader(
-            Crops(PairSource(samples, None, weaker=0.5), data, 0),
+            Crops(TrainingPairs(samples, None, weaker=0.5), data, 0),
             batch_sampler=VisitSampler(len(samples), data, 3, seed=0),
             collate_fn=concatenate,
             num_workers=workers,
@@ -105,16 +111,16 @@ def test_all_images_are_visited_before_any_is_visited_again() -> None:
         assert sorted(visit.image for visit in visits[first : first + 7]) == list(range(7))
 
 
-class CountedSource(Source):
+class CountedSource(ImageSource):
     """Counts the samples that are made."""
 
     def __init__(self, images: int) -> None:
         self.images = range(images)
         self.count = 0
 
-    def sample(self, index: int, visit: int | None) -> Sample:
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
         self.count += 1
-        return Sample(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32))
+        return TrainingImage(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32))
 
 
 @pytest.mark.parametrize("processes", [1, 2, 8])

@@ -15,31 +15,31 @@ from simnfnd.models.data.displays import (
     Band,
     Display,
     Glare,
-    Window,
+    ImagePart,
     draw_display,
     gains,
     resized_planes,
     show,
     with_greys,
 )
-from simnfnd.models.data.pairs import Sample, Source
+from simnfnd.models.data.pairs import ImageSource, TrainingImage
 from tests.models.data.small_renders import data_settings
 
-WHOLE = Window(0, 0, (60, 40), (60, 40))
+WHOLE = ImagePart(0, 0, (60, 40), (60, 40))
 
 
-class OneImage(Source):
+class OneImage(ImageSource):
     """A flat fan with a shadow, under speckle."""
 
     images = range(1)
 
-    def sample(self, index: int, visit: int | None) -> Sample:
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
         rng = np.random.default_rng(0)
         clean = np.full((60, 40), 0.2, np.float32)
         clean[20:30, 10:20] = 0
         noisy = clean * rng.uniform(0.5, 1.5, clean.shape).astype(np.float32)
         geometry = FanGeometry.polar().with_size(60, 40)
-        return Sample(noisy, clean, (clean == 0).astype(np.float32), geometry)
+        return TrainingImage(noisy, clean, (clean == 0).astype(np.float32), geometry)
 
 
 def test_the_default_display_changes_nothing() -> None:
@@ -83,7 +83,7 @@ def test_bright_pixels_saturate_and_unknown_ones_stay_unknown() -> None:
 def test_a_window_is_shown_as_the_part_of_the_image_that_it_is() -> None:
     display = draw_display_with_everything()
     image = np.random.default_rng(1).random((60, 40), np.float32)
-    window = Window(13, 7, (20, 16), (60, 40))
+    window = ImagePart(13, 7, (20, 16), (60, 40))
     part = show(image[13:33, 7:23], display, window)
     np.testing.assert_allclose(part, show(image, display, WHOLE)[13:33, 7:23], atol=1e-6)
 

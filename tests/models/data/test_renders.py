@@ -18,10 +18,10 @@ from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.simulation.noise.registry import EFFECTS, NoiseSettings
 from simnfnd.factory.simulation.pairs.pair_maker import pair_maker
 from simnfnd.models.data.crops import Crops, Visit, whole_image
-from simnfnd.models.data.pairs import PairSource, hold_out, read_table
+from simnfnd.models.data.pairs import TrainingPairs, hold_out, read_table
 from simnfnd.models.data.renders import DeviceSource, ImageScale, resized
 from simnfnd.models.data.sources import open_data
-from simnfnd.models.training.loop import Loop
+from simnfnd.models.training.loop import TrainingLoop
 from simnfnd.models.training.train import train
 from tests.models.data.small_renders import (
     SMALL,
@@ -124,17 +124,17 @@ def test_training_on_renders_broken_off_ends_with_the_same_bytes(
         *("data.validation=0.3", "data.crops=2", "data.reuse=2"),
     )
     train(*composed(*words, f"out='{tmp_path / 'whole'}'"))
-    step = Loop.update
+    step = TrainingLoop.update
     calls: list[int] = []
 
-    def breaks_down(self: Loop, *arguments: Any) -> Any:
+    def breaks_down(self: TrainingLoop, *arguments: Any) -> Any:
         calls.append(len(arguments[-1]["noisy"]))
         if len(calls) == 4:
             raise OSError("the power went")
         return step(self, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Loop, "update", breaks_down)
+        patch.setattr(TrainingLoop, "update", breaks_down)
         with pytest.raises(OSError, match="power"):
             train(*composed(*words, f"out='{tmp_path / 'broken'}'"))
     train(*composed(*words, f"out='{tmp_path / 'broken'}'"))
@@ -171,7 +171,7 @@ def test_scales_train_on_images_of_several_sizes(rendered: tuple[Path, Path]) ->
 
 def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> None:
     table = read_table(rendered[0], "train")
-    source = PairSource(table.samples, table.sonar)
+    source = TrainingPairs(table.samples, table.sonar)
     extras = ("range_fraction", "azimuth_rad", "sector")
     geometry = source.sample(0, None).geometry
     assert geometry is not None

@@ -15,7 +15,7 @@ from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.dataset.writer import write_shard
 from simnfnd.models.data.sequences import SequenceSource
 from simnfnd.models.data.sources import open_data
-from simnfnd.models.training.loop import Loop
+from simnfnd.models.training.loop import TrainingLoop
 from simnfnd.models.training.train import train
 from tests.models.data.small_renders import SMALL, composed
 
@@ -139,17 +139,17 @@ def test_a_sample_averages_static_pixels_and_keeps_moving_objects(swims):
 def test_a_training_on_sequences_broken_off_ends_with_the_same_bytes(swims, tmp_path, monkeypatch):
     words = ("data=sequences", f"dataset.dir='{swims}'", *SMALL, "data.crops=2", "data.reuse=2")
     train(*composed(*words, f"out='{tmp_path / 'whole'}'"))
-    step = Loop.update
+    step = TrainingLoop.update
     calls: list[int] = []
 
-    def breaks_down(self: Loop, *arguments: Any) -> Any:
+    def breaks_down(self: TrainingLoop, *arguments: Any) -> Any:
         calls.append(1)
         if len(calls) == 4:
             raise OSError("the power went")
         return step(self, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Loop, "update", breaks_down)
+        patch.setattr(TrainingLoop, "update", breaks_down)
         with pytest.raises(OSError, match="power"):
             train(*composed(*words, f"out='{tmp_path / 'broken'}'"))
     train(*composed(*words, f"out='{tmp_path / 'broken'}'"))

@@ -7,7 +7,7 @@ import pytest
 
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.models.data.pairs import Sample
+from simnfnd.models.data.pairs import TrainingImage
 from simnfnd.models.data.sources import open_data
 from simnfnd.models.data.targets import Target, draw_targets, insert_targets
 from simnfnd.models.data.time_stacks import resized
@@ -18,13 +18,13 @@ SHAPE = (96, 120)
 NOISE = 0.05
 
 
-def ground(frames: float | None = None) -> Sample:
+def ground(frames: float | None = None) -> TrainingImage:
     """Even ground under noise; frames: how many were averaged."""
     sigma = NOISE if frames is None else NOISE * 2 ** -(float(averaged(frames)) / 2)
     clean = np.full(SHAPE, 0.4, np.float32)
     noise = np.random.default_rng(0).normal(0, sigma, SHAPE).astype(np.float32)
     count = None if frames is None else np.full(SHAPE, averaged(frames), np.float32)
-    return Sample(clean + noise, clean, np.zeros(SHAPE, np.float32), None, count)
+    return TrainingImage(clean + noise, clean, np.zeros(SHAPE, np.float32), None, count)
 
 
 def target(contrast: float) -> Target:
@@ -49,7 +49,7 @@ def test_a_target_has_its_contrast_in_the_image_and_in_its_reference(
 
 def test_a_target_in_black_water_is_not_seen() -> None:
     black = np.zeros(SHAPE, np.float32)
-    after = insert_targets(Sample(black, black), [target(6)])
+    after = insert_targets(TrainingImage(black, black), [target(6)])
     assert not after.noisy.any()
 
 
@@ -70,7 +70,7 @@ def test_targets_depend_on_the_stream_alone() -> None:
 def test_a_resized_fan_keeps_range_and_bearing_of_the_scene() -> None:
     fan = FanGeometry.fan(0.6, apex_x_px=100, apex_y_px=220, near_px=40, far_px=200)
     maps = fan.maps(0, 0, 240, 200)
-    sample = Sample(maps["range_fraction"] / 2, maps["range_fraction"] / 2, None, fan)
+    sample = TrainingImage(maps["range_fraction"] / 2, maps["range_fraction"] / 2, None, fan)
     shapes = set()
     for seed in range(12):
         after = resized(sample, np.random.default_rng(seed))

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.models.data.pairs import Sample, Source
+from simnfnd.models.data.pairs import ImageSource, TrainingImage
 from simnfnd.models.data.time_stacks import (
     MixedSource,
     Stack,
@@ -82,7 +82,8 @@ def test_static_speckle_stays_in_the_target() -> None:
     rng = np.random.default_rng(1)
     noisy = np.clip(scene() * rng.gamma(3, 1 / 3, SHAPE), 0, 1).astype(np.float32)
     remaining = [
-        standing(Sample(noisy, scene(), np.zeros(SHAPE, np.float32), POLAR), rng) for _ in range(12)
+        standing(TrainingImage(noisy, scene(), np.zeros(SHAPE, np.float32), POLAR), rng)
+        for _ in range(12)
     ]
     spread = [float(np.nanstd(sample.clean - scene())) for sample in remaining]
     assert min(spread) < 0.01
@@ -94,7 +95,7 @@ def test_static_speckle_stays_in_the_target() -> None:
 
 def test_a_loud_beam_is_not_in_the_target() -> None:
     for seed in range(60):
-        dark = Sample(
+        dark = TrainingImage(
             np.full(SHAPE, 0.05, np.float32), np.full(SHAPE, 0.05, np.float32), None, POLAR
         )
         actual = with_loud_beam(dark, np.random.default_rng(seed))
@@ -116,14 +117,14 @@ def test_unknown_targets_cost_nothing() -> None:
     ]
 
 
-class Only(Source):
+class Only(ImageSource):
     """A source of one pair."""
 
     images = range(4)
 
-    def sample(self, index: int, visit: int | None) -> Sample:
+    def sample(self, index: int, visit: int | None) -> TrainingImage:
         grey = np.full(SHAPE, 0.3, np.float32)
-        return Sample(grey, grey, np.zeros(SHAPE, np.float32), POLAR)
+        return TrainingImage(grey, grey, np.zeros(SHAPE, np.float32), POLAR)
 
 
 def test_all_kinds_are_mixed_and_every_visit_is_the_same_again() -> None:

@@ -16,7 +16,7 @@ from simnfnd.models.denoise import command
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.temporal.brightness import gain_of
 from simnfnd.models.denoise.temporal.kinds import KindFinder
-from simnfnd.models.denoise.temporal.stream import Shot
+from simnfnd.models.denoise.temporal.stream import SequenceFrame
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.device_settings import DeviceSettings, settings_in_name
 from tests.models.denoise.test_temporal import as_it_is, noisy, scene
@@ -48,7 +48,7 @@ def denoised(
     """What becomes of the frames with a network that changes nothing, and the summary."""
     denoising = Denoising(as_it_is, frames=5, **options)
 
-    def shots() -> Iterator[Shot]:
+    def shots() -> Iterator[SequenceFrame]:
         for number, frame in enumerate(frames):
             stated = None if settings is None else settings[number]
             yield denoising.shot(number, frame, lambda _: None, settings=stated)
@@ -144,7 +144,7 @@ def test_a_moving_scene_is_one_kind() -> None:
     finder = KindFinder()
     for number in range(12):
         window = wide[:SIDE, 5 * number : 5 * number + SIDE]
-        list(finder.push(Shot(number, noisy(window, number))))
+        list(finder.push(SequenceFrame(number, noisy(window, number))))
     list(finder.finish())
     assert len(finder.kinds) == 1
 

@@ -22,7 +22,7 @@ from simnfnd.models.denoise.journal import JOURNAL_NAME
 from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.denoise.shards import opened_shard
 from simnfnd.models.denoise.writers import CAPTION_PX
-from simnfnd.models.recordings.inputs import Item, find_items
+from simnfnd.models.recordings.inputs import InputFile, find_items
 from tests.factory.production.export.export_dataset import write
 from tests.models.denoise.untrained import half, results_in, through_network, untrained_sonarnet
 from tests.small_dataset import fan_images, write_dataset, write_manifest
@@ -178,7 +178,7 @@ def test_no_result_replaces_another_file(tmp_path: Path) -> None:
     out = tmp_path / "a" / "out"
     out.mkdir()
     (out / "x.png").write_bytes(first.read_bytes())
-    assert find_items([tmp_path / "a"], out) == [Item(first, Path("x.png"))]
+    assert find_items([tmp_path / "a"], out) == [InputFile(first, Path("x.png"))]
 
 
 def test_the_weights_that_were_used_are_named_and_unsuited_ones_warned_of(

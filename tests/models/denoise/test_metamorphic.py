@@ -62,25 +62,26 @@ def denoiser() -> Denoiser:
 
 def grain(image: Grey, flat: npt.NDArray[np.bool_]) -> float:
     kernel = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
-    return float(cv2.filter2D(np.float32(image), -1, kernel)[flat].std())
+    return float(cv2.filter2D(image.astype(np.float32), -1, kernel)[flat].std())
 
 
 def share_left(image: Grey, flat: npt.NDArray[np.bool_]) -> float:
     """Of the grain of (H, W) uint8, after the weights that ship."""
-    levels = np.float32(image) / 255
+    levels = image.astype(np.float32) / 255
     denoised = denoiser()(levels)
     return grain(denoised, flat) / grain(levels, flat)
 
 
 def with_gain(image: Grey) -> Grey:
-    return np.uint8(np.rint(0.6 * image))
+    weakened: Grey = np.rint(0.6 * image).astype(np.uint8)
+    return weakened
 
 
 def with_distant_band(image: Grey) -> Grey:
     """Three times as bright in the far sixth of the rows."""
-    changed = np.float32(image)
+    changed = image.astype(np.float32)
     changed[:35] *= 3
-    return np.uint8(np.clip(changed, 0, 255))
+    return np.clip(changed, 0, 255).astype(np.uint8)
 
 
 def with_letters(image: Grey) -> Grey:

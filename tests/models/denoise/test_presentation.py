@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 import simnfnd
-from simnfnd.models.adapting.stretches import Shot, presented
+from simnfnd.models.adapting.stretches import StretchFrame, presented
 from simnfnd.models.denoise.command import main
 from simnfnd.models.recordings.fan_finder import find_geometry
 from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen, with_rings
@@ -39,7 +39,7 @@ def test_turned_fans_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
     assert actual is not None
     in_python = simnfnd.denoise(turned.astype(np.float32) / 255)
     np.testing.assert_allclose(in_python * 255, read["from the left"], atol=1.5)
-    shot = Shot((turned / np.float32(255)).astype(np.float32), actual)
+    shot = StretchFrame((turned / np.float32(255)).astype(np.float32), actual)
     for presented_shot in presented([shot]):
         np.testing.assert_allclose(presented_shot.grey * 255, grey, atol=1e-3)
         assert presented_shot.geometry is not None

@@ -19,7 +19,7 @@ from simnfnd.models.denoise import command, writers
 from simnfnd.models.denoise.images import Grey
 from simnfnd.models.denoise.journal import JOURNAL_NAME, opened_journal
 from simnfnd.models.denoise.reports import TABLE
-from simnfnd.models.recordings.inputs import Item, items_below
+from simnfnd.models.recordings.inputs import InputFile, items_below
 from tests.models.adapt.scenes import noisy, scene, write
 
 
@@ -161,7 +161,7 @@ def test_a_second_run_into_the_same_folder_is_refused(
     words = [str(tmp_path / "a.png"), "--out", str(out), "--geometry", "none"]
     use(monkeypatch, None)
     with opened_journal(out, "others") as others:
-        others.begin([[Item(tmp_path / "b.png", Path("b.png"))]], in_time=True)
+        others.begin([[InputFile(tmp_path / "b.png", Path("b.png"))]], in_time=True)
         before = sorted(path.name for path in out.iterdir())
         with pytest.raises(FactoryError, match=rf"--out .*: process {os.getpid()}"):
             command.main(words)
@@ -172,7 +172,7 @@ def test_a_second_run_into_the_same_folder_is_refused(
 
 def test_a_killed_run_keeps_what_its_journal_names(tmp_path: Path) -> None:
     """A line that was cut off names nothing; another command's journal neither."""
-    items = [Item(tmp_path / name, Path(name)) for name in ("a.png", "b.png", "c.png")]
+    items = [InputFile(tmp_path / name, Path(name)) for name in ("a.png", "b.png", "c.png")]
     for item in items:
         (tmp_path / item.relative).touch()
     runs = [[item] for item in items]

@@ -18,7 +18,7 @@ from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.temporal.fusion import Fusion, Neighbour
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
-from simnfnd.models.denoise.temporal.stream import InTime, Shot
+from simnfnd.models.denoise.temporal.stream import InTime, SequenceFrame
 from simnfnd.models.denoise.temporal.strength import Strength
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.inputs import find_items, sequences
@@ -68,8 +68,8 @@ def as_it_is(grey: Grey, geometry: FanGeometry | None = None) -> Grey:
     return grey
 
 
-def shots(frames: list[Grey]) -> Iterator[Shot]:
-    return (Shot(number, frame) for number, frame in enumerate(frames))
+def shots(frames: list[Grey]) -> Iterator[SequenceFrame]:
+    return (SequenceFrame(number, frame) for number, frame in enumerate(frames))
 
 
 def through(
@@ -252,10 +252,10 @@ def test_order_and_window(causal: bool) -> None:
 
 
 def test_memory_stays_flat() -> None:
-    def endless(count: int) -> Iterator[Shot]:
+    def endless(count: int) -> Iterator[SequenceFrame]:
         truth = view(scene())
         for number in range(count):
-            yield Shot(number, noisy(truth, number))
+            yield SequenceFrame(number, noisy(truth, number))
 
     def peak(count: int) -> int:
         tracemalloc.start()

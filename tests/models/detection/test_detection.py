@@ -42,8 +42,8 @@ from simnfnd.models.detection.objective import Targets, detection_loss, draw_tar
 from simnfnd.models.detection.training import (
     CHECKPOINT_NAME,
     DETECTOR_NAME,
+    BatchShare,
     Schedule,
-    Source,
     train_detector,
 )
 from simnfnd.models.detection.weights import TrainedDetector, load_detector, save_detector
@@ -151,7 +151,7 @@ def test_network_is_small() -> None:
 
 def train(folder: Path, steps: int, **changes: Any) -> Any:
     schedule = Schedule(steps, 4, 4e-3, changes.pop("seed", 0))
-    sources = [Source(working_images(8), 1.0, with_clutter=False)]
+    sources = [BatchShare(working_images(8), 1.0, with_clutter=False)]
     return train_detector(folder, sources, CLASSES, schedule, {"about": "squares"}, **changes)
 
 

@@ -16,9 +16,9 @@ import simnfnd
 from simnfnd.command import main
 from simnfnd.extensions import (
     Beams,
-    Pose,
     RecordingEntry,
     RecordingFrame,
+    SonarPose,
     check_recording_reader,
     register_recording,
 )
@@ -115,7 +115,7 @@ GOOD = RecordingFrame(0, np.zeros((4, 3), np.uint8), BEAMS)
         lambda frame: replace(frame, beams=replace(BEAMS, range_max_m=1.0)),
         lambda frame: replace(frame, beams=replace(BEAMS, range_max_m=np.inf)),
         lambda frame: replace(frame, time_s=np.nan),
-        lambda frame: replace(frame, pose=Pose(heading_deg=np.inf)),
+        lambda frame: replace(frame, pose=SonarPose(heading_deg=np.inf)),
         lambda frame: replace(frame, beams=None, samples=np.zeros((4, 3, 5), np.uint8)),
     ],
 )

@@ -14,7 +14,7 @@ from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.simulation.pairs.views import ViewMaker
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.fan_tables import read_fans
-from simnfnd.models.recordings.inputs import Item, find_items
+from simnfnd.models.recordings.inputs import InputFile, find_items
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
 
@@ -61,6 +61,6 @@ def test_a_pipe_in_a_list_fails_its_frame(tmp_path: Path) -> None:
 
 def test_the_sheet_of_the_longest_name_has_a_name_that_fits() -> None:
     relative = Path("dive", "a" * 250 + ".pgm")
-    compared = Item(relative, relative).compared
+    compared = InputFile(relative, relative).compared
     assert compared.parent == Path("compare/dive")
     assert len(compared.name) <= 255

@@ -13,7 +13,7 @@ from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.networks.rivals.log_residual import LogResidual, median_of, structure_of
 from simnfnd.models.networks.rivals.sid_tgan import hinge
 from simnfnd.models.training.adversarial import Opponent
-from simnfnd.models.training.loop import Loop
+from simnfnd.models.training.loop import TrainingLoop
 from simnfnd.models.training.train import train
 from tests.models.networks.tiny_networks import TINY, tiny
 from tests.models.training.small_training import config_for
@@ -44,7 +44,7 @@ def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     critics: list[Opponent] = []
-    update = Loop.update
+    update = TrainingLoop.update
     created = Opponent.__init__
 
     def noted(self: Opponent, *arguments: Any) -> None:
@@ -52,7 +52,7 @@ def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
         critics.append(self)
         starts.append({n: x.clone() for n, x in self.state_dict()["critic"].items()})
 
-    def stopped(self: Loop, *arguments: Any) -> Tensor:
+    def stopped(self: TrainingLoop, *arguments: Any) -> Tensor:
         if self.step == 3:
             raise OSError("pulled the plug")
         return update(self, *arguments)
@@ -65,7 +65,7 @@ def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
     moved = [name for name, values in starts[0].items() if not torch.equal(values, end[name])]
     assert len(moved) > 0.8 * len(end)
     with monkeypatch.context() as patch:
-        patch.setattr(Loop, "update", stopped)
+        patch.setattr(TrainingLoop, "update", stopped)
         with pytest.raises(OSError, match="pulled the plug"):
             train(*config_for(dataset, tmp_path / "cut", *words_of("sid_tgan")))
     train(*config_for(dataset, tmp_path / "cut", *words_of("sid_tgan")))

@@ -29,7 +29,7 @@ from simnfnd.models.pretrained.card import recipe_digest
 from simnfnd.models.training import loop as device
 from simnfnd.models.training.checkpoints import read_checkpoint
 from simnfnd.models.training.cost import read_cost
-from simnfnd.models.training.loop import Loop, Stopped
+from simnfnd.models.training.loop import Stopped, TrainingLoop
 from simnfnd.models.training.objective import completed
 from simnfnd.models.training.recipe import recipe_of
 from simnfnd.models.training.train import train
@@ -96,7 +96,7 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
     trained: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Stopped in the middle of the second interval, training ends with the very same bytes."""
-    step = Loop.update
+    step = TrainingLoop.update
     crop = Crops.__getitem__
     calls: list[int] = []
     drawn: list[int] = []
@@ -105,14 +105,14 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
         drawn.append(visit.number)
         return crop(self, visit)
 
-    def breaks_down(self: Loop, *arguments: Any) -> Any:
+    def breaks_down(self: TrainingLoop, *arguments: Any) -> Any:
         calls.append(self.step)
         if len(calls) == 22:
             raise OSError("the power went")
         return step(self, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Loop, "update", breaks_down)
+        patch.setattr(TrainingLoop, "update", breaks_down)
         with pytest.raises(OSError, match="power"):
             train_small(dataset, tmp_path)
     assert len((tmp_path / "metrics.csv").read_text(encoding="utf-8").splitlines()) == 2
@@ -154,15 +154,15 @@ def test_a_stopped_training_goes_on_from_its_last_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Long before the first check, and what it says is true."""
-    step = Loop.update
+    step = TrainingLoop.update
 
-    def stopped(self: Loop, *arguments: Any) -> Any:
+    def stopped(self: TrainingLoop, *arguments: Any) -> Any:
         if self.step == 11:
             os.kill(os.getpid(), signal.SIGTERM)
         return step(self, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Loop, "update", stopped)
+        patch.setattr(TrainingLoop, "update", stopped)
         with pytest.raises(Stopped, match="step 12 of 45") as caught:
             train_small(dataset, tmp_path)
     assert caught.value.exit_code == 128 + signal.SIGTERM
@@ -177,15 +177,15 @@ def test_checkpoints_are_kept_by_time(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not only at checks: a training whose machine goes away loses two minutes at most."""
-    step = Loop.update
+    step = TrainingLoop.update
 
-    def breaks_down(self: Loop, *arguments: Any) -> Any:
+    def breaks_down(self: TrainingLoop, *arguments: Any) -> Any:
         if self.step == 4:
             raise OSError("the power went")
         return step(self, *arguments)
 
     monkeypatch.setattr("simnfnd.models.training.loop.SAVE_EVERY_S", 0.0)
-    monkeypatch.setattr(Loop, "update", breaks_down)
+    monkeypatch.setattr(TrainingLoop, "update", breaks_down)
     with pytest.raises(OSError, match="power"):
         train_small(dataset, tmp_path)
     assert read_checkpoint(tmp_path / "checkpoint.ckpt")["step"] == 4
@@ -199,16 +199,16 @@ def test_a_resumed_training_forgets_geometry_at_the_same_steps(
     words += [word for word in SMALL if not word.startswith("model")]
     words += ["train.steps=6", "train.check_every=2"]
     drawn: dict[str, list[float]] = {"whole": [], "resumed": []}
-    update = Loop.update
+    update = TrainingLoop.update
 
-    def noted(self: Loop, batch: Any) -> Any:
+    def noted(self: TrainingLoop, batch: Any) -> Any:
         if name == "resumed" and self.step == 2 and len(drawn[name]) == 2:
             drawn[name].append(-1.0)
             raise OSError("the power went")
         drawn[name].append(float(torch.rand(())))
         return update(self, batch)
 
-    monkeypatch.setattr(Loop, "update", noted)
+    monkeypatch.setattr(TrainingLoop, "update", noted)
     name = "whole"
     train(*config_for(dataset, tmp_path / name, *words))
     name = "resumed"
@@ -233,7 +233,7 @@ def test_geometry_stays_exact_in_mixed_precision(
     settings, _ = config_for(dataset, tmp_path, *SMALL)
     mixed = replace(settings.train, precision="bf16-mixed")
     network = build_network(TINY)
-    loop = Loop(network, noted, mixed, 0, torch.device("cpu"))
+    loop = TrainingLoop(network, noted, mixed, 0, torch.device("cpu"))
     third = torch.full((1, 1, 8, 8), 1 / 3)
     loop.update({"noisy": third, "clean": third, "azimuth_rad": third, "range_fraction": third})
     assert all(torch.equal(values, third) for values in batches[0].values())
@@ -256,7 +256,7 @@ def test_a_network_is_trained_with_geometry_by_default(dataset: Path, tmp_path: 
 def test_finished_training_is_not_done_again(
     trained: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Loop, "update", None)
+    monkeypatch.setattr(TrainingLoop, "update", None)
     before = (trained / "weights.safetensors").stat().st_mtime_ns
     best = train_small(dataset, trained)
     assert best["gain_db"] > 3

@@ -29,7 +29,7 @@ from .terrain import FITTED_PLACES, PLACE_NAMES, ObjectPlaceName, PlaceName
 
 if TYPE_CHECKING:
     from ...meshes.triangle_mesh import Mesh
-    from .world import World
+    from .world import SeabedWorld
 
 GENERATOR = 2
 """Version of the frames: changes with their bytes, and is part of the names of cached renders."""
@@ -304,8 +304,8 @@ class SeabedReader:
             for number, own_object in enumerate(self._settings.own_objects)
         ]
 
-    def _built(self, location: int) -> World:
-        from .world import Own, World
+    def _built(self, location: int) -> SeabedWorld:
+        from .world import Own, SeabedWorld
 
         settings = self._settings
         places = settings.places or PLACE_NAMES
@@ -315,4 +315,4 @@ class SeabedReader:
             if item.moving is None
         ]
         classes = class_names(settings.own_classes())
-        return World(location, places, settings.objects, settings.kinds, lying, classes)
+        return SeabedWorld(location, places, settings.objects, settings.kinds, lying, classes)

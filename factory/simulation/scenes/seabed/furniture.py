@@ -5,6 +5,7 @@ Meshes rest on z = 0 and draw their own size and colours.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +60,17 @@ class Fitting(NamedTuple):
 
 def drawn_fitting(rng: Draws) -> Fitting:
     """A fitting of a kind chosen at random."""
-    builders = (_rope, _hanging_rope, _hose, _ladder, _rail, _weight, _stand, _plate, _grid)
+    builders: tuple[Callable[[Draws], Fitting], ...] = (
+        _rope,
+        _hanging_rope,
+        _hose,
+        _ladder,
+        _rail,
+        _weight,
+        _stand,
+        _plate,
+        _grid,
+    )
     builders += (_bits, _bits, _bits)
     return builders[int(rng.integers(len(builders)))](rng)
 

@@ -629,8 +629,8 @@ def _wall_piece(rng: Draws) -> Mesh:
     return box((length_m, thickness_m, height_m), colour=pick(rng, CONCRETE))
 
 
-def _flat_ground(x: Points, y: Points) -> Points:
-    return np.zeros_like(x)
+def _flat_ground(x: Points, y: Points) -> Floats:
+    return np.zeros(x.shape, np.float32)
 
 
 _PIECES: dict[str, Callable[[Draws], Mesh]] = {

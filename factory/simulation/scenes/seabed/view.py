@@ -15,7 +15,7 @@ from ...meshes.arrays import Draws, Floats
 from ...meshes.camera import Optics, Pose, Stance, ZBuffer, camera, centred, moved, pose
 from ...meshes.triangle_mesh import grid_triangles
 from .terrain import FAR_M, TILE, WORLD_SEED, Ground, tiles
-from .world import World
+from .world import SeabedWorld
 
 Movement = Mapping[str, float]
 _SUN_M = 400.0  # how far away the camera in the sun is
@@ -25,7 +25,7 @@ _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the wate
 
 
 def take(
-    world: World,
+    world: SeabedWorld,
     frame: int,
     ref: FrameRef,
     optics: Optics,
@@ -83,7 +83,7 @@ _AROUND_M = 24  # half the side of the known ground
 _AROUND_STEP_M = 1.0  # spacing of its heights
 
 
-def surroundings(world: World, stance: Stance) -> Surroundings:
+def surroundings(world: SeabedWorld, stance: Stance) -> Surroundings:
     """Where the recording of a location begins, and the ground around."""
     start = choose_pose(world, 0, stance)
     steps_m = np.arange(-_AROUND_M, _AROUND_M + 1) * _AROUND_STEP_M
@@ -109,7 +109,7 @@ def field_of_view(
 
 
 def camera_image(
-    world: World, ground: Ground, z_buffer: ZBuffer, exposure: float
+    world: SeabedWorld, ground: Ground, z_buffer: ZBuffer, exposure: float
 ) -> npt.NDArray[np.uint8]:
     """The (H, W, 3) image of what a z-buffer met.
 
@@ -141,7 +141,7 @@ def camera_image(
     return rgb
 
 
-def sunlit(world: World, viewpoint: Pose) -> ZBuffer:
+def sunlit(world: SeabedWorld, viewpoint: Pose) -> ZBuffer:
     """What a camera in the sun sees of the objects before a camera."""
     x, y, z = world.look.sun_direction
     ahead = viewpoint.rotation[:2, 2] / np.sqrt((viewpoint.rotation[:2, 2] ** 2).sum())
@@ -204,7 +204,7 @@ _LOOKOUT = Optics((70.0, 70.0, 101.0, 54.0), 203, 122)
 
 
 @functools.lru_cache(maxsize=2)  # all frames of a moving platform begin at one
-def choose_pose(world: World, frame: int, stance: Stance) -> Pose:
+def choose_pose(world: SeabedWorld, frame: int, stance: Stance) -> Pose:
     """The pose of a frame: of a few ways to look from its place, the one that shows most.
 
     A good view has ground to throw shadows on, objects at middle range, something missing but not

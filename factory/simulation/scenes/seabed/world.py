@@ -148,7 +148,7 @@ CLEAR_M = 0.75  # what is taller keeps this far from it
 _LARGE_FIRST = ("Pipe", "Wall", "Frame", "Anchor", "Block", "Barrel", "Tire", "Boulder")
 
 
-class World:
+class SeabedWorld:
     """Location number `location`; it is a place of kind `places[location % len(places)]`.
 
     density: factor on how many things there are.  kinds: only these; None: all.  own: the user's

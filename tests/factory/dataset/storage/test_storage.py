@@ -362,14 +362,14 @@ def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
 ) -> None:
     pytest.importorskip("torch")
     from simnfnd.models.data.crops import VisitSampler
-    from simnfnd.models.data.pairs import PairSource, read_table
+    from simnfnd.models.data.pairs import TrainingPairs, read_table
     from simnfnd.models.settings import PairsData
 
     keep(monkeypatch, dozen, room)
     table = read_table(far, "train")
     assert requests == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}
     requests.clear()
-    source = PairSource(table.samples, table.sonar)
+    source = TrainingPairs(table.samples, table.sonar)
     sizes: Any = {"patch": 16, "batch": 1, "crops": 1, "weaker": 0, "workers": 0, "reuse": 1}
     data = PairsData(kind="pairs", validation=0.1, validation_limit=None, **sizes)
     for step in VisitSampler(len(source), data, len(source), 0, source.places):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,9 +44,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def annotations(folder: Path) -> list[dict[str, object]]:
+def coco_annotations(folder: Path) -> list[dict[str, Any]]:
     document = json.loads((folder / "annotations" / "instances_train.json").read_text())
-    listed: list[dict[str, object]] = document["annotations"]
+    listed: list[dict[str, Any]] = document["annotations"]
     return listed
 
 
@@ -53,8 +54,8 @@ def test_coco_has_the_boxes_of_the_convention(dataset: Path, tmp_path: Path) -> 
     boxes: dict[str, list[int]] = {}
     for convention in ("echo", "echo+shadow", "object"):
         export(dataset, "coco", tmp_path / convention, box=convention)
-        (annotation,) = annotations(tmp_path / convention)
-        boxes[convention] = list(annotation["bbox"])  # type: ignore[call-overload]
+        (annotation,) = coco_annotations(tmp_path / convention)
+        boxes[convention] = list(annotation["bbox"])
         assert f"`{convention}`" in (tmp_path / convention / "README.md").read_text()
     left, top, width, height = boxes["echo"]
     assert boxes["echo+shadow"][1] < top - 5
@@ -68,8 +69,8 @@ def test_coco_has_the_boxes_of_the_convention(dataset: Path, tmp_path: Path) -> 
 def test_yolo_has_the_corners_of_the_box(dataset: Path, tmp_path: Path) -> None:
     export(dataset, "coco", tmp_path / "coco", box="echo+shadow")
     export(dataset, "yolo", tmp_path / "yolo", box="echo+shadow")
-    (annotation,) = annotations(tmp_path / "coco")
-    left, top, width, height = annotation["bbox"]  # type: ignore[misc]
+    (annotation,) = coco_annotations(tmp_path / "coco")
+    left, top, width, height = annotation["bbox"]
     (line,) = next((tmp_path / "yolo" / "labels").glob("*/*.txt")).read_text().splitlines()
     corners = np.array(line.split()[1:], float).reshape(-1, 2) * 256
     np.testing.assert_allclose(corners.min(axis=0), [left, top], atol=1e-3)
@@ -81,7 +82,7 @@ def test_faint_objects_are_left_out_and_counted(dataset: Path, tmp_path: Path) -
     summary = export(dataset, "coco", tmp_path / "faint", min_visibility_db=60)
     assert "0 objects" in summary
     assert "1 fainter than 60 dB" in summary
-    assert annotations(tmp_path / "faint") == []
+    assert coco_annotations(tmp_path / "faint") == []
 
 
 def test_what_a_dataset_cannot_give_is_refused(tmp_path: Path) -> None:

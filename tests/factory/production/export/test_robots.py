@@ -15,7 +15,7 @@ from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.production.export import export
 from simnfnd.factory.production.export.mcap import _timed
-from simnfnd.factory.production.export.samples import Sample
+from simnfnd.factory.production.export.samples import ExportedSample
 from simnfnd.models.recordings.rosbag import RosBag
 
 WORDS = (
@@ -170,7 +170,7 @@ def test_scenes_with_a_clock_keep_their_times() -> None:
             "variant": 0,
             "time_s": time_s,
         }
-        return Sample("train", 0, {}, record)
+        return ExportedSample("train", 0, {}, record)
 
     times = [("a", clock_s), ("a", clock_s + 2), ("b", clock_s + 1), ("c", clock_s + 60), ("d", 3)]
     stamps = [stamp for _, stamp in _timed(iter([sample(*time) for time in times]))]

@@ -95,7 +95,12 @@ def test_all_images_of_a_place_may_have_one_device() -> None:
 
 
 def test_bearings_without_an_echo_show_the_noise_of_the_receiver() -> None:
-    words = ("devices=fixed", "noise=physical", "sonar.range.auto=false", "sonar.hfov_deg=60")
+    words: tuple[str, ...] = (
+        "devices=fixed",
+        "noise=physical",
+        "sonar.range.auto=false",
+        "sonar.hfov_deg=60",
+    )
     words += (
         "sonar.range.max_m=6",
         "sonar.transfer.kind=log",

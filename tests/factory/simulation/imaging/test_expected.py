@@ -12,8 +12,10 @@ from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.schema import Pair
 from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.simulation.frames.frame import Frame
+from simnfnd.factory.simulation.imaging.coherent import CoherentSample
 from simnfnd.factory.simulation.imaging.effect import ARTEFACTS
 from simnfnd.factory.simulation.imaging.expected import Expected, display
+from simnfnd.factory.simulation.imaging.settings import CoherentSettings
 from simnfnd.factory.simulation.noise.registry import EFFECTS
 from simnfnd.factory.simulation.pairs.pair_maker import make_pair, observe
 from simnfnd.factory.simulation.render.base import Rendered
@@ -37,7 +39,9 @@ def averaged(settings: Any) -> tuple[np.ndarray, np.ndarray]:
     """Mean of many noisy images with the same parameters, and the clean one."""
     observed_frame = observe(*ground(), settings)
     effects = effects_of(settings, observed_frame)
-    clean = observed_frame.scene.sample(0, effects).mean
+    sample = observed_frame.scene.sample(0, effects)
+    assert isinstance(sample, CoherentSample)
+    clean = sample.mean
     total = np.zeros(clean.shape)
     for seed in range(IMAGE_SETTINGS):
         others = [e if e.name in CONSTANT else replace(e, seed=seed) for e in effects]
@@ -112,14 +116,17 @@ def test_the_clean_image_does_not_move_when_noise_is_swept() -> None:
     loud = made(NOISE, "noise_free")
     np.testing.assert_array_equal(loud.clean, quiet.clean)
     np.testing.assert_array_equal(quiet.noisy, quiet.clean)
-    assert np.abs(loud.noisy.astype(float) - quiet.noisy).mean() > 10
+    assert np.abs(loud.noisy.astype(float) - quiet.noisy.astype(float)).mean() > 10
     # Sidelobes alone reach into the shadow; the mean of noisy images has the noise's floor there.
     mean_log = made(NOISE, "mean_log").clean
-    assert np.quantile(loud.clean[loud.shadow], 0.1) < np.quantile(mean_log[loud.shadow], 0.1) - 20
+    darkest_mean = np.quantile(mean_log[loud.shadow].astype(float), 0.1)
+    assert np.quantile(loud.clean[loud.shadow].astype(float), 0.1) < darkest_mean - 20
 
 
 def test_the_default_target_is_free_of_noise() -> None:
-    assert config().acoustics.target == "noise_free"
+    acoustics = config().acoustics
+    assert isinstance(acoustics, CoherentSettings)
+    assert acoustics.target == "noise_free"
 
 
 def test_the_layer_mean_is_the_target_mean_log() -> None:

@@ -13,7 +13,7 @@ from scipy import special, stats
 
 from simnfnd.factory.common.errors import FrameError
 from simnfnd.factory.simulation.imaging import expected, kernels
-from simnfnd.factory.simulation.imaging.coherent import received
+from simnfnd.factory.simulation.imaging.coherent import CoherentSample, received
 from simnfnd.factory.simulation.imaging.signal import (
     Signal,
     beamform,
@@ -289,6 +289,7 @@ def images(standing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     observed_frame = observe(*constant_field(), settings)
     sample = observed_frame.scene.sample(0, effects_of(settings, observed_frame))
     noisy = sample.noisy({"speckle"})
+    assert isinstance(sample, CoherentSample)
     clean = sample.mean
     bare = sample.without({"speckle"})
     return noisy[8:-8, 8:-8], clean[8:-8, 8:-8], bare[8:-8, 8:-8]

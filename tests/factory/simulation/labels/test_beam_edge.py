@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from simnfnd.factory.production.export.object_boxes import (
 from simnfnd.factory.production.export.objects import echo_box
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping
 from simnfnd.factory.simulation.frames.frame import Frame, Intrinsics
+from simnfnd.factory.simulation.imaging.settings import CoherentSettings
 from simnfnd.factory.simulation.meshes.camera import Objects, Optics, ZBuffer, centred, pose
 from simnfnd.factory.simulation.meshes.triangle_mesh import Mesh, box, sphere
 from simnfnd.factory.simulation.noise.registry import EFFECTS
@@ -108,7 +110,7 @@ def shapes() -> dict[str, Mesh]:
     return {"sphere": sphere(3).moved(scale=0.2), "plate": plate, "tyre": tyre}
 
 
-def brighter_db(pair: Pair, empty: Pair, config: FactoryConfig) -> np.ndarray:
+def brighter_db(pair: Pair, empty: Pair, config: FactoryConfig) -> Any:
     """By how much an image is brighter than the same without the object, dB."""
     step_db = config.sonar.transfer.dynamic_range_db / 255
     return (pair.clean.astype(float) - empty.clean.astype(float)) * step_db
@@ -129,7 +131,7 @@ def test_labels_cover_what_the_image_shows(name: str, elevation_deg: float) -> N
     pair = image_of(frame, config)
     nothing = frame_of(shapes()[name].moved((0, 0, 0)), 80.0, 2.6)
     brighter = brighter_db(pair, image_of(nothing, config), config)
-    labelled = pair.layers["instance"] > 0
+    labelled = _instances(pair) > 0
     shown = brighter > 6
     assert shown.sum() > 40
     assert (widened(labelled) & shown).sum() > 0.9 * shown.sum()
@@ -143,8 +145,13 @@ def test_what_only_sidelobes_reach_has_no_label() -> None:
 
 def test_labels_know_the_elevations_of_their_echoes() -> None:
     pair = image_of(frame_of(shapes()["sphere"], 8.5, 2.6), settings())
-    elevation_rad = pair.layers["elevation"][pair.layers["instance"] > 0]
+    elevation_rad = pair.layers["elevation"][_instances(pair) > 0]
     assert np.nanmax(elevation_rad) > 1.1 * HALF_RAD
+
+
+def _instances(pair: Pair) -> Any:
+    """The object of each pixel, (H, W)."""
+    return pair.layers["instance"]
 
 
 def visibility_db(pair: Pair) -> float:
@@ -169,6 +176,7 @@ def _with_reflectivity(tire_db: float) -> FactoryConfig:
     from dataclasses import replace
 
     config = settings()
+    assert isinstance(config.acoustics, CoherentSettings)
     acoustics = replace(config.acoustics, reflectivity_db={"Background": -30.0, "Tire": tire_db})
     return replace(config, acoustics=acoustics)
 
@@ -181,9 +189,9 @@ def test_boxes_by_convention() -> None:
     nothing = image_of(frame_of(shapes()["tyre"], 80.0, 2.6), config)
     assert pair.geometry is not None
     place = parse_places(str(pair.record["boxes"]), "here")[1]
-    mask = pair.layers["instance"] > 0
+    mask = _instances(pair) > 0
     echo = echo_box(mask)
-    shape = pair.clean.shape
+    shape = (pair.clean.shape[0], pair.clean.shape[1])
     shadow = box_with_shadow(echo, place, pair.geometry, shape)
     whole = box_of_object(echo, place, pair.geometry, shape)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +12,15 @@ from simnfnd.factory.dataset.frame_ref import FrameRef
 from simnfnd.factory.dataset.labels import CLASSES, FITTING
 from simnfnd.factory.simulation.meshes.triangle_mesh import box
 from simnfnd.factory.simulation.scenes.seabed import SeabedReader, SeabedSettings, detailed
-from simnfnd.factory.simulation.scenes.seabed.world import Own, World
+from simnfnd.factory.simulation.scenes.seabed.world import Own, SeabedWorld
 
 NAMES = (*CLASSES, "crate", FITTING)
 
 
 @cache
-def tank() -> World:
+def tank() -> SeabedWorld:
     crate = Own("crate", (2, 2), (0.0, 0.0), (0.0, 0.0), box((0.2, 0.2, 0.2)))
-    return World(3, ["tank"], 0.4, ["Tire", "Wall"], [crate], NAMES)
+    return SeabedWorld(3, ["tank"], 0.4, ["Tire", "Wall"], [crate], NAMES)
 
 
 def test_a_tank_has_walls_a_flat_floor_and_fittings_without_numbers() -> None:
@@ -52,14 +53,14 @@ def test_objects_of_the_catalogue_and_of_the_user_lie_in_the_tank() -> None:
             assert (most[:2] < high[:2]).all()
 
 
-def _limits(world: World, number: int) -> tuple[np.ndarray, np.ndarray]:
+def _limits(world: SeabedWorld, number: int) -> tuple[np.ndarray, np.ndarray]:
     first, _, last, _ = world.objects.parts[number]
     points = world.objects.mesh.vertices[first:last]
     return points.min(axis=0), points.max(axis=0)
 
 
 @pytest.mark.parametrize("place", ["harbour", "mud"])
-def test_frames_of_flat_places_have_depth_everywhere(place: str) -> None:
+def test_frames_of_flat_places_have_depth_everywhere(place: Any) -> None:
     settings = SeabedSettings(
         width=160, height=100, places=(place,), objects=0.2, depth_gaps=False, locations=1
     )

@@ -24,7 +24,7 @@ from simnfnd.factory.simulation.meshes.triangle_mesh import grid_triangles
 from simnfnd.factory.simulation.scenes import open_reader
 from simnfnd.factory.simulation.scenes.seabed import SeabedReader, SeabedSettings
 from simnfnd.factory.simulation.scenes.seabed.terrain import PLACE_NAMES, ObjectPlaceName, catalogue
-from simnfnd.factory.simulation.scenes.seabed.world import World
+from simnfnd.factory.simulation.scenes.seabed.world import SeabedWorld
 from tests.project_files import ROOT
 
 LOCATIONS = range(8)
@@ -160,8 +160,8 @@ def test_the_table_has_every_place_and_class() -> None:
 
 
 def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
-    whole = World(0, PLACE_NAMES, 1.0, None)
-    fewer = World(0, PLACE_NAMES, 1.0, ("Tire",))
+    whole = SeabedWorld(0, PLACE_NAMES, 1.0, None)
+    fewer = SeabedWorld(0, PLACE_NAMES, 1.0, ("Tire",))
     assert len(fewer.objects.labels) < len(whole.objects.labels)
     x = np.linspace(-9, 9, 50, dtype=np.float32)
     np.testing.assert_array_equal(whole.terrain.height_m(x, x), fewer.terrain.height_m(x, x))
@@ -188,7 +188,7 @@ def test_bad_settings_are_refused_with_their_key(values: dict[str, object], key:
 def test_the_path_keeps_clear_of_everything() -> None:
     """By Open3D's own distances: somebody else's arithmetic."""
     open3d: Any = pytest.importorskip("open3d")
-    world = World(3, PLACE_NAMES, 1.0, None)
+    world = SeabedWorld(3, PLACE_NAMES, 1.0, None)
     side = np.arange(-36, 36, 0.3)
     x, y = np.meshgrid(side, side, indexing="ij")
     ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).reshape(-1, 3)
