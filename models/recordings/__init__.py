@@ -35,7 +35,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "stack": ("stacks:StackFile", ()),
     "animation": ("animations:Animation", (".gif", ".apng")),
     "array": ("arrays:ArrayFile", (".npz", ".mat")),
-    "images": ("images:Images", IMAGE_SUFFIXES),
+    "images": ("images:ImageFiles", IMAGE_SUFFIXES),
     "dataset": ("simulated:DatasetRecording", ()),
 }
 """Kind -> ("module:class", suffixes of its files); `kind_of` says what else files of images are."""
