@@ -12,10 +12,11 @@ from ...factory.common.plots import Curve, Plot, draw_plots
 from ...factory.common.workers.tasks import TaskPool
 from ..judging.recorded import Stretch, frame_of, open_input
 from ..judging.settings import DetectSettings
+from ..metrics.statistics import FigureEstimate
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, interval, plain, written
 from .judge import DetectionOutcome, judge
-from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, FigureEstimate, MethodFigures
+from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, MethodFigures
 from .sheet import crop_sheet
 from .targets import classes_of
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.common.seeds import stream
+from ..metrics.statistics import FigureEstimate
 from .detector import Responses
 from .targets import TargetClass, Track
 
@@ -24,14 +25,6 @@ CURVE_RATES = tuple(np.linspace(0, 1, 41))
 _BLOCK_FRAMES = 7  # false alarms are resampled in blocks as long as a window of denoising
 _LEAST_TRACKS = 3  # of a class, for an interval of its AUC
 _INTERVAL = (0.025, 0.975)
-
-
-class FigureEstimate(NamedTuple):
-    """A figure with its 95 % bootstrap interval; NaN where there is nothing to measure."""
-
-    value: float
-    low: float
-    high: float
 
 
 class ClassFigures(NamedTuple):

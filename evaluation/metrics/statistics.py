@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,14 @@ def evenly(every: Sequence[T], most: int | None) -> list[T]:
     """At most so many of them, evenly spread; None: all."""
     count = len(every) if most is None else min(most, len(every))
     return [every[number * len(every) // count] for number in range(count)]
+
+
+class FigureEstimate(NamedTuple):
+    """A figure with its 95 % bootstrap interval; NaN where there is nothing to measure."""
+
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,13 @@ from ...factory.common.plots import Curve, Plot, draw_plots
 from ...models.detection.detector import detect
 from ...models.detection.training import DETECTOR_NAME
 from ..judging.settings import TransferSettings
+from ..metrics.statistics import FigureEstimate
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, plain, written
 from .arms import BLOB, SIMULATION, Arm, Comparison, open_comparison, open_training
 from .coco import RealImage, RealImages, read_coco
 from .scores import (
     CURVE_ALARMS,
-    FigureEstimate,
     Figures,
     Matches,
     difference,

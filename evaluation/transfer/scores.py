@@ -18,6 +18,7 @@ import numpy.typing as npt
 from ...factory.common.seeds import stream
 from ...models.detection.boxes import Boxes, intersection_over_union, share_inside
 from ...models.detection.detector import Detections
+from ..metrics.statistics import FigureEstimate
 from .coco import RealImage
 
 Values = npt.NDArray[np.float64]
@@ -32,14 +33,6 @@ _MOST_DETECTIONS = 100
 _RECALLS = np.linspace(0, 1, 101)
 CURVE_ALARMS = tuple(float(value) for value in np.geomspace(0.05, 10, 41))
 """False alarms per image at which the curve of recall is sampled."""
-
-
-class FigureEstimate(NamedTuple):
-    """A figure with its 95 % interval; NaN where there is none."""
-
-    value: float
-    low: float
-    high: float
 
 
 class Figures(NamedTuple):
